@@ -17,7 +17,7 @@ def test_writes_into_folders_that_it_makes(tmp_path: Path) -> None:
     assert names(tmp_path / "a" / "b") == ["c.txt"]
 
 
-def test_replaces_what_was_there(tmp_path: Path) -> None:
+def test_replaces_the_old_content(tmp_path: Path) -> None:
     path = tmp_path / "c"
     path.write_text("a longer text that was there")
     write_atomically(path, b"\x00new")
@@ -40,12 +40,12 @@ def test_a_link_is_replaced_and_its_target_left_alone(tmp_path: Path) -> None:
     assert link.read_text() == "new"
 
 
-def test_what_utf8_cannot_hold_is_escaped(tmp_path: Path) -> None:
+def test_lone_surrogates_are_escaped(tmp_path: Path) -> None:
     write_atomically(tmp_path / "x", "half \udcff")
     assert (tmp_path / "x").read_text() == "half \\udcff"
 
 
-def test_a_failure_is_the_worlds_and_says_which_file_and_why(tmp_path: Path) -> None:
+def test_a_failure_is_an_infrastructure_error_with_file_and_reason(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(InfrastructureError, match=r"file/out\.json: cannot be written: File exists"):
         write_atomically(tmp_path / "file" / "out.json", "x")

@@ -6,7 +6,7 @@ import requests
 from calibration.http import innermost_cause, is_loopback, retry_after
 
 
-def test_the_cause_is_what_the_system_said() -> None:
+def test_the_cause_is_the_message_of_the_system() -> None:
     with pytest.raises(requests.ConnectionError) as refused:
         requests.get("http://127.0.0.1:9", timeout=5)  # nothing listens on the port "discard"
     assert innermost_cause(refused.value) == "Connection refused"

@@ -46,7 +46,7 @@ def test_a_long_list_without_aliases_is_read(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.parametrize("text", ['{"a": 1, "a": 1}', '{"b": [{"a": 1, "c": 2, "a": 3}]}'])
-def test_a_key_that_stands_twice_is_refused(tmp_path: Path, text: str) -> None:
+def test_repeated_keys_are_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(ValueError, match="the key 'a' occurs twice"):
         parse_json(text)
     with pytest.raises(InputError, match=r"dataset\.json: the key 'a' occurs twice"):

@@ -46,7 +46,7 @@ def test_the_line_of_a_key(file: Path, keys: tuple[str, ...], value: str | None,
 
 
 @pytest.mark.parametrize("text", ["a: [", "", "- a", "\0"])
-def test_a_file_that_says_nothing_has_no_line(file: Path, text: str) -> None:
+def test_an_empty_file_has_no_line(file: Path, text: str) -> None:
     file.write_text(text)
     assert line_of(file, ("a",)) is None
     assert line_of(file.with_name("none.yml"), ("a",)) is None

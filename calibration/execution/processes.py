@@ -61,10 +61,10 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
 
 
 def _require_room_for_threads() -> None:
-    """Refuse to begin where the pool's own threads may not start: then nobody would ever tell its workers to end.
+    """Check the memory for the pool's own threads: without them the workers would never receive a request to end.
 
     Raises:
-        MemoryError: there is less memory left than the stacks of these threads take.
+        MemoryError: the free memory is less than the stacks of these threads.
     """
     try:
         mmap.mmap(-1, THREADS).close()

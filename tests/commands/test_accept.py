@@ -73,7 +73,7 @@ def test_another_description_of_the_same_data_is_red(repository: Path) -> None:
     assert any("on the same data: 5" in reason for reason in reasons())
 
 
-def test_what_failed_is_accepted_with_a_reason_only(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failed_systems_are_accepted_with_a_reason_only(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("calibration.yml").write_text(CONFIGURATION + "limits: {rms-px: 0.0001}\n")
     assert main(["run"]) == 1
     assert main(["accept"]) == 2

@@ -42,6 +42,6 @@ def test_a_configuration_without_aws(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "missing aws-batch" in capsys.readouterr().err
 
 
-def test_nobody_of_that_name(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_holder(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--config", str(config), "--for", "root") == 2
     assert "'root' is not one of" in capsys.readouterr().err

@@ -48,7 +48,7 @@ def test_the_file_itself_and_the_whole_matrix(tmp_path: Path, capsys: pytest.Cap
     assert "2/2 pass" in capsys.readouterr().out
 
 
-def test_intrinsics_and_what_is_held(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_intrinsics_and_fixed_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "first"
     asked = ["--intrinsics", "left_camera", "--hold", "intrinsics-left_camera-k3,intrinsics-left_camera-k2"]
     assert main(["calibrate-matrix", "--dataset", T2RGB, *asked, "--output", str(output)]) == 0
@@ -129,7 +129,7 @@ def test_a_login_without_the_image_that_it_is_for(
     assert "planted words" not in said.out + said.err
 
 
-def test_a_password_without_a_user_is_told_in_an_action(
+def test_a_password_without_a_user_is_reported_in_an_action(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name, value in {"DATASET": T2RGB, "IMAGE": "robot", "COMMAND": "x", "REGISTRY_PASSWORD": "words"}.items():

@@ -27,7 +27,7 @@ def test_contradictions(arguments: list[str], message: str, capsys: pytest.Captu
     assert message in capsys.readouterr().err
 
 
-def test_what_another_version_has_made(engine: "DockerClient", capsys: pytest.CaptureFixture[str]) -> None:
+def test_objects_of_another_version(engine: "DockerClient", capsys: pytest.CaptureFixture[str]) -> None:
     run = new_run()
     engine.api.create_volume(f"calibration-{run}", labels={RUN: run, JOB: "a\x1b[2Jb"})
     try:
@@ -49,7 +49,7 @@ def test_what_another_version_has_made(engine: "DockerClient", capsys: pytest.Ca
         remove(engine.api, find_leftovers(engine.api, run))
 
 
-def test_what_is_gone_already_is_no_error_and_what_is_in_use_is_named(engine: "DockerClient", base_image: str) -> None:
+def test_missing_objects_are_no_error_and_used_ones_are_named(engine: "DockerClient", base_image: str) -> None:
     run = new_run()
     labels = {RUN: run, **Owner.this_process().labels}
     name = f"calibration-{run}"

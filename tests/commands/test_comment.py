@@ -92,7 +92,7 @@ def test_a_run_without_results_takes_the_pass_of_an_earlier_one_back(service: Gi
     assert "❌ Calibration: fail\n\nThe run ended without results" in body
 
 
-def test_it_is_deleted_when_the_input_says_so(
+def test_it_is_deleted_on_request(
     service: GitHub, event: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     event("pull_request", pull_request(OURS))
@@ -146,9 +146,7 @@ def test_a_branch_that_has_gone_on_gets_no_comment_of_an_old_run(
     assert service.comments == []
 
 
-def test_what_a_stranger_left_is_read_with_care(
-    service: GitHub, event: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_untrusted_results_are_validated(service: GitHub, event: Any, capsys: pytest.CaptureFixture[str]) -> None:
     service.pulls = [{"number": 7, "head": {"label": "stranger:better", "sha": HEAD}}]
     event("workflow_run", after_run())
     path = Path("output", BRIEF_FILE)
@@ -179,7 +177,7 @@ def test_a_missing_token_is_named(
     assert "token: found none, expected ${{ github.token }}" in capsys.readouterr().out
 
 
-def test_a_laptop_shows_what_would_be_written(
+def test_a_local_run_prints_the_comment(
     service: GitHub, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("GITHUB_ACTIONS", "INPUT_TOKEN"):

@@ -287,7 +287,7 @@ def test_the_upload_fails(
     assert upload("--final", reports=None) == 3
 
 
-def test_only_the_end_is_told(server: projects.Codacy, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_the_end_of_the_upload_is_notified(server: projects.Codacy, capsys: pytest.CaptureFixture[str]) -> None:
     assert upload("--final", "--commit", "E" * 40, reports=None) == 0
     [asked] = server.asked
     assert (asked.path, asked.body) == (f"/2.0/commit/{'e' * 40}/coverageFinal", b"{}")
@@ -389,7 +389,7 @@ def test_an_accounts_token_and_codacys_own_variables(server: projects.Codacy, mo
     assert server.asked[0].headers["api-token"] == TOKEN
 
 
-def test_a_dry_run_shows_what_would_go(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_dry_run_shows_the_requests(capsys: pytest.CaptureFixture[str]) -> None:
     assert upload("--dry-run", "--output", "out", "--commit", "e" * 40, "--final") == 0
     out = capsys.readouterr().out
     url = "https://api.codacy.com/2.0"
@@ -442,7 +442,7 @@ def test_as_an_action_the_inputs_go_before_the_environment(
         (["--exclude", "**/naming.py"], "no executable line was found: the reports contain no file that counts"),
     ],
 )
-def test_what_is_wrong_is_said(
+def test_errors_are_reported(
     server: projects.Codacy, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     assert upload(*arguments) == 2
@@ -541,13 +541,13 @@ def test_a_signal_stops_the_tests(root: Path, number: signal.Signals) -> None:
     assert not Path("out/results.json").exists()
 
 
-def test_nobody_is_told_unless_it_is_said_who(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_service_nothing_is_uploaded(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([NAME, "--reports", "../c.xml"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "pass: 66.6 % (4 of 6) of the lines are run"
 
 
 @pytest.mark.parametrize("option", ["--partial", "--final", "--dry-run", ""])
-def test_what_is_for_a_service_without_one_is_an_error(
+def test_options_of_a_service_without_the_service_are_errors(
     option: str,
     server: projects.Codacy,
     monkeypatch: pytest.MonkeyPatch,
@@ -562,5 +562,5 @@ def test_what_is_for_a_service_without_one_is_an_error(
     assert server.asked == []
 
 
-def test_no_secret_in_what_is_printed_of_the_settings() -> None:
+def test_no_secret_in_the_representation_of_the_settings() -> None:
     assert TOKEN not in repr(Settings(project_token=TOKEN, api_token=TOKEN))

@@ -21,7 +21,7 @@ def test_all_formats_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert str(output / "calibrated.urdf") in capsys.readouterr().out
 
 
-def test_only_what_is_asked_for_is_written(tmp_path: Path) -> None:
+def test_only_requested_formats_are_written(tmp_path: Path) -> None:
     assert main(["export", "--dataset", T2RGB, "--formats", "ros1,opencv", "--output", str(tmp_path / "o")]) == 0
     assert {each.name for each in (tmp_path / "o").iterdir()} == {"calibrated.ros1.launch", "opencv.yml"}
 
@@ -35,7 +35,7 @@ def test_only_what_is_asked_for_is_written(tmp_path: Path) -> None:
         (["--robot-description", str(DATASETS / "riwbot" / "robot.urdf")], "no chain of joints"),
     ],
 )
-def test_what_cannot_be_exported_is_one_line_and_leaves_nothing(
+def test_failed_exports_are_one_line_and_leave_no_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     output = tmp_path / "out"

@@ -85,7 +85,7 @@ def test_since_a_commit_and_a_system(repository: Path, accepted: Snapshot, capsy
     assert "no commit after HEAD has accepted anything" in capsys.readouterr().err
 
 
-def test_a_commit_with_a_broken_file_is_left_out_and_said(
+def test_a_commit_with_a_broken_file_is_skipped_and_reported(
     repository: Path, accepted: Snapshot, capsys: pytest.CaptureFixture[str]
 ) -> None:
     accept(repository, accepted, 3, lambda i: 0.0)

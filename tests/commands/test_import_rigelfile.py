@@ -43,7 +43,7 @@ def test_a_rigelfile_becomes_a_calibration_yml(folder: Path, capsys: pytest.Capt
     assert "    dataset: TODO\n" in text
 
 
-def test_what_our_reader_still_misses_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_of_our_reader_are_reported(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("Rigelfile").write_text(
         RIGELFILE.replace("command: calibrate", "command: 'calibrate {{ vars.NOT_SET_HERE }}'")
     )
@@ -57,7 +57,7 @@ def test_what_our_reader_still_misses_is_said(folder: Path, capsys: pytest.Captu
     assert "to do: paths: they are relative to calibration.yml here: move it beside Rigelfile" in err
 
 
-def test_a_file_that_is_there_is_not_replaced_unless_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_file_is_replaced_on_request_only(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "calibration.yml").write_text("mine")
     assert main(["import-rigelfile"]) == 2
     assert (

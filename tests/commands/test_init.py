@@ -39,7 +39,7 @@ def bring(repository: Path, name: str) -> None:
         ("spjbot", "inter-collection-rgb-to-rgb:rgb_hand:rgb_hand"),
     ],
 )
-def test_what_is_written_passes(repository: Path, name: str, table: str) -> None:
+def test_the_written_configuration_passes(repository: Path, name: str, table: str) -> None:
     bring(repository, name)
     assert main(["init", "--dataset", f"data/{name}"]) == 0
     document = yaml.safe_load((repository / "calibration.yml").read_text())
@@ -49,7 +49,7 @@ def test_what_is_written_passes(repository: Path, name: str, table: str) -> None
     assert main(["run", "--jobs", "1"]) == 0
 
 
-def test_what_is_left_out_for_want_of_files_is_told(repository: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_parts_without_files_are_reported(repository: Path, capfd: pytest.CaptureFixture[str]) -> None:
     bring(repository, "softbot")
     for cloud in (repository / "data" / "softbot").glob("*.pcd"):
         cloud.unlink()
@@ -61,7 +61,7 @@ def test_what_is_left_out_for_want_of_files_is_told(repository: Path, capfd: pyt
     assert "it is not calibrated, and stays where the robot's description puts it" in said
 
 
-def test_every_limit_says_why_it_is_what_it_is(repository: Path) -> None:
+def test_every_limit_has_a_reason(repository: Path) -> None:
     bring(repository, "t2rgb")
     main(["init", "--dataset", "data/t2rgb"])
     lines = (repository / "calibration.yml").read_text().splitlines()
@@ -100,7 +100,7 @@ def test_nothing_is_replaced_unless_asked(repository: Path, capsys: pytest.Captu
         (["--dataset", "data/t2rgb", "--suite", "a/b@c: {}"], "expected OWNER/REPOSITORY@VERSION"),
     ],
 )
-def test_what_is_wrong_is_one_line(
+def test_errors_are_one_line(
     repository: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     bring(repository, "t2rgb")

@@ -66,9 +66,7 @@ def test_a_dataset_of_version_2(shared_data: Path, tmp_path: Path) -> None:
         ("itself", "is the dataset itself"),
     ],
 )
-def test_what_is_wrong_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: str, message: str
-) -> None:
+def test_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: str, message: str) -> None:
     folder, output = tmp_path / "in", tmp_path / "out"
     document = without_labels(folder, keep=tuple(f"{i:03d}" for i in range(6)) if damage == "all labelled" else ())
     if damage == "no image":

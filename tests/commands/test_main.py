@@ -135,7 +135,7 @@ def test_wrong_usage_is_bad_input_in_one_line(
 
 
 @pytest.mark.parametrize(("end", "code"), [(None, 0), (ExitCode.PASS, 0), (ExitCode.FAIL, 1), (2, 2)])
-def test_the_exit_code_is_what_the_command_returns(ends_with: list[object], end: object, code: int) -> None:
+def test_the_exit_code_is_the_return_value(ends_with: list[object], end: object, code: int) -> None:
     ends_with.append(end)
     assert main(["end"]) == code
 
@@ -210,7 +210,7 @@ def test_warnings_of_packages_stand_beside_no_error(
 
 @pytest.mark.parametrize("error", [InputError, InfrastructureError, click.UsageError])
 @pytest.mark.parametrize("quoted", ["x" * 100_000, "ab " * 30_000, "a/" * 30_000])
-def test_what_an_error_quotes_is_shortened(
+def test_quotes_in_errors_are_shortened(
     ends_with: list[object], capsys: pytest.CaptureFixture[str], error: type[Exception], quoted: str
 ) -> None:
     ends_with.append(error(f"a.json: found '{quoted}', expected a frame"))
@@ -286,7 +286,7 @@ def test_a_bug_shows_its_traceback(
         (np.linalg.LinAlgError("Singular matrix"), 2, "error: the data: found numbers that cannot be solved (Singular"),
     ],
 )
-def test_what_is_no_bug_is_one_line(
+def test_expected_errors_are_one_line(
     ends_with: list[object], capsys: pytest.CaptureFixture[str], error: BaseException, code: int, line: str
 ) -> None:
     ends_with.append(error)
@@ -371,7 +371,7 @@ def test_the_command_line_reads_no_inputs(ends_with: list[object], monkeypatch: 
     assert ends_with == [(None, False, None)]
 
 
-def test_threads_of_numpy_are_one_unless_told(ends_with: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numpy_has_one_thread_by_default(ends_with: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OMP_NUM_THREADS")
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "4")
     main(["end"])

@@ -62,7 +62,7 @@ def test_stages_run_alone_and_pass_files_on(repository: Path, capsys: pytest.Cap
     assert main(["run", "--only", "introspect"]) == 0
 
 
-def test_without_a_table_it_is_said_which_rms_it_is_and_earlier_cells_are_gone(
+def test_without_a_table_the_kind_of_rms_is_stated_and_earlier_cells_are_removed(
     repository: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = repository / "calibration.yml"
@@ -84,7 +84,7 @@ def test_an_unknown_stage_is_bad_input(repository: Path, capsys: pytest.CaptureF
     assert "did you mean 'calibrate'" in capsys.readouterr().err
 
 
-def test_without_a_configuration_it_says_what_is_missing(
+def test_a_missing_configuration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -99,7 +99,7 @@ def test_the_schemas_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
         assert "$schema" in json.loads(capsys.readouterr().out)
 
 
-def test_on_github_a_broken_rule_is_annotated_where_it_stands(
+def test_on_github_a_broken_rule_is_annotated_at_its_line(
     repository: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     edit(repository, "row: Averages, min: 0, max: 1", "row: Averages, min: 0, max: 0.001")

@@ -92,7 +92,7 @@ def run(root: Path, *arguments: str) -> tuple[int, Any]:
     return code, results(output) if code < 2 else None
 
 
-def test_what_a_change_brings_in_is_red_at_its_line(root: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_findings_of_a_change_fail_at_their_lines(root: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write(root, {"naming.py": GOOD + BAD})
     code, found = run(root, "--base", "HEAD")
     assert code == 1
@@ -112,7 +112,7 @@ def test_the_same_in_the_base_is_not(root: Path) -> None:
     assert (found["new"], len(found["unchanged"]), found["fixed"]) == ([], 1, [])
 
 
-def test_what_is_gone_is_fixed(root: Path) -> None:
+def test_removed_findings_are_fixed(root: Path) -> None:
     commit(root, {"naming.py": GOOD + BAD})
     git(root, "mv", "naming.py", "names.py")
     write(root, {"names.py": GOOD})
@@ -129,7 +129,7 @@ def test_a_stricter_rule_alone_makes_nothing_new(root: Path) -> None:
     assert len(found["unchanged"]) == 1
 
 
-def test_without_a_base_all_is_told_and_nothing_new(root: Path) -> None:
+def test_without_a_base_all_findings_are_reported_and_none_is_new(root: Path) -> None:
     write(root, {"naming.py": GOOD + BAD})
     code, found = run(root)
     assert (code, found["base"], found["new"], len(found["unchanged"])) == (0, None, [], 1)
@@ -137,7 +137,7 @@ def test_without_a_base_all_is_told_and_nothing_new(root: Path) -> None:
     assert run(root, "--max-total", "security=0")[0] == 1
 
 
-def test_what_is_accepted_is_counted_and_not_red(root: Path) -> None:
+def test_accepted_findings_are_counted_and_do_not_fail(root: Path) -> None:
     text = "suppressions:\n- {rule: ruff/S307, reason: only our own texts}\n"
     write(root, {"naming.py": GOOD + BAD, ".static-analysis.yml": text})
     code, found = run(root, "--base", "HEAD")
@@ -197,7 +197,7 @@ def test_links_large_and_binary_files_are_not_read(root: Path, tmp_path: Path) -
         (["--timeout", "0.000001s"], 3, "took longer than"),
     ],
 )
-def test_what_is_wrong_is_one_line(
+def test_errors_are_one_line(
     root: Path, capfd: pytest.CaptureFixture[str], arguments: list[str], code: int, said: str
 ) -> None:
     assert run(root, *arguments)[0] == code

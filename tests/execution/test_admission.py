@@ -22,7 +22,7 @@ def job(*limits: Limits) -> Job:
         (job(Limits(cpus=0.5, memory=GIB), Limits(cpus=1.5), Limits()), Need(2, GIB)),
     ],
 )
-def test_what_a_job_takes(needing: Job, need: Need) -> None:
+def test_resources_of_a_job(needing: Job, need: Need) -> None:
     assert Need.of(needing) == need
 
 

@@ -23,7 +23,7 @@ def test_unknown() -> None:
         check_backend("embedded", CONTAINERS)
 
 
-def test_a_cloud_that_nobody_has_described() -> None:
+def test_a_cloud_backend_without_settings() -> None:
     with pytest.raises(InputError, match=r"its settings are missing: expected a section aws-batch in calibration\.yml"):
         ExecutionTarget("aws-batch").open()
 

@@ -95,7 +95,7 @@ def test_everything_is_forbidden_by_default() -> None:
         ({"artifacts": [3]}, "here: artifacts.0"),
     ],
 )
-def test_what_is_wrong_is_named(entry: dict[str, Any], message: str) -> None:
+def test_errors_name_the_key(entry: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as caught:
         container_from(entry, {"TOKEN": "x"})
     assert message in str(caught.value)
@@ -114,7 +114,7 @@ def test_any_document_is_a_container_or_an_error(entry: dict[str, Any]) -> None:
         assert container_from(entry, {}).name == "robot"
 
 
-def test_the_schema_takes_what_is_read() -> None:
+def test_the_schema_accepts_valid_documents() -> None:
     validator = jsonschema.Draft202012Validator(schema_of(Container))
     validator.check_schema(validator.schema)
     entry = {"command": "run", "success": 3, "mounts": ["a:/b"], "artifacts": ["x"], "ready": {"port": 1}}

@@ -50,7 +50,7 @@ def test_an_error_reaches_the_caller() -> None:
         list(in_parallel(refuse, range(8), 2))
 
 
-def test_a_process_that_dies_is_said() -> None:
+def test_the_death_of_a_process_is_reported() -> None:
     with pytest.raises(InfrastructureError, match="worker process died"):
         list(in_parallel(lambda _: os.kill(os.getpid(), signal.SIGKILL), range(2), 2))
 

@@ -246,7 +246,7 @@ def test_whatever_comes_nothing_is_written_outside(
             assert {path.relative_to(outer / "to").as_posix() for path in below} == {f.path for f in result.files}
 
 
-def test_what_the_standard_library_writes_is_read(tmp_path: Path) -> None:
+def test_archives_of_the_standard_library_are_read(tmp_path: Path) -> None:
     source = tmp_path / "out"
     (source / "deep" / ("long" * 40)).mkdir(parents=True)
     (source / "deep" / ("long" * 40) / "x").write_bytes(os.urandom(300_000))

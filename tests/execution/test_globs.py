@@ -32,7 +32,7 @@ from calibration.execution.globs import Glob
         ("/out/*.CSV", "/out", "a.csv", None),
     ],
 )
-def test_what_a_pattern_names(path: str, source: str, inside: str, lands: str | None) -> None:
+def test_matches_of_a_pattern(path: str, source: str, inside: str, lands: str | None) -> None:
     pattern = Glob(path)
     assert pattern.source == source
     found = pattern.landing(tuple(part for part in inside.split("/") if part))

@@ -24,7 +24,7 @@ def refused(wrong: Job) -> str:
     return str(caught.value)
 
 
-def test_what_makes_sense_is_accepted(tmp_path: Path) -> None:
+def test_valid_jobs_are_accepted(tmp_path: Path) -> None:
     check_job(
         job(
             container(

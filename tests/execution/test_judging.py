@@ -87,11 +87,11 @@ def test_a_code_that_is_a_success_is_no_signal() -> None:
         (Fake(of(), End.LOST, None), "container 'a' ended without an exit code: it was killed"),
     ],
 )
-def test_what_is_said_of_it(fake: Fake, failure: str | None) -> None:
+def test_failure_messages(fake: Fake, failure: str | None) -> None:
     assert failure_of(fake) == failure
 
 
-def test_what_it_is_not_ready_for() -> None:
+def test_unmet_conditions() -> None:
     readiness = Readiness(port=1, log="x+", file="/f", command=("a", "b"))
     assert unmet(readiness, {"port", "command"}, True) == "command a b, port 1"
     assert unmet(readiness, {"file"}, False) == "file /f, a line of its log with 'x+'"

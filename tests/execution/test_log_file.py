@@ -20,7 +20,7 @@ def test_kept_as_it_is_and_read_in_lines(tmp_path: Path) -> None:
     log.close()
 
 
-def test_cut_and_said(tmp_path: Path) -> None:
+def test_truncation_is_stated(tmp_path: Path) -> None:
     lines: list[str] = []
     with LogFile(tmp_path / "log", show=lines.append, most_bytes=10) as log:
         log.feed(b"0123456")

@@ -25,7 +25,7 @@ def test_each_argument_by_itself() -> None:
         ("a } b", "a single '}'"),
     ],
 )
-def test_what_is_no_placeholder(argument: str, message: str) -> None:
+def test_invalid_placeholders(argument: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         fill(["true", argument], {"seed": "1", "output": "/o"}, "systems.a.command")
     assert message in str(caught.value)
@@ -44,7 +44,7 @@ def test_a_text_is_split_as_a_shell_would() -> None:
 
 
 @given(st.lists(st.text(st.characters(exclude_characters="\0")), min_size=1))
-def test_what_is_joined_is_split_again(arguments: list[str]) -> None:
+def test_split_inverts_join(arguments: list[str]) -> None:
     assert split_command(shlex.join(arguments), "command") == tuple(arguments)
 
 

@@ -37,7 +37,7 @@ def test_a_long_secret_whose_first_line_is_one_too() -> None:
     assert redacted([secret], [b"x first line"]) == b"x ***"
 
 
-def test_what_is_no_secret_is_shown_at_once() -> None:
+def test_other_text_is_shown_immediately() -> None:
     redactor = Redactor([SECRET])
     assert redactor.feed(b"progress 10%") == b"progress 10%"
     assert redactor.feed(b"an h") == b"an "  # may be its beginning

@@ -46,7 +46,7 @@ def test_ros_2_has_no_master_and_a_network_of_its_own() -> None:
         (replace(JOB, containers=(Container("master", "i"),)), "no other container may have the name 'master'"),
     ],
 )
-def test_what_a_master_cannot_work_with(job: Job, message: str) -> None:
+def test_invalid_jobs_with_a_master(job: Job, message: str) -> None:
     with pytest.raises(InputError, match=message):
         with_ros(job, "1")
 
@@ -73,9 +73,7 @@ def test_on_one_address_everybody_is_here() -> None:
         ({}, {}),
     ],
 )
-def test_on_one_address_only_what_names_a_container_changes(
-    environment: dict[str, str], expected: dict[str, str]
-) -> None:
+def test_on_one_address_only_names_of_containers_change(environment: dict[str, str], expected: dict[str, str]) -> None:
     job = Job("j", (Container("a", "i", environment=environment), Container("b", "i")))
     moved = on_one_address(job)
     assert moved.containers[0].environment == expected

@@ -79,7 +79,7 @@ def test_without_jobs_no_engine_is_looked_for() -> None:
     assert run_tasks(list[Task[str]]()) == {}
 
 
-def test_what_is_found_is_not_run_and_told_first() -> None:
+def test_earlier_results_are_reported_first_and_not_run_again() -> None:
     target, told = There(), list[str]()
     kept = {"b": "kept b", "c": "kept c"}
     found = run_tasks(

@@ -28,7 +28,7 @@ def interrupted(output: Path, identity: str, work_on: Callable[[Workspace[int]],
         raise KeyboardInterrupt
 
 
-def test_what_is_done_is_found_again(tmp_path: Path) -> None:
+def test_finished_tasks_are_found(tmp_path: Path) -> None:
     interrupted(tmp_path, "a", lambda work: work.keep("b/c, d", 2, {"x.pcd": b"points"}))
     seen: list[object] = []
     interrupted(tmp_path, "a", lambda work: seen.append((work.find("b/c, d"), (work.folder / "x.pcd").read_bytes())))

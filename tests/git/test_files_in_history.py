@@ -24,7 +24,7 @@ def checkout(tmp_path: Path) -> Path:
     return root
 
 
-def test_what_a_file_held(checkout: Path) -> None:
+def test_content_of_a_file_in_a_commit(checkout: Path) -> None:
     repository = Repository.around(checkout)
     head = repository.head()
     assert head is not None
@@ -72,7 +72,7 @@ def test_a_shallow_checkout_fetches_the_one_commit(checkout: Path, tmp_path: Pat
     assert repository.content(repository.fetched(first), FILE, 100) == b"one"
 
 
-def test_a_commit_that_cannot_be_fetched_is_said(checkout: Path, tmp_path: Path) -> None:
+def test_a_failed_fetch_is_reported(checkout: Path, tmp_path: Path) -> None:
     git(tmp_path, "clone", "--quiet", "--depth=1", f"file://{checkout}", "shallow")
     (tmp_path / "origin").rename(tmp_path / "gone")
     with pytest.raises(

@@ -62,7 +62,7 @@ def test_an_address_cannot_end_its_link_early() -> None:
     assert rendered(text).count("<a ") == 1
 
 
-def test_what_is_too_long_says_what_is_missing() -> None:
+def test_truncation_is_stated() -> None:
     table = BriefTable(("Start",), (("x",),) * (ROWS_SHOWN + 3))
     brief = Brief(verdict="fail", sentence="", reasons=("why",) * (REASONS_SHOWN + 2), tables=(table,))
     text = comment_text(brief, "", {})
@@ -98,7 +98,7 @@ def test_a_report_in_brief_is_read_as_it_was_written(tmp_path: Path) -> None:
         (" " * (4 * 1024**2 + 1), "at most 4194304 was expected"),
     ],
 )
-def test_what_is_no_report_in_brief_is_one_line(tmp_path: Path, content: str, expected: str) -> None:
+def test_invalid_brief_reports_are_one_line(tmp_path: Path, content: str, expected: str) -> None:
     path = tmp_path / "comment.json"
     path.write_text(content)
     with pytest.raises(InputError) as error:

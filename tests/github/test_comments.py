@@ -62,7 +62,7 @@ def test_it_is_found_among_hundreds(service: GitHub) -> None:
 
 
 @pytest.mark.parametrize("user", [None, "robot-account"])
-def test_a_marker_that_somebody_else_wrote_is_left_alone(service: GitHub, user: str | None) -> None:
+def test_markers_of_other_users_are_ignored(service: GitHub, user: str | None) -> None:
     service.user = user
     service.add(marker(10**17).text + "mine now", "stranger", "User")
     assert comments(service).keep(marker(1), "ours") == "created"
@@ -115,7 +115,7 @@ def test_a_comment_that_is_deleted_meanwhile_is_made_anew(service: GitHub) -> No
     assert service.bodies() == [marker(2).text + "two"]
 
 
-def test_a_text_is_cut_to_what_github_takes(service: GitHub) -> None:
+def test_a_text_is_truncated_to_the_limit_of_github(service: GitHub) -> None:
     comments(service).keep(marker(1), "x" * 10**6)
     assert [len(body) for body in service.bodies()] == [LONGEST]
 
@@ -140,7 +140,7 @@ def test_a_text_is_cut_to_what_github_takes(service: GitHub) -> None:
         ([(429, {}, {"Retry-After": "3600"})], InfrastructureError, "3600 s"),
     ],
 )
-def test_what_github_refuses_is_one_line(
+def test_errors_of_github_are_one_line(
     service: GitHub, answers: list[Any], kind: type[Exception], expected: str
 ) -> None:
     service.answers = list(answers)

@@ -54,7 +54,7 @@ def folder(tmp_path: Path) -> Path:
     return root
 
 
-def test_the_archive_says_nothing_of_owners_and_times(folder: Path) -> None:
+def test_the_archive_contains_no_owners_and_times(folder: Path) -> None:
     with tarfile.open(fileobj=io.BytesIO(packed(of_folder(folder)))) as archive:
         found = {member.name: member for member in archive}
         assert {member.mtime for member in found.values()} == {MTIME}
@@ -156,7 +156,7 @@ def test_links_are_not_followed(folder: Path) -> None:
     assert "loop/a.py" not in names(of_folder(folder))
 
 
-def test_what_is_no_file_is_refused_by_name(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_special_files_are_refused_by_name(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     with socket.socket(socket.AF_UNIX) as found:
         found.bind("agent.sock")

@@ -26,7 +26,7 @@ RUN --mount=type=bind,from=tool:2,target=/t true
     assert bases_of(text, {"VERSION": "13", "GO": "9"}).images[:2] == ("debian:13", "golang:1.22")  # no ARG GO
 
 
-def test_what_only_the_builder_knows() -> None:
+def test_names_that_only_the_builder_can_resolve() -> None:
     assert bases_of("FROM x-$TARGETARCH\nFROM y", {}) == Bases(("y",), ("x-$TARGETARCH",))
 
 

@@ -128,7 +128,7 @@ def test_a_repository_is_made_where_that_is_asked_for(emulator: str, runner: Run
     assert log.getvalue().count(f"created the repository {NAME}\n") == 1
 
 
-def test_a_registry_that_stands_in_for_aws(emulator: str, runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stand_in_of_a_registry_of_aws(emulator: str, runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = RegistrySettings(kind="ecr")
     with pytest.raises(InputError, match=r"127\.0\.0\.1:5000/robot: AWS's region is not known: set AWS_REGION"):
         registry_login(settings, "127.0.0.1:5000/robot", runner)
@@ -173,7 +173,7 @@ def reply(status: int, code: str, message: str = "said") -> Reply:
         ),
     ],
 )
-def test_what_aws_denies(
+def test_errors_of_aws(
     runner: Runner,
     monkeypatch: pytest.MonkeyPatch,
     answer: Reply,
@@ -243,7 +243,7 @@ def test_the_public_registry(runner: Runner, monkeypatch: pytest.MonkeyPatch) ->
     ]
 
 
-def test_somebody_else_makes_the_repository_at_the_same_time(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_concurrent_creation_of_the_repository(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     token = base64.b64encode(b"AWS:p").decode()
     answers = [
         Reply(200, json.dumps({"authorizationData": [{"authorizationToken": token}]}).encode()),

@@ -86,7 +86,7 @@ def test_the_login_of_docker(runner: Runner, docker_config: Path, key: str, name
 
 
 @pytest.mark.parametrize("document", [{}, {"auths": {}}, {"auths": login("quay.io")}, {"auths": {"ghcr.io": {}}}])
-def test_nobody(runner: Runner, log: io.StringIO, docker_config: Path, document: object) -> None:
+def test_without_a_login(runner: Runner, log: io.StringIO, docker_config: Path, document: object) -> None:
     docker_config.write_text(json.dumps(document))
     found = registry_login(None, NAME, runner, {})
     assert found == Credentials("ghcr.io")

@@ -32,7 +32,7 @@ def test_a_step_for_each_layer() -> None:
     ) == ["[1/3] layer a is there already", "[2/3] layer b pushed (2.5 MB)", "[3/3] layer c is there already"]
 
 
-def test_a_large_layer_says_how_far_it_is() -> None:
+def test_progress_of_a_large_layer() -> None:
     events = [
         {"id": "a", "status": "Pushing", "progressDetail": {"current": at * 10**6, "total": 400 * 10**6}}
         for at in (0, 50, 100, 120, 210, 390, 400)
@@ -47,11 +47,11 @@ def test_a_large_layer_says_how_far_it_is() -> None:
     ]
 
 
-def test_what_is_of_another_form_is_passed_over() -> None:
+def test_unknown_events_are_ignored() -> None:
     pushing = [3, {}, {"current": "1", "total": 2}, {"current": 3, "total": 2}, {"current": 0, "total": 0}]
     assert told(*({"id": "a", "status": "Pushing", "progressDetail": detail} for detail in pushing), {"id": 3}) == []
     assert told({"id": "a\n::error::", "status": "Pushed"}) == ["[1/1] layer a ::error:: pushed"]
 
 
-def test_nobody_listens() -> None:
+def test_without_a_listener() -> None:
     PushProgress(None).event({"id": "a", "status": "Pushed"})

@@ -58,7 +58,7 @@ def test_parts(text: str, registry: str, repository: str, tag: str | None, diges
         ("robot:a\n", "found the tag"),
     ],
 )
-def test_what_is_no_name(text: str, message: str) -> None:
+def test_invalid_names(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_reference(text)
     assert message in str(caught.value)
@@ -76,7 +76,7 @@ references = st.builds(
 
 
 @given(references)
-def test_what_is_written_is_read(reference: Reference) -> None:
+def test_round_trip(reference: Reference) -> None:
     assert parse_reference(str(reference)) == reference
 
 

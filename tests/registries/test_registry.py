@@ -47,7 +47,7 @@ def in_turn(*replies: Reply) -> Callable[[Request], Reply]:
     return lambda _: waiting.pop(0) if len(waiting) > 1 else waiting[0]
 
 
-def test_what_a_name_stands_for(client: RegistryClient) -> None:
+def test_digest_of_a_name(client: RegistryClient) -> None:
     with serve(lambda _: FINE) as server:
         assert client.find_manifest(f"{server.address}/team/robot:v1") == DIGEST
         assert client.find_manifest(f"{server.address}/team/robot") == DIGEST
@@ -64,7 +64,7 @@ def test_what_a_name_stands_for(client: RegistryClient) -> None:
         assert request.authorization is None
 
 
-def test_what_is_not_there(client: RegistryClient) -> None:
+def test_missing_objects(client: RegistryClient) -> None:
     missing = Reply(404, b'{"errors": [{"code": "MANIFEST_UNKNOWN"}]}')
     with serve(lambda _: missing) as server:
         assert client.find_manifest(f"{server.address}/robot") is None
@@ -72,12 +72,12 @@ def test_what_is_not_there(client: RegistryClient) -> None:
         assert client.tags(f"{server.address}/robot") == []
 
 
-def test_what_nobody_may_see_is_not_there_for_nobody(client: RegistryClient) -> None:
+def test_denied_anonymous_access_counts_as_missing(client: RegistryClient) -> None:
     with serve(denial) as server:
         assert client.find_manifest(f"{server.address}/robot") is None
 
 
-def test_what_the_user_may_not_see_is_an_error() -> None:
+def test_denied_access_with_a_login_is_an_error() -> None:
     with serve(denial) as server, RegistryClient(user(server)) as client:
         with pytest.raises(InputError) as caught:
             client.find_manifest(f"{server.address}/robot")
@@ -128,7 +128,7 @@ def test_another_image_than_the_one_that_was_asked_for(client: RegistryClient) -
 
 
 @pytest.mark.parametrize("fault", [Reply(500), Reply(503, b"<html>"), Reply(429), Reply(reset=True), Reply(hang=True)])
-def test_what_passes_is_tried_again(client: RegistryClient, pauses: list[float], fault: Reply) -> None:
+def test_temporary_failures_are_retried(client: RegistryClient, pauses: list[float], fault: Reply) -> None:
     with serve(in_turn(fault, fault, FINE)) as server:
         assert client.read_manifest(f"{server.address}/robot") == Manifest(DIGEST, DOCKER, CONTENT)
     assert pauses == [0.5, 1.0]
@@ -153,7 +153,7 @@ def test_what_passes_is_tried_again(client: RegistryClient, pauses: list[float],
         ),
     ],
 )
-def test_what_does_not_pass_is_given_up(
+def test_permanent_failures_end_the_retries(
     client: RegistryClient, pauses: list[float], fault: Reply, message: str
 ) -> None:
     with serve(lambda _: fault) as server, pytest.raises(InfrastructureError) as caught:
@@ -333,7 +333,9 @@ def tls_context(certificate: Path) -> ssl.SSLContext:
     return context
 
 
-def test_another_server_is_told_no_password(certificate: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_another_server_receives_no_password(
+    certificate: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Neither that of the settings nor that in the user's .netrc is sent."""
     (tmp_path / ".netrc").write_text("machine localhost login a password b\nmachine 127.0.0.1 login a password b\n")
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -355,7 +357,7 @@ def test_another_server_is_told_no_password(certificate: Path, monkeypatch: pyte
     assert [request.authorization for request in other.requests] == [None]
 
 
-def test_tls_that_nobody_vouches_for(certificate: Path, monkeypatch: pytest.MonkeyPatch, pauses: list[float]) -> None:
+def test_untrusted_tls(certificate: Path, monkeypatch: pytest.MonkeyPatch, pauses: list[float]) -> None:
     with serve(lambda _: FINE, tls_context(certificate)) as other:
         target = f"https://{other.address}/x"
         with (

@@ -107,7 +107,7 @@ def test_everything_that_people_read_is_bounded(tmp_path: Path) -> None:
     assert (tmp_path / "results.json").read_text().count("of many") == 2 * 5000
 
 
-def test_the_summary_says_the_verdict_then_the_reasons_then_the_blocks() -> None:
+def test_the_summary_has_the_verdict_then_reasons_then_blocks() -> None:
     hidden, folded = Text("only here", only="log"), Code("x `y`\n", title="How", folded=True)
     text = make(reasons=("a < b", "c"), blocks=(TABLE, hidden, folded, Lines((), title="Nothing"))).markdown()
     assert text.startswith("## check: fail: 1 of 2 failed\n\n- a &lt; b\n- c\n\n| Start |")

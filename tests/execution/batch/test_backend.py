@@ -106,9 +106,7 @@ def test_inputs_go_once_and_the_definition_only_when_it_differs(batch_emulator: 
     assert calls["RegisterJobDefinition"] == 2
 
 
-def test_what_a_task_says_of_a_failure_is_told_with_the_last_line_of_its_log(
-    batch_emulator: Aws, tmp_path: Path
-) -> None:
+def test_a_failure_is_reported_with_the_last_line_of_the_log(batch_emulator: Aws, tmp_path: Path) -> None:
     tasks = Tasks(batch_emulator)
     secret = "pl4nted-value"  # noqa: S105
     reason = "container 'robot' ended with exit code 4"
@@ -220,7 +218,7 @@ def test_a_task_that_never_started(batch_emulator: Aws, tmp_path: Path) -> None:
     )
 
 
-def test_inputs_that_could_not_be_brought_in_are_named_by_our_own_log(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_failed_downloads_of_inputs_are_reported_from_our_log(batch_emulator: Aws, tmp_path: Path) -> None:
     tasks = Tasks(batch_emulator)
     tasks.do = lambda task, attempt: Did(
         document=lambda _: None, log={PREPARE: ["error: bucket is gone"]}, result=ended(attempt, {PREPARE: 3})
@@ -273,7 +271,7 @@ def test_an_outcome_is_not_believed(
     assert [path for path in (tmp_path / "one" / "artifacts").rglob("*") if path.is_file()] == []
 
 
-def test_what_an_earlier_run_left_in_the_folder_is_gone(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_results_of_an_earlier_run_are_removed(batch_emulator: Aws, tmp_path: Path) -> None:
     Tasks(batch_emulator)
     old = tmp_path / "one" / "artifacts" / "old.txt"
     old.parent.mkdir(parents=True)
@@ -283,7 +281,7 @@ def test_what_an_earlier_run_left_in_the_folder_is_gone(batch_emulator: Aws, tmp
     assert outcome.verdict == "pass"
 
 
-def test_resume_runs_only_what_is_missing_or_has_changed(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_resume_runs_only_missing_and_changed_jobs(batch_emulator: Aws, tmp_path: Path) -> None:
     tasks = Tasks(batch_emulator)
     good = tasks.do
     tasks.do = lambda task, attempt: None if task.job.name in ("world/1", "world/4") else good(task, attempt)
@@ -303,7 +301,7 @@ def test_resume_runs_only_what_is_missing_or_has_changed(batch_emulator: Aws, tm
     assert len(tasks.ran) == 6
 
 
-def test_resume_runs_again_what_failed_for_want_of_time_or_of_a_host(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_resume_repeats_infrastructure_errors(batch_emulator: Aws, tmp_path: Path) -> None:
     """A verdict of the software is kept; other failures are run again."""
     tasks = Tasks(batch_emulator)
     good, codes = (
@@ -319,7 +317,7 @@ def test_resume_runs_again_what_failed_for_want_of_time_or_of_a_host(batch_emula
     assert [outcome.exit_code for outcome in again] == [0, 1, 0]
 
 
-def test_a_run_that_is_resumed_ends_what_its_dead_client_left_running(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_resume_terminates_jobs_of_the_dead_client(batch_emulator: Aws, tmp_path: Path) -> None:
     tasks = Tasks(batch_emulator)
 
     def hang(task: TaskJob, attempt: Attempt) -> Did:
@@ -364,7 +362,7 @@ def test_a_run_that_is_resumed_judges_as_the_first_did(batch_emulator: Aws, tmp_
     assert [outcome.verdict for outcome in third] == ["pass"] * 2
 
 
-def test_what_is_broken_among_the_results_of_an_earlier_run(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_broken_results_of_an_earlier_run(batch_emulator: Aws, tmp_path: Path) -> None:
     tasks = Tasks(batch_emulator)
     run_jobs(tmp_path, *jobs(2), run="again")
     services = batch_emulator.services

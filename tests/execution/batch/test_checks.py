@@ -20,7 +20,7 @@ def refused(*jobs: Job, settings: BatchSettings = SETTINGS) -> str:
     return str(caught.value)
 
 
-def test_what_runs_is_accepted(tmp_path: Path) -> None:
+def test_valid_jobs_are_accepted(tmp_path: Path) -> None:
     settings = replace(SETTINGS, secrets={"TOKEN": TOKEN_ARN})
     check_for_batch([simulation(tmp_path), replace(simulation(tmp_path), name="k", seconds=5)], settings)
     relaxed = Relaxations(
@@ -155,7 +155,7 @@ def test_a_secret_without_an_arn() -> None:
         ),
     ],
 )
-def test_what_would_meet_on_an_instance(wanted: Job, what: str) -> None:
+def test_conflicts_on_a_shared_instance(wanted: Job, what: str) -> None:
     two = [wanted, replace(wanted, name="k")]
     said = refused(*two, settings=EC2)
     assert said == (
@@ -167,5 +167,5 @@ def test_what_would_meet_on_an_instance(wanted: Job, what: str) -> None:
     check_for_batch(two, SETTINGS)
 
 
-def test_jobs_that_meet_nobody_share_instances() -> None:
+def test_jobs_without_conflicts_share_instances() -> None:
     check_for_batch([job(), job(container(artifacts=(Artifact(f"{OUTPUT}/x"),)), name="k")], EC2)

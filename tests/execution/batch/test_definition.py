@@ -150,7 +150,7 @@ def test_a_secret_without_an_arn(tmp_path: Path) -> None:
         definition(simulation(tmp_path))
 
 
-def test_what_only_instances_have() -> None:
+def test_settings_of_ec2_only() -> None:
     relaxed = Relaxations(devices=("/dev/video0",), gpus=True, privileged=True)
     robot = named(job(container(relaxations=relaxed)), "robot", EC2)
     assert robot["privileged"] is True

@@ -85,7 +85,7 @@ def test_reasons_are_those_of_any_backend(
     assert merged.containers[0].end == ended
 
 
-def test_what_happened_to_others_may_be_why() -> None:
+def test_failures_of_other_containers_are_added() -> None:
     found = outcome(End.EXITED, 4, "container 'robot' ended with exit code 4", sim=End.LOST)
     merged = with_ends(found, JOB, [batch("sim", 137, OUT)], {})
     assert merged.reasons == (
@@ -94,7 +94,7 @@ def test_what_happened_to_others_may_be_why() -> None:
     )
 
 
-def test_of_containers_of_which_the_task_says_nothing() -> None:
+def test_ends_without_an_outcome_of_the_task() -> None:
     ends = ends_alone(JOB, [batch(code=3)])
     assert [(each.name, each.end, each.exit_code) for each in ends] == [
         ("robot", End.EXITED, 3),

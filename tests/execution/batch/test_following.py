@@ -65,7 +65,7 @@ def setup(*counts: int) -> tuple[Following, Batch]:
 
 @at_most(40)
 @given(st.lists(st.integers(1, 350), min_size=1, max_size=3), st.integers(0, 2**32), st.integers(1, 300))
-def test_each_end_is_told_once_whatever_the_order(counts: list[int], seed: int, most: int) -> None:
+def test_each_end_is_reported_once_in_any_order(counts: list[int], seed: int, most: int) -> None:
     chance = random.Random(seed)
     found, batch = setup(*counts)
     waiting = [(job, child) for job, states in batch.states.items() for child in range(len(states))]
@@ -105,7 +105,7 @@ def test_calls_are_bounded_whatever_the_order(in_order: bool) -> None:
     assert batch.calls <= (3 * polls + 2 * count / AT_ONCE if in_order else count)
 
 
-def test_jobs_that_run_are_told_where_they_are_few() -> None:
+def test_running_jobs_are_reported_if_there_are_few() -> None:
     found, batch = setup(3, 1)
     poll = found.poll()
     assert (poll.queued_count, poll.running_count, poll.running, poll.ended) == (4, 0, (), ())
@@ -117,7 +117,7 @@ def test_jobs_that_run_are_told_where_they_are_few() -> None:
     assert (poll.queued_count, poll.running_count) == (2, 2)
 
 
-def test_what_batch_does_not_know_yet_is_waited_for() -> None:
+def test_jobs_that_batch_does_not_know_yet() -> None:
     found, batch = setup(2, 1)
     batch.unknown = {"job0", "job1"}
     assert found.poll().ended == ()
@@ -126,7 +126,7 @@ def test_what_batch_does_not_know_yet_is_waited_for() -> None:
     assert len(found.poll().ended) == 3
 
 
-def test_what_batch_does_not_know_any_more_is_lost_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_jobs_that_batch_has_forgotten_are_lost_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
     found, batch = setup(3, 1)
     batch.states["job0"] = ["SUCCEEDED", "SUCCEEDED", "SUCCEEDED"]
     batch.unknown, batch.late = {"job0:1", "job1"}, {"job0:2"}
@@ -142,7 +142,7 @@ def test_what_batch_does_not_know_any_more_is_lost_after_a_while(monkeypatch: py
     assert not found.may_run("job0")
 
 
-def test_what_waits_for_room_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_jobs_beyond_the_limit_of_a_poll_are_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     found, batch = setup(500)
     batch.states["job0"] = ["SUCCEEDED"] * 500
     now = following.time.monotonic()

@@ -58,7 +58,7 @@ def container(**changes: Any) -> dict[str, Any]:
     return {**first, **changes}
 
 
-def test_a_task_has_the_job_without_what_batch_knows() -> None:
+def test_a_task_has_the_job_without_properties_of_its_definition() -> None:
     data = jobs_document([job_entry(replace(FULL, name="other"), ()), job_entry(FULL, INPUTS, memory=64)])
     expected = TaskJob(
         replace(
@@ -102,7 +102,7 @@ def test_volumes_are_numbered_by_their_targets() -> None:
         (document(mounts=[{"volume": -1}]), "mounts.0.volume: found -1"),
     ],
 )
-def test_what_no_client_writes_is_refused(data: bytes, message: str) -> None:
+def test_invalid_documents_are_refused(data: bytes, message: str) -> None:
     with pytest.raises(InfrastructureError) as caught:
         read_job(data, 0, "f")
     assert message in str(caught.value)
@@ -129,7 +129,7 @@ TEXTS = st.text(max_size=20)
         success=st.lists(st.integers(0, 255), max_size=3).map(tuple),
     )
 )
-def test_what_is_written_is_read(container: Container) -> None:
+def test_round_trip(container: Container) -> None:
     job = Job("j", (container,))
     assert read_job(jobs_document([job_entry(job, ())]), 0, "f") == TaskJob(job)
 
@@ -150,12 +150,12 @@ def test_the_same_jobs_are_the_same_bytes() -> None:
         (b"[" * 100, "f: this is no JSON: "),
     ],
 )
-def test_what_is_no_json(data: bytes, message: str) -> None:
+def test_invalid_json(data: bytes, message: str) -> None:
     with pytest.raises(InfrastructureError) as caught:
         parse_json(data, 100, "f")
     assert message in str(caught.value)
 
 
-def test_what_is_nested_too_deeply() -> None:
+def test_nested_too_deeply() -> None:
     with pytest.raises(InfrastructureError, match="this is no JSON: "):
         parse_json(b"[" * 200_000 + b"]" * 200_000, 10**6, "f")

@@ -126,7 +126,7 @@ def test_a_display_that_aws_leaves_alone_for_a_while(
     assert outcome.verdict == "pass"
 
 
-def test_of_many_jobs_only_the_logs_of_those_that_fail_are_brought(batch_emulator: FakeAws, tmp_path: Path) -> None:
+def test_of_many_jobs_only_logs_of_failed_ones_are_downloaded(batch_emulator: FakeAws, tmp_path: Path) -> None:
     def work(task: TaskJob, attempt: Attempt) -> Did:
         log = {"robot": [f"log of {task.job.name}"]}
         if task.job.name != "world/3":
@@ -144,9 +144,7 @@ def test_of_many_jobs_only_the_logs_of_those_that_fail_are_brought(batch_emulato
     assert [outcome.containers[0].log is None for outcome in outcomes] == [i != 3 for i in range(17)]
 
 
-def test_lines_of_our_own_that_nobody_reads_any_more_are_no_reason_to_fail(
-    batch_emulator: FakeAws, tmp_path: Path
-) -> None:
+def test_a_closed_output_does_not_fail_the_run(batch_emulator: FakeAws, tmp_path: Path) -> None:
     gone = io.StringIO()
     gone.close()
     Tasks(batch_emulator)

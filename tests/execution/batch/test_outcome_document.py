@@ -56,7 +56,7 @@ def read(document: object, job: Job = JOB, attempt: int = 2) -> TaskOutcome:
 
 
 @pytest.mark.parametrize("outcome", [PASSED, FAILED, replace(FAILED, exit_code=ExitCode.INFRASTRUCTURE)])
-def test_what_is_written_is_read(outcome: TaskOutcome) -> None:
+def test_round_trip(outcome: TaskOutcome) -> None:
     data = outcome_document(outcome)
     assert read_outcome(data, JOB, 2, "f") == outcome
     assert len(data) < most_bytes(JOB)
@@ -106,7 +106,7 @@ def artifact(**changes: Any) -> list[dict[str, Any]]:
         ({"left_out": ["x"] * 4}, "left_out: found "),
     ],
 )
-def test_what_contradicts_the_job_or_itself(changes: dict[str, Any], message: str) -> None:
+def test_inconsistent_outcomes(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InfrastructureError) as caught:
         read({**json.loads(outcome_document(PASSED)), **changes})
     assert message in str(caught.value)
@@ -120,7 +120,7 @@ def test_lines_command_nothing() -> None:
     assert found.reasons == ("a ::error::b\\x1b[31m",)
 
 
-def test_what_is_too_large() -> None:
+def test_documents_that_are_too_large() -> None:
     with pytest.raises(InfrastructureError, match=r"f: found .* bytes, at most .* were expected"):
         read_outcome(b" " * (most_bytes(JOB) + 1), JOB, 2, "f")
 

@@ -66,7 +66,7 @@ def test_a_link_that_leads_out_is_refused(tmp_path: Path, target: str) -> None:
         packed(tmp_path / "in")
 
 
-def test_what_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_special_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match="pipe: is no file or folder"):
         packed(tmp_path)
@@ -78,7 +78,7 @@ def test_what_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
             packed(tmp_path)
 
 
-def test_what_cannot_be_read_or_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unreadable_and_unwritable_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="nosuch: cannot be read: No such file"):
         packed(tmp_path / "nosuch")
     (tmp_path / "a").write_text("x")

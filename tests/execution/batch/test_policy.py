@@ -43,7 +43,7 @@ def s3(key: str) -> str:
     return f"arn:aws:s3:::{SETTINGS.bucket}/{key}"
 
 
-def test_what_the_caller_may() -> None:
+def test_permissions_of_the_caller() -> None:
     definition = definition_name(shape_of(job(), SETTINGS), SETTINGS)
     for action, resource in [
         ("batch:RegisterJobDefinition", batch(f"job-definition/{definition}")),
@@ -67,7 +67,7 @@ def test_what_the_caller_may() -> None:
         assert allowed("caller", action, resource), (action, resource)
 
 
-def test_what_the_caller_may_not() -> None:
+def test_forbidden_actions_of_the_caller() -> None:
     for action, resource in [
         ("batch:SubmitJob", batch("job-queue/other")),
         ("batch:SubmitJob", batch("job-definition/other:1")),
@@ -81,7 +81,7 @@ def test_what_the_caller_may_not() -> None:
         assert not allowed("caller", action, resource), (action, resource)
 
 
-def test_the_role_of_a_job_reads_what_is_for_it_and_writes_results() -> None:
+def test_the_role_of_a_job_reads_inputs_and_writes_results() -> None:
     assert allowed("job", "s3:GetObject", s3(LOCATION.input_key("a" * 64)))
     assert allowed("job", "s3:GetObject", s3(LOCATION.jobs_key(0)))
     assert allowed("job", "s3:PutObject", s3(LOCATION.result_key(7, 2, "files/a.csv")))
@@ -102,7 +102,7 @@ def test_the_execution_role_reads_only_the_secrets_that_are_named() -> None:
     assert without == {"EnterRegistry", "PullImages", "WriteLogs"}
 
 
-def test_only_what_cannot_be_named_is_allowed_for_everything() -> None:
+def test_only_actions_without_resources_are_allowed_for_everything() -> None:
     unnamed = {
         (holder, action)
         for holder in HOLDERS
@@ -200,13 +200,13 @@ def actions_of(holder: Holder) -> set[str]:
     return {action for statement in policy(holder, SETTINGS)["Statement"] for action in statement["Action"]}
 
 
-def test_the_caller_may_do_what_the_code_does_and_no_more() -> None:
+def test_the_caller_has_the_permissions_of_the_code_and_no_more() -> None:
     modules = [parsed(path) for path in FOLDER.rglob("*.py") if "inside" not in path.parts]
     # tags and roles are parts of other requests
     assert actions_of("caller") == called(*modules) | {"batch:TagResource", "iam:PassRole"}
 
 
-def test_the_job_may_do_what_our_containers_do_and_no_more() -> None:
+def test_the_job_has_the_permissions_of_our_containers_and_no_more() -> None:
     inside = [parsed(path) for path in (FOLDER / "inside").glob("*.py")]
     methods = {node.name: node for node in ast.walk(parsed(FOLDER / "store.py")) if isinstance(node, ast.FunctionDef)}
     used: set[str] = set()

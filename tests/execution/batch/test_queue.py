@@ -96,7 +96,7 @@ def test_queues_of_other_kinds(aws: Aws, monkeypatch: pytest.MonkeyPatch) -> Non
         check_queue(aws, SETTINGS, [])
 
 
-def test_likely_reasons_name_what_is_wrong_with_the_queue(aws: Aws, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_likely_reasons_contain_errors_of_the_queue(aws: Aws, monkeypatch: pytest.MonkeyPatch) -> None:
     environment = {"status": "INVALID", "statusReason": "role is gone", "computeResources": {"maxvCpus": 0}}
     answering(aws, monkeypatch, {"state": "DISABLED"}, environment)
     reasons = likely_reasons(aws, replace(SETTINGS, platform="ec2", spot=True), ["x"])
@@ -229,7 +229,7 @@ for _ in BatchBackend(SETTINGS, sys.argv[1]).__enter__().run(jobs(3), Path(sys.a
 """
 
 
-def test_cleanup_ends_what_killed_runs_have_left(
+def test_cleanup_terminates_leftovers_of_killed_runs(
     batch_emulator: FakeAws, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Tasks(batch_emulator, lambda task, attempt: attempt.stop.wait(240) and None)

@@ -51,7 +51,7 @@ def once(monkeypatch: pytest.MonkeyPatch) -> None:
         (400, "ClientException", InputError, "batch:DescribeJobs: ClientException: said"),
     ],
 )
-def test_what_aws_answers(
+def test_errors_of_aws(
     batch_emulator: FakeAws, status: int, code: str, kind: type[CalibrationError], message: str
 ) -> None:
     batch_emulator.faults.refuse("DescribeJobs", status, code, "said\x1b[2J\nmore")
@@ -67,7 +67,7 @@ def test_a_connection_that_breaks(batch_emulator: FakeAws) -> None:
     assert type(failure(Aws(REGION))) is AwsLostError
 
 
-def test_what_is_throttled_is_tried_again_and_each_try_is_counted(batch_emulator: FakeAws) -> None:
+def test_throttled_requests_are_retried_and_counted(batch_emulator: FakeAws) -> None:
     batch_emulator.faults.throttle("DescribeJobs", times=2)
     aws = Aws(REGION)
     describe(aws)
@@ -76,7 +76,7 @@ def test_what_is_throttled_is_tried_again_and_each_try_is_counted(batch_emulator
 
 
 @pytest.mark.usefixtures("once")
-def test_nobody_there(batch_emulator: FakeAws, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unreachable_aws(batch_emulator: FakeAws, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AWS_ENDPOINT_URL_BATCH", "http://127.0.0.1:1")
     error = failure(Aws(REGION))
     assert type(error) is AwsLostError
@@ -224,7 +224,7 @@ def test_secrets_are_in_no_repr(batch_emulator: FakeAws) -> None:
     aws.close()
 
 
-def test_what_stands_before_the_backend_needs_no_package_of_it() -> None:
+def test_modules_before_the_backend_need_no_aws_packages() -> None:
     import subprocess
     import sys
 

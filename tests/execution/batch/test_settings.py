@@ -25,7 +25,7 @@ def refused(**changes: Any) -> str:
     return str(caught.value)
 
 
-def test_what_is_needed_is_enough() -> None:
+def test_required_settings_are_sufficient() -> None:
     assert read(BatchSettings, NEEDED, WHERE) == BatchSettings(
         region="eu-west-1",
         queue="robots",
@@ -134,7 +134,7 @@ def test_every_key() -> None:
         ),
     ],
 )
-def test_what_is_wrong(changes: dict[str, Any], message: str) -> None:
+def test_invalid_settings(changes: dict[str, Any], message: str) -> None:
     said = refused(**changes)
     assert message in said
     assert said.startswith("calibration.yml: aws-batch")
@@ -145,7 +145,7 @@ def test_a_wrong_secret_is_not_repeated() -> None:
 
 
 @pytest.mark.parametrize("key", ["region", "queue", "bucket", "tools-image", "job-role"])
-def test_what_is_missing(key: str) -> None:
+def test_missing_settings(key: str) -> None:
     with pytest.raises(InputError, match=f"missing key '{key}'"):
         read(BatchSettings, {name: value for name, value in NEEDED.items() if name != key}, WHERE)
 

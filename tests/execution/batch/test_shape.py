@@ -13,7 +13,7 @@ from calibration.execution.job import Artifact, Limits, Readiness, Relaxations
 from tests.execution.batch.samples import REGISTRY, SETTINGS, container, job, simulation
 
 
-def test_what_the_definition_has_to_say(tmp_path: Path) -> None:
+def test_shape_of_a_job(tmp_path: Path) -> None:
     assert shape_of(simulation(tmp_path), SETTINGS) == Shape(
         containers=(
             ContainerShape(
@@ -35,7 +35,7 @@ def test_what_the_definition_has_to_say(tmp_path: Path) -> None:
     )
 
 
-def test_what_a_job_reads_from_s3_changes_no_shape() -> None:
+def test_inputs_do_not_change_the_shape() -> None:
     changes = [
         job(container(command=("calibrate", "--seed", "2"), environment={"A": "1"}, working_directory="/w"), name="k"),
         job(container(readiness=Readiness(port=1), limits=Limits(seconds=3), artifacts=(Artifact("/o"),)), seconds=1),
@@ -48,7 +48,7 @@ def test_what_a_job_reads_from_s3_changes_no_shape() -> None:
     assert group.jobs == (0, 1, 2, 3, 4)
 
 
-def test_what_makes_another_shape() -> None:
+def test_changes_of_the_shape() -> None:
     changes = [
         container(image="other"),
         container("another"),

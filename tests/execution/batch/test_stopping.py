@@ -133,7 +133,7 @@ def test_a_signal_ends_all(batch_emulator: Aws, tmp_path: Path, number: signal.S
         process.kill()
 
 
-def test_what_is_submitted_while_the_answer_is_lost_is_ended_too(
+def test_a_submission_with_a_lost_answer_is_terminated(
     batch_emulator: Aws, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from calibration.execution.batch import session
@@ -157,7 +157,7 @@ def test_a_lost_answer_submits_nothing_twice(batch_emulator: Aws, tmp_path: Path
     assert len(tasks.ran) == 3
 
 
-def test_what_has_been_submitted_twice_after_all_is_ended(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_duplicate_submissions_are_terminated(batch_emulator: Aws, tmp_path: Path) -> None:
     Tasks(batch_emulator, hang)
     # the list of jobs lags behind, so the submission is found too late
     batch_emulator.faults.drop("SubmitJob", answered=True)
@@ -177,7 +177,7 @@ def test_what_has_been_submitted_twice_after_all_is_ended(batch_emulator: Aws, t
     batch.wait()
 
 
-def test_credentials_that_expire_are_one_line_that_says_what_may_go_on(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_expired_credentials_are_one_line_with_advice(batch_emulator: Aws, tmp_path: Path) -> None:
     Tasks(batch_emulator, hang)
     with BatchBackend(SETTINGS, "night") as backend:
         outcomes = backend.run(jobs(3), tmp_path)
@@ -191,7 +191,7 @@ def test_credentials_that_expire_are_one_line_that_says_what_may_go_on(batch_emu
     )
 
 
-def test_that_jobs_cannot_be_ended_is_said_though_nothing_else_is_wrong(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_failed_terminations_are_reported(batch_emulator: Aws, tmp_path: Path) -> None:
     Tasks(batch_emulator, hang)
     with BatchBackend(SETTINGS, "night") as backend:
         outcomes = backend.run(jobs(3), tmp_path)
@@ -203,7 +203,7 @@ def test_that_jobs_cannot_be_ended_is_said_though_nothing_else_is_wrong(batch_em
             outcomes.close()
 
 
-def test_what_takes_too_long_is_given_up_and_the_rest_is_kept(
+def test_jobs_beyond_the_deadline_are_given_up_and_others_kept(
     batch_emulator: Aws, tmp_path: Path, clock: Clock
 ) -> None:
     Tasks(batch_emulator, hang)
@@ -236,7 +236,7 @@ def test_jobs_that_get_no_host_are_given_up_with_likely_reasons(
     assert running(batch_emulator) == []
 
 
-def test_what_waits_behind_others_is_not_stuck(batch_emulator: Aws, tmp_path: Path, clock: Clock) -> None:
+def test_jobs_that_wait_behind_others_are_not_stuck(batch_emulator: Aws, tmp_path: Path, clock: Clock) -> None:
     four = threading.Barrier(4)  # number of hosts
 
     def slowly(task: TaskJob, attempt: Attempt) -> Did:
@@ -253,7 +253,7 @@ def test_what_waits_behind_others_is_not_stuck(batch_emulator: Aws, tmp_path: Pa
     assert [outcome.verdict for outcome in outcomes] == ["pass"] * 6
 
 
-def test_what_somebody_else_ends_is_named(batch_emulator: Aws, tmp_path: Path) -> None:
+def test_termination_by_another_process_is_reported(batch_emulator: Aws, tmp_path: Path) -> None:
     tasks = Tasks(batch_emulator, hang)
     caught: list[CalibrationError] = []
 

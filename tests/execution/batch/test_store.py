@@ -24,7 +24,7 @@ def store(batch_emulator: FakeAws) -> Iterator[Store]:
     aws.close()
 
 
-def test_what_is_written_is_read(store: Store, tmp_path: Path) -> None:
+def test_round_trip(store: Store, tmp_path: Path) -> None:
     store.put("a/b", b"content")
     assert store.get("a/b", 7) == b"content"
     assert store.get("a/c", 7) is None
@@ -39,7 +39,7 @@ def test_what_is_written_is_read(store: Store, tmp_path: Path) -> None:
         store.download("a/b", tmp_path / "b", 7)
 
 
-def test_what_is_there_is_not_sent_again(store: Store, batch_emulator: FakeAws) -> None:
+def test_existing_objects_are_not_uploaded_again(store: Store, batch_emulator: FakeAws) -> None:
     calls = batch_emulator.services.calls
     for _ in range(2):
         store.upload("inputs/x.tar", io.BytesIO(b"tar"), 3)
@@ -63,7 +63,7 @@ def test_folders_and_keys(store: Store) -> None:
 
 
 @pytest.mark.parametrize("method", ["GET", "PUT"])
-def test_what_is_not_allowed(store: Store, batch_emulator: FakeAws, method: str) -> None:
+def test_denied_access(store: Store, batch_emulator: FakeAws, method: str) -> None:
     batch_emulator.services.faults.refuse(f"s3:{method}", 403, "AccessDenied", "no", times=99)
     action = "s3:GetObject" if method == "GET" else "s3:PutObject"
     with pytest.raises(InputError, match=f"bucket '{BUCKET}': AWS: {action}: AccessDenied: the role or user needs"):

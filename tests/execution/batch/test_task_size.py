@@ -42,7 +42,7 @@ def test_one_container_of_one_cpu_is_a_task_of_one_cpu() -> None:
     )
 
 
-def test_memory_that_nobody_asked_for_is_ours() -> None:
+def test_surplus_memory_is_assigned_to_our_container() -> None:
     size = task_size(asked((2, 100), (0.1, 100)), "fargate")
     assert size.total == Resources(4, 8 * GIB)  # tasks have neither 2.25 CPUs, nor 4 with less memory
     assert [each.memory for each in size.containers] == [100, 100]

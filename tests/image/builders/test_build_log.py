@@ -61,7 +61,7 @@ def test_lines_are_shown_when_they_are_complete(runner: Runner) -> None:
     assert written(runner) == ["    one", "    two", "    100%", "    end"]
 
 
-def test_what_others_print_commands_nothing_and_has_no_secrets(runner: Runner) -> None:
+def test_output_contains_no_workflow_commands_and_no_secrets(runner: Runner) -> None:
     log = make(runner, "hunter2-hunter2")
     log.step(1, 2, "RUN curl -H 'token: hunter2-hunter2'")
     log.output("\x1b[91mred\x1b[0m \x1b]0;title\x07 ##[error] hunter2-hunter2\n")
@@ -111,7 +111,7 @@ def test_a_terminal_has_a_bar_and_no_output(runner: Runner) -> None:
         ("#1 [1/1] RUN x\nError response from daemon: dockerfile parse error line 2\n", "", "Error response", None),
     ],
 )
-def test_what_buildkit_says(runner: Runner, text: str, step: str, problem: str, lines: list[str] | None) -> None:
+def test_errors_of_buildkit(runner: Runner, text: str, step: str, problem: str, lines: list[str] | None) -> None:
     log = make(runner)
     reader = BuildKitOutput(log)
     for line in text.splitlines():

@@ -54,7 +54,7 @@ def test_lines_and_exit_code(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ignores", ["", "trap '' TERM; "])
-def test_whoever_stops_listening_stops_the_program_and_its_children(
+def test_closing_the_generator_stops_the_program_and_its_children(
     tmp_path: Path, ignores: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("calibration.programs.GRACE", 0.2)

@@ -64,7 +64,7 @@ def test_a_build(reply: Reply, kind: type[Exception], said: str) -> None:
 GONE = Reply(body=json.dumps({"errorDetail": {"message": f"unknown parent image ID sha256:{'0' * 64}"}}).encode())
 
 
-def test_a_layer_that_somebody_else_removes_in_the_midst() -> None:
+def test_a_layer_removed_during_the_build() -> None:
     built = Reply(body=json.dumps({"aux": {"ID": "sha256:1"}}).encode())
     assert build(GONE, GONE, built) == "sha256:1"
     with pytest.raises(

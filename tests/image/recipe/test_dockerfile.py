@@ -239,7 +239,7 @@ def test_no_text_of_the_user_becomes_an_instruction(
 
 
 @given(st.permutations(["a", "b", "c", "d"]))
-def test_the_order_of_what_has_none_does_not_matter(names: list[str]) -> None:
+def test_the_order_of_sets_does_not_matter(names: list[str]) -> None:
     assert rendered(apt=names, environment=dict.fromkeys(names, "1"), labels=dict.fromkeys(names, "1")) == rendered(
         apt=sorted(names), environment=dict.fromkeys(sorted(names), "1"), labels=dict.fromkeys(sorted(names), "1")
     )

@@ -51,7 +51,7 @@ def test_rosinstall(tmp_path: Path) -> None:
         ("text", "expected type, url and version"),
     ],
 )
-def test_what_is_refused(tmp_path: Path, entry: str, message: str) -> None:
+def test_refused_repositories(tmp_path: Path, entry: str, message: str) -> None:
     with pytest.raises(InputError, match=f"a.repos: a: .*{message}|a.repos: .*{message}") as error:
         read(tmp_path, f"repositories: {{a: {entry}}}")
     assert "hunter2" not in str(error.value)

@@ -11,7 +11,7 @@ from tests.integration.execution.jobs import run_job, run_jobs, shell
 ALL = (Artifact(f"{OUTPUT}/*"),)
 
 
-def test_brought_out_by_users_who_are_not_root(tmp_path: Path) -> None:
+def test_artifacts_of_users_other_than_root(tmp_path: Path) -> None:
     outcome = run_job(
         tmp_path,
         shell(
@@ -82,7 +82,7 @@ def test_a_required_artifact_that_is_missing(tmp_path: Path) -> None:
         ("d=.; for i in $(seq 70); do d=$d/d; done; mkdir -p $d; touch $d/x", "lies in more than 64 folders"),
     ],
 )
-def test_what_is_hostile_is_refused_by_name(tmp_path: Path, leave: str, message: str) -> None:
+def test_unsafe_artifacts_are_refused_by_name(tmp_path: Path, leave: str, message: str) -> None:
     outcome = run_job(tmp_path / "out", shell(f"cd {OUTPUT}; touch before; {leave}", artifacts=ALL))
     assert outcome.exit_code == ExitCode.FAIL
     assert len(outcome.reasons) == 1

@@ -95,7 +95,7 @@ EAT = "bytearray(300 * 2**20)"
         ),
     ],
 )
-def test_each_end_is_told_apart(
+def test_each_end_has_its_own_message(
     tmp_path: Path, container: Container, end: End, code: int | None, exit_code: int, reason: str | None
 ) -> None:
     outcome = run_job(tmp_path, container)
@@ -129,7 +129,7 @@ def test_a_job_ends_with_its_essential_container(tmp_path: Path) -> None:
     assert (outcome.folder / "logs" / "robot.log").read_text() == "done\n"
 
 
-def test_what_does_not_want_to_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_containers_that_ignore_sigterm_are_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("calibration.execution.docker.job_run.GRACE", 1)
     stubborn = python(
         "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('up', flush=True)\ntime.sleep(600)",
@@ -198,7 +198,7 @@ def test_an_essential_container_that_never_ran_is_no_success(tmp_path: Path) -> 
         ("UPPER case", InputError, "image 'UPPER case'"),
     ],
 )
-def test_a_missing_image_is_said_before_anything_starts(
+def test_a_missing_image_is_reported_before_the_start(
     tmp_path: Path, image: str, kind: type[Exception], message: str
 ) -> None:
     jobs = [Job("fine", (shell("true"),)), Job("wrong", (Container("a", image, ("true",)),))]
@@ -228,7 +228,7 @@ def test_an_image_that_only_its_registry_has_is_pulled(tmp_path: Path, registry:
         engine.api.remove_image(f"{image}:1")
 
 
-def test_what_an_earlier_run_left_is_never_taken_for_this_ones(tmp_path: Path) -> None:
+def test_results_of_an_earlier_run_are_not_mistaken_for_current_ones(tmp_path: Path) -> None:
     first = run_job(tmp_path, shell(f"echo 1 > {OUTPUT}/a.csv", artifacts=(Artifact(f"{OUTPUT}/*"),)))
     (first.folder / "other.csv").write_text("not ours")
     second = run_job(tmp_path, shell("exit 1", artifacts=(Artifact(f"{OUTPUT}/*"),)))
@@ -265,7 +265,7 @@ def test_an_image_that_vanishes_after_it_was_found(tmp_path: Path, monkeypatch: 
     assert outcome.reasons[0].startswith("container 'a': the Docker Engine says: No such image: sha256:000")
 
 
-def test_what_cannot_be_removed_is_said(tmp_path: Path, engine: "DockerClient") -> None:
+def test_failed_removals_are_reported(tmp_path: Path, engine: "DockerClient") -> None:
     """Another container uses a volume of the run."""
     run, volume = new_run(), f"calibration-test-{new_run()}"
     host = engine.api.create_host_config(binds={volume: {"bind": "/v", "mode": "rw"}})
@@ -292,6 +292,6 @@ def test_an_engine_without_addresses(engine: "DockerClient", monkeypatch: pytest
         Networks("r", {}).take(engine.api, internal=False)
 
 
-def test_listening_to_what_is_not_there(engine: "DockerClient") -> None:
+def test_attaching_to_a_missing_container(engine: "DockerClient") -> None:
     with pytest.raises(NotFound):
         attach(engine.api, "0" * 64)

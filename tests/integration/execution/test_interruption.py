@@ -159,7 +159,7 @@ def cleanup(*arguments: str) -> str:
     return done.stdout
 
 
-def test_what_a_killed_run_left_is_cleaned_up_and_what_lives_is_not(tmp_path: Path, engine: "DockerClient") -> None:
+def test_leftovers_of_killed_runs_are_removed_and_running_ones_kept(tmp_path: Path, engine: "DockerClient") -> None:
     with program(tmp_path / "alive", engine, "waiting") as (alive, _):
         wait_until(lambda: has(engine, alive, "running"), "it runs")
         with program(tmp_path / "dead", engine, "waiting") as (dead, process):

@@ -97,7 +97,7 @@ def test_settings_arrive(tmp_path: Path) -> None:
     assert printed(tmp_path, Container("a", "calibration-test:python", ("echo", "x"), ())) == "x\n"
 
 
-def test_mounts_are_read_only_unless_told_otherwise(tmp_path: Path) -> None:
+def test_mounts_are_read_only_by_default(tmp_path: Path) -> None:
     data = tmp_path / "data"
     data.mkdir()
     (data / "in").write_text("content\n")

@@ -132,7 +132,7 @@ def test_the_engine_keeps_no_log(tmp_path: Path, engine: "DockerClient") -> None
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from calibration.execution import log_file
 
     plain = log_file.Path.open

@@ -250,14 +250,14 @@ def test_several_platforms_need_buildx(builds: Builds, registry: Registry) -> No
         builds.build(platforms=["linux/amd64", "linux/arm64"], **entry)
 
 
-def test_what_the_key_cannot_see_is_said(builds: Builds) -> None:
+def test_inputs_outside_of_the_key_are_reported(builds: Builds) -> None:
     builds.write("Dockerfile", f"FROM {BASE} AS a\nFROM other-$TARGETARCH AS b\nFROM a\n")
     with pytest.raises((BuildFailedError, InputError, InfrastructureError)):
         builds.build({"builder": "engine"}, dockerfile="Dockerfile")
     assert "not covered by the content key: only the builder can resolve other-$TARGETARCH" in builds.log
 
 
-def test_nobody_is_asked_for_a_name_that_anybody_may_have(builds: Builds) -> None:
+def test_no_registry_is_asked_for_names_without_a_host(builds: Builds) -> None:
     """Names without a host may belong to a stranger on Docker Hub, so it is not asked unless the image is pushed."""
     image = builds.build(name=f"team/{builds.name}", base=BASE, commands=["true"])
     assert image.built

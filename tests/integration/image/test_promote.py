@@ -76,7 +76,7 @@ def test_an_image_for_several_platforms(engine: "DockerClient", registry: Regist
         assert client.read_manifest(f"{name}:stable") == index
 
 
-def test_what_is_not_there(registry: Registry, private_registry: Registry, runner: Runner) -> None:
+def test_missing_objects(registry: Registry, private_registry: Registry, runner: Runner) -> None:
     digest = "sha256:" + "1" * 64
     for address in (registry.address, private_registry.address):
         for wanted in (digest, "key-1"):
@@ -85,7 +85,7 @@ def test_what_is_not_there(registry: Registry, private_registry: Registry, runne
 
 
 @pytest.mark.parametrize(("wanted", "tags"), [("sha256:12", ["stable"]), ("key-1", ["not a tag"]), ("a/b", ["stable"])])
-def test_what_no_registry_takes(runner: Runner, wanted: str, tags: list[str]) -> None:
+def test_invalid_tags(runner: Runner, wanted: str, tags: list[str]) -> None:
     with pytest.raises(InputError, match="found the tag"):
         promote("127.0.0.1:1/robot", wanted, tags, None, runner)
 
@@ -102,7 +102,7 @@ def test_with_a_password(engine: "DockerClient", private_registry: Registry, run
     assert private_registry.password not in log.getvalue()
 
 
-def test_a_tag_that_somebody_else_moves_meanwhile(
+def test_a_tag_moved_by_another_process(
     engine: "DockerClient", registry: Registry, runner: Runner, log: io.StringIO
 ) -> None:
     other = "sha256:" + "2" * 64
@@ -122,7 +122,7 @@ def test_a_tag_that_somebody_else_moves_meanwhile(
     assert log.getvalue() == f"{name}:stable: was moved to {other} by another process after it was {digest}\n"
 
 
-def test_a_login_of_aws_at_a_registry_that_stands_in_for_it(
+def test_a_login_of_aws_at_a_stand_in(
     engine: "DockerClient", registry: Registry, runner: Runner, monkeypatch: pytest.MonkeyPatch, log: io.StringIO
 ) -> None:
     """The emulator provides the password; the registry needs none, so only the request is tested."""

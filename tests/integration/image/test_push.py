@@ -70,7 +70,7 @@ def uploads(status: int, code: str, message: str) -> Callable[[Request], Reply |
         (uploads(403, "DENIED", f"not with {PASSWORD}"), InputError, "(denied: not with ***)"),
     ],
 )
-def test_what_will_not_pass_is_not_tried_again(
+def test_permanent_failures_are_not_retried(
     engine: "DockerClient",
     registry: Registry,
     fault: Callable[[Request], Reply | None],
@@ -88,7 +88,7 @@ def test_what_will_not_pass_is_not_tried_again(
     assert pauses == []
 
 
-def test_what_may_pass_is_tried_again(engine: "DockerClient", registry: Registry) -> None:
+def test_temporary_failures_are_retried(engine: "DockerClient", registry: Registry) -> None:
     pauses: list[float] = []
     left = [Reply(503), Reply(503)]
 
@@ -104,7 +104,7 @@ def test_what_may_pass_is_tried_again(engine: "DockerClient", registry: Registry
         assert client.find_manifest(name.replace(server.address, registry.address) + ":v2") == digest
 
 
-def test_what_never_passes_is_given_up(engine: "DockerClient", registry: Registry) -> None:
+def test_persistent_failures_end_the_retries(engine: "DockerClient", registry: Registry) -> None:
     pauses: list[float] = []
 
     def fault(request: Request) -> Reply | None:
@@ -128,7 +128,7 @@ def test_no_registry(engine: "DockerClient") -> None:
         push_image(engine, f"{name}:v1", [], None, pause=lambda _: None)
 
 
-def test_a_registry_that_loses_what_was_pushed(engine: "DockerClient", registry: Registry) -> None:
+def test_a_registry_that_loses_the_image(engine: "DockerClient", registry: Registry) -> None:
     def fault(request: Request) -> Reply | None:
         lost = request.method in ("GET", "HEAD") and "/manifests/" in request.path
         return Reply(404) if lost else None

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from docker import DockerClient
 
 
-def test_what_docker_pushes_is_found(engine: "DockerClient", registry: Registry) -> None:
+def test_images_pushed_by_docker_are_found(engine: "DockerClient", registry: Registry) -> None:
     name = fresh_name(registry.address)
     with small_image(engine, name, "v1"), RegistryClient() as client:
         assert client.find_manifest(f"{name}:v1") is None

@@ -70,7 +70,7 @@ def test_the_content_is_the_same(output: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", [f"{OUTPUT}/nosuch", f"{OUTPUT}/empty/x/*", f"{OUTPUT}/dangling/*"])
-def test_what_is_not_there(output: Path, tmp_path: Path, path: str) -> None:
+def test_missing_objects(output: Path, tmp_path: Path, path: str) -> None:
     (output / "dangling").symlink_to("nosuch")
     with pytest.raises(NothingThereError):
         taken(output, path, tmp_path / "to")
@@ -95,7 +95,7 @@ def test_nothing_but_the_volume_is_reached(output: Path, tmp_path: Path, path: s
         pass
 
 
-def test_what_is_no_file(output: Path, tmp_path: Path) -> None:
+def test_special_files(output: Path, tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(output / "s"))
         with pytest.raises(RefusedError, match="'output/s' is no file or folder, but a device or a pipe"):

@@ -78,6 +78,6 @@ def test_a_link_is_not_followed(log: Path, tmp_path: Path) -> None:
     assert (tmp_path / "other").stat().st_size == 3000
 
 
-def test_what_is_no_text_is_no_trouble(log: Path) -> None:
+def test_binary_output(log: Path) -> None:
     append(log, b"\xff\x00up\xfe\n")
     assert line(log, "up").poll()

@@ -90,7 +90,7 @@ def put_input(aws: "Aws", data: bytes, **changes: Any) -> Input:
     return replace(item, **changes)
 
 
-def test_prepared_is_what_the_job_says(aws: "Aws", places: Places) -> None:
+def test_volumes_and_scripts_of_a_prepared_job(aws: "Aws", places: Places) -> None:
     data = packed(("d/", b"", 0o755), ("d/a.csv", b"1,2", 0o644), ("run", b"#!/bin/sh", 0o755))
     put_job(aws, inputs=(put_input(aws, data),))
     assert main(["prepare"], variables(), places) == 0
@@ -110,7 +110,7 @@ def test_links_inside_stay_links(aws: "Aws", places: Places) -> None:
     assert (places.mounts / "0" / "d" / "l").readlink() == Path("../a")
 
 
-def test_what_is_writable_is_so_for_every_user(aws: "Aws", places: Places) -> None:
+def test_writable_volumes_are_writable_for_all_users(aws: "Aws", places: Places) -> None:
     data = packed(("d/", b"", 0o755), ("d/a", b"1", 0o644), ("run", b"2", 0o755))
     put_job(aws, inputs=(put_input(aws, data, writable=True),))
     (places.mounts / "0" / "link").symlink_to("/etc/hostname")
@@ -135,7 +135,7 @@ def test_what_is_writable_is_so_for_every_user(aws: "Aws", places: Places) -> No
         (packed(("d/a", b"", 0o644), link="/etc"), {}, "'d/a' is a link to '/etc', which leaves the folder"),
     ],
 )
-def test_an_input_that_is_not_what_was_sent(
+def test_an_input_with_another_digest(
     aws: "Aws", places: Places, capsys: pytest.CaptureFixture[str], data: bytes, changes: dict[str, Any], message: str
 ) -> None:
     put_job(aws, inputs=(put_input(aws, data, **changes),))
@@ -151,7 +151,7 @@ def test_an_input_that_is_not_what_was_sent(
     assert not (places.job / "a.sh").exists()
 
 
-def test_where_nothing_can_be_told_the_log_says_it(
+def test_an_outcome_that_cannot_be_uploaded_is_logged(
     aws: "Aws", places: Places, capsys: pytest.CaptureFixture[str]
 ) -> None:
     put_job(aws, replace(JOB, containers=(Container("a", ""),)))
@@ -171,7 +171,7 @@ def test_where_nothing_can_be_told_the_log_says_it(
         (["prepare"], variables(), 3, "jobs/0a/00001.json: there is no such object"),
     ],
 )
-def test_what_is_no_task(
+def test_invalid_variables_of_a_task(
     aws: "Aws",
     places: Places,
     capsys: pytest.CaptureFixture[str],
@@ -237,7 +237,7 @@ def test_a_failed_job_is_a_task_that_did_its_work(aws: "Aws", places: Places) ->
     assert outcome(aws).reasons == ("container 'a' ended with exit code 3",)
 
 
-def test_files_that_cannot_be_sent_are_a_failure_that_is_told(aws: "Aws", places: Places) -> None:
+def test_failed_uploads_are_reported(aws: "Aws", places: Places) -> None:
     aws.services.faults.refuse("s3:PUT", 403, "AccessDenied", "no", times=100, match="files/")
     aws.services.faults.refuse("s3:POST", 403, "AccessDenied", "no", times=100, match="files/")
     assert watched(aws, places, LEAVES) == 0
@@ -292,7 +292,7 @@ def test_stopped_it_asks_the_containers_to_end_and_leaves_no_outcome(
     assert not aws.services.keys(BUCKET, LOCATION.result_key(103, 2))
 
 
-def test_what_a_volume_does_not_let_us_do(aws: "Aws", places: Places, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unwritable_volumes(aws: "Aws", places: Places, capsys: pytest.CaptureFixture[str]) -> None:
     put_job(aws)
     shutil.rmtree(places.output)
     assert main(["prepare"], variables(), places) == ExitCode.INFRASTRUCTURE

@@ -59,12 +59,12 @@ def test_those_that_have_ended(ecs: Metadata) -> None:
 
 
 @pytest.mark.parametrize("answer", [b"", b"{}", b"[]", b'{"Containers": [1]}', b'{"Containers": 1}', b"[" * 100_000])
-def test_an_answer_that_says_nothing(ecs: Metadata, answer: bytes) -> None:
+def test_an_invalid_answer(ecs: Metadata, answer: bytes) -> None:
     ecs.answer = answer
     assert ask(ecs) == {}
 
 
-def test_where_nobody_can_be_asked() -> None:
+def test_without_metadata() -> None:
     assert ended_neighbours({}) == {}
     assert ended_neighbours({ADDRESS: "file:///etc"}) == {}
     assert ended_neighbours({ADDRESS: "http://127.0.0.1:1"}) == {}

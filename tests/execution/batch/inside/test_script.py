@@ -61,7 +61,7 @@ def test_the_commands_exit_code_is_the_scripts(tmp_path: Path, shell: list[str],
 
 @pytest.mark.parametrize("shell", SHELLS)
 @pytest.mark.parametrize("ready", [None, Readiness(log="x")])
-def test_told_to_stop_the_command_hears_it(tmp_path: Path, shell: list[str], ready: Readiness | None) -> None:
+def test_a_stop_reaches_the_command(tmp_path: Path, shell: list[str], ready: Readiness | None) -> None:
     trapping = sh("trap 'echo bye; exit 9' TERM; echo up; while :; do sleep 0.1; done", readiness=ready)
     with running(tmp_path, shell, trapping) as (signs, process):
         assert process.stdout is not None

@@ -23,12 +23,12 @@ def state(signs: Signs) -> Path:
     return signs.folder / "state" / "a"
 
 
-def test_every_user_may_write_where_a_container_says_how_it_is(signs: Signs) -> None:
+def test_state_folders_are_writable_for_all_users(signs: Signs) -> None:
     assert state(signs).stat().st_mode & 0o7777 == 0o1777
     assert signs.folder.stat().st_mode & 0o022 == 0
 
 
-def test_what_we_say(signs: Signs) -> None:
+def test_signs_to_containers(signs: Signs) -> None:
     signs.start("a")
     signs.stop()
     assert (signs.folder / "start" / "a").is_file()
@@ -81,7 +81,7 @@ def test_nothing_but_a_file_is_read(signs: Signs, tmp_path: Path) -> None:
     assert signs.open("a", LOG) is None
 
 
-def test_what_cannot_be_written(tmp_path: Path) -> None:
+def test_unwritable_folders(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     signs = Signs(tmp_path / "file")
     for act in (lambda: signs.make(JOB), signs.stop, lambda: signs.start("a")):

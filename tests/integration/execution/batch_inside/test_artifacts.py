@@ -13,7 +13,7 @@ from tests.integration.execution.jobs import shell
 ALL = (Artifact(f"{OUTPUT}/*"),)
 
 
-def test_brought_out_of_containers_of_any_user(tmp_path: Path) -> None:
+def test_artifacts_of_containers_with_any_user(tmp_path: Path) -> None:
     ran = run_task(
         tmp_path,
         shell(
@@ -63,7 +63,7 @@ def test_a_required_artifact_that_is_missing(tmp_path: Path) -> None:
         ("d=.; for i in $(seq 70); do d=$d/d; done; mkdir -p $d; touch $d/x", "lies in more than 64 folders"),
     ],
 )
-def test_what_is_hostile_is_refused_by_name(tmp_path: Path, leave: str, message: str) -> None:
+def test_unsafe_artifacts_are_refused_by_name(tmp_path: Path, leave: str, message: str) -> None:
     ran = run_task(tmp_path, shell(f"cd {OUTPUT}; touch before; {leave}", artifacts=ALL, user="0"), artifact_files=100)
     assert ran.outcome.exit_code == ExitCode.FAIL
     assert len(ran.outcome.reasons) == 1

@@ -56,7 +56,9 @@ EAT = "bytearray(300 * 2**20)"
         ),
     ],
 )
-def test_each_end_is_told_apart(tmp_path: Path, container: Container, end: End, code: int, reason: str | None) -> None:
+def test_each_end_has_its_own_message(
+    tmp_path: Path, container: Container, end: End, code: int, reason: str | None
+) -> None:
     ran = run_task(tmp_path, container)
     [found] = ran.outcome.containers
     assert ran.outcome.reasons == (() if reason is None else (reason,))
@@ -179,7 +181,7 @@ def test_an_end_before_it_is_ready(tmp_path: Path, text: str, reason: str) -> No
     assert ran.outcome.reasons == (reason,)
 
 
-def test_what_a_command_gets(tmp_path: Path) -> None:
+def test_input_of_a_command(tmp_path: Path) -> None:
     """Arguments, variables, folder and signals arrive unchanged, without interpretation by a shell."""
     show = (
         "import os, signal, sys; print(sys.argv[1:], [os.environ.get(n) for n in ('A', 'B-c', 'PATH')], os.getcwd(), "
