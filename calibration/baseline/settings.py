@@ -23,7 +23,7 @@ Increase = Annotated[Allowance, Converted(Annotated[str, length(1, 30)], _allowa
 
 @record
 class SameData:
-    """What a result may differ by on the same data, where it is deterministic."""
+    """Tolerances of a result on the same data, where it is deterministic."""
 
     sigmas: Least = field("Standard deviations by the labels' noise, and never less than the rest.", default=0.1)
     translation_mm: Least = field("Of a translation.", default=0.001, unit="mm")
@@ -33,7 +33,7 @@ class SameData:
 
 @record
 class MaxIncrease:
-    """How much larger than the baseline a measure of quality may be: 10%, or 0.1 in its unit."""
+    """Limits of the increase of quality measures over the baseline: 10%, or 0.1 in its unit."""
 
     rms: Increase = field("Root mean square of the table (5%).", default=Allowance(5, True))
     noise: Increase = field("Noise of each kind of label (5%).", default=Allowance(5, True))

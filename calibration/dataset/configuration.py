@@ -210,7 +210,7 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
     dimension = node["dimension"]
     size = node["size"].within(MIN_SIZE, MAX_SIZE)
     inner = node.get("inner_size")
-    if inner and kind.value == "chessboard" and inner.number() == 0:  # ATOM's way to say that it has no markers
+    if inner and kind.value == "chessboard" and inner.number() == 0:  # ATOM's value for a pattern without markers
         inner = None
     if inner and inner.within(MIN_SIZE, MAX_SIZE) >= size:
         raise inner.unexpected(f"less than the size of a square, {size:g}")

@@ -10,8 +10,8 @@ def check_data(dataset: Dataset) -> None:
     """Refuse data that would calibrate to nonsense; `calibration.dataset.reading` has checked the form.
 
     Raises:
-        InputError: lengths look like millimetres, angles like degrees, the corners are numbered otherwise than the
-            dataset says, or collections are copies of others.
+        InputError: lengths look like millimetres, angles like degrees, the corners are not numbered as in the
+            dataset's patterns, or collections are copies of others.
     """
     check_units(dataset)
     check_board_order(dataset)

@@ -139,7 +139,7 @@ def _started(dataset: Dataset, options: Options, noise: StartingNoise) -> _Start
 
 
 class _OpenCoefficientsError(UndeterminedError):
-    """The labels do not determine some coefficients of lenses, which can be held."""
+    """The labels do not determine some distortion coefficients, which can be fixed."""
 
     def __init__(self, message: str, hold: Sequence[str]) -> None:
         super().__init__(message)
@@ -148,7 +148,7 @@ class _OpenCoefficientsError(UndeterminedError):
 
 
 def _solved(dataset: Dataset, started: _Started, options: Options) -> Calibration:
-    """The calibration from a start; coefficients of lenses that the labels do not tell are held, which a note says."""
+    """Calibrate from initial values; distortion coefficients that are not determined are fixed, with a note."""
     try:
         return _solved_for_all(dataset, started, options)
     except _OpenCoefficientsError as error:
@@ -159,7 +159,7 @@ def _solved(dataset: Dataset, started: _Started, options: Options) -> Calibratio
 
 
 def _holding(started: _Started, names: Sequence[str]) -> _Started:
-    """The same start with some coefficients of lenses held at their nominal values."""
+    """Return the same initial values with some distortion coefficients fixed at their nominal values."""
     setup, problem = started.setup, started.setup.problem
     blocks = held_blocks(setup.dataset, problem.blocks, names)
     values = list(started.linear.values)

@@ -63,8 +63,8 @@ class SeenGroup:
 Weights = dict[str, float]
 """Weights of a group's own columns, by name."""
 Columns = Callable[[SeenGroup], Array | None]
-"""What the parameters of a cause do to a group's views: they move the pose by twists (V, 6, k), or they are
-combinations (6 + E, k) of a view's columns behind those of the pose; None for no view."""
+"""Function of a group's views that returns the columns of a cause: twists of the pose (V, 6, k), or
+combinations (6 + E, k) of a view's columns after those of the pose; None for no effect."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,7 +51,7 @@ class Optimum:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """The normal equations at some values, and the residuals that they were made of."""
+    """Normal equations at some values, with their residuals."""
 
     values: Values
     weighting: Weighting
@@ -60,7 +60,7 @@ class Evaluation:
     """Empty unless they were asked for."""
 
     def cost(self, weighting: Weighting) -> float:
-        """The cost with another weighting."""
+        """Return the cost with another weighting."""
         if weighting is self.weighting:
             return self.equations.total
         labels = (
@@ -72,7 +72,7 @@ class Evaluation:
 
 
 Reweigh = Callable[[Evaluation], Weighting]
-"""What residuals are to weigh, judged by themselves; the weighting of the evaluation itself where that is right."""
+"""Function that returns the weighting for an evaluation's residuals; the evaluation's own if it is unchanged."""
 
 
 def minimise(

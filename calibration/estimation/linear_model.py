@@ -168,7 +168,7 @@ def _at_most(clusters: IntArray, most: int) -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """The products of all columns, summed: what `_add` fills."""
+    """Sums of the products of all columns, filled by `_add`."""
 
     G: Array
     """(K, C, C), over clusters."""
@@ -189,7 +189,7 @@ class _Sums:
 
 @dataclass(frozen=True, eq=False)
 class _Design:
-    """How some views depend on the columns of the model: through their pose, and through the view's other columns."""
+    """Derivatives of some views by the columns of the model: of their pose, and of the view's other columns."""
 
     moving: IntArray
     """(a,): columns that move the pose."""
@@ -204,7 +204,7 @@ class _Design:
 def _design(
     problem: Problem, seen: SeenGroup, found: Sequence[Cause], places: Sequence[slice], J: Array, span: slice
 ) -> _Design:
-    """The design of a span of a group's views, of which J (V, 6, S) is the Jacobian to the shared parameters."""
+    """Return the design of a span of a group's views; J (V, 6, S) is the Jacobian by the shared parameters."""
     if J.shape[-1] == 0:
         raise AssertionError("nothing is calibrated")
     used = np.flatnonzero(np.abs(J).max((0, 1)) > 0)
@@ -267,7 +267,7 @@ def _add(
 
 
 def _by_cluster(clusters: IntArray) -> tuple[IntArray, Callable[[Array], Array]]:
-    """Which clusters there are among those of views (v,), ascending, and what sums (v, ...) over each."""
+    """Return the clusters of views (v,), ascending, and a function that sums (v, ...) over each."""
     order = clusters.argsort(kind="stable")
     ranked = clusters[order]
     starts = np.flatnonzero(np.diff(ranked, prepend=-1))

@@ -54,8 +54,8 @@ def linear_start(setup: Setup, guess: Values) -> LinearStart:
 
     Args:
         setup: the problem.
-        guess: a value for each block; of these only the held ones are used, and those that no
-            equation gives.
+        guess: a value for each block; of these only fixed ones are used, and those without an
+            equation.
 
     Raises:
         UndeterminedError: a robot's motion is too small to separate a sensor's mount from the pattern's.

@@ -69,7 +69,7 @@ def estimate_scales(
     """Estimate the standard deviation of each kind of label.
 
     Plain: root of the squared residuals over their degrees of freedom. Robust: the median first, then the
-    residuals within three of its standard deviations, corrected for the cut.
+    residuals within three of its standard deviations, corrected for the truncation.
 
     Args:
         problem: the problem.
@@ -98,7 +98,7 @@ def scales_of(
 
 
 def _finite(parts: Sequence[Array]) -> Array:
-    """The finite numbers of some arrays, (n,)."""
+    """Return the finite numbers of some arrays, (n,)."""
     numbers = np.concatenate([part.ravel() for part in parts])
     finite = np.isfinite(numbers)
     return numbers if finite.all() else numbers[finite]

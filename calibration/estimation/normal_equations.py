@@ -117,7 +117,7 @@ class NormalEquations:
 
 
 Squares = dict[NoiseKind, list[Array]]
-"""Squared magnitudes of labels by their kind, each array of any shape; NaN where there is no label."""
+"""Squared magnitudes of labels by their kind, each array of any shape; NaN without a label."""
 
 
 def assemble(problem: Problem, values: Values, weighting: Weighting, squares: Squares | None = None) -> NormalEquations:

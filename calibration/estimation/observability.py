@@ -23,7 +23,7 @@ MOVING = 0.3
 INVOLVED = 0.02
 """and by more than this in a direction that is not determined: a joint rotates little if a distant pattern moves."""
 DENOMINATOR = ("k4", "k5", "k6")
-"""The coefficients of a rational lens below the line."""
+"""Coefficients of the denominator of the rational distortion model."""
 WEAK = 0.005
 """Standard deviation (m or rad) above which a direction is reported as weak."""
 
@@ -62,10 +62,10 @@ class WeakDirection:
         return next((f"{names[block]}-{each[-1]}" for block, each in self.parameters.items() if each), "")
 
     def coefficients_to_hold(self) -> tuple[str, ...]:
-        """The coefficients of a lens that can be held to determine the direction; none where it is no matter of them.
+        """Distortion coefficients that can be fixed to determine the direction; empty if it does not depend on them.
 
-        Of a lens whose model says more than the labels: those of the denominator that move (a fraction whose
-        denominator is held is a polynomial), else the one of the highest power.
+        For a model with more coefficients than the labels determine: those of the denominator that move (a fraction
+        whose denominator is fixed is a polynomial), else the one of the highest power.
         """
         moving = self.parameters.get(self.block, ())
         if not moving or self.kind != "ray" or moving[0] in PIXELS:

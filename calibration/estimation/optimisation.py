@@ -25,7 +25,7 @@ HUBER = 2.5
 SETTLED = 1e-8
 """Relative change of the standard deviations below which the weights have converged."""
 NEARLY_SETTLED = 1e-3
-"""The same at which it is worth asking how many parameters each kind of label determines."""
+"""Relative change at which the parameters that each kind of label determines are counted."""
 ROUNDS = 30
 """After so many estimates with nearly settled weights they stay as they are: they go round in circles."""
 FEW = 100
@@ -65,7 +65,7 @@ def optimise(problem: Problem, values: Values, levels: NoiseLevels, robust: bool
 
 
 class _Noise:
-    """The standard deviations of labels, estimated at each step of a minimisation from the residuals there."""
+    """Standard deviations of labels, estimated at each step of a minimisation from its residuals."""
 
     def __init__(self, problem: Problem, given: Mapping[NoiseKind, float], robust: bool) -> None:
         """Begin without knowing how many parameters labels determine.
@@ -77,13 +77,13 @@ class _Noise:
         """
         self._problem, self._given, self._robust = problem, given, robust
         self.parameters: Mapping[NoiseKind, float] = {}
-        """How many each kind of label determines; empty until the weights are nearly settled."""
+        """Number that each kind of label determines; empty until the weights have nearly converged."""
         self._counted_at: Mapping[NoiseKind, float] = {}
-        """The standard deviations at which the parameters were counted."""
+        """Standard deviations at which the parameters were counted."""
         self._rounds = 0
 
     def __call__(self, now: Evaluation) -> Weighting:
-        """What residuals weigh by the residuals of an evaluation; as it has it where that changes nothing."""
+        """Return the weighting for the residuals of an evaluation; the evaluation's own if it is unchanged."""
         scales, estimated = now.weighting.scales, self._estimated(now)
         self._rounds += _change(scales, estimated) < NEARLY_SETTLED
         if _change(scales, estimated) < NEARLY_SETTLED and _change(self._counted_at, scales) > NEARLY_SETTLED:
@@ -98,7 +98,7 @@ class _Noise:
 
 
 def _change(before: Mapping[NoiseKind, float], after: Mapping[NoiseKind, float]) -> float:
-    """The largest relative change of standard deviations; infinite where there were none before."""
+    """Return the largest relative change of standard deviations; infinite if there were none before."""
     return max((abs(after[kind] / before[kind] - 1) if kind in before else np.inf for kind in after), default=0.0)
 
 

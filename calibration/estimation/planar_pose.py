@@ -100,7 +100,7 @@ def _second_moments(sums: Array) -> Array:
 
 
 def _in_two_directions(to_basis: Array, monomials: Array, weights: Array) -> BoolArray:
-    """Which views (V,) see more corners beside a line than one: else a homography is open."""
+    """Return a mask (V,) of the views with more than one corner off a line: otherwise the homography is ambiguous."""
     basis = (to_basis @ monomials[:, :3].T) * weights[:, None]  # (V, 3, K)
     q = basis[:, 1:]
     products = basis[:, :, None] * q[:, None]  # (V, 3, 2, K)

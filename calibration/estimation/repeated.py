@@ -56,7 +56,7 @@ def _near(views: Sequence[Array]) -> list[tuple[int, int]]:
 
 
 def _apart(view: Array, i: IntArray, j: IntArray) -> BoolArray:
-    """Whether rows of a view (N, F) are not near; what was not seen in both, NaN, says nothing."""
+    """Whether rows of a view (N, F) differ; NaN, not seen in both, is ignored."""
     apart: BoolArray = ((view[i] - view[j]) ** 2).mean(-1) > 1.0
     return apart
 

@@ -27,7 +27,7 @@ CHUNK = 6400
 """Labels per chunk: the rows of 128 views of 50 corners fit into a second-level cache."""
 
 ROUGH_STEP = 1e-3
-"""Where `calibration.geometry.distortion.Distortion.undistort` may stop for a start: the rays err by 1e-6."""
+"""Termination of `calibration.geometry.distortion.Distortion.undistort` for an initial guess: accurate to 1e-6."""
 Linearised = tuple[Array, Array, Array]
 
 
@@ -361,7 +361,7 @@ class RangeTerm(_Rays):
         return _in_pattern(T, _Meeting(T, self.rays, self.ranges).hits)
 
     def magnitudes(self, T: Array) -> Array:
-        """(V, L): absolute range error in m; NaN where there is no point."""
+        """(V, L): absolute range error in m; NaN without a point."""
         meeting = _Meeting(T, self.rays, self.ranges)
         return np.where(self.present, np.abs(meeting.height * meeting.slope), np.nan)
 

@@ -34,8 +34,8 @@ class StartingNoise:
 def perturb(setup: Setup, values: Values, noise: StartingNoise) -> Values:
     """Add noise to the transforms to calibrate; the same random numbers for every magnitude of the noise.
 
-    What is held stays where the robot's description puts it: what a user holds, and the sensor that is held as the
-    origin because nothing else fixes it, as if it were anchored.
+    Fixed transforms keep the pose of the robot's description: those fixed by the user, and the sensor that is fixed
+    as the origin of a free gauge, as if it were anchored.
     """
     out = list(values)
     for edge, T in _noisy_transforms(setup.dataset, noise).items():

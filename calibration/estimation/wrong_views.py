@@ -116,9 +116,9 @@ def _nearer(problem: Problem, start: Values) -> Values | None:
 
 
 def _none_noticeable(problem: Problem, values: Values) -> bool:
-    """Whether the median of each view's misses is not noticeable, as its mean square tells without ranking them.
+    """Whether the median residual of every view is not noticeable, by its mean square, which needs no sorting.
 
-    At least half of the misses are as large as their median m, so their mean square is at least m^2 / 2.
+    At least half of the residuals are as large as their median m, so their mean square is at least m^2 / 2.
     """
     for group in problem.groups:
         (term,) = problem.terms(group, values)

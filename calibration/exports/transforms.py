@@ -17,7 +17,9 @@ FRAME = re.compile(r"[\w./:+-]+")
 
 def _quoted(text: str) -> str:
     """A text as the value of an attribute of XML, with its quotes."""
-    from xml.sax.saxutils import quoteattr  # brings urllib.request, and whoever names a format would start it
+    from xml.sax.saxutils import (
+        quoteattr,
+    )  # here, as it imports urllib.request
 
     return quoteattr(text)
 

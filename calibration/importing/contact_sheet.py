@@ -51,7 +51,7 @@ def thumbnail_of(path: Path) -> Path:
 
 
 def _small(path: Path, width: int) -> Image:
-    """Return the thumbnail (`HEIGHT`, width, 3) of an image, from its file where there is one."""
+    """Return the thumbnail (`HEIGHT`, width, 3) of an image, from its file if there is one."""
     made = thumbnail_of(path)
     if made.is_file() and (small := read_image(made)).shape[:2] == (HEIGHT, width):
         return small

@@ -172,7 +172,7 @@ class Bags:
 
 @record
 class ImportDescription:
-    """What was recorded, and what is calibrated with it."""
+    """Recorded data, and the calibration's configuration."""
 
     patterns: Annotated[tuple[PatternDescription, ...], ByName()] = field("By their names.")
     sensors: Annotated[tuple[SensorDescription, ...], ByName()] = field(

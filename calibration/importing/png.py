@@ -11,7 +11,7 @@ if hasattr(cv2, "IMWRITE_PNG_FILTER"):  # since OpenCV 4.12
 
 
 def encoded(image: Image | DepthImage) -> bytes:
-    """The content of a PNG file."""
+    """Encode a PNG file."""
     done, data = cv2.imencode(".png", image, _FAST)
     if not done:
         raise AssertionError("OpenCV cannot write .png")

@@ -16,7 +16,7 @@ class RejectedView:
 
 @result
 class SensorResult:
-    """What came of the images of one camera, or the clouds or scans of one LiDAR."""
+    """Results for the images of one camera, or the clouds or scans of one LiDAR."""
 
     images: int = field("How many there are.")
     labelled: int = field("How many show a pattern.")
@@ -30,7 +30,7 @@ class SensorResult:
 
 @result
 class ImportResults:
-    """What was imported."""
+    """Results of import-data."""
 
     robot: str = field("Its name.")
     found: int = field("Moments that were found, of which those that tell most are kept.")
@@ -44,7 +44,7 @@ class ImportResults:
 
 @result
 class LabelledSensor:
-    """What came of the images of one camera that were labelled."""
+    """Results for the labelled images of one camera."""
 
     images: int = field("How many were looked at.")
     labelled: int = field("How many show a pattern.")
@@ -53,7 +53,7 @@ class LabelledSensor:
 
 @result
 class LabelResults:
-    """What was labelled."""
+    """Results of label."""
 
     collections: int = field("Of the dataset.")
     sensors: Mapping[str, LabelledSensor] = field("By name.")

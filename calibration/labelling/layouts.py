@@ -51,7 +51,7 @@ class Reading:
     """(3, 3): approximate homography from positions on the board to pixels."""
 
     def box(self, height: int, width: int) -> tuple[int, int, int, int] | None:
-        """A part (left, top, right, bottom) of the image in which all markers lie; None where it cannot be told."""
+        """Return a part (left, top, right, bottom) of the image that contains all markers; None if unknown."""
         if len(self.markers) < LEAST_FOR_BOX:
             return None
         corners, _ = project(self.H, self.layout.markers.reshape(-1, 2))

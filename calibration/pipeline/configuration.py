@@ -53,7 +53,7 @@ def _baseline(found: Literal["required"] | BaselineSettings, place: Place) -> Ba
 
 @record(rules=(one_of("translation-mm", "rotation-deg", why="expected translation-mm or rotation-deg"),))
 class CollectionLimits:
-    """The largest errors of sensors and joints against the truth that pass."""
+    """Limits of the errors of sensors and joints against the truth."""
 
     translation_mm: Limit | None = field("Of the worst sensor, and of the worst length of a joint (5).", default=None)
     rotation_deg: Limit | None = field("Likewise, of the worst angle, in degrees (0.3).", default=None)

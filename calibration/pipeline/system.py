@@ -48,7 +48,7 @@ Truth = Annotated[str, Converted(Text, _truth)]
 
 @record
 class Exports:
-    """What a system that passes leaves for the robot, in the folder ``exports`` of its first cell that passed."""
+    """Exports of a system that passes, in the folder ``exports`` of its first cell that passed."""
 
     formats: Annotated[tuple[FormatName, ...], UNIQUE] = field(
         f"The formats: {', '.join((URDF, *FORMATS))}; by default all that there can be.", default=()

@@ -75,7 +75,7 @@ class MotionRanges:
 
 @record(case="snake", nulls=True)
 class MovedPattern:
-    """How the pattern moves: its place on the model that a motion sequence moves, and a generated motion."""
+    """Motion of the pattern: its pose on the model that a motion sequence moves, and ranges of generated motions."""
 
     ranges: MotionRanges = field(flat=True, default_factory=MotionRanges)
     pattern_in_model: Pose = field("Pose of the pattern on the model that is moved.", default_factory=Pose)
@@ -88,7 +88,7 @@ class MovedPattern:
 
 @record(case="snake", nulls=True)
 class PrintedPattern:
-    """How a pattern differs from a flat one of the usual layout."""
+    """Deviation of a pattern from a flat one of the default layout."""
 
     bow: Annotated[
         tuple[float, float],
@@ -106,7 +106,7 @@ _Sensors = Converted(
 
 @record(case="snake", nulls=True)
 class Simulation:
-    """What simulation.yml says of a system: its sensors, its patterns, its joints, what stands around it."""
+    """Content of simulation.yml: sensors, patterns, joints, scene."""
 
     sensors: Annotated[Mapping[str, Any], _Sensors] = field(
         "Sensors by the names that they have in config.yml, which says the modality of each."

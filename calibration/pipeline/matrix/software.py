@@ -31,10 +31,10 @@ Pattern = Annotated[str, length(1)]
 
 @record
 class Software:
-    """The team's own calibration, in the place of our engine, which then only compares.
+    """The team's own calibration, in place of our engine, which then only computes a reference.
 
-    In its command {dataset}, {start} (the dataset with the noisy starting guess), {output}, {system},
-    {translation_noise}, {rotation_noise} and {seed} are filled in.
+    In its command {dataset}, {start} (the dataset with the noisy initial guess), {output}, {system},
+    {translation_noise}, {rotation_noise} and {seed} are replaced.
     """
 
     container: Container = field(flat=True, default_factory=Container)

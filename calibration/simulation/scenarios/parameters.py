@@ -27,7 +27,7 @@ def _varied(help: str) -> Any:  # noqa: A002 (as in `field`)
 
 @record(case="snake", rules=(needs("elevation_deg", "azimuth_deg"), needs("azimuth_deg", "elevation_deg")))
 class Light:
-    """The light on the scene."""
+    """Light of the scene."""
 
     ambient: Annotated[Varied, drawn(0, 10)] = _varied("Light from everywhere.")
     intensity: Annotated[Varied, drawn(0, 10)] = _varied("Light from one direction.")
@@ -47,7 +47,7 @@ class Occluders:
 
 @record(case="snake", rules=(needs("nearest_m", "farthest_m"), needs("farthest_m", "nearest_m")))
 class MotionEntry:
-    """How the pattern is moved."""
+    """Motion of the pattern."""
 
     poses: Annotated[Varied, drawn(1, 1000, whole=True)] = _varied("Of a motion that is generated.")
     nearest_m: Annotated[Varied, drawn(0.01, 1000)] = _varied(
@@ -66,7 +66,7 @@ class MotionEntry:
 
 @record(case="snake")
 class PatternEntry:
-    """How each pattern differs from a flat one."""
+    """Deviation of each pattern from a flat one."""
 
     bow_mm: Annotated[Varied, drawn(-100, 100, axes="xy")] = _varied(
         "How far the middle of the pattern stands out towards the viewer, along x and along y, mm."
@@ -75,7 +75,7 @@ class PatternEntry:
 
 @record(case="snake")
 class Joints:
-    """How far the parameters of joints that are calibrated are from what the robot's description says."""
+    """Errors of the calibrated joints' parameters, relative to the robot's description."""
 
     translation_mm: Annotated[Varied, drawn(-1000, 1000)] = _varied("Error of those that are lengths, mm.")
     rotation_deg: Annotated[Varied, drawn(-45, 45)] = _varied("Error of those that are angles, deg.")
@@ -116,7 +116,7 @@ class DepthCameras:
 
 @record(case="snake")
 class Assembly:
-    """How far each sensor that is calibrated is from where it was designed to be."""
+    """Errors of the calibrated sensors' poses, relative to the robot's description."""
 
     translation_mm: Annotated[Varied, drawn(-1000, 1000, axes="xyz")] = _varied(
         "Error of the calibrated transform along each axis of its child frame, mm."
@@ -138,7 +138,7 @@ class OneSensor:
 
 @record(case="snake")
 class ScenarioSetFile:
-    """What varies between the scenarios of a simulated system, and what they keep to."""
+    """Parameters that vary between the scenarios of a simulated system, and constraints on them."""
 
     light: Light | None = field("The light on the scene.", default=None)
     occluders: Occluders | None = field("Boxes between the cameras and the pattern.", default=None)

@@ -31,7 +31,7 @@ _K = listed(9, "[fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx and fy above 0", _is_cam
     ),
 )
 class Lens:
-    """The lens of a camera: its intrinsics and its distortion."""
+    """Lens of a camera: its intrinsics and its distortion."""
 
     width: Annotated[int, _PIXELS] = field("Width of the image, px.")
     height: Annotated[int, _PIXELS] = field("Height of the image, px.")
