@@ -29,7 +29,13 @@ def turned(T_parent_child: Array, directions: Array) -> Array:
     Written out, as a matrix product is rounded differently on different processors.
     """
     x, y, z = directions
-    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in T_parent_child[:3, :3]])
+    found = np.empty(directions.shape)
+    for number, row in enumerate(T_parent_child[:3, :3]):
+        part = found[number, ...]
+        np.multiply(row[0], x, out=part)
+        part += row[1] * y
+        part += row[2] * z
+    return found
 
 
 _LENGTHS = listed(3, "three lengths above 0", lambda lengths: min(lengths) > 0)

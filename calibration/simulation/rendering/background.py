@@ -110,6 +110,10 @@ def colours(scene: Scene, origin: Array, directions: Array, distance: Array, sur
         where = np.flatnonzero(flat == index)
         if not len(where):
             continue
+        only = _only_face(scene, scene.boxes[index], origin) if index >= 0 else None
+        if only is not None:
+            seen[where] = only
+            continue
         there, away = rays_.take(where, axis=1), distances[where]
         if index == NOTHING:
             seen[where] = _sky(scene, there)
@@ -148,8 +152,23 @@ def _box(scene: Scene, box: Box, origin: Array, distance: Array, directions: Arr
     first, second = (x >= y) & (x >= z), y >= z
     axis = np.where(first, 0, np.where(second, 1, 2))
     towards = -np.sign(np.where(first, along[0], np.where(second, along[1], along[2])))  # also inside, to the viewer
-    signs = np.array([-1.0, 0.0, 1.0])
-    light = scene.light.on(box.T_world_box[:3, :3].T[:, None] * signs[:, None])  # (3, 3): of each axis and sign
-    faces = light.reshape(-1, 1) * np.array(box.colour[::-1])
-    colour: Array = faces.take(3 * axis + 1 + towards.astype(np.int64), axis=0)
+    colour: Array = _faces(scene, box).take(3 * axis + 1 + towards.astype(np.int64), axis=0)
     return colour
+
+
+def _only_face(scene: Scene, box: Box, origin: Array) -> Array | None:
+    """Return the colour (3,) of the only face of a box that is visible from a point; None if others are too."""
+    place = apply(inverse(box.T_world_box), origin[None])[0]
+    (outside,) = np.nonzero(np.abs(place) > box.size / 2)
+    if len(outside) != 1:
+        return None
+    colour: Array = _faces(scene, box)[3 * outside[0] + 1 + int(np.sign(place[outside[0]]))]
+    return colour
+
+
+def _faces(scene: Scene, box: Box) -> Array:
+    """Return the colours (9, 3) of the faces, for each axis of the box with a normal along -1, 0 and 1."""
+    signs = np.array([-1.0, 0.0, 1.0])
+    light = scene.light.on(box.T_world_box[:3, :3].T[:, None] * signs[:, None])
+    found: Array = light.reshape(-1, 1) * np.array(box.colour[::-1])
+    return found
