@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.importing.looking import View, read_image
+from calibration.importing.png import encoded
 from calibration.labelling.detection import Image
 from calibration.simulation.sensors.drawing import HEIGHT, draw_corner
 
@@ -32,10 +33,7 @@ def contact_sheet(views: Sequence[tuple[str, View]], patterns: Mapping[str, Patt
     columns = max(1, round(WIDTH / width))
     tiles += [np.full_like(tiles[0], _PAPER)] * (-len(tiles) % columns)
     rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
-    done, data = cv2.imencode(".png", np.vstack(rows), [cv2.IMWRITE_PNG_COMPRESSION, 4])
-    if not done:
-        raise AssertionError("OpenCV cannot write .png")
-    return bytes(data)
+    return encoded(np.asarray(np.vstack(rows), np.uint8))
 
 
 def thumbnail(image: Image) -> Image:
