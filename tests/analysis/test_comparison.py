@@ -61,7 +61,7 @@ def test_another_line_of_the_rule_is_new_and_the_one_that_is_gone_fixed(tmp_path
     assert [finding.line for finding in found.fixed] == [1]
 
 
-def test_what_stands_in_a_file_that_has_not_changed_is_not_new(tmp_path: Path) -> None:
+def test_findings_in_unchanged_files_are_not_new(tmp_path: Path) -> None:
     findings, copy = state(tmp_path / "now", {"a.py": "x = eval(y)\n"})
     found = compare(findings, copy, [], Copy(tmp_path / "before", ()), [])
     assert not found.new

@@ -30,7 +30,7 @@ def test_the_last_day_counts_and_the_next_does_not() -> None:
     assert ended.remarks == ("the suppression of ruff/S603 in * ended on 2030-01-30",)
 
 
-def test_one_that_covers_nothing_is_told() -> None:
+def test_a_suppression_that_matches_nothing_is_reported() -> None:
     assert sift([OTHER], [Suppression("ruff/S1", "r")], TODAY).remarks == (
         "the suppression of ruff/S1 in * covers nothing",
     )

@@ -60,7 +60,7 @@ def test_a_drift_creeps_and_a_step_does_not() -> None:
     assert not creeps(still, ONE, change_points(still, ONE))
 
 
-def test_noise_is_what_differences_say_and_of_few_values_what_is_stated() -> None:
+def test_noise_is_estimated_from_differences_and_for_few_values_as_stated() -> None:
     values = 0.2 * series([(200, 0.0), (200, 50.0)])
     assert noise_of(values, ONE) == pytest.approx(0.2, rel=0.25)
     assert noise_of(values[:4], ONE) == pytest.approx(1)

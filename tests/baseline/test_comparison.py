@@ -57,7 +57,7 @@ def test_a_sensor_that_moved_is_the_one_that_changes_in_its_direction() -> None:
     assert change.mm == pytest.approx(np.linalg.norm(change.translation_mm), rel=1e-3)
 
 
-def test_a_move_that_could_go_unseen_is_about_as_large_as_said() -> None:
+def test_the_largest_undetected_move_is_about_as_large_as_reported() -> None:
     before = taken(stereo(1))
     unseen = next(each for each in compare(before, taken(stereo(2))).changes if each.name == "right").unseen_mm
     far = (0.0, 0.0, 3e-3 * unseen, 0.0, 0.0, 0.0)
@@ -65,7 +65,7 @@ def test_a_move_that_could_go_unseen_is_about_as_large_as_said() -> None:
     assert min(each.p for each in comparison.changes) < comparison.significance
 
 
-def test_sensors_that_come_and_go_are_said() -> None:
+def test_added_and_removed_sensors_are_reported() -> None:
     found = taken(stereo())
     less = replace(found, poses=tuple(each for each in found.poses if each.name != "right"))
     assert [(each.kind, each.name) for each in compare(found, less).changes if each.kind != "pose"] == [

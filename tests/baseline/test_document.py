@@ -24,7 +24,7 @@ def text() -> str:
     return baseline_text(Baseline(1, {"b": taken(stereo()), "a": taken(stereo(2))}))
 
 
-def test_systems_stand_in_order_and_short_lists_in_one_line(text: str) -> None:
+def test_systems_are_sorted_and_short_lists_are_on_one_line(text: str) -> None:
     assert list(json.loads(text)["systems"]) == ["a", "b"]
     assert any('"xyz-mm": [' in line and line.endswith("],") for line in text.splitlines())
 

@@ -84,7 +84,7 @@ def test_views_and_the_images_coverage_are_counted() -> None:
     assert found.labels > 23 * 2 * 4
 
 
-def test_inputs_are_told_apart_by_hashes() -> None:
+def test_changed_inputs_have_other_hashes() -> None:
     dataset = stereo()
     calibrated = {each.edge for each in dataset.sensors.values()}
     before = hashes_of_inputs(dataset, calibrated, Options())

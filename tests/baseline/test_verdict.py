@@ -39,7 +39,7 @@ def test_the_same_data_and_program_give_nothing(before: Snapshot) -> None:
     assert found(before, taken(stereo(1))) == ()
 
 
-def test_other_data_give_a_note_on_what_would_go_unseen(before: Snapshot) -> None:
+def test_other_data_give_a_note_on_the_largest_undetected_move(before: Snapshot) -> None:
     [finding] = found(before, taken(stereo(3)))
     assert finding.severity == "note"
     assert f"nothing has moved since {SINCE}; a move of right by up to" in finding.text

@@ -358,7 +358,7 @@ def test_a_labelled_point_that_no_sensor_can_see(tmp_path, far):
     assert refused(path) == f"{LIDAR}/idxs/2: {expected}"
 
 
-def test_a_point_far_away_that_nobody_labelled(tmp_path):
+def test_a_distant_point_without_a_label_is_accepted(tmp_path):
     path = documents.write(tmp_path, documents.document())
     cloud = documents.CLOUD.copy()
     cloud[0] = 1e20  # the labels are 1, 3, 4 and 7
@@ -367,7 +367,7 @@ def test_a_point_far_away_that_nobody_labelled(tmp_path):
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_signalling_nan_is_said_without_a_warning(tmp_path):
+def test_a_signalling_nan_is_refused_without_a_warning(tmp_path):
     path = documents.write(tmp_path, documents.document())
     file = tmp_path / "lidar_000.pcd"
     data = bytearray(file.read_bytes())
@@ -385,7 +385,7 @@ def test_a_region_of_the_whole_image_is_none(tmp_path):
 
 
 @pytest.mark.parametrize("place", range(6))
-def test_the_transform_that_breaks_the_tree_is_found_wherever_it_stands(tmp_path, place):
+def test_the_transform_that_breaks_the_tree_is_found_at_any_position(tmp_path, place):
     content = documents.document()
     transforms = list(content["collections"]["000"]["transforms"].items())
     transforms[place:place] = documents.edge("hand", "mount", [0, 0, 0]).items()

@@ -136,7 +136,7 @@ def test_a_configuration_of_version_2(tmp_path):
 
 
 @pytest.mark.parametrize("text", [CONFIG, VERSION_2])
-def test_its_document_says_the_same(tmp_path, text):
+def test_the_document_round_trips(tmp_path, text):
     config = read_configuration(written(tmp_path, text))
     document = json.loads(json.dumps(config.to_document()))
     assert parse_configuration(Node(tmp_path, (), document)) == config

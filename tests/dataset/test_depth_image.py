@@ -175,7 +175,7 @@ def test_what_is_too_large_is_not_decoded(tmp_path, monkeypatch):
         read_depth_image(tmp_path / "x.png", Camera(6.0, 6.5, 2.1, 1.4, 1 << 17, 1 << 17))
 
 
-def test_without_opencv_it_says_what_to_install(tmp_path, monkeypatch):
+def test_without_opencv_the_error_names_the_package(tmp_path, monkeypatch):
     path = write(tmp_path)
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(InfrastructureError, match=r"needs OpenCV: pip install opencv-python-headless"):
@@ -183,7 +183,7 @@ def test_without_opencv_it_says_what_to_install(tmp_path, monkeypatch):
     read_dataset(write(tmp_path, changed(document(), {f"{LABEL}/detected": False})))  # nothing is decoded
 
 
-def test_depth_images_come_along_even_if_images_do_not(tmp_path):
+def test_depth_images_are_copied_even_if_images_are_not(tmp_path):
     dataset = read_dataset(write(tmp_path / "in"))
     path = write_dataset(dataset, tmp_path / "out", images=False)
     assert (path.parent / "depth_000.png").samefile(tmp_path / "in" / "depth_000.png")

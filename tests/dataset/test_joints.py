@@ -114,7 +114,7 @@ def test_what_has_not_changed_is_written_as_it_was_read(tmp_path):
          "joints/twin: its transform, 'world-mount', is calibrated by joint 'elbow' already"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said(tmp_path, changes, message):
+def test_invalid_input_is_reported(tmp_path, changes, message):
     with pytest.raises(InputError, match=message):
         read(tmp_path, document(**changes))
 
@@ -155,7 +155,7 @@ def test_a_joint_is_read_a_little_later_than_its_transform(tmp_path):
         ({"world-mount": {}}, 0.1, True),
     ],
 )
-def test_an_additional_transform_moves_as_the_file_says_or_else_as_it_stands(tmp_path, described, shift, moves):
+def test_an_additional_transform_moves_by_the_files_flag_or_its_values(tmp_path, described, shift, moves):
     content = changed(documents.document(), {"collections/002/transforms/world-mount/trans": [shift, 0.0, 1.0]})
     dataset = read(tmp_path, {**content, "transforms": described} if described else content)
     assert dataset.moving_transforms == ({("world", "mount")} if moves else set())

@@ -97,7 +97,7 @@ def test_angles_may_fall_and_bounds_may_be_missing_or_without_end(tmp_path: Path
         ({f"{DATA}/ranges": [], f"{LABEL}/idxs": [1, 2, 3, 5]}, f"{LABEL}/idxs/0: found 1, expected the index of one"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(tmp_path: Path, changes: Document, message: str):
+def test_errors_are_one_line(tmp_path: Path, changes: Document, message: str):
     path = write(tmp_path, with_scan(changes))
     with pytest.raises(InputError) as caught:
         read_dataset(path)

@@ -43,7 +43,7 @@ def test_the_other_sensors_are_evaluated_and_calibrated(tmp_path: Path) -> None:
     assert (calibration.dataset.transforms[LIDAR_EDGE] == whole.transforms[LIDAR_EDGE]).all()
 
 
-def test_a_table_of_the_sensor_says_what_is_missing(tmp_path: Path) -> None:
+def test_the_sensors_table_names_its_missing_files(tmp_path: Path) -> None:
     dataset = read_dataset(softbot(tmp_path, "*.pcd"))
     with pytest.raises(InputError, match=r"14 data files of sensor 'lidar3d' not found: lidar3d_000.pcd, .* 11 more"):
         parse_evaluation("lidar-to-rgb:lidar3d:front_left_camera").run(dataset)
@@ -83,7 +83,7 @@ def test_nothing_left_is_an_error_that_names_the_files(tmp_path: Path) -> None:
         read_dataset(path)
 
 
-def test_what_cannot_be_calibrated_without_them_says_so(tmp_path: Path) -> None:
+def test_data_that_need_missing_files_are_refused(tmp_path: Path) -> None:
     shutil.copytree(DATASETS / "rlbot", tmp_path / "rlbot", ignore=shutil.ignore_patterns("*.jpg", "*.pcd"))
     with pytest.raises(UndeterminedError, match=r"a single sensor needs a robot .*; \d+ data files of sensor 'lidar_"):
         calibrate(read_dataset(tmp_path / "rlbot"))

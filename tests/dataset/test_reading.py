@@ -34,7 +34,7 @@ def test_a_folder_or_its_file(tmp_path):
     assert read_dataset(tmp_path).name == tmp_path.name
 
 
-def test_collections_come_in_the_order_of_their_numbers_gaps_or_not(dataset):
+def test_collections_are_sorted_by_number_with_or_without_gaps(dataset):
     assert dataset.keys == ("000", "002")
     assert dataset.version == "3.0"
     assert dataset.world == "world"
@@ -410,7 +410,7 @@ def test_the_papers_dataset(shared_data):
 
 
 @pytest.mark.parametrize("name", ["t2rgb", "riwbot", "rlbot"])
-def test_the_corners_of_the_synthetic_datasets_lie_where_the_truth_says(shared_data, name):
+def test_the_corners_of_the_synthetic_datasets_match_the_truth(shared_data, name):
     """Noise of 0.3 px: tree, cameras, patterns, labels and truth fit together."""
     dataset = read_dataset(shared_data / "synthetic" / name)
     truth = json.loads((shared_data / "synthetic" / name / "ground_truth.json").read_text())["patterns"]

@@ -175,7 +175,7 @@ def test_the_initial_transforms_are_kept_under_other_names(tmp_path):
     assert written["transforms"]["mount-cam_link"]["trans"] != read["mount-cam_link"]["trans"]
 
 
-def test_an_uncalibrated_transform_keeps_what_else_it_says(tmp_path):
+def test_an_uncalibrated_transform_keeps_its_other_keys(tmp_path):
     content = changed(documents.document(), {"collections/000/transforms/world-mount/note": "kept"})
     dataset = read_dataset(documents.write(tmp_path / "in", content))
     written = json.loads(write_dataset(calibrated(dataset), tmp_path / "out").read_text())
@@ -255,7 +255,7 @@ def test_what_a_pattern_had_is_kept(tmp_path):
     assert written["frame"]["corners"]["top_left"] == {"x": -0.02, "y": -0.01}
 
 
-def test_what_atom_says_of_transforms(tmp_path):
+def test_transforms_have_atoms_attributes(tmp_path):
     known = {"world-mount": {"parent": "world", "child": "mount", "type": "fixed", "joint_name": "bolt"}}
     dataset = read_dataset(documents.write(tmp_path / "in", {**documents.document(), "transforms": known}))
     written = json.loads(write_dataset(calibrated(dataset), tmp_path / "out").read_text())["transforms"]
@@ -274,7 +274,7 @@ def test_what_atom_says_of_transforms(tmp_path):
     assert written["lidar_base-lidar_frame"]["is_transformation_calibrated"] is False
 
 
-def test_point_clouds_and_images_come_along(tmp_path):
+def test_point_clouds_and_images_are_copied(tmp_path):
     dataset = read_dataset(documents.write(tmp_path / "in", documents.document()))
     (tmp_path / "in" / "cam_000.jpg").write_bytes(b"image")
     path = write_dataset(dataset, tmp_path / "out")
@@ -301,7 +301,7 @@ def test_files_are_copied_where_they_cannot_be_linked(tmp_path, monkeypatch):
     assert_equal(dataset, read_dataset(path))
 
 
-def test_files_in_folders_and_behind_links_come_along(tmp_path):
+def test_files_in_folders_and_behind_links_are_copied(tmp_path):
     content = changed(documents.document(), {"collections/000/data/lidar/data_file": "clouds/a.pcd"})
     documents.write(tmp_path / "in", content)
     (tmp_path / "in" / "clouds").mkdir()

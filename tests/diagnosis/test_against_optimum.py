@@ -65,14 +65,14 @@ def test_views_that_ours_leaves_out_do_not_count() -> None:
     assert judged(optimum, optimum.calibration.dataset).severity == "note"
 
 
-def test_what_labels_cannot_tell_is_no_difference(rig: OurOptimum) -> None:
+def test_undetermined_directions_are_no_difference(rig: OurOptimum) -> None:
     found, elsewhere = rig.calibration.dataset, retract(np.eye(4), np.array([0.5, -0.3, 0.2, 0.4, 0.1, -0.6]))
     edges = [sensor.edge for sensor in found.sensors.values()]
     moved = found.with_transforms({edge: elsewhere @ found.transforms[edge] for edge in edges})
     assert judged(rig, moved).severity == "note"
 
 
-def test_sensors_that_an_arm_tells_apart_may_not_have_moved_together() -> None:
+def test_a_common_motion_of_sensors_is_a_difference_with_an_arm() -> None:
     optimum = optimum_of(linked_by_an_arm(16, pixel_noise=0.3).dataset())
     found = optimum.calibration.dataset
     edges = [sensor.edge for sensor in found.sensors.values()]
@@ -106,7 +106,7 @@ def test_the_limits_of_the_system_count(rig: OurOptimum) -> None:
     assert (red.severity, "(limit 0.05 mm, 0.1 deg)" in red.text) == ("red", True)
 
 
-def test_what_the_labels_do_not_tell_is_no_fault_but_a_limit_is_a_limit() -> None:
+def test_insignificant_distances_pass_unless_a_limit_is_set() -> None:
     optimum = optimum_of(stereo(4, pixel_noise=5.0).dataset())
     moved = off(optimum, "right", 0.002, 0, 0)
     finding = judged(optimum, moved)
@@ -122,7 +122,7 @@ def test_the_quantile_of_chi_square(rig: OurOptimum) -> None:
     assert rig.noticeable == pytest.approx(22.46, rel=0.02)
 
 
-def test_the_start_unchanged_is_told(rig: OurOptimum, arm: OurOptimum) -> None:
+def test_an_unchanged_initial_guess_is_reported(rig: OurOptimum, arm: OurOptimum) -> None:
     for optimum in (rig, arm):
         finding = judged(optimum, with_starting_noise(optimum.given, NOISE))
         assert finding.severity == "red"
@@ -149,7 +149,7 @@ def test_labels_that_fit_nowhere_are_red(rig: OurOptimum) -> None:
     assert "no pose of the pattern fits the labels" in finding.text
 
 
-def test_better_intrinsics_are_held_against_the_optimum_with_them() -> None:
+def test_better_intrinsics_are_compared_with_the_optimum_for_them() -> None:
     """Software that calibrates intrinsics, which the dataset has 1 % wrong, is right where our optimum is not."""
     truth = eye_to_hand(16, pixel_noise=0.2).dataset()
     [camera] = [sensor.camera for sensor in truth.sensors.values() if sensor.camera]
@@ -175,6 +175,6 @@ def test_joints_count_too() -> None:
     assert f"'{joint.parameters[0]}' of joint '{name}' by" in finding.text
 
 
-def test_data_without_an_optimum_say_so() -> None:
+def test_data_without_an_optimum_are_reported() -> None:
     with pytest.raises(UndeterminedError):
         find_optimum(eye_to_hand(2).dataset(), Options())

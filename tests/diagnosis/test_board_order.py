@@ -38,7 +38,7 @@ def numbered(dataset: Dataset, number: Callable[[int], int], *sensors: str) -> D
 
 
 @pytest.mark.parametrize("name", ["t2rgb", "rlbot", "riwbot", "softbot", "spjbot"])
-def test_data_that_ship_are_numbered_as_they_say(name: str) -> None:
+def test_shipped_datasets_have_the_right_corner_numbers(name: str) -> None:
     check_board_order(read_dataset(DATASETS / name))
 
 

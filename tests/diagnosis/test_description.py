@@ -86,7 +86,7 @@ def test_a_sensor_far_from_its_place(far: float, kinds: Sequence[str]) -> None:
     assert [each.kind for each in turned] == kinds
 
 
-def test_only_relative_places_count_where_a_sensor_is_held() -> None:
+def test_only_relative_poses_are_compared_if_a_sensor_is_fixed() -> None:
     """A rig carried elsewhere is the same rig; a camera turned on it is not."""
     dataset = stereo(pixel_noise=0.1).dataset()
     carried = {
@@ -100,7 +100,7 @@ def test_only_relative_places_count_where_a_sensor_is_held() -> None:
     assert "'left' being where it is" in red.text
 
 
-def test_an_identity_says_nothing() -> None:
+def test_an_identity_is_no_description() -> None:
     dataset = eye_to_hand(pixel_noise=0.1).dataset()
     assert found(dataset.with_transforms({dataset.sensors["cam"].edge: np.eye(4)})) == ()
     assert found(hand_and_world(pixel_noise=0.1).dataset()) == ()
@@ -125,7 +125,7 @@ def test_random_errors_of_a_description_are_no_scale() -> None:
     assert len(kinds) <= 3 * BY_CHANCE * 150
 
 
-def test_cameras_on_different_bodies_tell_an_exchange_themselves() -> None:
+def test_an_exchange_of_cameras_on_different_bodies_is_found_without_a_description() -> None:
     dataset = hand_and_world(pixel_noise=0.1).dataset()
     assert exchanged_labels(calibrate(dataset), dataset, Options()) == ()
     wrong = with_exchanged(dataset, "cam", "static")

@@ -10,7 +10,7 @@ from calibration.estimation.calibrate import Options, calibrate
 from tests.estimation import systems
 
 
-def test_a_limit_below_the_guard_band_is_red_and_says_what_would_help() -> None:
+def test_a_limit_below_the_guard_band_is_red_with_a_remedy() -> None:
     dataset = systems.stereo(20, seed=1, pixel_noise=0.3).dataset(1)
     exact, assumed = (calibrate(dataset, options) for options in (Options(assume=EXACT), Options()))
     edge = next(iter(exact.covariances))
@@ -35,7 +35,7 @@ def test_the_limits_of_a_joint_hold_with_its_error_bar() -> None:
     assert worst_false_accept(calibration, Limits(joint_deg=sigma)) == pytest.approx(false_accept(1, 1), abs=1e-6)
 
 
-def test_a_false_accept_is_as_probable_as_draws_say() -> None:
+def test_the_probability_of_a_false_accept_matches_random_draws() -> None:
     draws = np.linalg.norm(np.random.default_rng(1).normal(size=(200_000, 3)), axis=1)
     for limit in (0.5, 1.0, 2.0, 3.5):
         assert false_accept(np.sqrt(3), limit) == pytest.approx(np.mean(draws > limit), abs=0.005)

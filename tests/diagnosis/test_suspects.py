@@ -115,7 +115,7 @@ def test_what_is_as_good_as_it_is_known_is_no_suspect() -> None:
     assert not found(wrong, Assumptions(focal_length=0.004))
 
 
-def test_a_pattern_of_another_size_is_named_where_an_arm_tells_it() -> None:
+def test_a_wrong_pattern_size_is_named_if_an_arm_determines_it() -> None:
     dataset = eye_to_hand()
     (name,) = dataset.patterns
     pattern = dataset.patterns[name]
@@ -168,7 +168,7 @@ def test_a_sensor_that_has_moved_is_named_with_the_collection() -> None:
     assert dataset.keys[12] in red.collections
 
 
-def test_too_few_collections_are_said_to_be_untested() -> None:
+def test_too_few_collections_are_reported_as_untested() -> None:
     few = systems.stereo(4, seed=1, pixel_noise=NOISE).dataset(1)
     [finding] = findings(few)
     assert (finding.kind, finding.severity) == ("untested", "note")

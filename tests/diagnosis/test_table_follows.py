@@ -53,7 +53,7 @@ def test_what_does_not_follow_is_red(text: str, message: str) -> None:
     assert message in found
 
 
-def test_the_first_difference_stands_for_all() -> None:
+def test_only_the_first_difference_is_reported() -> None:
     [(_, text)] = said("Collection #,RMS (pix),Trans (mm)\n000,0,0\n004,0,0\n007,0,0\nAverages,0,0\n")
     assert "RMS (pix) 0 for 000" in text
     assert "and 6 more values differ" in text
@@ -71,7 +71,7 @@ def test_what_the_sensor_did_not_see_has_no_value() -> None:
     assert table_follows(parse_table(made.to_csv(), "t.csv"), made) == ()
 
 
-def test_without_an_evaluation_noise_is_what_can_be_told() -> None:
+def test_without_an_evaluation_the_rms_is_compared_with_the_noise() -> None:
     assert [found.severity for found in not_evaluated(0.0, 0.15)] == ["red"]
     for rms, noise in ((0.1, 0.15), (None, 0.15), (0.0, float("nan"))):
         assert [found.severity for found in not_evaluated(rms, noise)] == ["note"]

@@ -127,7 +127,7 @@ def test_a_joint_whose_transform_is_made_of_degrees() -> None:
     assert "this looks like degrees" in refusal(told)
 
 
-def test_a_robot_that_drives_far_and_guesses_that_say_nothing_are_not_millimetres() -> None:
+def test_long_drives_and_bad_guesses_are_not_taken_for_millimetres() -> None:
     dataset = mobile_base().dataset()
     far = dataset.transforms["world", "base"].copy()
     far[:, :2, 3] += (540_000, 4_500_000)  # UTM

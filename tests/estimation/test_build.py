@@ -75,7 +75,7 @@ def test_constants_are_multiplied_out_and_kept_once_where_they_do_not_change():
         assert [link.after for link in chain.links] == [None, None]
 
 
-def test_the_gauge_is_free_when_a_static_rig_sees_a_pattern_that_stands_still():
+def test_the_gauge_is_free_when_a_static_rig_sees_a_fixed_pattern():
     scene = stereo(4)
     still = {**scene.transforms, ("world", "board_link"): scene.transforms["world", "board_link"][0]}
     moving_frame = {**still, ("world", "other"): np.stack([pose(i, 0, 0) for i in range(4)])}
@@ -83,7 +83,7 @@ def test_the_gauge_is_free_when_a_static_rig_sees_a_pattern_that_stands_still():
     assert setup.gauge == "left"
 
 
-def test_the_gauge_is_fixed_when_the_pattern_stands_still_elsewhere():
+def test_the_gauge_is_fixed_by_a_pattern_with_a_known_pose():
     """On a robot that moves: the pattern in the world is what the sensors are relative to."""
     scene = stereo(6)
     T_world_robot = np.stack([pose(0.05 * i, 0, 0, 0.1 * i, 0.05 * i * i, 0) for i in range(6)])
@@ -111,7 +111,7 @@ def test_a_rig_that_a_robot_carries_is_free_when_it_sees_a_moving_pattern():
     assert build(Scene(transforms, sensors, [board()]).dataset()).gauge == "left"
 
 
-def test_the_first_sensor_is_held():
+def test_the_first_sensor_is_fixed():
     scene = stereo(4)
     assert build(replace(scene, sensors=scene.sensors[::-1]).dataset()).gauge == "right"
 

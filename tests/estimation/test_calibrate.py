@@ -113,7 +113,7 @@ def test_the_same_input_gives_the_same_bytes():
     assert first.cost == second.cost
 
 
-def test_moving_patterns_stand_where_they_were_seen_and_nowhere_else():
+def test_moving_patterns_have_poses_only_in_collections_with_views():
     dataset = two_patterns(8, **NOISY).dataset()
     result = calibrate(dataset)
     missing = np.isnan(result.dataset.transforms["world", "board_link"]).all((1, 2))

@@ -93,7 +93,7 @@ def test_what_is_not_calibrated_stays_as_it_is():
     assert result.dataset.collections == dataset.collections
 
 
-def test_views_that_did_not_count_are_said():
+def test_unused_views_are_reported():
     def few(i: int, sensor: str, label: Labels) -> Labels:
         if i == 2 and sensor == "cam":
             return CornerLabels(label.ids[:3], label.pixels[:3])
@@ -109,7 +109,7 @@ def test_views_that_did_not_count_are_said():
 
 
 @pytest.mark.parametrize("start", ["linear", "given"])
-def test_a_transform_without_a_linear_start_is_said(start):
+def test_a_transform_without_a_linear_start_is_reported(start):
     dataset = two_arms(**NOISY).dataset()
     result = calibrate(dataset, Options(start), StartingNoise(0.1, 0.1, 4))
     assert result.converged
@@ -119,7 +119,7 @@ def test_a_transform_without_a_linear_start_is_said(start):
 
 @pytest.mark.parametrize("start", ["linear", "given"])
 @pytest.mark.parametrize("noise", [StartingNoise(), StartingNoise(0.2, 0.1, 3)])
-def test_the_sensor_that_is_held_stands_where_the_description_puts_it(start, noise):
+def test_the_fixed_sensor_has_the_pose_of_the_description(start, noise):
     dataset = stereo(**NOISY).dataset()
     whole_rig = {edge: pose(1, 2, 3) @ dataset.transforms[edge] for edge in (("world", "left"), ("world", "right"))}
     result = calibrate(dataset.with_transforms(whole_rig), Options(start), noise)

@@ -46,7 +46,7 @@ def test_beside_it_it_grows_with_the_information() -> None:
         assert excess == pytest.approx(expected, rel=0.02)
 
 
-def test_what_no_label_tells_costs_nothing() -> None:
+def test_undetermined_directions_have_no_cost() -> None:
     found = calibrate(systems.stereo(seed=1, pixel_noise=0.3).dataset())
     both = {sensor.edge: translation(np.array([0.3, 0.2, 0.1])) for sensor in found.dataset.sensors.values()}
     moved = found.dataset.with_transforms({edge: T @ found.dataset.transforms[edge] for edge, T in both.items()})

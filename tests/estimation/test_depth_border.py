@@ -95,7 +95,7 @@ def rectangle(left: int, top: int, right: int, bottom: int) -> tuple[Array, IntA
     return points, np.flatnonzero((u == left) | (u == right) | (v == top) | (v == bottom))
 
 
-def test_a_border_along_rows_and_columns_says_nothing():
+def test_a_border_along_rows_and_columns_is_rejected():
     """All its pixels err alike, by anything up to half a pixel."""
     points, limits = rectangle(100, 80, 200, 150)
     found = np.isfinite(depth_border_rays(points, limits, CAMERA)).all(-1)
@@ -115,7 +115,7 @@ def test_across_a_gap_there_is_no_direction():
     assert np.abs(outside(rays[found], T)).max() < 1.2 * 2.0 / 280
 
 
-def test_few_limits_tell_nothing():
+def test_few_limit_points_give_no_rays():
     points, limits = labelled(CAMERA, standing(3))
     assert np.isnan(depth_border_rays(points, limits[: 2 * REACH], CAMERA)).all()
     assert depth_border_rays(points, limits[:0], CAMERA).shape == (0, 3)

@@ -22,7 +22,7 @@ def bars(found: Calibration) -> tuple[Array, Array, Array]:
     return found.error_bars.labels[block], found.error_bars.expected[block], found.error_bars.total[block]
 
 
-def test_where_nothing_is_uncertain_they_are_the_labels_own() -> None:
+def test_with_exact_fixed_parameters_they_are_by_the_labels_alone() -> None:
     found = calibrate(systems.stereo(20, seed=1, pixel_noise=0.2).dataset(1), Options(assume=EXACT))
     labels, expected, total = bars(found)
     np.testing.assert_array_equal(labels, expected)
@@ -38,7 +38,7 @@ def test_where_nothing_is_uncertain_they_are_the_labels_own() -> None:
         ({"principal_point": 0.05}, None),
     ],
 )
-def test_what_is_held_counts_as_much_as_it_moves_the_result(
+def test_fixed_parameters_count_by_their_effect_on_the_result(
     assumed: dict[str, float], change: Callable[[Array], Array] | None
 ) -> None:
     """The covariance that is added, against calibrations with each held value off by its standard deviation."""
@@ -69,7 +69,7 @@ def shaken(dataset: Dataset, sigma: float, seed: int) -> Dataset:
     return dataset.with_transforms({edge: retract(T, sigma * rng.normal(size=(len(T), 6)))})
 
 
-def test_an_arm_that_is_not_where_it_says_widens_them_as_much_as_it_errs() -> None:
+def test_an_arms_repeatability_widens_them_by_its_error() -> None:
     scores, alone = [], []
     for seed in range(25):
         exact = systems.eye_to_hand(20, seed=seed, pixel_noise=0.1).dataset(seed)
@@ -96,7 +96,7 @@ def test_the_defaults_are_those_of_a_good_robot() -> None:
     assert replace(defaults, **dict.fromkeys(vars(defaults), 0.0)) == EXACT
 
 
-def test_what_the_result_hangs_on_is_told_in_metres_of_transforms_alone() -> None:
+def test_contributions_are_in_metres_of_transforms_alone() -> None:
     """Intrinsics that are calibrated too, in pixels, are displaced by nothing."""
     dataset = systems.stereo(24, seed=1, pixel_noise=0.1).dataset(1)
     bars = calibrate(dataset, Options(intrinsics=("all",))).error_bars

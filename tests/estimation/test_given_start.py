@@ -31,7 +31,7 @@ def test_a_near_guess_leads_to_the_optimum(scene, loss, size):
 
 
 @pytest.mark.parametrize("scene", ["stereo", "two bodies", "hand and world", "lidar behind", "ring"])
-def test_from_afar_it_is_the_optimum_or_it_says_why_not(scene):
+def test_a_bad_start_leads_to_the_optimum_or_a_reason(scene):
     dataset = ALL[scene](10, **NOISY).dataset(1)
     best = calibrate(dataset, Options(loss="linear"))
     for seed in range(6):
@@ -74,7 +74,7 @@ def test_patterns_left_in_their_mirrored_pose_are_named():
     assert {result.dataset.keys[i] for i in np.flatnonzero(turned)} >= set(keys)
 
 
-def test_a_minimum_that_is_not_the_lowest_is_said_with_both_costs():
+def test_a_local_minimum_is_reported_with_both_costs():
     result = first_with("a false minimum", camera_and_lidar(behind=True, **NOISY), 1.0)
     cost, lower = (float(part.split()[0].rstrip(",")) for part in result.reason.split("cost ")[1].split("while "))
     assert cost == pytest.approx(result.cost, rel=1e-5)

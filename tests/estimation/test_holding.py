@@ -25,7 +25,7 @@ from tests.estimation.systems import arm_with_patterns, eye_to_hand, hand_and_wo
         (arm_with_patterns, "loose", ("world", "loose_link")),
     ],
 )
-def test_what_is_held_stays_and_the_rest_is_found(scene, hold, edge):
+def test_fixed_transforms_are_unchanged_and_the_others_are_found(scene, hold, edge):
     dataset = scene(border=False).dataset()
     exact = calibrate(dataset, Options(hold=(hold,)))
     assert exact.converged, exact.reason
@@ -35,7 +35,7 @@ def test_what_is_held_stays_and_the_rest_is_found(scene, hold, edge):
     assert exact.gauge is None
 
 
-def test_the_rest_fits_to_what_is_held_wrong():
+def test_the_others_adapt_to_a_wrong_fixed_transform():
     dataset = eye_to_hand().dataset()
     wrong = dataset.with_transforms(
         {("flange", "board_link"): dataset.transforms["flange", "board_link"] @ pose(0.01, 0, 0)}
@@ -48,7 +48,7 @@ def test_the_rest_fits_to_what_is_held_wrong():
     assert 1e-3 < t < 0.02
 
 
-def test_held_transforms_get_no_noise_from_the_start_of_others():
+def test_fixed_transforms_get_no_noise():
     dataset = hand_and_world().dataset()
     result = calibrate(dataset, Options(hold=("world-base", "board"), start="given"), StartingNoise(0.05, 0.05))
     assert result.converged
@@ -60,7 +60,7 @@ def test_a_name_of_nothing_lists_what_there_is():
         build(stereo().dataset(), ("lefty",))
 
 
-def test_a_pattern_without_a_pose_cannot_be_held():
+def test_a_pattern_without_a_pose_cannot_be_fixed():
     dataset = stereo().dataset()
     poses = dataset.transforms["world", "board_link"].copy()
     poses[3] = np.nan

@@ -102,7 +102,7 @@ def test_one_camera_before_moving_patterns_has_only_intrinsics_to_calibrate():
     assert largest_error(result, dataset) < 1e-6
 
 
-def test_only_those_asked_for_change():
+def test_only_the_requested_intrinsics_change():
     dataset = nominal(covering(model=lens(BENT), pixel_noise=0.1).dataset(), 1e-4)
     result = calibrate(dataset, Options(intrinsics=("c1",), hold=("intrinsics-c1-k3", "intrinsics-c1-cx")))
     assert set(result.intrinsics) == {"c1"}
@@ -119,7 +119,7 @@ def test_only_those_asked_for_change():
     assert [before.parameters[i] for i in same] == ["cx", "k3"]
 
 
-def test_a_held_block_is_as_if_it_had_not_been_asked_for():
+def test_a_fixed_block_equals_one_not_requested():
     dataset = covering(12, pixel_noise=0.3).dataset()
     plain = calibrate(dataset)
     held = calibrate(dataset, Options(intrinsics=("all",), hold=("intrinsics-c0", "intrinsics-c1")))
@@ -130,7 +130,7 @@ def test_a_held_block_is_as_if_it_had_not_been_asked_for():
         np.testing.assert_array_equal(held.transforms[edge], T)
 
 
-def test_what_can_be_held_is_told():
+def test_the_error_names_what_can_be_fixed():
     with pytest.raises(InputError, match=r"nothing to hold is called 'k3' \(there are .*intrinsics-c0-k3"):
         calibrate(covering(4).dataset(), Options(intrinsics=("c0",), hold=("k3",)))
     with pytest.raises(InputError, match="nothing to hold is called 'intrinsics-c0'"):
@@ -206,7 +206,7 @@ def test_focal_lengths_from_patterns_that_hardly_tilt_are_weak():
     assert largest_error(result, dataset) < 4 * result.intrinsics["c0"].sigmas[0]
 
 
-def test_corners_in_the_middle_of_the_image_hardly_tell_k3():
+def test_corners_in_the_centre_of_the_image_hardly_determine_k3():
     narrow = covering(20, model=lens(BENT), pixel_noise=0.3)
     T = narrow.transforms["world", "board_link"].copy()
     centre = T[:, :3, :3] @ board().centre + T[:, :3, 3]
@@ -220,7 +220,7 @@ def test_good_views_are_not_called_weak():
     assert calibrate(covering(30, model=lens(BENT), pixel_noise=0.3).dataset(), EVERY).weak_directions == ()
 
 
-def test_few_views_say_how_little_they_tell():
+def test_few_views_report_weak_directions():
     """Two views of a plane give four equations for focal lengths and principal point (Z. Zhang, 2000)."""
     dataset = covering(2, cameras=1, model=lens(BENT), pixel_noise=0.3).dataset()
     result = calibrate(dataset, EVERY)
@@ -250,7 +250,7 @@ def test_a_fraction_that_could_be_a_polynomial_is_one_and_that_is_said(distortio
     assert note.endswith("held at what the dataset says")
 
 
-def test_held_coefficients_stay_where_the_dataset_has_them():
+def test_fixed_coefficients_are_those_of_the_dataset():
     """Not where an optimum has put them that nothing determines."""
     given = Rational(-0.1, 0.05, 0.001, -0.0005, 0.01, 0.02, -0.01, 0.003)
     dataset = covering(20, cameras=1, model=lens(given), pixel_noise=0.3).dataset(1)

@@ -89,7 +89,7 @@ def test_a_prior_is_one_more_measurement():
     assert abs(poses - 1) < 4 * np.sqrt(2 / (6 * SCENES))
 
 
-def test_one_camera_calibrated_but_for_two_held_parameters_the_other_considered():
+def test_one_camera_calibrated_but_for_two_fixed_parameters_the_other_considered():
     hold = ("intrinsics-c0-k1", "intrinsics-c0-cx")
     own, poses = scores(
         Options(
@@ -177,7 +177,7 @@ def test_the_noise_is_estimated_beside_a_prior(loss):
     assert result.noise_levels.pixel == pytest.approx(0.3, rel=0.05)
 
 
-def test_the_parameters_may_stand_in_any_order_and_be_few():
+def test_the_parameters_may_be_a_subset_in_any_order():
     dataset = covering(8, model=CAMERA, pixel_noise=0.3).dataset()
     one, other = (
         calibrate(dataset, Options(intrinsics=("c0",), intrinsics_covariance={"c0": known(parameters=each)}))
@@ -234,7 +234,7 @@ def test_a_covariance_of_no_camera_of_the_dataset():
         build(covering(3).dataset(), intrinsics_covariance={"left": known()})
 
 
-def test_a_prior_that_the_labels_contradict_is_said():
+def test_a_prior_that_the_labels_contradict_is_reported():
     truth = drawn(3)
     nominal = truth.with_cameras({"c0": CAMERA, "c1": CAMERA})
     options = Options(assume=EXACT, noise_levels=NOISE, intrinsics=("all",), intrinsics_covariance=BOTH)

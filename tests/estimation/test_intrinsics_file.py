@@ -84,7 +84,7 @@ def test_a_file_by_hand(tmp_path):
         ({"covariance": [[4.0, 1e308], [-1e308, 1e-150]]}, "cameras/left/covariance: found a matrix that is not"),
     ],
 )
-def test_what_is_wrong_is_said(tmp_path, changes, said):
+def test_invalid_input_is_reported(tmp_path, changes, said):
     path = write(tmp_path, **changes)
     with pytest.raises(InputError) as error:
         read_intrinsics(path)

@@ -93,7 +93,7 @@ def test_what_is_not_free_stays():
     )
 
 
-def test_held_joints_and_parameters():
+def test_fixed_joints_and_parameters():
     dataset = jointed_arm(free={"j3": ("origin_x", "origin_yaw"), "j4": ("position_bias",)}).dataset()
     off = nominal(dataset, 0.01)
     part = calibrate(dataset, Options(hold=("joint-j3-origin_yaw", "joint-j4-position_bias")))
@@ -144,7 +144,7 @@ def test_the_mount_and_the_base_keep_honest_errors_beside_a_joint():
     ],
 )
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_what_cannot_be_told_apart_is_named(free, names, noise):
+def test_degenerate_parameters_are_named(free, names, noise):
     dataset = jointed_arm(free=free, pixel_noise=noise).dataset()
     with pytest.raises(UndeterminedError) as error:
         calibrate(nominal(dataset, 0.01))

@@ -67,7 +67,7 @@ def test_a_lidar_on_either_side_of_the_pattern_is_found_from_noisy_guesses(scene
 
 @pytest.mark.parametrize("scene", ["camera and 2D lidar", "tripod", "linked by a lidar", "linked by a 2D lidar"])
 @pytest.mark.parametrize("seed", range(4))
-def test_noisy_cuts_and_planes_give_a_start_from_guesses_that_say_nothing(scene, seed):
+def test_noisy_scan_lines_and_planes_give_a_start_without_a_guess(scene, seed):
     setup = build(ALL[scene](seed=seed, border=False, pixel_noise=0.3, range_noise=0.01).dataset(seed))
     start = start_of(setup, StartingNoise(3, 1.5, seed))
     assert start.guessed == ()
@@ -117,7 +117,7 @@ def test_five_cameras_whose_neighbours_only_share_collections():
     assert shared_errors(setup, start_of(setup))[0] < 0.05
 
 
-def test_what_no_equation_gives_is_the_guess_and_is_named():
+def test_blocks_without_an_equation_take_the_guess_and_are_named():
     """Three unknowns in a row: the base of the arm, the camera's mount and the pattern."""
     scene = eye_in_hand()
     T_world_base = pose(0.2, 0.1, 0.0, 0.1, 0.2, 0.3)
@@ -133,7 +133,7 @@ def test_what_no_equation_gives_is_the_guess_and_is_named():
     assert assemble(setup.problem, start.values, EXACT).cost.max() < 1e-12
 
 
-def test_the_guess_of_a_held_sensor_is_kept():
+def test_the_guess_of_a_fixed_sensor_is_kept():
     setup = build(stereo().dataset())
     guess = shaken(setup, true_values(setup), 0.3)
     held = setup.block(setup.dataset.sensors[setup.gauge].edge)
@@ -214,7 +214,7 @@ def test_patterns_are_put_where_the_cameras_see_them():
 
 
 @pytest.mark.parametrize("fuller", ["left", "right"])
-def test_the_fullest_view_tells_where_a_moving_pattern_is(fuller):
+def test_the_view_with_most_labels_gives_the_pose_of_a_moving_pattern(fuller):
     def few(_: int, sensor: str, label: Labels) -> Labels:
         return label if sensor == fuller else CornerLabels(label.ids[:8], label.pixels[:8])
 

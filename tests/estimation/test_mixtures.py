@@ -83,7 +83,7 @@ def test_the_noise_of_a_2d_lidar_can_be_given():
     assert levels.range == pytest.approx(0.008, rel=0.05)
 
 
-def test_the_ends_of_the_cuts_tell_more_than_their_planes_alone():
+def test_the_ends_of_scan_lines_add_information_to_their_planes():
     edge = ("world", "scan")
     with_ends, without = (
         calibrate(camera_and_lidar2d(pixel_noise=0.3, range_noise=0.008, border=border).dataset()).label_sigma_mm(edge)

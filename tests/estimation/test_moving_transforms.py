@@ -33,7 +33,7 @@ def worst(dataset, result) -> tuple[float, float]:
 
 @pytest.mark.parametrize("noise", [(0.0, 0.0), (0.1, 0.1), (0.5, 0.5), (2.0, 3.0)])
 @pytest.mark.parametrize("loss", ["linear", "huber"])
-def test_exact_labels_give_the_truth_whatever_the_odometry_says(noise, loss):
+def test_exact_labels_give_the_truth_for_any_odometry(noise, loss):
     dataset = mobile_base(border=False, partial=0.3).dataset()
     result = calibrate(dataset, Options(loss=loss), StartingNoise(*noise, 2))
     assert result.converged, result.reason
@@ -42,7 +42,7 @@ def test_exact_labels_give_the_truth_whatever_the_odometry_says(noise, loss):
     assert BASE not in result.transforms
 
 
-def test_what_is_held_is_said():
+def test_fixed_transforms_are_reported():
     dataset = mobile_base(**NOISY).dataset()
     setup = build(dataset)
     assert (setup.gauge, setup.gauge_patterns) == ("cam", ("board",))
@@ -56,7 +56,7 @@ def test_an_anchored_sensor_leaves_the_place_of_the_pattern_open():
     assert (setup.gauge, setup.gauge_patterns) == (None, ("board",))
 
 
-def test_a_pattern_whose_place_is_given_leaves_nothing_in_the_world_open():
+def test_a_pattern_with_a_given_pose_fixes_the_gauge():
     dataset = mobile_base().dataset()
     setup = build(dataset, ("board",))
     assert (setup.gauge, setup.gauge_patterns) == ("cam", ())
@@ -78,7 +78,7 @@ def test_every_start_gives_the_same():
         assert sigmas_apart(first, again) < 1e-5
 
 
-def test_errors_are_as_large_as_is_said():
+def test_errors_match_the_covariance():
     scores = []
     for seed in range(30):
         dataset = mobile_base(8, seed=seed, border=False, **NOISY).dataset(seed)
@@ -105,7 +105,7 @@ def test_a_base_is_not_left_where_a_small_pattern_is_mirrored(seed):
     assert turned.max() < 0.3
 
 
-def test_where_no_camera_sees_the_pattern_the_given_guess_is_taken_and_it_is_said():
+def test_without_a_camera_view_the_given_guess_is_taken_and_reported():
     def blind(i: int, _: str, label: Labels) -> Labels | None:
         return label if i != 3 or isinstance(label, PointLabels) else None
 

@@ -55,7 +55,7 @@ def test_a_weak_axis_is_named(index, block, kind, axis):
     assert weak.describe(NAMES) == f"'{NAMES[block]}' {motion} ({x}, {y}, {z}) of its frame: 12 {unit}"
 
 
-def test_a_common_motion_names_who_moves_along():
+def test_a_common_motion_names_all_moving_blocks():
     direction = np.zeros(12)
     direction[:3], direction[6:9] = [-0.6, 0.0, -0.56], [0.0, 0.5, 0.2]
     direction /= np.linalg.norm(direction)
@@ -110,7 +110,7 @@ def test_an_arm_that_hardly_tilts_is_weak_along_its_axis():
     assert result.label_sigma_mm(("world", "cam")) > 1e3 * WEAK
 
 
-def test_an_arm_that_tilts_less_than_the_labels_can_tell_is_refused():
+def test_an_arm_that_tilts_less_than_the_noise_is_refused():
     rng = np.random.default_rng(0)
     turns = np.linspace(-0.5, 0.5, 12)[:, None] * [0.0, 0.6, 0.8] + 0.03 * rng.normal(size=(12, 3))
     with pytest.raises(UndeterminedError, match=r"do not determine '(world-cam|board)' moving along .* together with"):

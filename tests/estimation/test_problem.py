@@ -112,7 +112,7 @@ def test_some_views_of_a_chain_are_those_of_all():
         )
 
 
-def test_held_blocks_are_neither_shared_nor_local_and_do_not_move():
+def test_fixed_blocks_are_neither_shared_nor_local_and_do_not_move():
     problem = Problem(BLOCKS, (), N)
     assert (problem.shared, problem.local) == ([0, 4, 5, 6], [2, 3])
     assert problem.sizes == (22, 12)

@@ -110,7 +110,7 @@ def spectrum_of(solve, rotation_vectors: Array) -> Spectrum:
 
 
 @SOLVERS
-def test_a_motion_about_one_axis_is_told_with_its_axis(solve):
+def test_a_motion_about_one_axis_is_reported_with_its_axis(solve):
     axis = np.array([0.0, 0.6, 0.8])
     spectrum = spectrum_of(solve, np.linspace(-1, 1, 7)[:, None] * axis)
     assert spectrum.axes() == 1
@@ -120,7 +120,7 @@ def test_a_motion_about_one_axis_is_told_with_its_axis(solve):
 
 
 @SOLVERS
-def test_a_motion_without_rotation_is_told(solve):
+def test_a_motion_without_rotation_is_reported(solve):
     spectrum = spectrum_of(solve, np.zeros((7, 3)))
     assert spectrum.axes() == 0
     np.testing.assert_allclose(spectrum.dispersion, 0, atol=1e-6)

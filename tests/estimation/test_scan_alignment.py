@@ -38,7 +38,7 @@ def cuts(n: int, seed: int = 0, noise: float = 0.0, solid: bool = False) -> tupl
 
 @at_most(40)
 @given(seed=st.integers(0, 10_000), n=st.integers(6, 20), solid=st.booleans())
-def test_exact_cuts_give_the_exact_transform(seed, n, solid):
+def test_exact_scan_lines_give_the_exact_transform(seed, n, solid):
     points, normals, offsets, T = cuts(n + 2 * solid, seed, solid=solid)
     np.testing.assert_allclose(align_scans(points, normals, offsets), T, atol=1e-6)
 

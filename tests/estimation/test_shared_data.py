@@ -65,7 +65,7 @@ def test_an_arm_is_within_a_hundredth_of_maximum_likelihood(shared_data: Path):
 
 
 @pytest.mark.parametrize("loss", ["linear", "huber"])
-def test_a_lidar_is_as_near_as_it_says(shared_data: Path, loss):
+def test_a_lidars_error_matches_its_covariance(shared_data: Path, loss):
     dataset = read_dataset(shared_data / "synthetic" / "rlbot")
     lidar = next(s for s in dataset.sensors.values() if s.modality == LIDAR3D)
     for seed in SEEDS:

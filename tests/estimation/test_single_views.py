@@ -44,7 +44,7 @@ def rms_of(labels: CornerTerm, T: Array) -> Array:
     return np.sqrt(np.nanmean(labels.magnitudes(T) ** 2, -1))
 
 
-def test_labels_stand_at_their_ids() -> None:
+def test_labels_are_at_the_index_of_their_ids() -> None:
     views = [CornerLabels(np.array([3, 1]), np.array([[30.0, 31.0], [10.0, 11.0]]))]
 
     labels = corner_term(CAMERA, PATTERN, views)

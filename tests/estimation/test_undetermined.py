@@ -68,7 +68,7 @@ def base_that_turns_about_one_axis(collections: int) -> tuple[Dataset, Truth]:
 
 
 @pytest.mark.parametrize("start", ["linear", "given"])
-def test_a_base_that_turns_about_one_axis_tells_the_sensors_relative_to_each_other(start):
+def test_a_base_that_turns_about_one_axis_determines_relative_poses(start):
     dataset, truth = base_that_turns_about_one_axis(5)
     result = calibrate(dataset, Options(start), StartingNoise(0.1, 0.05, 2))
     assert result.converged
@@ -86,7 +86,7 @@ def test_a_base_that_turns_about_one_axis_tells_the_sensors_relative_to_each_oth
     assert "add collections with rotations about another axis, or hold 'pattern_1'" in said.text
 
 
-def test_where_the_base_is_known_to_stand_all_is_determined():
+def test_with_a_known_pose_of_the_base_all_is_determined():
     dataset, _ = base_that_turns_about_one_axis(5)
     result = calibrate(dataset, Options(hold=("pattern_1",)))
     assert result.converged
@@ -106,7 +106,7 @@ def test_one_camera_on_such_a_base_is_refused():
 
 
 @pytest.mark.parametrize("wobble", [0.005, 0.015])
-def test_a_wobble_about_the_other_axes_is_enough_and_the_error_bars_say_how_little(wobble):
+def test_a_small_tilt_about_the_other_axes_is_enough_with_large_standard_deviations(wobble):
     rng = np.random.default_rng(0)
     turns = np.concatenate([rng.normal(size=(12, 2)) * wobble, TURNS], 1)
     scene = replace(rotating(eye_to_hand(12), turns), pixel_noise=0.3)
@@ -193,7 +193,7 @@ def test_a_sensor_without_labels(sensor):
 
 
 @pytest.mark.parametrize("fixed", [True, False])
-def test_a_pattern_that_nobody_detected_is_left_out(fixed):
+def test_an_undetected_pattern_is_left_out(fixed):
     scene = stereo(6, pixel_noise=0.3, sees=lambda _, pattern, __: pattern == "board")
     transforms = {**scene.transforms, ("world", "extra_link"): pose(1, 2, 3)}
     dataset = replace(scene, patterns=[*scene.patterns, board("extra", fixed=fixed)], transforms=transforms).dataset()

@@ -78,7 +78,7 @@ def test_too_few_points_are_left_out():
     assert list(usable.collections[1].labels) == [("board", "cam")]
 
 
-def test_a_cut_needs_fewer_points_than_a_plane():
+def test_a_scan_line_needs_fewer_points_than_a_plane():
     def few(i: int, sensor: str, label: Labels) -> Labels:
         return PointLabels(label.points[: 2 + i], np.array([0, 1])) if sensor == "scan" and i < 2 else label
 

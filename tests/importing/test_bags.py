@@ -286,7 +286,7 @@ def test_what_is_no_bag(tmp_path: Path, name: str, content: bytes, message: str)
     assert str(tmp_path / name) in str(error.value)
 
 
-def test_a_bag_that_is_cut_off_and_a_folder_that_is_none(tmp_path: Path) -> None:
+def test_a_truncated_bag_and_a_folder_without_a_bag(tmp_path: Path) -> None:
     path = record(tmp_path, "bag", poses=2)
     path.write_bytes(path.read_bytes()[:-5000])
     with pytest.raises(InputError, match="cannot be read"):

@@ -149,7 +149,7 @@ def test_compressed_topics(recorded: Path, tmp_path: Path, encoding: str, transp
         ("16UC1; png compressed", "colours", "found a PNG file of 8 bits, colour, expected 16 bits, grey"),
     ],
 )
-def test_what_is_compressed_otherwise_is_said(encoding: str, data: bytes | str, said: str) -> None:
+def test_unknown_compression_is_reported(encoding: str, data: bytes | str, said: str) -> None:
     if data == "cut":
         data = compressed_depth(np.ones((48, 64)), encoding).tobytes()[:-20]
     elif data == "colours":
@@ -161,7 +161,7 @@ def test_what_is_compressed_otherwise_is_said(encoding: str, data: bytes | str, 
     assert said in str(error.value)
 
 
-def test_a_topic_without_the_word_is_said_to_be_of_depth(recorded: Path, tmp_path: Path) -> None:
+def test_a_depth_topic_without_depth_in_its_name_is_recognised(recorded: Path, tmp_path: Path) -> None:
     path = record(recorded, tmp_path, "db3", "32FC1", topic="/tof")
     sensors = {**SENSORS, "range": {**SENSORS["range"], "topic": "/tof/image_raw"}}
     with pytest.raises(InputError, match=r"/tof/image_raw at .*: found the encoding '32FC1', expected one of bgr8"):
@@ -170,7 +170,7 @@ def test_a_topic_without_the_word_is_said_to_be_of_depth(recorded: Path, tmp_pat
     assert imported(path, sensors).sensors["range"].modality.name == "depth"
 
 
-def test_what_is_wrong_is_said(recorded: Path, tmp_path: Path) -> None:
+def test_invalid_input_is_reported(recorded: Path, tmp_path: Path) -> None:
     path = record(recorded, tmp_path, "db3", "32FC1", width=320)
     with pytest.raises(InputError, match=r"found a depth image of 640 x 480 pixels, expected 320 x 480 as camera_info"):
         imported(path)

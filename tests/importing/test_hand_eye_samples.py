@@ -77,7 +77,7 @@ def test_a_wrong_pair_is_left_out_and_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("in_hand", [True, False])
-def test_other_methods_stand_beside_it(tmp_path: Path, in_hand: bool) -> None:
+def test_other_methods_are_in_the_table(tmp_path: Path, in_hand: bool) -> None:
     dataset = imported(tmp_path / "it", in_hand)
     assert {method.name for method in applicable(dataset)} == ALL
     table = parse_evaluation("measured-poses:camera")
@@ -108,7 +108,7 @@ def test_from_the_samples_to_a_verdict(
     assert main(["run", "--jobs", "1"]) == 0
 
 
-def test_what_is_wrong_is_said(tmp_path: Path) -> None:
+def test_invalid_input_is_reported(tmp_path: Path) -> None:
     folder = tmp_path / "it"
     folder.mkdir()
     samples = simulated(True)

@@ -65,7 +65,7 @@ def test_it_calibrates_to_the_truth(stereo: Path, tmp_path: Path) -> None:
     assert np.degrees(deg) < 0.05
 
 
-def test_intrinsics_that_nobody_knows_are_calibrated_from_a_start(tmp_path: Path) -> None:
+def test_unknown_intrinsics_are_calibrated_from_an_initial_guess(tmp_path: Path) -> None:
     folder = tmp_path / "all"
     folder.mkdir()
     for path in (DATASETS / "t2rgb").glob("*_camera_*.jpg"):

@@ -86,7 +86,7 @@ def test_it_calibrates_to_the_truth(session: Path, tmp_path: Path) -> None:
     assert calibration.rms_px < 0.1
 
 
-def test_an_aprilgrid_of_its_own_keys_is_the_same(session: Path, tmp_path: Path) -> None:
+def test_an_aprilgrid_described_in_import_yml_is_the_same(session: Path, tmp_path: Path) -> None:
     described = {"type": "aprilgrid", "columns": 6, "rows": 6, "tag": 0.088, "spacing": 0.3}
     import_data(session / "import.yml", tmp_path / "target", jobs=1)
     change(session, "patterns", "grid", to=described)

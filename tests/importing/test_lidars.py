@@ -113,7 +113,7 @@ def test_clouds_calibrate_to_the_truth(tmp_path: Path, kind: Kind) -> None:
     assert np.degrees(rad) < 0.3
 
 
-def test_scans_are_labelled_where_they_cut_the_board(tmp_path: Path) -> None:
+def test_scan_lines_on_the_board_are_labelled(tmp_path: Path) -> None:
     dataset = imported(record(tmp_path, "db3", "scans"), tmp_path / "out")
     assert dataset.sensors["lidar"].modality.name == "lidar2d"
     known, poses = with_truth()

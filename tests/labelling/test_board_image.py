@@ -71,7 +71,7 @@ def test_the_jacobian_is_that_of_the_bent_map() -> None:
 
 @at_most(30)
 @given(poses, st.integers(0, 2**32 - 1), st.floats(0.02, 0.3), st.sampled_from([HD, HD_DISTORTED]))
-def test_wrong_corners_are_told_from_noisy_ones(T, seed, noise, camera) -> None:
+def test_wrong_corners_are_distinguished_from_noisy_ones(T, seed, noise, camera) -> None:
     random = np.random.default_rng(seed)
     pixels = seen(camera, T) + noise * random.normal(size=(len(PLACES), 2)) / np.sqrt(2)
     wrong = random.choice(len(PLACES), 5, replace=False)

@@ -202,7 +202,7 @@ def test_noise_is_no_board(seed) -> None:
     "image",
     [np.zeros((480, 640)), np.zeros((480, 640), np.uint16), np.zeros((480, 640, 4), np.uint8), np.zeros(640, np.uint8)],
 )
-def test_what_is_no_image_is_said_in_one_line(image) -> None:
+def test_an_invalid_image_is_a_one_line_error(image) -> None:
     with pytest.raises(InputError, match=r"expected 8 bits a channel") as error:
         DETECTOR.detect(image)
     assert str(image.dtype) in str(error.value)
@@ -214,7 +214,7 @@ def test_another_board_is_not_taken_for_this_one() -> None:
     assert isinstance(found, NotDetected)
 
 
-def test_too_little_of_a_board_says_how_much_is_needed() -> None:
+def test_a_view_with_too_few_markers_states_the_minimum() -> None:
     T = facing(BOARD, 0.5, at=(0.75, 0.55))
     found = DETECTOR.detect(Photograph(VGA).of(BOARD, T))
     assert isinstance(found, NotDetected)
@@ -292,7 +292,7 @@ def test_small_markers_are_the_same_in_the_part_of_the_image_with_the_board(dist
     np.testing.assert_array_equal(again.corners, whole.corners)
 
 
-def test_few_markers_do_not_tell_where_the_board_is() -> None:
+def test_few_markers_are_no_detection() -> None:
     pattern = charuco()
     image = Photograph(VGA).of(pattern, facing(pattern, 1.2))
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)

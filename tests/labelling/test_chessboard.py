@@ -38,7 +38,7 @@ def test_corners_are_where_the_truth_projects_them() -> None:
 
 
 @pytest.mark.parametrize("roll", np.linspace(-np.pi, np.pi, 9))
-def test_a_board_that_colours_tell_which_way_up_keeps_its_ids_at_any_angle(roll) -> None:
+def test_a_board_without_symmetry_keeps_its_ids_at_any_angle(roll) -> None:
     """Ten by seven corners: eleven by eight squares, and only one of its ends begins with black."""
     T = facing(UNIQUE, 1.2, 0.3, 0.5, roll)
     assert np.linalg.norm(detected(UNIQUE, T).pixels - true_corners(VGA, UNIQUE, T), axis=-1).max() < 0.5
@@ -46,7 +46,7 @@ def test_a_board_that_colours_tell_which_way_up_keeps_its_ids_at_any_angle(roll)
 
 @pytest.mark.parametrize("pattern", [TWOFOLD, SQUARE, SQUARE_FOURFOLD])
 @pytest.mark.parametrize("roll", [-0.5, 0.0, 0.4])
-def test_other_boards_are_numbered_as_they_stand_upright(pattern, roll) -> None:
+def test_other_boards_are_numbered_from_the_most_upright_corner(pattern, roll) -> None:
     T = facing(pattern, 1.2, 0.3, 0.5, roll)
     assert np.linalg.norm(detected(pattern, T).pixels - true_corners(VGA, pattern, T), axis=-1).max() < 0.5
 
@@ -101,7 +101,7 @@ def test_a_board_of_which_a_quarter_is_no_good_is_none(monkeypatch: pytest.Monke
         assert found == NotDetected(f"{bad} of 70 corners do not look like corners of a board")
 
 
-def test_a_board_that_is_cut_off_or_covered_is_none() -> None:
+def test_a_truncated_or_occluded_board_is_not_detected() -> None:
     assert isinstance(
         ChessboardDetector(UNIQUE).detect(Photograph(VGA).of(UNIQUE, facing(UNIQUE, 0.6, at=(0.4, 0)))), NotDetected
     )

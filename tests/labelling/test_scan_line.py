@@ -121,7 +121,7 @@ def test_scattered_points_are_no_line():
 
 
 @given(turn=st.tuples(*[st.floats(-3, 3)] * 3), height=st.floats(-0.6, 0.6))
-def test_the_ends_of_a_cut_lie_on_the_outline_and_in_the_scans_plane(turn, height):
+def test_the_ends_of_a_scan_line_are_on_the_outline_and_in_the_scans_plane(turn, height):
     T = standing(0.3, 2.0, turn, height)
     ends = cut_ends(BOARD, np.stack([T, T]))
     assert ends.shape == (2, 2, 2)

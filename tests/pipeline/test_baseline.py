@@ -87,9 +87,7 @@ def head_of(root: Path) -> str:
 
 
 @pytest.mark.parametrize("required", [False, True])
-def test_a_base_that_cannot_be_read_is_said_and_red_where_it_is_required(
-    repository: Path, tmp_path: Path, required: bool
-) -> None:
+def test_an_unreadable_base_is_reported_and_red_if_required(repository: Path, tmp_path: Path, required: bool) -> None:
     settings = BaselineSettings(repository / FILE, required=required)
     git(tmp_path, "clone", "--quiet", "--depth=1", f"file://{repository}", "shallow")
     settings = replace(settings, file=tmp_path / "shallow" / FILE)
@@ -99,7 +97,7 @@ def test_a_base_that_cannot_be_read_is_said_and_red_where_it_is_required(
     assert bool(update.reasons) is required
 
 
-def test_a_broken_file_in_the_base_is_said(repository: Path, tmp_path: Path) -> None:
+def test_an_invalid_file_in_the_base_is_reported(repository: Path, tmp_path: Path) -> None:
     good = (repository / FILE).read_text()
     (repository / FILE).write_text('{"version": 7}')
     base = commit(repository, "of a newer version")

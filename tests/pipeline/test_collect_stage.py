@@ -57,7 +57,7 @@ def told(results: Results) -> Report:
     return report(results, Path("out"), "calibration")
 
 
-def test_what_is_collected_stands_beside_the_matrix(configured: Configured, tmp_path: Path) -> None:
+def test_collected_datasets_are_in_the_results(configured: Configured, tmp_path: Path) -> None:
     output = tmp_path / "output"
     results, log = run(configured(), output)
     assert results.verdict == "pass"

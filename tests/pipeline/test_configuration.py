@@ -37,7 +37,7 @@ def test_paths_are_relative_to_the_file_and_variables_come_from_the_environment(
     assert system.truth == str(tmp_path / "truth.json")
 
 
-def test_a_system_says_what_of_it_is_calibrated(tmp_path: Path) -> None:
+def test_a_system_has_its_own_options(tmp_path: Path) -> None:
     text = "{dataset: a, intrinsics: [left, right], intrinsics-covariance: known/intrinsics.json, hold: [left, board]}"
 
     (system,) = read_configuration(write(tmp_path, f"systems: {{a: {text}}}")).systems
@@ -47,7 +47,7 @@ def test_a_system_says_what_of_it_is_calibrated(tmp_path: Path) -> None:
     assert system.options.hold == ("left", "board")
 
 
-def test_options_at_the_top_are_for_every_system_that_does_not_say_otherwise(tmp_path: Path) -> None:
+def test_top_level_options_are_the_default_of_every_system(tmp_path: Path) -> None:
     text = "{start: given, hold: [left], systems: {a: {dataset: a}, b: {dataset: b, start: linear, hold: []}}}"
 
     first, second = read_configuration(write(tmp_path, text)).systems
@@ -89,7 +89,7 @@ def test_what_is_calibrated_is_not_assumed(tmp_path: Path) -> None:
         read_configuration(write(tmp_path, f"systems: {{a: {{dataset: a, intrinsics: [all], {good}}}}}"))
 
 
-def test_what_is_assumed_and_described_stands_at_the_top_for_every_system(tmp_path: Path) -> None:
+def test_assume_and_description_at_the_top_apply_to_every_system(tmp_path: Path) -> None:
     text = "assume: exact\ndescription: rough\nsystems: {a: {dataset: a}, b: {dataset: b, assume: {border: 0.01}}}"
     a, b = read_configuration(write(tmp_path, text)).systems
     assert (a.options.assume, a.options.description) == (EXACT, "rough")
@@ -112,7 +112,7 @@ def test_a_number_of_seeds_means_the_seeds_from_one(tmp_path: Path) -> None:
     assert read_configuration(path).noise.seeds == (1, 2, 3)
 
 
-def test_limits_for_all_systems_yield_to_a_system_s_own(tmp_path: Path) -> None:
+def test_a_systems_limits_override_those_of_all(tmp_path: Path) -> None:
     text = "limits: {rms-px: 2}\nsystems: {a: {dataset: a}, b: {dataset: b, limits: {translation-mm: 1}}}"
 
     first, second = read_configuration(write(tmp_path, text)).systems

@@ -59,7 +59,7 @@ def errors_in_sigmas(folder: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("rig", ["rgb_and_depth", "with_lidar"])
-def test_it_calibrates_to_the_truth_as_well_as_it_says(rig: str, request: pytest.FixtureRequest) -> None:
+def test_the_error_against_the_truth_matches_the_covariance(rig: str, request: pytest.FixtureRequest) -> None:
     results, folder = request.getfixturevalue(rig)
     assert results.verdict == "pass"
     assert len(results.kept) == POSES

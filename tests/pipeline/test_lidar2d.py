@@ -53,7 +53,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> tuple[CollectionResul
     return collect_dataset(CollectionRequest(folder, motion=f"generate:{POSES}"), output), output
 
 
-def test_it_calibrates_to_the_truth_as_well_as_it_says(collected: tuple[CollectionResults, Path]) -> None:
+def test_the_error_against_the_truth_matches_the_covariance(collected: tuple[CollectionResults, Path]) -> None:
     results, folder = collected
     assert results.verdict == "pass"
     assert len(results.kept) == POSES
@@ -93,7 +93,7 @@ def test_its_ends_are_evaluated_in_the_cameras_images(collected: tuple[Collectio
     assert 0 < table.average("RMS (pix)") < 6
 
 
-def test_the_expected_cuts_are_those_of_the_simulated_scans(system: System) -> None:
+def test_the_expected_scan_lines_equal_those_of_the_simulated_scans(system: System) -> None:
     exact = replace(lidar_of(system), noise=0.0, resolution=0.0)
     system = replace(system, sensors={**system.sensors, LIDAR: exact}, scene=Scene())
     placement = place(system, read_motion(DATASETS / "rlbot" / "motion.json"))
@@ -110,7 +110,7 @@ def test_the_expected_cuts_are_those_of_the_simulated_scans(system: System) -> N
     assert {i for i, _ in dataset.detections("pattern_1", LIDAR)} == set(np.flatnonzero(cuts))
 
 
-def test_a_cut_needs_range_and_angle_and_sight(system: System) -> None:
+def test_a_scan_line_needs_range_angle_and_visibility(system: System) -> None:
     placement = place(system, read_motion(DATASETS / "rlbot" / "motion.json"))
     usual = detects(system, LIDAR, "pattern_1", placement)
     lidar = lidar_of(system)

@@ -156,7 +156,7 @@ def test_a_method_that_depends_on_the_start_is_neither_our_engine_nor_judged(tmp
     assert "Our engine" not in failures(results)[0]
 
 
-def test_the_summary_says_whose_the_other_methods_are() -> None:
+def test_the_summary_names_the_implementations_of_other_methods() -> None:
     others = [replace(CELL, method=name, detail="OpenCV 4.14.0") for name in ("shah", "li")]
     results = icp_rows()
 
@@ -166,7 +166,7 @@ def test_the_summary_says_whose_the_other_methods_are() -> None:
     assert text.count("robot, icp: no points near") == 1
 
 
-def test_without_a_truth_it_is_said_how_sure_a_result_is() -> None:
+def test_without_a_truth_standard_deviations_are_reported() -> None:
     real = replace(CELL, truth=None, sigma=Deviation(1.03, 0.057), label_sigma=Deviation(0.15, 0.006))
     sure = precision_table(Results((real, replace(real, seed=2, sigma=Deviation(0.9, 0.06)))))
     assert sure.rows == (("robot", "1.03 mm, 0.06 deg", "0.15 mm, 0.006 deg"),)
@@ -175,7 +175,7 @@ def test_without_a_truth_it_is_said_how_sure_a_result_is() -> None:
     assert "| robot | 1.03 mm, 0.057 deg | 0.15 mm, 0.006 deg |" in told(Results((real,))).markdown()
 
 
-def test_errors_stand_beside_what_is_stated(tmp_path: Path) -> None:
+def test_errors_are_reported_with_standard_deviations(tmp_path: Path) -> None:
     known = replace(CELL, truth=Deviation(0.5, 0.02), sigma=Deviation(0.4, 0.01, joint_mm=0.2))
     worse = replace(known, seed=2, truth=Deviation(0.3, 0.03), sigma=Deviation(0.6, 0.005))
     software = replace(CELL, system="theirs", method="atom", truth=Deviation(9, 9))
@@ -200,7 +200,7 @@ def test_of_many_parameters_the_first_are_shown() -> None:
     assert shown[-1].startswith("| and 3 more, see results.json |")
 
 
-def test_joints_stand_in_the_table_and_in_the_results(tmp_path: Path) -> None:
+def test_joints_are_in_the_table_and_in_the_results(tmp_path: Path) -> None:
     both = replace(CELL, truth=Deviation(0.5, 0.02, joint_mm=0.03, joint_deg=0.004))
     turning = replace(CELL, system="turning", truth=Deviation(0.5, 0.02, joint_deg=0.004))
     results = Results((both, replace(both, seed=2, truth=Deviation(0.5, 0.02, 0.04, 0.001)), turning))
@@ -224,7 +224,7 @@ def test_joints_stand_in_the_table_and_in_the_results(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("count", "widths"), [(1, [2]), (3, [4]), (4, [4, 2]), (7, [4, 4, 2])])
-def test_many_systems_stand_in_several_tables(count: int, widths: list[int]) -> None:
+def test_many_systems_take_several_tables(count: int, widths: list[int]) -> None:
     """A method that only one of them has is a row where that one is."""
     cells = tuple(replace(CELL, system=f"robot{k}") for k in range(count))
     whole = grid(Results(cells, (replace(cells[-1], method="shah", translation_noise=None),)))
@@ -251,7 +251,7 @@ def test_the_summary_names_what_failed_and_escapes_it() -> None:
     assert "<b>" not in text
 
 
-def test_what_several_starts_say_alike_is_said_once() -> None:
+def test_equal_reasons_of_several_starts_are_merged() -> None:
     def line(*cells: CellResult) -> list[str]:
         return failures(Results(cells))
 
@@ -269,7 +269,7 @@ def test_what_several_starts_say_alike_is_said_once() -> None:
     ]
 
 
-def test_the_summary_says_once_what_to_look_at() -> None:
+def test_the_summary_has_each_warning_once() -> None:
     found = (Finding("far", "warning", "the camera is far off"), Finding("rejected-labels", "note", "3 of 90 labels"))
     warned = CELL.found(found)
 

@@ -43,7 +43,7 @@ def test_each_has_its_place(tmp_path: Path, more: str, default: str) -> None:
     assert target.sections.aws_batch.queue == "robots"
 
 
-def test_nothing_said_is_this_machine(tmp_path: Path) -> None:
+def test_the_default_is_this_machine(tmp_path: Path) -> None:
     target = read(tmp_path, "systems: {a: {dataset: d}}").target
     assert (target.backend, target.settings) == ("docker", None)
 

@@ -33,7 +33,7 @@ def test_upwards_through_the_joints_too(systems: dict[str, System]) -> None:
     assert distance(T[reached], inverse(targets)[reached])[0].max() < 1e-7
 
 
-def test_what_is_out_of_reach_is_said(systems: dict[str, System]) -> None:
+def test_unreachable_targets_are_reported(systems: dict[str, System]) -> None:
     _, reached = reach(
         systems["riwbot"].robot, "base_link", "flange", from_xyz_rpy([[5.0, 0, 0]] * 4, [[0.0, 0, 0]] * 4), stream(0)
     )

@@ -111,7 +111,7 @@ def test_errors_are_read(systems: dict[str, System], tmp_path: Path) -> None:
         ([0.1], "joints"),
     ],
 )
-def test_wrong_errors_are_told(tmp_path: Path, errors: object, message: str) -> None:
+def test_invalid_joint_errors_are_refused(tmp_path: Path, errors: object, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(tmp_path, errors)
 

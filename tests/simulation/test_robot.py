@@ -205,7 +205,7 @@ def broken(old: str, new: str) -> str:
         ),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(urdf: str, message: str) -> None:
+def test_errors_are_one_line(urdf: str, message: str) -> None:
     with pytest.raises(InputError) as error:
         parse_robot(urdf.encode(), FILE)
     assert str(error.value).startswith(message)

@@ -42,7 +42,7 @@ def test_a_hit_lies_on_the_box_and_nothing_of_the_box_before_it() -> None:
         assert (inside(far * directions[~hit]) > 1 - 1e-9).all()
 
 
-def test_what_stands_behind_the_origin_is_not_hit() -> None:
+def test_objects_behind_the_origin_are_not_hit() -> None:
     scene = Scene(boxes=(Box(from_xyz_rpy([-2, 0, 0], [0, 0, 0]), np.ones(3)),))
     assert scene.cast(np.zeros(3), np.array([[1.0, 0, 0], [-1.0, 0, 0]])).tolist() == [np.inf, 1.5]
 
@@ -61,7 +61,7 @@ def test_the_nearest_counts() -> None:
 
 
 @pytest.mark.parametrize(("x", "hidden"), [(1.0, False), (1.49, False), (1.5, False), (1.6, True), (4.0, True)])
-def test_what_stands_behind_is_hidden(x: float, hidden: bool) -> None:
+def test_objects_behind_are_occluded(x: float, hidden: bool) -> None:
     scene = Scene(boxes=(Box(from_xyz_rpy([2, 0, 0], [0, 0, 0]), np.ones(3)),))
     assert scene.hides(np.zeros(3), np.array([[x, 0.1, 0.1]])).tolist() == [hidden]
 
@@ -82,7 +82,7 @@ def test_containing() -> None:
     assert scene.contains(points, clearance=0.2).tolist() == [True, True, True, False]
 
 
-def test_a_hit_says_what_is_hit() -> None:
+def test_a_hit_has_the_index_of_its_surface() -> None:
     scene = Scene(ground=0.0, boxes=(BOX, Box(from_xyz_rpy([-2, 0, 1], [0, 0, 0]), np.ones(3))))
     origin = np.array([0.0, 0.0, 1.0])
     directions = np.random.default_rng(3).normal(size=(2, 200, 3))

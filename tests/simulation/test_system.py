@@ -233,7 +233,7 @@ def test_a_depth_camera(system_copy: Path) -> None:
         ),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(system_copy: Path, file: str, old: str, new: str, message: str) -> None:
+def test_errors_are_one_line(system_copy: Path, file: str, old: str, new: str, message: str) -> None:
     text = (system_copy / file).read_text()
     assert old in text
     (system_copy / file).write_text(text.replace(old, new))

@@ -67,7 +67,7 @@ def test_a_good_one_passes(results: CollectionResults) -> None:
     )
 
 
-def test_everything_stands_in_the_folder(results: CollectionResults, output: Path) -> None:
+def test_the_folder_has_all_files(results: CollectionResults, output: Path) -> None:
     files = snapshot(output)
     assert {"dataset.json", "ground_truth.json", "motion.json", "results.json", "poses.csv", "summary.md"} <= set(files)
     assert {"contact_sheet.png", "junit.xml", "left_camera_000.jpg", "right_camera_004.jpg"} <= set(files)
@@ -164,7 +164,7 @@ def test_a_full_disk_loses_nothing(
     assert collect_dataset(request_, tmp_path, jobs=1).verdict == "pass"
 
 
-def test_where_nothing_is_seen_it_fails_and_says_why(request_: CollectionRequest, tmp_path: Path) -> None:
+def test_without_detections_it_fails_with_a_reason(request_: CollectionRequest, tmp_path: Path) -> None:
     poses = json.loads(Path(str(request_.motion)).read_text())
     away = tmp_path / "away.json"
     away.write_text(json.dumps({"1": poses["2"]}))
@@ -236,7 +236,7 @@ def test_a_dataset_is_not_overwritten_unless_asked(
         ("run", "--config", "calibration.yml", "--only", "collect", "--output"),
     ],
 )
-def test_without_opencv_it_says_what_to_install(words: tuple[str, ...], tmp_path: Path) -> None:
+def test_without_opencv_the_error_names_the_package(words: tuple[str, ...], tmp_path: Path) -> None:
     (tmp_path / "calibration.yml").write_text(f"simulation: {{a: {{system: {DATASETS / 't2rgb'}}}}}\n")
     code = "import sys; sys.modules['cv2'] = None; from calibration.__main__ import main; sys.exit(main())"
     command = [sys.executable, "-c", code, *words, str(tmp_path / "output")]

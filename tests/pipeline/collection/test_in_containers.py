@@ -79,7 +79,7 @@ def copying(dataset: Path, report: object = None) -> Callable[[Path], None]:
     return leave
 
 
-def test_the_number_of_the_collection_is_told(collected: Path, tmp_path: Path) -> None:
+def test_the_number_of_the_collection_is_passed(collected: Path, tmp_path: Path) -> None:
     entry = {**ENTRY, "dataset": "{output}/set-{seed}-{scenario}"}
 
     def leave(artifacts: Path) -> None:
@@ -132,7 +132,7 @@ def test_one_of_the_containers_plays() -> None:
         ({"timeout": "x"}, "x: timeout: found 'x', expected a time"),
     ],
 )
-def test_what_is_wrong_is_said_before_anything_runs(changes: dict[str, Any], message: str) -> None:
+def test_errors_are_raised_before_anything_runs(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         applications_from({**ENTRY, **changes}, Path(), "x")
 
@@ -184,7 +184,7 @@ def test_a_collection_again_replaces_all_of_the_earlier_one(collected: Path, tmp
         (ExitCode.INFRASTRUCTURE, ExitCode.INFRASTRUCTURE),
     ],
 )
-def test_applications_that_fail_say_why(tmp_path: Path, code: ExitCode, error: ExitCode | None) -> None:
+def test_failed_applications_give_a_reason(tmp_path: Path, code: ExitCode, error: ExitCode | None) -> None:
     outcome = {"exit_code": code, "reasons": ("robot: exited with code 3",)}
     results = collect_dataset(request(), tmp_path / "out", target=at(LeavesBehind(lambda _: None, outcome)))
     assert results.exit_code == code

@@ -50,7 +50,7 @@ def told(statistics: Statistics) -> Report:
     return report(ScenarioResults("<b>t2rgb</b>", request, statistics), Path("out"))
 
 
-def test_the_report_says_it_all() -> None:
+def test_the_report_is_complete() -> None:
     errors = [0.2 + 0.1 * (i % 7) + 0.001 * i for i in range(40)]
     text = told(many([*errors[:-1], None])).markdown()
     assert text.startswith(
@@ -67,7 +67,7 @@ def test_the_report_says_it_all() -> None:
     assert "- 40: left\\_camera: 0 markers, more than 8 needed" in text
 
 
-def test_where_nothing_drives_the_error_it_says_so() -> None:
+def test_a_report_without_drivers() -> None:
     errors = np.random.default_rng(1).random(40).tolist()
     text = told(many(errors)).markdown()
     assert (
@@ -75,7 +75,7 @@ def test_where_nothing_drives_the_error_it_says_so() -> None:
     )
 
 
-def test_few_scenarios_tell_nothing_of_drivers() -> None:
+def test_too_few_scenarios_for_drivers() -> None:
     text = told(many([0.1, 0.2])).markdown()
     assert "Not known: it takes 10 scenarios." in text
     assert "| motion.sway\\_mm | 1 | 0 |" in text

@@ -68,7 +68,7 @@ def test_too_many_maps_are_a_note_not_a_failure(tmp_path: Path) -> None:
     assert found.verdict == "pass"
 
 
-def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_the_error_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InputError, match=r"pip install matplotlib"):
         figures(results())

@@ -91,14 +91,14 @@ def test_the_outputs_are_the_least_of_the_maps() -> None:
 
 
 @pytest.mark.parametrize("code", [ExitCode.BAD_INPUT, ExitCode.INFRASTRUCTURE])
-def test_what_could_not_be_run_has_its_own_exit_code(code: ExitCode) -> None:
+def test_cells_that_could_not_run_have_their_own_exit_code(code: ExitCode) -> None:
     found = results(GOOD, one_map(T, R, lambda *_: False, NOISE.seeds, error=code))
     assert (found.verdict, found.exit_code) == ("fail", code)
     cases = ET.fromstring(junit_xml(told(found).suites))  # noqa: S314
     assert (cases.get("errors"), cases.get("failures")) == ("1", "0")
 
 
-def test_a_noisy_start_that_the_world_failed_is_no_pass() -> None:
+def test_an_infrastructure_failure_of_a_noisy_start_is_no_pass() -> None:
     found = results(one_map(T, R, lambda t, *_: t == 0, NOISE.seeds, error=ExitCode.INFRASTRUCTURE))
     assert (found.verdict, found.exit_code) == ("fail", ExitCode.INFRASTRUCTURE)
     assert found.reasons[0] == "arm, 0.5 m, 0 rad, seed 1: a false minimum"
@@ -119,7 +119,7 @@ def test_the_lost_starts_are_named() -> None:
     assert pairs[1.0, 0.0]["lost"] == [{"seed": 2, "reasons": ["a false minimum"], "error": None}]
 
 
-def test_the_table_has_a_row_for_each_pair_and_can_be_held_by_rules(tmp_path: Path) -> None:
+def test_the_table_has_a_row_for_each_pair_and_rules_apply_to_it(tmp_path: Path) -> None:
     found = results(GOOD, LOST)
     rows = list(csv.DictReader(io.StringIO(starts(found).csv())))
     assert len(rows) == 2 * len(T) * len(R)

@@ -71,7 +71,7 @@ def test_a_given_start_is_lost_where_the_linear_one_is_not_and_no_file_is_left(t
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interrupted_sweep_goes_on_unless_something_is_asked_otherwise(tmp_path: Path) -> None:
+def test_an_interrupted_sweep_continues_unless_its_options_change(tmp_path: Path) -> None:
     def interrupt(number: int, _total: int, _found: CellResult) -> None:
         if number == 3:
             raise KeyboardInterrupt

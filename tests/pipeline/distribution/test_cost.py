@@ -92,7 +92,7 @@ def test_every_job_that_ran_is_counted(tmp_path: Path) -> None:
     ]
 
 
-def test_what_is_not_known_is_said_and_not_guessed(tmp_path: Path) -> None:
+def test_unknown_times_are_reported_and_not_guessed(tmp_path: Path) -> None:
     folder = left(tmp_path, one="30", two="forty")
     results = {**ALL, "calibrate": "cancelled", "calibrate-collected": "failure", "collect-data": "failure"}
     cost = cost_of_run(PLAN, Needs(results, seconds={"plan": 5}), folder, None, promotes=True)

@@ -89,7 +89,7 @@ def test_everything_that_was_planned_is_there(leave: Callable[..., Path], tmp_pa
     assert set(found.jobs) == {"plan", "image", "calibrate", "collect-data", "calibrate-collected", "unit-tests"}
 
 
-def test_real_results_come_through_unchanged(tmp_path: Path) -> None:
+def test_real_results_are_gathered_unchanged(tmp_path: Path) -> None:
     """Two jobs and the same matrix in one piece give the same results, up to where the files are."""
     matrix = Matrix((replace(RIWBOT, compare=("shah",)),), NoiseGrid((0.0, 0.5), (0.3,)))
     whole = run_matrix(matrix, tmp_path / "whole", 1)
@@ -165,7 +165,7 @@ def test_a_job_that_failed_though_its_results_are_fine_is_red(
     assert found.exit_code == ExitCode.FAIL
 
 
-def test_a_job_that_nobody_waits_for_is_red(leave: Callable[..., Path], tmp_path: Path) -> None:
+def test_an_unplanned_job_that_failed_is_red(leave: Callable[..., Path], tmp_path: Path) -> None:
     leave("one", result(ONE))
     known = needs(Plan((ONE,), unit_tests=True))
     found = gather(replace(known, results={"plan": "success", "calibrate": "success"}), tmp_path)
@@ -230,7 +230,7 @@ def edited(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
         (lambda d: d.pop("cells"), "it has no list of cells"),
     ],
 )
-def test_a_results_file_is_held_to_its_schema(
+def test_a_results_file_is_checked_by_its_schema(
     change: Callable[[dict[str, Any]], object], message: str, leave: Callable[..., Path], tmp_path: Path
 ) -> None:
     edited(leave("one", result(ONE, reasons=("too far off",))), change)

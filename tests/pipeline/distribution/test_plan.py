@@ -224,7 +224,7 @@ cells = st.builds(
     st.booleans(),
     st.none() | st.floats(0, 1000),
 )
-def test_a_plan_comes_back_from_its_outputs(
+def test_a_plan_round_trips_through_its_outputs(
     now: list[JobCell], later: list[JobCell], seeds: list[int], flag: bool, rate: float | None
 ) -> None:
     plan = Plan(

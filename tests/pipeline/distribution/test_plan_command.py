@@ -52,7 +52,7 @@ def test_the_plan_of_a_configuration(monkeypatch: pytest.MonkeyPatch, capsys: py
     assert "  arm, 0.5 m, 0.3 rad" in out
 
 
-def test_inputs_come_before_the_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_inputs_override_the_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     Path("calibration.yml").write_text(CONFIGURATION)
     found = plan(
         monkeypatch,

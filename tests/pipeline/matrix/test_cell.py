@@ -42,7 +42,7 @@ def told(results: Results) -> Report:
     return report(results, Path("out"), "calibration")
 
 
-def test_joints_are_told_with_their_sigmas() -> None:
+def test_joints_are_reported_with_their_sigmas() -> None:
     scene = jointed_arm(free={"j2": ("position_bias",), "j3": ("origin_yaw",)}, pixel_noise=0.2)
     calibration = calibrate(scene.dataset())
     found = cells._described(CELL, calibration, scene.dataset(), Limits()).details.joints
@@ -56,7 +56,7 @@ def test_joints_are_told_with_their_sigmas() -> None:
     assert all(0 < each.sigma < 1 for each in found)
 
 
-def test_a_cell_tells_the_worst_of_what_is_stated(tmp_path: Path) -> None:
+def test_a_cell_reports_the_largest_standard_deviations(tmp_path: Path) -> None:
     dataset = read_dataset(DATASETS / "spjbot")
     result = cells.run_cell(
         cells.Cell("spjbot", StartingNoise()), LoadedSystem("spjbot", dataset, None, None), tmp_path
@@ -142,13 +142,13 @@ def test_a_method_that_takes_no_start_has_one_row(tmp_path: Path) -> None:
     assert found.detail is not None
 
 
-def test_a_method_that_fails_tells_nothing_of_itself(tmp_path: Path) -> None:
+def test_a_failed_method_has_no_statistics(tmp_path: Path) -> None:
     found = compared(replace(lidars(), dataset=arm(n=6)), tmp_path, 0.5, 0.0)
     assert (found.converged, found.detail, found.error) == (False, None, ExitCode.BAD_INPUT)
     assert "it needs two LiDARs" in found.reasons[0]
 
 
-def test_intrinsics_are_told_with_their_sigmas_and_left_for_the_next_run(tmp_path: Path) -> None:
+def test_intrinsics_are_reported_with_their_sigmas_and_written_for_the_next_run(tmp_path: Path) -> None:
     written = run_matrix(
         Matrix((replace(T2RGB, options=Options(intrinsics=("all",), hold=("intrinsics-left_camera-k3",))),), NOISES),
         tmp_path,

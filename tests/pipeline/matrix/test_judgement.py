@@ -74,7 +74,7 @@ def test_without_a_table_rules_fail(output: Path) -> None:
     assert cell.reasons == ("there is no table to judge",)
 
 
-def test_what_has_not_converged_stays_red_whatever_the_table_says(output: Path) -> None:
+def test_an_unconverged_cell_stays_red_whatever_its_table(output: Path) -> None:
     cell = replace(CELL, converged=False, reasons=("a false minimum",))
 
     assert judged(cell, output, [{"column": "RMS (pix)", "max": 1}]).reasons == ("a false minimum",)

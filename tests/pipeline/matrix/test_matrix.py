@@ -95,7 +95,7 @@ def test_no_cell_is_lost_however_many_there_are(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_rules_that_cannot_be_asked_are_refused_before_the_first_cell(
+def test_rules_that_do_not_match_the_table_are_refused_before_the_first_cell(
     rule: dict[str, object], system: System, message: str, tmp_path: Path
 ) -> None:
     asked = replace(system, rules=parse_rules([rule], "calibration.yml"))
@@ -104,7 +104,7 @@ def test_rules_that_cannot_be_asked_are_refused_before_the_first_cell(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_rows_that_a_far_guess_leaves_out_may_still_be_asked_for() -> None:
+def test_rules_may_name_rows_that_a_bad_guess_leaves_out() -> None:
     """Turned round, the camera sees nothing, so that its table has fewer rows, or none, before it is calibrated."""
     system = load(T2RGB)
     edge = system.dataset.sensors["right_camera"].edge
@@ -128,7 +128,7 @@ def test_what_a_cell_leaves_reads_back(matrix: Matrix, tmp_path: Path) -> None:
     assert calibrated.keys == read_dataset(DATASETS / "t2rgb").keys
 
 
-def test_other_methods_stand_beside_the_cells(tmp_path: Path) -> None:
+def test_other_methods_are_in_the_results(tmp_path: Path) -> None:
     found = run_matrix(Matrix((replace(RIWBOT, compare=("shah", "li")),), NoiseGrid()), tmp_path, 2)
 
     assert [c.method for c in found.comparisons] == ["shah", "li"]
@@ -150,7 +150,7 @@ def test_a_method_that_depends_on_the_start_is_compared_from_every_start(matrix:
     assert not {job.folder for job in jobs} & {cell.folder for cell in matrix.cells}
 
 
-def test_a_method_that_does_not_apply_says_why(tmp_path: Path) -> None:
+def test_a_method_that_does_not_apply_has_a_reason(tmp_path: Path) -> None:
     found = run_matrix(Matrix((replace(T2RGB, compare=("shah",)),), NoiseGrid()), tmp_path, 1)
 
     (comparison,) = found.comparisons
@@ -191,7 +191,7 @@ def test_each_job_is_reported_once(matrix: Matrix, tmp_path: Path) -> None:
     assert seen == [(i, 8) for i in range(1, 9)]
 
 
-def test_a_worker_that_dies_is_said(matrix: Matrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dead_worker_is_reported(matrix: Matrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell_module, "calibrate", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
 
     with pytest.raises(InfrastructureError, match="worker process died"):

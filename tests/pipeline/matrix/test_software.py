@@ -85,7 +85,7 @@ def test_a_ros_master_only_where_it_is_asked_for() -> None:
         ({"timeout": "soon"}, "timeout.*found 'soon'"),
     ],
 )
-def test_what_is_wrong_is_said_before_anything_runs(entry: dict[str, object], message: str) -> None:
+def test_errors_are_raised_before_anything_runs(entry: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         cell_job(CELL, software(**entry), DATASETS, DATASETS)
 
@@ -152,9 +152,7 @@ def test_a_table_without_averages_is_a_table(result_of: Callable[..., CellResult
         ({"a.csv": TABLE + "Averages,0.25,0.1\n"}, "more than one row is labelled 'Averages'"),
     ],
 )
-def test_a_table_that_says_nothing_is_no_pass(
-    result_of: Callable[..., CellResult], files: dict[str, str], message: str
-) -> None:
+def test_an_empty_table_is_no_pass(result_of: Callable[..., CellResult], files: dict[str, str], message: str) -> None:
     result = result_of(files)
     assert result.verdict == "fail"
     assert result.error is None
@@ -250,7 +248,7 @@ def test_far_from_the_optimum_is_red_with_the_distance(
     assert says in reason
 
 
-def test_no_dataset_is_no_pass_unless_the_configuration_says_so(result_of: Callable[..., CellResult]) -> None:
+def test_no_dataset_is_no_pass_unless_configured(result_of: Callable[..., CellResult]) -> None:
     result = result_of({"t.csv": TABLE}, software())
     assert (result.verdict, result.rms_px) == ("fail", 0.25)
     [reason] = result.reasons
@@ -291,9 +289,7 @@ def test_a_table_follows_from_its_dataset_or_is_red(
     assert re.search(r"the table says RMS \(pix\) 0\.\d+ for 000, its dataset gives 3\.", follows)
 
 
-def test_a_table_of_zeros_is_red_where_nothing_says_how_it_is_made(
-    result_of: Callable[..., CellResult], ours: Path
-) -> None:
+def test_a_table_of_zeros_is_red_if_its_kind_is_unknown(result_of: Callable[..., CellResult], ours: Path) -> None:
     result = result_of({"d.json": ours, "t.csv": TABLE.replace("0.25", "0")}, software())
     assert result.reasons == ("the table says RMS 0 px, but the noise of the labels leaves 0.07496 px at the optimum",)
 
@@ -328,7 +324,7 @@ def test_a_calibrated_dataset_that_is_none_has_failed(
     assert "d.json" in reason
 
 
-def test_data_that_nobody_can_calibrate_verify_nothing(tmp_path: Path) -> None:
+def test_data_that_cannot_be_calibrated_verify_nothing(tmp_path: Path) -> None:
     two = load(System("t2rgb", DATASETS / "t2rgb")).dataset.with_collections([0])
     system = LoadedSystem("t2rgb", two, None, None)
     folder = tmp_path / "cell"
@@ -346,7 +342,7 @@ def test_data_that_nobody_can_calibrate_verify_nothing(tmp_path: Path) -> None:
         (ExitCode.INFRASTRUCTURE, ExitCode.INFRASTRUCTURE),
     ],
 )
-def test_a_job_that_failed_says_why(tmp_path: Path, code: ExitCode, error: ExitCode | None) -> None:
+def test_a_failed_job_has_a_reason(tmp_path: Path, code: ExitCode, error: ExitCode | None) -> None:
     system = load(System("t2rgb", DATASETS / "t2rgb"))
     outcome = JobOutcome(CELL.folder, tmp_path, reasons=("calibration: exited with code 3",), exit_code=code)
     result = software_result(CELL, system, software(), outcome, tmp_path)

@@ -179,7 +179,7 @@ def bent(system: System) -> System:
     return replace(system, robot=replace(system.robot, joints=joints))
 
 
-def test_where_the_pattern_is_looked_for_is_told_by_the_camera_and_the_designed_robot(
+def test_the_expected_pose_of_the_pattern_is_from_the_camera_and_the_nominal_robot(
     systems: dict[str, System], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[np.ndarray] = []
@@ -198,7 +198,7 @@ def test_where_the_pattern_is_looked_for_is_told_by_the_camera_and_the_designed_
     )
 
 
-def test_the_camera_that_sees_most_of_it_tells_where_it_is(systems: dict[str, System]) -> None:
+def test_the_expected_pose_is_from_the_camera_with_most_corners(systems: dict[str, System]) -> None:
     it = played(systems["t2rgb"])
     found = capture(it, 0)
     few, many = CornerLabels(np.arange(30), np.zeros((30, 2))), CornerLabels(np.arange(40), np.zeros((40, 2)))

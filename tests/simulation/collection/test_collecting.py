@@ -60,7 +60,7 @@ def test_an_interrupted_one_goes_on(
     assert snapshot(tmp_path) == snapshot(rlbot_files)
 
 
-def test_files_of_lost_poses_are_there_for_who_looks(rlbot_records: list[Record], rlbot_files: Path) -> None:
+def test_files_of_rejected_poses_are_kept(rlbot_records: list[Record], rlbot_files: Path) -> None:
     names = {message["data_file"] for record in rlbot_records for message in record.collection["data"].values()}
     assert names == {f"{s}_00{i}.{e}" for s, e in (("rgb_left", "jpg"), ("lidar_right", "pcd")) for i in range(3)}
     assert names <= set(snapshot(rlbot_files))

@@ -45,7 +45,7 @@ def test_the_folder_is_a_systems_folder_too(collected: Writer, tmp_path: Path) -
     assert len(read_motion(folder / "motion.json")) == 3  # with the pose that was lost: it can be played again
 
 
-def test_the_dataset_says_what_was_kept(collected: Writer, tmp_path: Path) -> None:
+def test_the_dataset_has_the_kept_collections(collected: Writer, tmp_path: Path) -> None:
     write(tmp_path, collected)
     dataset = read_dataset(tmp_path)
     assert dataset.keys == ("000", "002")

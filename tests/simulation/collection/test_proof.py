@@ -11,7 +11,7 @@ from calibration.simulation.collection.proof import prove
 from tests.simulation.conftest import DATASETS
 
 
-def test_what_the_engine_says(tmp_path: Path) -> None:
+def test_the_proof_has_the_engines_result(tmp_path: Path) -> None:
     proof = prove(DATASETS / "rlbot")
     found = calibrate(read_dataset(DATASETS / "rlbot"))
     assert proof.converged

@@ -103,7 +103,7 @@ def test_numbers_are_rounded(rlbot_records: list[Record]) -> None:
     check(document["errors"], 6)
 
 
-def test_joints_stand_in_a_collection_as_they_were_designed(systems: dict[str, System]) -> None:
+def test_a_collection_has_the_nominal_joints(systems: dict[str, System]) -> None:
     system = systems["spjbot"]
     played = play(system, own_motion(system).take([3]), seed=1)
     one = record(played, capture(played, 0), ())

@@ -33,7 +33,7 @@ def depth_of(system: System) -> SimulatedDepthCamera:
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_corners_stand_where_they_are_projected(
+def test_expected_corners_equal_their_projections(
     systems: dict[str, System], motions: dict[str, Motion], name: str
 ) -> None:
     system = systems[name]

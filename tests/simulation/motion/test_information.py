@@ -38,7 +38,7 @@ def test_the_poses_add_up_to_what_the_engine_knows(
         assert equations.cost.max() < 1e-12
 
 
-def test_what_each_collection_has_its_own_of_may_be_several() -> None:
+def test_several_transforms_per_collection_are_eliminated() -> None:
     """Two patterns that move on their own: the collections still add up to what the engine knows."""
     scene = stereo(6)
     moving = STEREO["world", "left"] @ looks(6, 9)
@@ -51,7 +51,7 @@ def test_what_each_collection_has_its_own_of_may_be_several() -> None:
     np.testing.assert_allclose(each.sum(0), schur, rtol=1e-9, atol=1e-12 * np.abs(schur).max())
 
 
-def test_half_the_noise_tells_four_times_as_much(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+def test_half_the_noise_has_four_times_the_information(systems: dict[str, System], motions: dict[str, Motion]) -> None:
     system = systems["riwbot"]
     placement = place(system, motions["riwbot"])
     found = information(system, placement)
@@ -61,7 +61,9 @@ def test_half_the_noise_tells_four_times_as_much(systems: dict[str, System], mot
     np.testing.assert_allclose(informations(found.setup.problem, values, sharper), 4 * found.each, rtol=1e-9)
 
 
-def test_a_pose_tells_the_same_in_any_motion(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+def test_the_information_of_a_pose_does_not_depend_on_the_motion(
+    systems: dict[str, System], motions: dict[str, Motion]
+) -> None:
     for name, system in systems.items():
         whole = information(system, place(system, motions[name]))
         some = information(system, place(system, motions[name].take([20, 3, 7])))

@@ -43,7 +43,7 @@ def test_what_is_predicted_is_what_a_calibration_states(
             assert turned <= 4 * rotation + 1e-12
 
 
-def test_a_held_sensor_is_known(systems: dict[str, System], motions: dict[str, Motion]) -> None:
+def test_a_fixed_sensor_has_no_uncertainty(systems: dict[str, System], motions: dict[str, Motion]) -> None:
     assert predicted_sigmas(systems["t2rgb"], motions["t2rgb"])["left_camera"] == (0, 0)  # it fixes the gauge
     assert predicted_sigmas(systems["rlbot"], motions["rlbot"])["rgb_left"] == (0, 0)  # it is anchored
     assert min(predicted_sigmas(systems["riwbot"], motions["riwbot"])["rgb_world"]) > 0
@@ -97,7 +97,7 @@ def test_two_unknowns_in_a_row_are_open(systems: dict[str, System], motions: dic
     assert found["left_camera"] == (0, 0)
 
 
-def test_a_depth_camera_is_as_sure_as_a_calibration_with_its_noise_says(
+def test_a_depth_cameras_prediction_equals_a_calibration_with_its_noise(
     systems: dict[str, System], motions: dict[str, Motion]
 ) -> None:
     system = systems["t2rgb"]

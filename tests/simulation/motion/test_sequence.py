@@ -120,7 +120,7 @@ def without(document: dict[str, Any], *keys: str) -> dict[str, Any]:
         ),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, document: Any, message: str) -> None:
+def test_errors_are_one_line(tmp_path: Path, document: Any, message: str) -> None:
     path = written(tmp_path, document)
     with pytest.raises(InputError) as error:
         read_motion(path)

@@ -91,7 +91,7 @@ def test_a_chessboard_is_found_whole_or_not_at_all(rlbot: System) -> None:
 
 
 @pytest.mark.parametrize(("distance", "detectable"), [(4.0, True), (5.0, False)])
-def test_small_squares_are_not_told_apart(rlbot: System, distance: float, detectable: bool) -> None:
+def test_small_squares_are_not_detected(rlbot: System, distance: float, detectable: bool) -> None:
     assert (rlbot.cameras[CAMERA].camera.fx * 0.06 / distance > LEAST_SQUARE) == detectable
     seen = views(rlbot, in_front(rlbot, distance=distance))
     assert seen.detectable.all() == seen.seen.all() == seen.seen.any() == detectable

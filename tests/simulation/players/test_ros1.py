@@ -156,7 +156,7 @@ def test_a_response_without_success_counts_as_saved() -> None:
 
 
 @given(st.text(max_size=2 * LONGEST))
-def test_what_others_say_is_one_short_line(text: str) -> None:
+def test_foreign_text_is_one_short_line(text: str) -> None:
     line = one_line(text)
     assert len(line) <= LONGEST
     assert line.isprintable()
@@ -169,7 +169,7 @@ def test_a_call_that_hangs_is_given_up() -> None:
         within(0.05, lambda: time.sleep(0.5), "/save")
 
 
-def test_who_waits_for_a_call_can_be_stopped() -> None:
+def test_waiting_for_a_call_can_be_interrupted() -> None:
     go_on, asked = threading.Event(), []
 
     def stopped() -> None:

@@ -78,7 +78,7 @@ def test_where_the_lens_shows_nothing_it_is_black() -> None:
     assert seen.radiance[120, 160].all()
 
 
-def test_a_still_camera_has_one_background_and_nobody_may_draw_on_it() -> None:
+def test_a_fixed_camera_has_one_cached_read_only_background() -> None:
     scene = Scene(ground=0.0)
     seen = background(CAMERA, T_WORLD_CAMERA, scene)
     assert background(CAMERA, T_WORLD_CAMERA.copy(), scene) is seen

@@ -98,7 +98,7 @@ def test_nothing_is_measured_of_nothing() -> None:
     assert (render(exact(), board(square_on(CHARUCO, 0, 0, -1.0))) == NO_RETURN).all()
 
 
-def test_a_wild_noise_gives_no_wrapped_depth() -> None:
+def test_large_noise_does_not_overflow_the_depth() -> None:
     depth = render(exact(noise=10.0), board(square_on(CHARUCO, 0, 0, 1.0)))
     measured = depth[60:180, 60:260]
     assert (measured == NO_RETURN).mean() > 0.5

@@ -82,7 +82,7 @@ def test_one_pixel_to_the_right_is_the_image_one_pixel_to_the_right() -> None:
     assert np.abs(there[:, 1:] - here[:, :-1]).mean() < 0.1
 
 
-def test_moving_the_whole_world_changes_nothing() -> None:
+def test_a_common_motion_of_the_scene_and_the_camera_changes_nothing() -> None:
     box = Box(from_xyz_rpy([3, 0.3, 1], [0.3, 0.1, 0.2]), np.ones(3))
     scene = Scene(light=Light(0.5, 0.5), boxes=(box, wall(5.0, (50, 60, 70))))  # no sky: it stays above
     moved = from_xyz_rpy([5, -3, 2], [0.4, -1.2, 2.0])
@@ -118,7 +118,7 @@ def test_an_image_is_the_mean_of_a_four_times_finer_one(distortion: PlumbBob) ->
     assert abs(difference.mean()) < 0.1
 
 
-def test_what_stands_in_front_hides() -> None:
+def test_nearer_objects_occlude() -> None:
     T = square_on(CHESSBOARD, 0, 0, 1.0)
     box = Box(T_WORLD_CAMERA @ from_xyz_rpy([0.05, 0, 0.6], [0, 0, 0]), np.array([0.08, 0.3, 0.02]), (120, 120, 120))
     behind = replace(box, T_world_box=T_WORLD_CAMERA @ from_xyz_rpy([0.05, 0, 1.2], [0, 0, 0]))

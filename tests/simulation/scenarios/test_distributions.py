@@ -80,7 +80,7 @@ def test_moments_of_the_normal_ones(mean: float, sigma: float) -> None:
     assert pstdev(values) == pytest.approx(sigma, rel=0.02, abs=1e-5 * abs(mean))
 
 
-def test_a_cut_normal_one_is_the_whole_one_between_its_limits() -> None:
+def test_a_truncated_normal_equals_the_normal_between_its_limits() -> None:
     cut = [Normal(0, 1, -1, 2).value(u) for u in EVENLY]
     whole = [value for u in [(i + 0.5) / 10000 for i in range(10000)] if -1 <= (value := Normal(0, 1).value(u)) <= 2]
     assert fmean(cut) == pytest.approx(fmean(whole), abs=2e-3)
@@ -98,7 +98,7 @@ def test_half_of_a_log_uniform_one_is_below_the_geometric_mean() -> None:
     assert LogUniform(0.01, 100).value(0.25) == 0.1
 
 
-def test_choices_and_integers_come_equally_often() -> None:
+def test_choices_and_integers_are_equally_likely() -> None:
     assert [Choice((1.0, 2.0, 2.0, 5.0)).value(u) for u in (0, 0.24, 0.26, 0.5, 0.74, 0.76)] == [1, 1, 2, 2, 2, 5]
     values = [Integers(-1, 2).value(u) for u in EVENLY]
     assert {value: values.count(value) for value in values} == {-1: 250, 0: 250, 1: 250, 2: 250}

@@ -46,7 +46,7 @@ def test_a_driver_may_be_a_magnitude_or_make_the_error_smaller() -> None:
     assert "|light|" not in found  # it never is below 0
 
 
-def test_chance_alone_seldom_stands_out() -> None:
+def test_chance_is_rarely_significant() -> None:
     """Of 60 sets of scenarios without any driver, each with 30 parameters, hardly one has one that stands out."""
     wrong = sum(find_drivers(scenarios(40, 30, seed), noise(40, seed + 1000))[0].stands_out for seed in range(60))
     assert wrong <= 4
@@ -81,7 +81,7 @@ def test_what_never_varies_is_left_out() -> None:
     assert {driver.name for driver in find_drivers(values, noise(20))} == {"p00", "p01"}
 
 
-def test_nothing_is_said_of_few_scenarios_or_of_equal_ones() -> None:
+def test_no_drivers_for_few_or_equal_scenarios() -> None:
     assert find_drivers(scenarios(LEAST_SCENARIOS - 1, 3), noise(LEAST_SCENARIOS - 1)) == []
     assert find_drivers(scenarios(20, 3), [1.0] * 20) == []
     assert find_drivers([{"a": 1.0}] * 20, noise(20)) == []

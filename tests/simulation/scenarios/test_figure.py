@@ -42,7 +42,7 @@ def test_the_same_report_gives_the_same_picture() -> None:
     assert figure(report(30), "30 scenarios") != figure(report(30, 1), "30 scenarios")
 
 
-def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_the_error_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InputError, match=r"pip install matplotlib"):
         figure(report(3), "3 scenarios")

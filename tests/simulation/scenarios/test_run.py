@@ -107,7 +107,7 @@ def test_a_scenario_without_a_motion_does_not_lose_the_others(read_set: ReadSet)
     assert len(walled.reasons) == 1
 
 
-def test_a_scenario_in_the_dark_says_that_no_pose_gave_a_collection(read_set: ReadSet) -> None:
+def test_a_dark_scenario_fails_without_collections(read_set: ReadSet) -> None:
     scenarios = read_set("light: {ambient: 0, intensity: 0}\nmotion: {poses: 2}")
     (result,) = run_scenarios(scenarios, [3], 1)
     assert (result.poses, result.kept, result.converged) == (2, 0, False)

@@ -52,7 +52,7 @@ def test_joints_vary_by_the_unit_of_their_parameters(read_set: ReadSet) -> None:
     assert set(read_set("joints: {rotation_deg: 1}", "riwbot").scenario(1, 0).values) == set()
 
 
-def test_what_is_said_of_one_sensor_stands_before_what_is_said_of_all(read_set: ReadSet) -> None:
+def test_an_entry_of_one_sensor_overrides_that_of_all(read_set: ReadSet) -> None:
     scenarios = read_set("cameras: {exposure: 1.5, k1: 0.1}\nsensors: {right_camera: {exposure: 2, translation_mm: 1}}")
     values = scenarios.scenario(1, 0).values
     assert (values["left_camera.exposure"], values["right_camera.exposure"]) == (1.5, 2)

@@ -32,7 +32,7 @@ def test_it_is_a_schema_of_the_set_that_ships() -> None:
         "constraints: [{parameter: scene.clearance_m, min: 1}, {less: [scene.clearance_m, scene.clearance_m]}]",
     ],
 )
-def test_both_take_what_is_right(read_set: ReadSet, text: str) -> None:
+def test_both_accept_valid_documents(read_set: ReadSet, text: str) -> None:
     read_set(text)
     VALIDATOR.validate(yaml.safe_load(text))
 

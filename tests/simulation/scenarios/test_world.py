@@ -21,7 +21,7 @@ def world(system: System, **values: float) -> System:
     return build_world(system, Scenario(1, 0, {name.replace("__", "."): value for name, value in values.items()}))
 
 
-def test_a_scenario_that_says_nothing_changes_nothing(systems: dict[str, System]) -> None:
+def test_an_empty_scenario_changes_nothing(systems: dict[str, System]) -> None:
     system = systems["t2rgb"]
     same = world(system)
     assert same.robot is system.robot
@@ -106,7 +106,7 @@ def test_patterns_are_bent_and_sway(systems: dict[str, System]) -> None:
     assert changed.sway == 0.0005
 
 
-def test_motions_keep_to_the_ranges_of_their_world(systems: dict[str, System]) -> None:
+def test_motions_are_within_the_ranges_of_their_scenario(systems: dict[str, System]) -> None:
     changed = world(
         systems["t2rgb"],
         motion__nearest_m=2,
@@ -127,7 +127,7 @@ def test_motions_keep_to_the_ranges_of_their_world(systems: dict[str, System]) -
 
 
 @pytest.mark.parametrize("name", ["t2rgb", "rlbot", "riwbot"])
-def test_occluders_stand_before_a_camera_nearer_than_the_pattern(systems: dict[str, System], name: str) -> None:
+def test_occluders_are_between_a_camera_and_the_pattern(systems: dict[str, System], name: str) -> None:
     system = systems[name]
     scenario = Scenario(1, 3, {"occluders.count": 20, "occluders.size_m": 0.1})
     built = build_world(system, scenario)
