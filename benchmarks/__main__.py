@@ -19,6 +19,7 @@ from benchmarks.rows import HEADER, Bar, Row
 MODULES = {
     "speed": "the least squares and the whole solve, in passes over the data",
     "peers": "against mrcal and scipy from the same start",
+    "whole": "a whole calibrate beside a kept commit",
     "growth": "time and memory from 2000 to 20 000 collections",
     "consistency": "errors against their stated covariance",
     "robots": "joints, several patterns and a moving base: truth, error bars, cost, what is refused",
