@@ -111,7 +111,7 @@ def _blocks(exact: Dataset, found: Calibration) -> Iterator[tuple[str, tuple[flo
         yield edge[1], _score(local(found.transforms[edge], exact.transforms[edge][0]), covariance)
     for joint in found.joints.values():
         at = [JOINT_PARAMETERS.index(parameter) for parameter in joint.parameters]
-        yield joint.name, _score(joint.values - exact.joints[joint.name].values[at], joint.covariance)
+        yield joint.name, _score(joint.values - exact.joints[joint.name].values[at], joint.label_covariance)
 
 
 def _score(error: Array, covariance: Array) -> tuple[float, int]:

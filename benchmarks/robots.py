@@ -67,7 +67,7 @@ def _error_bars(scenes: int) -> Iterator[Row]:
             result = calibrate(_off(dataset, 0.02), Options(loss="linear"))
             for joint in result.joints.values():
                 e = _error(joint.values, dataset, joint.name)
-                scores.setdefault(joint.name, []).append(float(e @ np.linalg.solve(joint.covariance, e)) / len(e))
+                scores.setdefault(joint.name, []).append(float(e @ np.linalg.solve(joint.label_covariance, e)) / len(e))
         mean = float(np.mean([each for block in scores.values() for each in block]))
         spread = ", ".join(f"{block} {np.mean(each):.2f}" for block, each in scores.items())
         yield Row(f"robots/NEES, {name}", mean, "", Bar(0.8, 1.2), f"of its expectation, {scenes} scenes: {spread}")
