@@ -114,7 +114,7 @@ def test_a_full_disk_while_writing(collected: Writer, tmp_path: Path, monkeypatc
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(dataset_folder, "place", full)
+    monkeypatch.setattr(dataset_folder, "link_or_copy", full)
     with pytest.raises(InfrastructureError, match="output: cannot be written: No space left on device"):
         write(tmp_path / "output", collected)
     assert list(tmp_path.iterdir()) == []
