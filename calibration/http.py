@@ -176,7 +176,7 @@ class Http:
             if method not in ("GET", "HEAD"):
                 raise InfrastructureError(f"{sends}, which is not followed: check {self._address}")
             if urlsplit(target).scheme != "https" and not same:
-                raise InfrastructureError(f"{sends}, which is not safe: https was expected")
+                raise InfrastructureError(f"{sends}, which is unencrypted: https was expected")
             if not same:
                 headers = {name: value for name, value in headers.items() if name != "Authorization"}
             url = target

@@ -25,7 +25,7 @@ class _Loader(yaml.SafeLoader):
         sizes: dict[int, int] = {}
         if _unfolded(node, sizes) > len(sizes) + MAX_ALIASED:
             raise yaml.constructor.ConstructorError(
-                None, None, f"its aliases stand for more than {MAX_ALIASED} values", node.start_mark
+                None, None, f"its aliases expand to more than {MAX_ALIASED} values", node.start_mark
             )
         return super().construct_document(node)
 

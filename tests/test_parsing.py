@@ -25,7 +25,7 @@ def bomb(levels: int) -> str:
 @pytest.mark.parametrize("text", [bomb(9), "systems: &a\n  again: *a\n", "&a [*a]"])
 def test_aliases_of_aliases_are_refused(tmp_path: Path, text: str) -> None:
     path = written(tmp_path / "calibration.yml", text)
-    with pytest.raises(InputError, match=rf"calibration\.yml:1: .* aliases stand for more than {MAX_ALIASED} values"):
+    with pytest.raises(InputError, match=rf"calibration\.yml:1: .* aliases expand to more than {MAX_ALIASED} values"):
         read_yaml(path, "a configuration")
 
 

@@ -55,15 +55,17 @@ class MatrixSettings:
     rules: Path | None = field("YAML file of rules for the table of every cell.", default=None)
     software: Mapping[str, Any] = dataclass_field(default_factory=dict)
     """Keys of the team's software that replace those of the configuration."""
-    registry_username: str | None = field("User of the registry of image, where it is private.", default=None)
+    registry_username: str | None = field("User of the registry of image, if it is private.", default=None)
     password_variable: str | None = None
     backend: str | None = field("Where its containers run: docker (this machine), or aws-batch (docker).", default=None)
     aws_batch: Path | None = field("YAML file with the section aws-batch (config, or calibration.yml).", default=None)
-    run: str | None = field("Name of the run on AWS Batch; a new one unless given.", default=None)
+    run: str | None = field("Name of the run on AWS Batch (a new one).", default=None)
     resume: bool = field(
         "On AWS Batch: run only what is missing of the run of this name, or into this folder.", default=False
     )
-    jobs: Annotated[int, at_least(1)] | None = field("Processes, or containers at once (one a core).", default=None)
+    jobs: Annotated[int, at_least(1)] | None = field(
+        "Number of parallel processes or containers (one per core).", default=None
+    )
     fail_fast: bool = field("The first cell that fails stops the others.", default=False)
     output: Path = field("Folder for results, tables and datasets (output).", default=Path("output"))
 

@@ -70,5 +70,5 @@ def clean_up(leftovers: Leftovers[Any], run: str | None, everything: bool, dry_r
             runner.log(aligned(leftovers.header, [each.row for each in chosen]))
     runner.log(leftovers.summary(chosen, dry_run))
     if others := len(found) - len(chosen):
-        runner.log(f"{others} left alone: their run goes on, or may go on elsewhere (--all removes them too)")
+        runner.log(f"{others} kept: their run is active, or may be active elsewhere (--all removes them too)")
     return ExitCode.PASS

@@ -87,9 +87,7 @@ def _check(settings: CollectionSettings, backend: str, applications: bool) -> No
         if backend == EMBEDDED:
             raise InputError(f"backend: found {EMBEDDED}; applications run in containers: {containers}")
         if settings.scenario_set is not None:
-            raise InputError(
-                "scenario-set: scenarios vary in our own simulation only; applications are told {scenario}"
-            )
+            raise InputError("scenario-set: scenarios vary in our own simulation only; applications receive {scenario}")
         if settings.scenarios is not None and settings.scenario is not None:
             raise InputError("scenario: give either scenarios (how many) or scenario (the id of one)")
         if settings.resume and settings.scenarios is None and not KINDS[backend].resumes:

@@ -32,14 +32,14 @@ class CollectionSettings:
     robot: Path | None = field("URDF file, in place of the system's robot.urdf.", default=None)
     config: Path | None = field("ATOM's calibration configuration, in place of the system's config.yml.", default=None)
     motion: str | None = field(
-        "Motion sequence (JSON), or generate:N; the system's motion.json unless given.", default=None
+        "Motion sequence (JSON), or generate:N; by default the system's motion.json.", default=None
     )
     scenarios: Annotated[int, at_least(1)] | None = field(
         "Number of scenarios of the set, or of datasets of the applications.", default=None
     )
     scenario_set: Path | None = field("YAML file of the parameters that vary between scenarios.", default=None)
     scenario: str | None = field("Only this scenario, with its images: s1-00017 (seed 1, number 17).", default=None)
-    minimum_success_rate: Share = field("Share of the scenarios that has to pass, 0 to 1 (1).", default=1.0)
+    minimum_success_rate: Share = field("Share of the scenarios that must pass, 0 to 1 (1).", default=1.0)
     seed: Annotated[int, at_least(0)] = field(
         "Seed of the noise, of a generated motion, of the scenarios (1).", default=1
     )
@@ -50,7 +50,7 @@ class CollectionSettings:
     stillness_mm: Tolerance | None = field("Largest movement of the pattern during a collection, mm (2).", default=None)
     backend: str | None = field("embedded, or containers on docker or aws-batch.", default=None)
     aws_batch: Path | None = field("YAML file with the section aws-batch (calibration.yml).", default=None)
-    run: str | None = field("Name of the run in containers or the cloud; a new one unless given.", default=None)
+    run: str | None = field("Name of the run in containers or the cloud (a new one).", default=None)
     resume: bool = field("Run only what is missing of an earlier run into this folder, or of this name.", default=False)
     applications: Path | None = field("YAML file of the team's applications, each in a container.", default=None)
     image: str | None = field(
@@ -68,7 +68,9 @@ class CollectionSettings:
     timeout: str | None = field(
         "Time limit of the applications, or of a scenario in a container: 10m (1h).", default=None
     )
-    jobs: Annotated[int, at_least(1)] | None = field("Processes, or containers at once (one a core).", default=None)
+    jobs: Annotated[int, at_least(1)] | None = field(
+        "Number of parallel processes or containers (one per core).", default=None
+    )
     output: Path = field("Folder for the dataset, or for the report on the scenarios.")
     overwrite: bool = field("Replace a dataset that the folder has.", default=False)
 
@@ -142,7 +144,7 @@ def applications_entry(settings: CollectionSettings) -> dict[str, Any]:
         name: {"command": command} for name, command in commands.items() if command is not None
     }
     if settings.applications is not None and containers:
-        raise InputError("applications: excludes simulation-command and robot-command, which a file says itself")
+        raise InputError("applications: excludes simulation-command and robot-command, which are part of the file")
     entry: dict[str, Any] = {"containers": containers} if containers else {}
     if "robot" in containers and "simulation" in containers:
         containers["robot"]["after"] = ["simulation"]

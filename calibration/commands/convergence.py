@@ -123,12 +123,12 @@ class ConvergenceSettings:
 @click.option(
     "--minimum-translation-noise",
     type=non_negative,
-    help="Every start has to converge up to this, m, without rotation.",
+    help="Every start must converge up to this, m, without rotation.",
 )
 @click.option(
     "--minimum-rotation-noise",
     type=non_negative,
-    help="Every start has to converge up to this, rad, without translation.",
+    help="Every start must converge up to this, rad, without translation.",
 )
 @click.option("--output", type=path, default=Path("output"), help="Folder for results, tables and figures (output).")
 @click.pass_context
@@ -162,7 +162,7 @@ def convergence(settings: ConvergenceSettings, runner: Runner) -> ExitCode:
     remove_results(asked.output, ALL_FILES)
     software = bool(matrix.software)
     total = sum(len(each.cells) for each in matrices)
-    runner.log(f"{count_of(total, 'start')}; a sweep that is stopped goes on where it was, by the same command")
+    runner.log(f"{count_of(total, 'start')}; a stopped sweep is continued by the same command")
     with progress(runner, TITLE, bar=not software, kept="starts") as advance:
 
         def done(number: int, total: int, cell: CellResult) -> None:

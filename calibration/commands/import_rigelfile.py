@@ -21,7 +21,7 @@ from calibration.workflow.text import one_line
     "--file", type=path, default="Rigelfile", show_default=True, help="Rigelfile to read, or RoboMaker's request."
 )
 @click.option("--output", type=path, default="calibration.yml", show_default=True, help="File to write.")
-@boolean_option("--overwrite", help="Replace the file to write, where there is one.")
+@boolean_option("--overwrite", help="Replace an existing output file.")
 def command(file: Path, output: Path, overwrite: bool) -> ExitCode:
     """Write a calibration.yml from a Rigelfile, and list what could not be converted.
 

@@ -48,8 +48,8 @@ class IntrospectionSettings:
 @record_options(RuleEntry, "max-increase", "max-decrease")
 @click.option("--baseline", type=path, help="CSV file that max-increase and max-decrease compare with.")
 @record_options(RuleSet, "required-rows", "min-rows", "key-column", "exclude-summary-rows", "summary-rows")
-@click.option("--delimiter", help="comma, semicolon, tab, pipe or a character (recognised unless given).")
-@click.option("--encoding", type=text, help="Text encoding (recognised unless given).")
+@click.option("--delimiter", help="comma, semicolon, tab, pipe or a character (detected).")
+@click.option("--encoding", type=text, help="Text encoding (detected).")
 @click.option("--output", type=path, help="Folder for results.json, junit.xml and summary.md.")
 def command(**options: Any) -> ExitCode:
     """Check tables against rules; the verdict is fail if a value breaks one.

@@ -75,7 +75,7 @@ def minute_rate(value: str | float) -> float:
 @boolean_option(
     "--noise-inside-cells",
     default=None,
-    help="One job calibrates a system from all its noises (where that takes about a minute).",
+    help="Calibrate a system from all its noises in one job (if that takes about a minute).",
 )
 @click.option("--image", type=text, help="Image with the team's own calibration.")
 @click.option("--command", type=text, help="Command of this image.")

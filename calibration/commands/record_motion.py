@@ -43,7 +43,7 @@ class RecorderSettings:
 @click.option("--system", type=text, required=True, help="Name of a system in datasets/, or the folder of one.")
 @click.option("--robot", type=path, help="URDF file, in place of the system's robot.urdf.")
 @click.option("--config", type=path, help="ATOM's calibration configuration, in place of the system's config.yml.")
-@click.option("--motion", type=path, help="Motion sequence (JSON) to begin with; none unless given.")
+@click.option("--motion", type=path, help="Motion sequence (JSON) to begin with.")
 @click.option(
     "--output", type=path, default="motion.json", show_default=True, help="File that the sequence is exported to."
 )

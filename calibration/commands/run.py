@@ -33,7 +33,7 @@ class RunSettings:
 @click.option("--config", type=path, help="The configuration (calibration.yml).")
 @click.option("--output", type=path, help="Folder for results, tables and datasets (output).")
 @click.option("--only", type=TEXT_LIST, help=f"Only these stages: {', '.join(STAGES)}.")
-@click.option("--jobs", type=count, help="Processes, or containers at once (one a core).")
+@click.option("--jobs", type=count, help="Number of parallel processes or containers (one per core).")
 @boolean_option("--push", default=None, help="Push the image; if false, it is not promoted either (as in config).")
 def command(**options: Any) -> ExitCode:
     """Run the pipeline of calibration.yml, stage by stage; the verdict is fail if one of them fails."""

@@ -149,7 +149,7 @@ def lost(error: Exception | None = None) -> EngineLostError:
 
 def engine_message(error: APIError) -> str:
     """Return the engine's error message on one line."""
-    return shorten(one_line(f"the Docker Engine says: {error.explanation or error}"), 400)
+    return shorten(one_line(f"the Docker Engine reports: {error.explanation or error}"), 400)
 
 
 def is_our_fault(error: APIError) -> bool:

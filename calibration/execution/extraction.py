@@ -192,7 +192,7 @@ def path_parts(name: str) -> tuple[str, ...]:
     if name.startswith("/") or ".." in parts or not parts:
         raise RefusedError(f"artifact '{_shown(name)}' leaves its folder")
     if len(parts) > DEEPEST:
-        raise RefusedError(f"artifact '{_shown(name)}' lies in more than {DEEPEST} folders")
+        raise RefusedError(f"artifact '{_shown(name)}' is nested in more than {DEEPEST} folders")
     for part in parts:
         if not part.isprintable() or "\\" in part or len(part.encode("utf-8", "surrogateescape")) > _LONGEST_NAME:
             raise RefusedError(f"artifact '{_shown(name)}' has a name that some file systems do not allow")

@@ -118,7 +118,7 @@ def _problems(container: Container) -> Iterator[str]:
         if not _is_plain_absolute(artifact.path):
             yield f"artifact '{artifact.path}': expected an absolute path in the container without . and .."
         elif Glob(artifact.path).source == "/":
-            yield f"artifact '{artifact.path}': all of the container would have to be read; name a folder"
+            yield f"artifact '{artifact.path}': the whole container would have to be read; give a folder"
     if not all(0 <= code <= _HIGHEST_CODE for code in container.success):
         yield f"success: found {list(container.success)}, expected exit codes from 0 to 255"
 

@@ -33,7 +33,7 @@ def test_objects_of_another_version(engine: "DockerClient", capsys: pytest.Captu
     try:
         assert main(["cleanup"]) == 0  # its owner is unknown
         assert len(find_leftovers(engine.api, run)) == 1
-        assert "left alone" in capsys.readouterr().out
+        assert "kept: their run" in capsys.readouterr().out
         assert main(["cleanup", "--all", "--dry-run"]) == 0
         shown = capsys.readouterr().out
         assert run in shown

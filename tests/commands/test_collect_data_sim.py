@@ -163,7 +163,7 @@ def test_red_is_red(small: Path, motion: Path, tmp_path: Path, capsys: pytest.Ca
         ),
         (
             ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--scenario-set", "s", "--scenarios", "2"),
-            "scenario-set: scenarios vary in our own simulation only; applications are told {scenario}",
+            "scenario-set: scenarios vary in our own simulation only; applications receive {scenario}",
         ),
         (
             ("--system", "t2rgb", "--robot-command", "run", "--image", "i", "--player", "ros1"),

@@ -53,12 +53,12 @@ def api_error(status: int, said: str) -> docker.errors.APIError:
 @pytest.mark.parametrize(
     ("error", "kind", "message"),
     [
-        (api_error(400, "no command\nspecified"), InputError, "here: the Docker Engine says: no command specified"),
+        (api_error(400, "no command\nspecified"), InputError, "here: the Docker Engine reports: no command specified"),
         (api_error(500, "unable to find user x"), InputError, "unable to find user x"),
         (
             api_error(500, "layer does not exist"),
             InfrastructureError,
-            "here: the Docker Engine says: layer does not exist",
+            "here: the Docker Engine reports: layer does not exist",
         ),
         (requests.ConnectionError("gone"), EngineLostError, "does not answer any more: gone"),
         (requests.exceptions.ChunkedEncodingError("cut"), EngineLostError, "does not answer any more: cut"),

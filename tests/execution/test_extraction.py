@@ -99,7 +99,7 @@ def test_a_file_by_its_name(tmp_path: Path) -> None:
             entry("out/x", size=10 * 1024**3),
             "artifact 'out/x' has 10 GiB: more than the 1 MiB allowed for the artifacts",
         ),
-        (entry("out/" + "d/" * 70 + "x", b"x"), "lies in more than 64 folders"),
+        (entry("out/" + "d/" * 70 + "x", b"x"), "is nested in more than 64 folders"),
         (entry("out/" + "n" * 256, b"x"), "has a name that some file systems do not allow"),
         (entry("out/a\nb", b"x"), r"artifact 'out/a b' has a name that some file systems do not allow"),
         (entry("out/a\x1b[2J", b"x"), r"artifact 'out/a\x1b[2J' has a name"),

@@ -115,7 +115,7 @@ def test_wrong_rules_in_a_rigelfile(path: Path, limits: str, message: str) -> No
         ("", "found null, expected keys: rules, key-column"),
         ("rules: [", "this is not valid YAML"),
         ("a: 1\nb: 2\na: 3\n", "the key 'a' occurs twice"),
-        ("a: &x [*x]", "its aliases stand for more than"),
+        ("a: &x [*x]", "its aliases expand to more than"),
         ("rules: !!python/object/apply:os.system [echo]", "this is not valid YAML: could not determine a constructor"),
         ("rules: !!python/tuple 3", "this is not valid YAML"),
         ("? {a: b}\n: 1\n", "this is not valid YAML"),

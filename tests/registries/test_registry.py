@@ -373,9 +373,9 @@ def test_untrusted_tls(certificate: Path, monkeypatch: pytest.MonkeyPatch, pause
 @pytest.mark.parametrize(
     ("location", "message"),
     [
-        ("http://203.0.113.7/x", "to http://203.0.113.7, which is not safe"),
-        ("http://user:secret@127.0.0.1:1/x", "to http://127.0.0.1, which is not safe"),
-        ("file:///etc/passwd", "to file://, which is not safe"),
+        ("http://203.0.113.7/x", "to http://203.0.113.7, which is unencrypted"),
+        ("http://user:secret@127.0.0.1:1/x", "to http://127.0.0.1, which is unencrypted"),
+        ("file:///etc/passwd", "to file://, which is unencrypted"),
         ("/again", "redirects more than 5 times"),
         ("http://[", "failed"),
     ],

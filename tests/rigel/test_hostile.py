@@ -32,7 +32,7 @@ LAUGHS = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
         ("jobs: {a: {plugin: x, with: {v: !!python/tuple {a: b}}}}", "this is not valid YAML"),
         ("jobs: !Custom x", "could not determine a constructor"),
         (f"jobs: {{}}\n{LAUGHS}", "more than 100000 values"),
-        ("jobs: &a {x: *a}", "aliases stand for more than"),
+        ("jobs: &a {x: *a}", "aliases expand to more than"),
         ("jobs: " + "[" * 60 + "]" * 60, "nested more than 40 deep"),
         ("jobs: " + "{a: " * 60 + "1" + "}" * 60, "nested more than 40 deep"),
         ("[" * 100_000, "nested too deeply"),

@@ -53,7 +53,7 @@ class Estimate:
         if settings.platform == "ec2":
             said += " and instances are filled"
         if self.unlimited:
-            said += f"; without {self.unlimited} job{'s' * (self.unlimited != 1)} that may run for ever"
+            said += f"; not including {self.unlimited} job{'s' * (self.unlimited != 1)} without a time limit"
         return said
 
 

@@ -335,7 +335,7 @@ def _check_artifacts(outcome: TaskOutcome, job: Job, where: str) -> None:
         if file.container not in names:
             raise InfrastructureError(f"{where}: artifacts: there is no container '{shorten(file.container)}'")
         if file.path in paths:
-            raise InfrastructureError(f"{where}: artifacts: '{file.path}' stands there twice")
+            raise InfrastructureError(f"{where}: artifacts: '{file.path}' occurs twice")
         paths.add(file.path)
     for file in outcome.artifacts:
         above = file.path.split("/")[:-1]

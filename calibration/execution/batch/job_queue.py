@@ -72,7 +72,7 @@ def check_queue(aws: Aws, settings: BatchSettings, needs: Sequence[Resources]) -
     usable = [each for each in environments if _is_fine(each)]
     if not usable:
         states = "; ".join(f"{_name(each)} is {_state(each)}" for each in environments)
-        raise InputError(f"{where}: none of its compute environments takes jobs: {states or 'it has none'}")
+        raise InputError(f"{where}: none of its compute environments accepts jobs: {states or 'it has none'}")
     _check_kinds(usable, settings, where)
     _check_sizes(usable, needs, where)
 
@@ -111,7 +111,7 @@ def _check_sizes(environments: Sequence[Mapping[str, Any]], needs: Sequence[Reso
     if known and len(known) == len(limits) and most > max(known):
         raise InputError(
             f"{where}: a job needs {most:g} vCPUs, but its compute environments have at most {max(known)} (maxvCpus): "
-            "it would wait for ever"
+            "it would never start"
         )
 
 

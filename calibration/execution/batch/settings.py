@@ -75,7 +75,7 @@ class Prices:
     )
 
 
-@record(rules=(needs("priority", "share", "priority orders the jobs of a share: say share too"),))
+@record(rules=(needs("priority", "share", "priority orders the jobs of a share: set share too"),))
 class BatchSettings:
     """Settings of AWS Batch: queue, and the environment of a job's containers."""
 

@@ -19,7 +19,7 @@ def test_an_estimate_is_an_upper_bound() -> None:
     assert found.usage == Usage(3600, 1, 3)  # a task of 1 CPU and 3 GiB
     assert found.unlimited == 1
     assert found.text(SETTINGS) == (
-        "at most 1 vCPU-hours and 3 GB-hours, if no host is lost; without 1 job that may run for ever"
+        "at most 1 vCPU-hours and 3 GB-hours, if no host is lost; not including 1 job without a time limit"
     )
     priced = replace(SETTINGS, prices=PRICES)
     assert found.text(priced).startswith("at most 1 vCPU-hours and 3 GB-hours, 0.06 EUR, if")  # 0.04 + 3 * 0.005

@@ -97,7 +97,7 @@ def artifact(**changes: Any) -> list[dict[str, Any]]:
         ({"artifacts": artifact(path="d//b")}, "path: found 'd//b', expected a plain path"),
         ({"artifacts": artifact(path="a\0b")}, "has a name that some file systems do not allow"),
         ({"artifacts": artifact(path="\ud800")}, "has a name that some file systems do not allow"),
-        ({"artifacts": artifact(path="d/a.csv")}, "'d/a.csv' stands there twice"),
+        ({"artifacts": artifact(path="d/a.csv")}, "'d/a.csv' occurs twice"),
         ({"artifacts": artifact(path="d")}, "'d' is a folder and a file"),
         ({"artifacts": artifact(container="x")}, "artifacts: there is no container 'x'"),
         ({"artifacts": artifact(size=41)}, "artifacts: found 101 bytes, at most 100 were expected"),

@@ -42,7 +42,7 @@ def aws(batch_emulator: FakeAws) -> Iterator[Aws]:
     [
         ({"state": "DISABLED"}, {}, "queue 'q': it is DISABLED and VALID: no job would start"),
         ({"status": "INVALID"}, {}, "queue 'q': it is ENABLED and INVALID"),
-        ({"environment_state": "DISABLED"}, {}, "none of its compute environments takes jobs: compute environment"),
+        ({"environment_state": "DISABLED"}, {}, "none of its compute environments accepts jobs: compute environment"),
         ({"environment_status": "INVALID"}, {}, "is ENABLED and INVALID"),
         ({"kind": "EC2"}, {}, "its hosts are EC2, but platform is fargate: set ec2, or name another queue"),
         ({}, {"platform": "ec2"}, "its hosts are FARGATE, but platform is ec2: set fargate"),
@@ -87,7 +87,7 @@ def test_queues_of_other_kinds(aws: Aws, monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(InputError, match=r"is of Kubernetes \(EKS\), expected one of ECS"):
         check_queue(aws, SETTINGS, [])
     answering(aws, monkeypatch, {})
-    with pytest.raises(InputError, match="none of its compute environments takes jobs: it has none"):
+    with pytest.raises(InputError, match="none of its compute environments accepts jobs: it has none"):
         check_queue(aws, SETTINGS, [])
     answering(aws, monkeypatch, {}, {"type": "UNMANAGED"})
     check_queue(aws, replace(SETTINGS, platform="ec2"), [Resources(99, 1)])
@@ -251,7 +251,7 @@ def test_cleanup_terminates_leftovers_of_killed_runs(
         said = capsys.readouterr().out
         assert "night.1" in said
         assert "night " not in said
-        assert "1 job or array in AWS Batch would be ended\n1 left alone" in said
+        assert "1 job or array in AWS Batch would be ended\n1 kept" in said
         assert len(running(batch_emulator)) == 3
 
         config = tmp_path / "calibration.yml"

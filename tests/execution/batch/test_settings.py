@@ -122,7 +122,7 @@ def test_every_key() -> None:
         ({"tags": {"a": "ü"}}, "tags.a: found 'ü', expected letters"),
         ({"tags": {"a": "b\n"}}, "aws-batch: tags.a: found 'b\\n', expected letters"),
         ({"queue": "robots\n"}, "aws-batch: queue: found 'robots\\n', expected the name"),
-        ({"priority": 1}, "priority orders the jobs of a share: say share too"),
+        ({"priority": 1}, "priority orders the jobs of a share: set share too"),
         ({"prices": {"vcpu-hour": 1}}, "prices: missing key 'gb-hour'"),
         ({"platform": "ec2", "disk": 30}, "disk: platform ec2 does not support it: remove it, or set fargate"),
         ({"platform": "ec2", "public_ip": True}, "public-ip: platform ec2 does not support it"),

@@ -75,11 +75,11 @@ def test_a_required_artifact_that_is_missing(tmp_path: Path) -> None:
         ("mkfifo x", "artifact 'output/x' is no file or folder, but a device or a pipe"),
         (
             "truncate -s 10G zeros",
-            "artifact 'output/zeros' has 10 GiB: more than the 2 GiB that the artifacts",
+            "artifact 'output/zeros' has 10 GiB: more than the 2 GiB allowed for the artifacts",
         ),
         ('touch "$(printf "bad\\377")"', "has a name that some file systems do not allow"),
         ('touch "$(printf "a\\nb")"', "artifact 'output/a b' has a name that some file systems do not allow"),
-        ("d=.; for i in $(seq 70); do d=$d/d; done; mkdir -p $d; touch $d/x", "lies in more than 64 folders"),
+        ("d=.; for i in $(seq 70); do d=$d/d; done; mkdir -p $d; touch $d/x", "is nested in more than 64 folders"),
     ],
 )
 def test_unsafe_artifacts_are_refused_by_name(tmp_path: Path, leave: str, message: str) -> None:

@@ -84,14 +84,14 @@ EAT = "bytearray(300 * 2**20)"
             End.NOT_STARTED,
             None,
             2,
-            "container 'a': the Docker Engine says: unable to find user nosuch",
+            "container 'a': the Docker Engine reports: unable to find user nosuch",
         ),
         (
             shell("true", limits=Limits(cpus=512)),
             End.NOT_STARTED,
             None,
             2,
-            "container 'a': the Docker Engine says: Range of CPUs is from 0.01 to",
+            "container 'a': the Docker Engine reports: Range of CPUs is from 0.01 to",
         ),
     ],
 )
@@ -262,7 +262,7 @@ def test_an_image_that_vanishes_after_it_was_found(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr("calibration.execution.docker.backend.find_images", lambda *_: found)
     outcome = run_job(tmp_path, shell("true"))
     assert outcome.exit_code == ExitCode.BAD_INPUT
-    assert outcome.reasons[0].startswith("container 'a': the Docker Engine says: No such image: sha256:000")
+    assert outcome.reasons[0].startswith("container 'a': the Docker Engine reports: No such image: sha256:000")
 
 
 def test_failed_removals_are_reported(tmp_path: Path, engine: "DockerClient") -> None:

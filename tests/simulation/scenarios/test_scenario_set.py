@@ -213,7 +213,7 @@ def test_the_set_that_ships_fits_every_system(systems: dict[str, System]) -> Non
             "constraints.0: less and min exclude each other",
         ),
         ("constraints: [{parameter: '__import__(\"os\")', min: 1}]", "which this scenario set does not draw"),
-        ("a: &a [*a, *a]", "1: this is not valid YAML: its aliases stand for more than 100000 values"),
+        ("a: &a [*a, *a]", "1: this is not valid YAML: its aliases expand to more than 100000 values"),
         ("light: !!python/object/apply:os.system [echo]", "this is not valid YAML"),
     ],
 )

@@ -76,7 +76,7 @@ def _without_links(folder: Path, path: str, parts: Sequence[str]) -> tuple[str, 
         inside = _inside(posixpath.join(OUTPUT, *done, to))
         if inside is None or links > _MOST_LINKS:
             shown = shorten(one_line(to), 200)
-            raise RefusedError(f"artifact '{path}' lies behind a link to '{shown}', which leaves the folder")
+            raise RefusedError(f"artifact '{path}' is behind a link to '{shown}', which leaves the folder")
         done, left = (), [*inside, *left]
     return done
 

@@ -57,10 +57,10 @@ def test_a_required_artifact_that_is_missing(tmp_path: Path) -> None:
         ("ln -s /etc/passwd x", "artifact 'output/x' is a link to '/etc/passwd', which leaves the folder"),
         ("mkfifo x", "artifact 'output/x' is no file or folder, but a device or a pipe"),
         ("mknod x c 1 5", "artifact 'output/x' is no file or folder, but a device or a pipe"),
-        ("truncate -s 10G x", "artifact 'output/x' has 10 GiB: more than the 2 GiB that the artifacts"),
+        ("truncate -s 10G x", "artifact 'output/x' has 10 GiB: more than the 2 GiB allowed for the artifacts"),
         ("touch $(seq 120)", "exceeds the limit of 100 artifacts of a job"),
         ('touch "$(printf "bad\\377")"', "has a name that some file systems do not allow"),
-        ("d=.; for i in $(seq 70); do d=$d/d; done; mkdir -p $d; touch $d/x", "lies in more than 64 folders"),
+        ("d=.; for i in $(seq 70); do d=$d/d; done; mkdir -p $d; touch $d/x", "is nested in more than 64 folders"),
     ],
 )
 def test_unsafe_artifacts_are_refused_by_name(tmp_path: Path, leave: str, message: str) -> None:
