@@ -49,7 +49,7 @@ class Settings:
     )
     max_total: tuple[str, ...] = field("Most findings, new or not, in the same form (no limit).", default=())
     suppressions: Path | None = field(f"File of what is accepted ({SUPPRESSIONS}, if there is one).", default=None)
-    timeout: str = field("How long one program may take, such as 5m (5m).", default="5m")
+    timeout: str = field("Time limit of one program, such as 5m (5m).", default="5m")
     output: Path | None = field("Folder for results.json, junit.xml, summary.md and findings.sarif.", default=None)
 
 

@@ -14,7 +14,7 @@ class Tool:
 
     name: str
     version: str = field("Empty where it has none of its own.")
-    files: int = field("How many files it looked at.")
+    files: int = field("Number of files that it analysed.")
 
 
 @result
@@ -30,14 +30,14 @@ class Results:
     """Results of static-analysis."""
 
     tools: tuple[Tool, ...] = field("The analysers that had files to look at.")
-    files: int = field("How many files at least one of them looked at.")
-    code_lines: int = field("How many lines those files have that are not empty.")
-    left_out: Mapping[str, str] = field("Why a file was not analysed, by its path.")
-    base: str | None = field("The commit that the change set out from; null where there is nothing to compare with.")
-    new: tuple[Finding, ...] = field("What the change has brought in.")
-    unchanged: tuple[Finding, ...] = field("What was there before; everything where there is no base.")
-    fixed: tuple[Finding, ...] = field("What is gone, at its line in the base.")
-    suppressed: tuple[Suppressed, ...] = field("What the team has accepted.")
+    files: int = field("Number of files that at least one of them analysed.")
+    code_lines: int = field("Number of non-empty lines of these files.")
+    left_out: Mapping[str, str] = field("Reason why a file was not analysed, by path.")
+    base: str | None = field("Base commit of the change; null if there is nothing to compare with.")
+    new: tuple[Finding, ...] = field("New findings of the change.")
+    unchanged: tuple[Finding, ...] = field("Findings of the base too; all findings if there is no base.")
+    fixed: tuple[Finding, ...] = field("Fixed findings, at their lines in the base.")
+    suppressed: tuple[Suppressed, ...] = field("Accepted findings.")
     remarks: tuple[str, ...] = field("Suppressions that have ended or cover nothing; why there is no base.")
     checks: tuple[Check, ...] = field("The limits.")
 

@@ -211,7 +211,7 @@ class Snapshot:
     passed: Count | None = field("Starts that passed.", default=None)
     starts: Count | None = field("Starts in all.", default=None)
     software: tuple[Start, ...] = field("Results of the team's software from each initial guess.", default=())
-    although: Name | None = field("Why it was accepted although the verdict was fail.", default=None)
+    although: Name | None = field("Reason for accepting it although the verdict was fail.", default=None)
 
 
 def snapshot(

@@ -16,7 +16,7 @@ class Update:
     before: str = field("Previously accepted value; empty if there was none.", default="")
     now: str = field("Now accepted value; empty if there is none.", default="")
     change: Change | None = field("The difference, if both exist.", default=None)
-    although: str | None = field("Why it was accepted although it had failed.", default=None)
+    although: str | None = field("Reason for accepting it although it had failed.", default=None)
 
 
 @result(kw_only=True)
@@ -31,7 +31,7 @@ class BaselineUpdate:
     updates: tuple[Update, ...] = field("Values that the change accepts.", default=())
     unused: tuple[str, ...] = field("Systems in it that the configuration does not have.", default=())
     problem: str | None = field("Reason why the base's baseline cannot be compared with.", default=None)
-    reasons: tuple[str, ...] = field("Why the verdict is fail.", default=())
+    reasons: tuple[str, ...] = field("Reasons of a fail verdict.", default=())
 
 
 def updates(before: Baseline | None, now: Baseline | None) -> tuple[Update, ...]:

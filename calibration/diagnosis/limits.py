@@ -31,11 +31,11 @@ class Limits:
         default=None,
         unit="mm",
     )
-    rotation_deg: Limit | None = field("The same of its rotation.", default=None, unit="degrees")
+    rotation_deg: Limit | None = field("Rotation error of a sensor, likewise.", default=None, unit="degrees")
     joint_mm: Limit | None = field("Error of a joint's length, likewise.", default=None, unit="mm")
     joint_deg: Limit | None = field("Error of a joint's angle, likewise.", default=None, unit="degrees")
     guard_band: Annotated[float, between(0, 10)] | None = field(
-        "By so many stated standard deviations limits must hold where there is no truth (2).", default=None
+        "Guard band of the limits without a truth, in standard deviations (2).", default=None
     )
 
     @property

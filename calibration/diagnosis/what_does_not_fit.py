@@ -58,7 +58,7 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
     explanation = explain(calibration.solution.model)
     if explanation is None:
         count = len(calibration.solution.model.G)
-        text = f"{count} collections are too few to test what is held (intrinsics, pattern, arm): take 8 or more"
+        text = f"{count} collections are too few to test fixed parameters (intrinsics, pattern, arm): take 8 or more"
         return (Finding(UNTESTED, "note", text),)
     findings = [_finding(calibration, limits, suspect) for suspect in explanation.suspects]
     findings += _together(calibration, limits, explanation.suspects, findings)
@@ -181,7 +181,7 @@ def _contradiction(calibration: Calibration, limits: Limits, explanation: Explan
     is_set = limits.translation_mm is not None or limits.rotation_deg is not None
     severity: Severity = "note" if not harmful else "red" if is_set else "warning"
     text = (
-        f"the views contradict each other by {noise}, most {subject} in collection {key}, and nothing that is held "
+        f"the views contradict each other by {noise}, most {subject} in collection {key}, and no fixed parameter "
         f"explains it: time stamps, or something that moved or gave way"
     )
     return [Finding("contradiction", severity, text, (subject,), (key,), value=found.ratio)]

@@ -190,4 +190,4 @@ def _readable(path: Path, what: str = "this bag cannot be read") -> Iterator[Non
         raise
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: {what}: {reason}; is it cut off, unindexed or encrypted?") from None
+        raise InputError(f"{path}: {what}: {reason}; is it truncated, unindexed or encrypted?") from None

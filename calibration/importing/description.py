@@ -42,7 +42,7 @@ class SensorDescription:
     )
     topic: Name | None = field("Topic of its images in a bag.", default=None)
     modality: Literal["rgb", "depth"] | None = field(
-        "What its images in a bag show: depth where the topic has that word (rgb).", default=None
+        "Kind of its images in a bag: depth if the topic has that word (rgb).", default=None
     )
     camera_info: Name | None = field("Topic of its intrinsics in a bag (camera_info beside the images).", default=None)
     intrinsics: Path | None = field(
@@ -95,7 +95,7 @@ class PatternDescription:
         "Gap between two tags of an aprilgrid, in sides of a tag (tagSpacing).", default=None
     )
     border: Annotated[float, between(0, MAX_SIZE)] = field(
-        "What the board has around the squares, m; for LiDARs and depth cameras.", default=0.0
+        "Margin of the board around the squares, m; for LiDARs and depth cameras.", default=0.0
     )
     parent: Name | None = field(
         "Frame that it is mounted on (the world); on any other it is fixed, and its pose there calibrated.",
@@ -187,9 +187,7 @@ class ImportDescription:
         default=None,
     )
     samples: Samples | None = field("Poses of a robot arm.", default=None)
-    anchored: Name | None = field(
-        "The sensor that stays where it is (the first, where only patterns move).", default=None
-    )
+    anchored: Name | None = field("The sensor with a fixed pose (the first, if only patterns move).", default=None)
 
     def __post_init__(self) -> None:
         """Refuse inconsistent keys.

@@ -25,7 +25,7 @@ class FoundCorners:
 
     ids: tuple[int, ...] = field("Of the corners.")
     pixels: tuple[float, ...] = field("x and y of each corner, one after the other.", unit="px")
-    reason: str = field("Why the pattern is not detected; empty where it is.", default="")
+    reason: str = field("Reason why the pattern is not detected; empty if it is.", default="")
 
     @property
     def labels(self) -> CornerLabels | None:
@@ -78,7 +78,7 @@ def decoded_image(data: bytes, where: str) -> Image:
     except cv2.error as error:
         raise InputError(f"{where}: this image cannot be read: {error.err}") from None
     if image is None or image.size > 3 * MAX_PIXELS:
-        raise InputError(f"{where}: this is no image that can be read, or it is cut off or too large")
+        raise InputError(f"{where}: this is not a readable image, or it is truncated or too large")
     return np.asarray(image, np.uint8)
 
 

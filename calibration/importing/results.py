@@ -18,9 +18,9 @@ class RejectedView:
 class SensorResult:
     """Results for the images of one camera, or the clouds or scans of one LiDAR."""
 
-    images: int = field("How many there are.")
-    labelled: int = field("How many show a pattern.")
-    corners: int = field("How many corners, or points on a pattern, were found in all.")
+    images: int = field("Number of images.")
+    labelled: int = field("Number of those with a pattern.")
+    corners: int = field("Total number of corners, or points on a pattern.")
     intrinsics: Literal["given", "estimated", "none"] = field(
         "Where they come from; estimated ones are a start only; a LiDAR has none."
     )
@@ -33,21 +33,23 @@ class ImportResults:
     """Results of import-data."""
 
     robot: str = field("Its name.")
-    found: int = field("Moments that were found, of which those that tell most are kept.")
-    moments: int = field("Those that were looked at: images that belong together.")
-    collections: int = field("Moments with a pattern in them: the collections of the dataset.")
+    found: int = field("Number of moments found, of which the best are kept.")
+    moments: int = field("Number of moments that were searched: images that belong together.")
+    collections: int = field("Number of moments with a pattern: the collections of the dataset.")
     together: int = field("Collections in which two sensors or more see a pattern.")
-    lag_ms: float = field("Between the images of a moment, at most.", unit="ms")
+    lag_ms: float = field("Largest time between the images of a moment.", unit="ms")
     sensors: Mapping[str, SensorResult] = field("By name.")
-    evenly: str | None = field("Why the moments were chosen evenly, not as those that calibrate best.", default=None)
+    evenly: str | None = field(
+        "Reason why the moments are evenly spaced, and not those that calibrate best.", default=None
+    )
 
 
 @result
 class LabelledSensor:
     """Results for the labelled images of one camera."""
 
-    images: int = field("How many were looked at.")
-    labelled: int = field("How many show a pattern.")
+    images: int = field("Number of images that were searched.")
+    labelled: int = field("Number of those with a pattern.")
     rejected: tuple[RejectedView, ...] = field("Images in which no pattern is detected.", default=())
 
 

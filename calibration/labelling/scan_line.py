@@ -58,7 +58,7 @@ def label_scan_line(
     ends = cut_ends(pattern, T_sensor_pattern)
     length = float(np.linalg.norm(ends[1] - ends[0]))
     if not length > LEAST_LENGTH:
-        return NotDetected("the scan does not cut the pattern where it is expected")
+        return NotDetected("the scan does not cross the pattern at its expected pose")
     along = (ends[1] - ends[0]) / length
     away = np.array([-along[1], along[0]])
     away *= -1.0 if away @ ends[0] < 0 else 1.0

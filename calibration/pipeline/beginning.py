@@ -83,7 +83,9 @@ def begin(path: Path, root: Path) -> Beginning:
     place = path.resolve().relative_to(root.resolve()).as_posix()
     lines = [f"  {_scalar(system.name)}:", _line("dataset", place, _seen(dataset))]
     if rough:
-        lines.append(_line("description", "rough", "where the sensors are, nobody has measured: no pose is held to it"))
+        lines.append(
+            _line("description", "rough", "the sensors' true poses are unknown: there is no comparison with a truth")
+        )
     if estimated:
         lines.append(_line("intrinsics", estimated, "of these none were given: they are calibrated with the rest"))
     if evaluate:
@@ -102,8 +104,8 @@ def begin(path: Path, root: Path) -> Beginning:
             lines.append(f"      {rule}   # {value:.3g} in this recording, times {ROOM:g}")
     lines += ["    limits:", *(f"      {key}: {value:g}   # {comments[key]}" for key, value in _set(limits).items())]
     head = (
-        "# Written by `calibration init`: what this recording is held to, and every later one in its place.\n"
-        "# A limit that your robot needs tighter or looser is yours to change; `calibration run` tells the rest.\n"
+        "# Written by `calibration init`: the checks of this recording, and of later ones in its place.\n"
+        "# Change the limits to what your robot needs; `calibration run` checks them.\n"
     )
     missing = tuple(map(dataset.missing_files_of, dataset.missing_files))
     return Beginning(system.name, f"{head}\nsystems:\n" + "\n".join(lines) + "\n", judged.reasons, missing)

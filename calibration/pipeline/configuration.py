@@ -55,8 +55,10 @@ def _baseline(found: Literal["required"] | BaselineSettings, place: Place) -> Ba
 class CollectionLimits:
     """Limits of the errors of sensors and joints against the truth."""
 
-    translation_mm: Limit | None = field("Of the worst sensor, and of the worst length of a joint (5).", default=None)
-    rotation_deg: Limit | None = field("Likewise, of the worst angle, in degrees (0.3).", default=None)
+    translation_mm: Limit | None = field(
+        "Limit of the largest error of a sensor, and of a joint's length, in mm (5).", default=None
+    )
+    rotation_deg: Limit | None = field("Limit of the largest rotation error, in degrees (0.3).", default=None)
 
 
 @record(
@@ -87,7 +89,7 @@ class Simulation:
     motion: Annotated[str, Converted(Text, _motion)] | None = field(
         "A motion sequence (JSON), or generate:N; by default the system's motion.json.", default=None
     )
-    seed: Annotated[int, at_least(0)] = field("Of the noise and of a generated motion.", default=1)
+    seed: Annotated[int, at_least(0)] = field("Seed of the noise and of a generated motion.", default=1)
     checks: CollectionChecks = field(flat=True, default_factory=CollectionChecks)
     limits: CollectionLimits = field(
         "The largest errors of sensors and joints against the truth that pass (5 mm, 0.3 degrees).",
@@ -135,7 +137,7 @@ class Configuration:
         default=None,
     )
     noise: Annotated[NoiseGrid, Converted(Noise, lambda noise, _: noise.grid())] = field(
-        "How far the starting guesses are off: every combination is one cell of the matrix.", default=NoiseGrid()
+        "Noise of the initial guesses: every combination is one cell of the matrix.", default=NoiseGrid()
     )
     options: Options = field(flat=True, default_factory=Options)
     """Default options of all systems; the systems have their own fields too."""

@@ -95,7 +95,7 @@ def report(results: Results, output: Path, title: str) -> Report:
     )
 
 
-_UNDER_GRID = "RMS of the evaluation table, and, where it is known, the worst error of a calibrated sensor."
+_UNDER_GRID = "RMS of the evaluation table, and, if known, the largest error of a calibrated sensor."
 
 
 def _without_table(results: Results) -> str:

@@ -30,15 +30,15 @@ class Collected:
     poses: int = field("Poses of the motion.", default=0)
     kept: int = field("Collections in the dataset.", default=0)
     corner_rms_px: float | None = field("Detected corners against the true ones.", unit="px", default=None)
-    rms_px: float | None = field("Of the calibration of the dataset.", unit="px", default=None)
+    rms_px: float | None = field("RMS of the dataset's calibration.", unit="px", default=None)
     translation_mm: float | None = field(
         "The worst error of a calibrated sensor against the truth.", unit="mm", default=None
     )
     rotation_deg: float | None = field("Likewise.", unit="deg", default=None)
     dataset: str | None = field("Its folder, relative to the output folder.", default=None)
-    reasons: tuple[str, ...] = field("Why the verdict is fail.", default=())
+    reasons: tuple[str, ...] = field("Reasons of a fail verdict.", default=())
     error: ErrorCode | None = field("Exit code of a collection that could not be made.", default=None)
-    seconds: float = field("How long it took.", default=0.0)
+    seconds: float = field("Duration.", default=0.0)
 
     @property
     @computed()
@@ -51,11 +51,11 @@ class Collected:
 class ImageResult:
     """Image of the team's software."""
 
-    reference: str = field("What the containers were made from.")
+    reference: str = field("Reference of the containers' image.")
     key: str = field("The content key, a hash of everything that goes into the image.")
     built: bool = field("False if it was found, and nothing was built.")
     digest: str | None = field("In the registry; null if it was not pushed.", default=None)
-    seconds: float = field("How long it took.", default=0.0)
+    seconds: float = field("Duration.", default=0.0)
     promoted: tuple[str, ...] = field("The tags that it got because the verdict was pass.", default=())
 
 
@@ -69,14 +69,14 @@ class Exported:
     notes: tuple[str, ...] = field(
         "Formats that its data cannot have, transforms that moved to another joint.", default=()
     )
-    reasons: tuple[str, ...] = field("Why it could not be exported.", default=())
+    reasons: tuple[str, ...] = field("Reason why it could not be exported.", default=())
 
 
 @result
 class Numbers:
     """Statistics of several cells; the worst is null if no cell has such a number."""
 
-    cells: int = field("How many there are.")
+    cells: int = field("Number of cells.")
     passed: int = field("How many passed.")
     converged: int = field("How many converged.")
     success_rate: float = field("Share that passed, 0 to 1.")
@@ -122,12 +122,12 @@ class Results:
         "verdict.",
         default=(),
     )
-    collections: tuple[Collected, ...] = field("What was collected in simulation, and calibrated.", default=())
-    image: ImageResult | None = field("The image with the team's software, where there is one.", default=None)
+    collections: tuple[Collected, ...] = field("Simulated datasets.", default=())
+    image: ImageResult | None = field("Image with the team's software, if there is one.", default=None)
     baseline: BaselineUpdate | None = field(
         "The file of accepted calibrations, and what the change under test does to it.", default=None, omitted=True
     )
-    exports: tuple[Exported, ...] = field("What systems that passed leave for their robots.", default=())
+    exports: tuple[Exported, ...] = field("Exports of the systems that passed.", default=())
 
     @property
     @computed()
@@ -182,7 +182,7 @@ def read_results(folder: Path) -> Results:
     for key in ("cells", "comparisons", "collections"):
         for each, entry in zip(getattr(results, key), written.get(key, ()), strict=True):
             if each.verdict != (said := entry.get("verdict")):
-                raise InputError(f"{path}: {each.name}: says {said}, which its own numbers and reasons deny")
+                raise InputError(f"{path}: {each.name}: found {said}, which its own numbers and reasons contradict")
     return results
 
 

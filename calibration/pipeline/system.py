@@ -108,9 +108,7 @@ class System:
         default=None,
         option=False,
     )
-    exports: Exports | None = field(
-        "What it leaves for the robot where it passes: formats, robot-description.", default=None, option=False
-    )
+    exports: Exports | None = field("Exports if it passes: formats, robot-description.", default=None, option=False)
     accepted: Accepted | None = None
     """Accepted calibration to compare its cells with, set after reading it."""
 
@@ -149,7 +147,7 @@ class Noise:
         option="Errors of the starting Euler angles, rad: 0,0.5.",
     )
     seeds: Annotated[int, between(1, 100_000)] | None = field(
-        "How many seeds: 1, 2, ...", default=None, option="How many seeds for each pair of noises (1)."
+        "Number of seeds: 1, 2, ...", default=None, option="Number of seeds for each pair of noises (1)."
     )
     seed_list: Seeds | None = field(
         "The seeds themselves.", default=None, option="The seeds themselves, instead of their number: 3,7."

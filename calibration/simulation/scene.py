@@ -97,7 +97,9 @@ class Light:
 class Scene:
     """Ground, a plane z = height in the world frame, and boxes; absent parts occlude nothing."""
 
-    ground: float | None = field("Height of the ground, m; no ground where it is absent.", default=None, key="ground_m")
+    ground: float | None = field(
+        "Height of the ground, m; without it there is no ground.", default=None, key="ground_m"
+    )
     boxes: tuple[Box, ...] = field("Boxes: walls, furniture.", default=())
     light: Light = field("Light on all of it.", default_factory=Light)
 

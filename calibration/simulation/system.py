@@ -93,8 +93,8 @@ class PrintedPattern:
     bow: Annotated[
         tuple[float, float],
         Converted(Annotated[tuple[float, float], _BOW], lambda bow, _: (bow[0] / 1000, bow[1] / 1000)),
-    ] = field("How far the middle stands out, along x and along y, mm.", implied=[0, 0], key="bow_mm")
-    legacy_layout: bool = field("Whether a charuco pattern is laid out as OpenCV did before 4.6.", default=False)
+    ] = field("Height of the centre of a bowed pattern, along x and along y, mm.", implied=[0, 0], key="bow_mm")
+    legacy_layout: bool = field("Whether a charuco pattern has OpenCV's layout of before 4.6.", default=False)
 
 
 _Sensors = Converted(
@@ -119,7 +119,7 @@ class Simulation:
         default_factory=dict,
     )
     scene: Scene = field("What stands around.", default_factory=Scene)
-    motion: MovedPattern = field("How the pattern moves.", default_factory=MovedPattern)
+    motion: MovedPattern = field("Motion of the pattern.", default_factory=MovedPattern)
 
 
 @dataclass(frozen=True, eq=False)

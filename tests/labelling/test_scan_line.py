@@ -93,7 +93,7 @@ def test_it_is_found_far_out_in_the_tolerance_beside_a_nearby_wall():
 @pytest.mark.parametrize(
     ("T", "others", "reason"),
     [
-        (standing(0.0, 2.0, height=0.5), [WALL], "the scan does not cut the pattern where it is expected"),
+        (standing(0.0, 2.0, height=0.5), [WALL], "the scan does not cross the pattern at its expected pose"),
         (standing(0.0, 2.0), [upright(0.0, 1.0, 3.0, 3.0)], "0 points where the pattern is expected, at least 5"),
         (standing(3.1, 2.0), [WALL], "0 points where the pattern is expected"),
     ],

@@ -39,14 +39,14 @@ class Ros1Player:
     """Our player for ROS 1: a script that only needs rospy in its image."""
 
     kind: Literal["ros1"] = field("ros1, the only one.")
-    image: str = field("What it runs in (the image of the first container).", default="")
+    image: str = field("Image that it runs in (that of the first container).", default="")
     after: tuple[str, ...] = field("The containers that have to be ready before (all).", default=())
     pose_topic: _Topic = field(
         "Where the pattern's pose is published (geometry_msgs/PoseStamped).", default="/pattern/pose"
     )
     frame: Text = field("The frame of the pose.", default="world")
     service: _Topic = field(
-        "What saves a collection; any type with an empty request.", default="/collect_data/save_collection"
+        "Service that saves a collection; of any type with an empty request.", default="/collect_data/save_collection"
     )
     settle: Annotated[float, between(0, 600)] = field("Seconds between the pose and the call.", default=0.5)
 
@@ -65,7 +65,9 @@ class Applications:
         default=(),
     )
     """An empty image name means the one that the pipeline builds."""
-    image: str = field("Of the containers that name none; by default the one that the pipeline builds.", default="")
+    image: str = field(
+        "Image of the containers that name none; by default the one that the pipeline builds.", default=""
+    )
     player: Annotated[Ros1Player, Converted(Literal["ros1"] | Ros1Player, _player)] | None = field(
         "What moves the pattern and asks for collections: ros1 for ours, in the image of the applications; by default "
         "one of the containers does.",

@@ -92,7 +92,7 @@ class CollectionDocument:
     corner_rms_px: float | None = field("All corners in the dataset against the true ones.", unit="px")
     calibration: Proof | None = field("Of the dataset, from its linear start; null where no collection was kept.")
     checks: tuple[Check, ...] = field("Every limit with what was found.")
-    reasons: tuple[str, ...] = field("Why the verdict is fail.")
+    reasons: tuple[str, ...] = field("Reasons of a fail verdict.")
     dataset: str | None = field("Beside this file; null where no collection was kept.")
     contact_sheet: str | None = field("A picture of all images, where they are known.")
     made_with: Mapping[str, str] = field("Versions that the bytes hang on.")

@@ -25,11 +25,11 @@ class ScenarioFile:
     """Result of one scenario, beside its dataset."""
 
     schema: Literal[1] = field("Of this form.")
-    version: Annotated[str, length(most=100)] = field("Of the package that made it.")
+    version: Annotated[str, length(most=100)] = field("Version of the package that made it.")
     stillness_m: Amount | None = field(
         "How far the pattern may have moved while the sensors looked; null where the team's applications collected."
     )
-    result: ScenarioResult = field("What came of it.")
+    result: ScenarioResult = field("Result of the scenario.")
 
 
 def write_scenario(result: ScenarioResult, stillness: float | None, folder: Path) -> None:

@@ -18,9 +18,9 @@ Noise = tuple[float, float]
 class LostStart:
     """Initial guess that does not converge."""
 
-    seed: int | None = field("Of the start's noise.")
-    reasons: tuple[str, ...] = field("Why it is no calibration.")
-    error: ErrorCode | None = field("2 or 3 where it could not be run.")
+    seed: int | None = field("Seed of the noise.")
+    reasons: tuple[str, ...] = field("Reasons of the failure.")
+    error: ErrorCode | None = field("2 or 3 if it could not run.")
 
 
 @result
@@ -126,7 +126,9 @@ class ConvergenceMap:
     system: str = field("Its name.")
     method: str = field("calibration-ci, or software: the team's own.")
     start: str = field("given or linear.")
-    judged: bool = field("Whether it has a part in the verdict; our engine beside the team's software has none.")
+    judged: bool = field(
+        "Whether it counts for the verdict; our engine as a reference for the team's software does not."
+    )
     translations: tuple[float, ...]
     """Translation levels, m, from 0."""
     rotations: tuple[float, ...]

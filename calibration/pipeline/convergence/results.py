@@ -23,11 +23,11 @@ class Minimums:
 class ConvergenceResults:
     """Results of convergence."""
 
-    noise: NoiseGrid = field("What was swept: every combination.", key="grid")
+    noise: NoiseGrid = field("Swept noise: every combination.", key="grid")
     maps: tuple[ConvergenceMap, ...] = field("One for each system, method and kind of start.")
     minimums: Minimums = Minimums()
     figures: tuple[str, ...] = field("Files; none where matplotlib is not installed.", default=())
-    notes: tuple[str, ...] = field("What a reader has to know of them.", default=())
+    notes: tuple[str, ...] = field("Notes on the files.", default=())
 
     @property
     def judged(self) -> list[ConvergenceMap]:

@@ -164,7 +164,9 @@ def _verified(cell: CellResult) -> bool:
 
 def _compared(cell: CellResult, best: float | None) -> CellResult:
     if cell.rms_px is None or best is None:
-        return cell.failing("nothing says whether it is right: expected rules, limits, or a table with 'RMS (pix)'")
+        return cell.failing(
+            "there is no criterion for convergence: expected rules, limits, or a table with 'RMS (pix)'"
+        )
     if cell.rms_px > best * (1 + SAME_RELATIVE) + SAME_PX:
         return cell.failing(f"another optimum: RMS {cell.rms_px:.4f} px, while {best:.4f} px can be reached")
     return cell

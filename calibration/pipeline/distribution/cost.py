@@ -20,10 +20,8 @@ class JobTime:
     """Time of one job."""
 
     job: str = field("Its place in the workflow: calibrate.")
-    name: str = field("What it worked on (robot, 0.5 m, 0 rad); the place where there is only one.")
-    seconds: int | None = field(
-        "Null where it is not known: the job was lost or cancelled, or is still to come.", default=None
-    )
+    name: str = field("Its cell (robot, 0.5 m, 0 rad); the job's name if there is only one.")
+    seconds: int | None = field("Null if unknown: the job was lost or cancelled, or has not run.", default=None)
 
     @property
     @computed("billed_minutes")
@@ -37,7 +35,7 @@ class Cost:
     """Times of the jobs of a run, or some of them."""
 
     times: tuple[JobTime, ...] = field("The jobs.", key="jobs")
-    rate: float | None = field("Of a minute, in whatever currency; null where the user named none.", default=None)
+    rate: float | None = field("Cost of a minute, in any currency; null if not given.", default=None)
 
     @property
     @computed()

@@ -27,7 +27,7 @@ class RunResults(Results):
     """Results of a pipeline, with the times of the workflow's jobs."""
 
     cost: Cost | None = records.field(
-        "What the jobs of a workflow took; only in the results that it gathers.", default=None, omitted=True
+        "Times of a workflow's jobs; only in its gathered results.", default=None, omitted=True
     )
 
 

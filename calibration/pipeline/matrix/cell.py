@@ -146,10 +146,10 @@ class Parameter:
     """Calibrated parameter of a joint or a camera."""
 
     name: str = field("The joint or the camera.")
-    parameter: str = field("What it is of it.")
+    parameter: str = field("Name of the parameter.")
     value: float = field("The calibrated value.")
     unit: Literal["m", "rad", "px", "1"] = field("Of value and sigma.")
-    sigma: float | None = field("Standard deviation; null where it did not converge.")
+    sigma: float | None = field("Standard deviation; null if it did not converge.")
 
 
 @result
@@ -164,11 +164,13 @@ class Transform:
     sigma_mrad: float | None = field("Standard deviation of the rotation, the norm of three axes.", unit="mrad")
     rpy: tuple[float, ...] = field("The rotation as roll, pitch and yaw, as a URDF has it.", unit="rad", default=())
     sigma_trans: tuple[float, ...] | None = field(
-        "Standard deviation of each coordinate of the translation; null where it was held.", unit="m", default=None
+        "Standard deviation of each coordinate of the translation; null if it was fixed.", unit="m", default=None
     )
-    sigma_rpy: tuple[float, ...] | None = field("The same of roll, pitch and yaw.", unit="rad", default=None)
+    sigma_rpy: tuple[float, ...] | None = field("Standard deviation of roll, pitch and yaw.", unit="rad", default=None)
     moved_mm: float | None = field(
-        "How far the translation is from the dataset's own; null where that says nothing.", unit="mm", default=None
+        "Distance of the translation from the dataset's own; null if that carries no information.",
+        unit="mm",
+        default=None,
     )
     moved_deg: float | None = field("The angle to the dataset's own rotation.", unit="degrees", default=None)
 
@@ -178,7 +180,7 @@ class Worth:
     """Contribution of a fixed parameter's usual uncertainty to the result."""
 
     cause: str = field("What is held.")
-    mm: float = field("How far it displaces the transform that it displaces most.", unit="mm")
+    mm: float = field("Largest displacement of a transform.", unit="mm")
 
 
 @result(kw_only=True)
@@ -192,14 +194,14 @@ class Details:
     cost: float | None = field("Half the weighted sum of squares.", default=None)
     degrees_of_freedom: int | None = field("Residuals less parameters.", default=None)
     noise_levels: NoiseLevels | None = field("Standard deviations of the labels.", default=None)
-    held: str | None = field("What is held because only relative poses are known.", default=None)
-    weak_directions: tuple[str, ...] = field("What the data hardly determine.", default=())
+    held: str | None = field("Sensor that is fixed because only relative poses are known.", default=None)
+    weak_directions: tuple[str, ...] = field("Directions that the data hardly determine.", default=())
     rejected_labels: tuple[RejectedLabel, ...] = field("Labels that do not fit.", default=())
     dropped_views: tuple[DroppedView, ...] = field("Views that contradict the others and were left out.", default=())
     effective_collections: float | None = field(
-        "Independent collections of equal weight that tell as much.", default=None
+        "Number of independent collections of equal weight with the same information.", default=None
     )
-    hangs_on: tuple[Worth, ...] = field("What the result hangs on, most first.", default=())
+    hangs_on: tuple[Worth, ...] = field("Contributions to the uncertainty of the result, largest first.", default=())
     snapshot: Snapshot | None = field("The result as `calibration accept` keeps it.", default=None)
     changes: tuple[Change, ...] = field("Differences from the accepted calibration.", default=())
 
@@ -222,11 +224,11 @@ class CellResult:
     )
     table: str | None = field("The CSV, relative to the output folder.")
     dataset: str | None = field("The calibrated dataset, relative to the output folder.")
-    truth: Deviation | None = field("How far the calibration is from the truth, if that is known.")
-    seconds: float = field("How long it took.")
-    reasons: tuple[str, ...] = field("Why the verdict is fail.", default=())
+    truth: Deviation | None = field("Distance of the calibration from the truth, if that is known.")
+    seconds: float = field("Duration.")
+    reasons: tuple[str, ...] = field("Reasons of a fail verdict.", default=())
     error: ErrorCode | None = field("Exit code of a cell that could not be calibrated.", default=None)
-    warnings: tuple[str, ...] = field("What to look at.", default=())
+    warnings: tuple[str, ...] = field("Warnings.", default=())
     findings: tuple[Finding, ...] = field(
         "What speaks for and against the calibration. The red ones are among the reasons, the warnings among the "
         "warnings.",
@@ -234,13 +236,11 @@ class CellResult:
     )
     details: Details | None = field(flat=True, default=None)
     sigma: Deviation | None = field("Standard deviations that our engine states, in all.", default=None)
-    label_sigma: Deviation | None = field("The same by the noise of the labels alone.", default=None)
+    label_sigma: Deviation | None = field("Largest standard deviations by the noise of the labels alone.", default=None)
     false_accept: float | None = field(
         "Probability that a sensor is off by more than the limits, by the standard deviations in all.", default=None
     )
-    detail: str | None = field(
-        "Of another method: whose implementation it is, and by what of the data it calibrates.", default=None
-    )
+    detail: str | None = field("Implementation of another method, and the data that it uses.", default=None)
 
     @property
     @computed()

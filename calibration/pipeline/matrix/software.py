@@ -43,8 +43,8 @@ class Software:
     network: Network = field(NETWORK_HELP, default="private")
     table: Pattern | None = field("A pattern for the path of its table among the artifacts (*.csv).", default=None)
     calibrated: Pattern = field(
-        "A pattern for the path of its calibrated dataset (*.json), which is held against our optimum on the same "
-        "labels; none where the software leaves no dataset: then its table is believed.",
+        "A pattern for the path of its calibrated dataset (*.json), which is compared with the optimum of the "
+        "same labels; none if the software writes no dataset: then its table is not verified.",
         default=DATASET_PATTERN,
     )
 

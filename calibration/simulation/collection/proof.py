@@ -43,14 +43,14 @@ class Proof:
     """Calibration of a dataset, compared with the truth. Numbers are null if there is no result."""
 
     converged: bool = field("Whether an optimum was found.")
-    reason: str = field("Why it did not converge; empty where it did.")
-    rms_px: float | None = field("Of the reprojected corners.", unit="px", default=None)
+    reason: str = field("Reason why it did not converge; empty if it did.")
+    rms_px: float | None = field("RMS of the reprojection errors.", unit="px", default=None)
     translation_mm: float | None = field("Worst error of a calibrated sensor against the truth.", default=None)
     rotation_deg: float | None = field("Likewise.", default=None)
     sigmas: Mapping[str, SensorSigma] | None = field("By sensor, of the transforms that were free.", default=None)
-    weak_directions: tuple[str, ...] = field("What the data hardly determine.", default=())
+    weak_directions: tuple[str, ...] = field("Directions that the data hardly determine.", default=())
     joints: tuple[JointProof, ...] | None = field(
-        "The parameters of joints that were free; absent where there is none.", default=None, omitted=True
+        "Free parameters of joints; absent if there are none.", default=None, omitted=True
     )
 
     @property

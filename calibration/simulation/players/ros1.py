@@ -255,7 +255,7 @@ def arguments_of(argv: Optional[List[str]]) -> argparse.Namespace:
     """Parse the command line; that of the process for None."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--motion", required=True, help="motion sequence (JSON)")
-    parser.add_argument("--report", help="file for what came of each pose (JSON)")
+    parser.add_argument("--report", help="report on each pose (JSON)")
     parser.add_argument("--pose-topic", default="/pattern/pose", help="geometry_msgs/PoseStamped (%(default)s)")
     parser.add_argument("--frame", default="world", help="frame of the poses (%(default)s)")
     parser.add_argument("--service", default="/collect_data/save_collection", help="saves what is seen (%(default)s)")

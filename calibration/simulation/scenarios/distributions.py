@@ -176,8 +176,8 @@ class NumberEntry:
     log_uniform: Annotated[tuple[Annotated[float, above(0)], ...], length(2, 2)] | None = field(
         "Evenly by order of magnitude.", default=None
     )
-    normal: Pair | None = field("Mean and standard deviation; cut at the parameter's own limits.", default=None)
-    within: Pair | None = field("Where a normal distribution is cut.", default=None)
+    normal: Pair | None = field("Mean and standard deviation; truncated to the parameter's own limits.", default=None)
+    within: Pair | None = field("Limits of a truncated normal distribution.", default=None)
     choice: Annotated[tuple[float, ...], length(1, MAX_CHOICES)] | None = field(
         "Each as likely as the others.", default=None
     )

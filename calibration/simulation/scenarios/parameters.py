@@ -31,9 +31,9 @@ class Light:
 
     ambient: Annotated[Varied, drawn(0, 10)] = _varied("Light from everywhere.")
     intensity: Annotated[Varied, drawn(0, 10)] = _varied("Light from one direction.")
-    elevation_deg: Annotated[Varied, drawn(-90, 90)] = _varied("Of the light above the horizon, deg.")
+    elevation_deg: Annotated[Varied, drawn(-90, 90)] = _varied("Elevation of the light above the horizon, deg.")
     azimuth_deg: Annotated[Varied, drawn(-360, 360)] = _varied(
-        "Of the light about the world's z axis, from its x axis, deg."
+        "Azimuth of the light about the world's z axis, from its x axis, deg."
     )
 
 
@@ -49,7 +49,7 @@ class Occluders:
 class MotionEntry:
     """Motion of the pattern."""
 
-    poses: Annotated[Varied, drawn(1, 1000, whole=True)] = _varied("Of a motion that is generated.")
+    poses: Annotated[Varied, drawn(1, 1000, whole=True)] = _varied("Number of poses of a generated motion.")
     nearest_m: Annotated[Varied, drawn(0.01, 1000)] = _varied(
         "The least distance from a camera to the pattern's centre, m."
     )
@@ -59,9 +59,7 @@ class MotionEntry:
     )
     roll_deg: Annotated[Varied, drawn(0, 180)] = _varied("The largest turn about the line of sight, deg.")
     partial: Annotated[Varied, drawn(0, 1)] = _varied("The share of views that see only a part of the pattern, 0 to 1.")
-    sway_mm: Annotated[Varied, drawn(0, 1000)] = _varied(
-        "How far a moved pattern still swings while the sensors look, mm."
-    )
+    sway_mm: Annotated[Varied, drawn(0, 1000)] = _varied("Sway of a moved pattern while the sensors measure, mm.")
 
 
 @record(case="snake")
@@ -69,7 +67,7 @@ class PatternEntry:
     """Deviation of each pattern from a flat one."""
 
     bow_mm: Annotated[Varied, drawn(-100, 100, axes="xy")] = _varied(
-        "How far the middle of the pattern stands out towards the viewer, along x and along y, mm."
+        "Height of the pattern's centre towards the viewer, along x and along y, mm."
     )
 
 
@@ -91,7 +89,7 @@ class Cameras:
     )
     blur_px: Annotated[Varied, drawn(0, 20)] = _varied("Standard deviation of the lens's blur, px.")
     vignetting: Annotated[Varied, drawn(0, 1)] = _varied(
-        "How much darker the corners of the image are than its middle, 0 to 1."
+        "Darkening of the image's corners relative to its centre, 0 to 1."
     )
     k1: Annotated[Varied, drawn(-1, 1)] = _varied("Distortion (plumb_bob), in place of the sensor's own.")
     k2: Annotated[Varied, drawn(-1, 1)] = _varied("Distortion.")
@@ -142,22 +140,22 @@ class ScenarioSetFile:
 
     light: Light | None = field("The light on the scene.", default=None)
     occluders: Occluders | None = field("Boxes between the cameras and the pattern.", default=None)
-    motion: MotionEntry | None = field("How the pattern is moved.", default=None)
-    pattern: PatternEntry | None = field("How each pattern differs from a flat one.", default=None)
+    motion: MotionEntry | None = field("Motion of the pattern.", default=None)
+    pattern: PatternEntry | None = field("Deviation of each pattern from a flat one.", default=None)
     joints: Joints | None = field(
-        "How far the parameters of joints that are calibrated are from what the robot's description says.", default=None
+        "Errors of the calibrated joints' parameters, relative to the robot's description.", default=None
     )
     cameras: Cameras | None = field("Every camera.", default=None)
     lidars: Lidars | None = field("Every LiDAR.", default=None)
     depth_cameras: DepthCameras | None = field("Every depth camera.", default=None)
     assembly: Assembly | None = field(
-        "How far each sensor that is calibrated is from where it was designed to be.", default=None
+        "Errors of the calibrated sensors' poses, relative to the robot's description.", default=None
     )
     sensors: Mapping[str, OneSensor] = field(
-        "Single sensors by name, in place of what is said of all.", default_factory=dict
+        "Single sensors by name, overriding the entries for all.", default_factory=dict
     )
     constraints: Annotated[tuple[ConstraintEntry, ...], length(0, 100)] = field(
-        "What every scenario keeps to; values that do not are drawn again.", default=()
+        "Constraints on every scenario; values that break one are drawn again.", default=()
     )
 
 

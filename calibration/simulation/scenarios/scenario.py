@@ -134,7 +134,7 @@ class ScenarioResult:
     ) = field("The share of the poses at which each sensor detects a pattern.", default=None)
     corner_rms_px: Amount | None = field("Detected corners against the true ones.", default=None, unit="px")
     converged: bool = field("Whether there is a calibration.", default=False)
-    rms_px: Amount | None = field("Of the reprojected corners.", default=None, unit="px")
+    rms_px: Amount | None = field("RMS of the reprojection errors.", default=None, unit="px")
     translation_mm: Amount | None = field(
         "The worst error of a calibrated sensor against the truth.", default=None, unit="mm"
     )
@@ -142,14 +142,16 @@ class ScenarioResult:
     joint_mm: Amount | None = field(
         "The worst error of a calibrated joint against the truth, of those that are lengths.", default=None, unit="mm"
     )
-    joint_deg: Amount | None = field("The same of those that are angles.", default=None, unit="degrees")
+    joint_deg: Amount | None = field(
+        "Largest error of the joints' parameters that are angles.", default=None, unit="degrees"
+    )
     sigma_mm: Amount | None = field(
         "The standard deviation that the calibration states, of the sensor of which it is least sure.",
         default=None,
         unit="mm",
     )
     sigma_deg: Amount | None = field("Likewise.", default=None, unit="degrees")
-    reasons: Lines = field("Why there is no calibration; empty where there is one.", default=())
+    reasons: Lines = field("Reason why there is no calibration; empty if there is one.", default=())
 
     @property
     def kept(self) -> int:

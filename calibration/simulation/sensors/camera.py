@@ -83,7 +83,7 @@ class SimulatedCamera(SimulatedSensor):
         key="noise_levels",
     )
     vignetting: Annotated[float, between(0, 1)] = field(
-        "How much darker the corners of the image are than its middle, 0 to 1.", default=0.1
+        "Darkening of the image's corners relative to its centre, 0 to 1.", default=0.1
     )
     exposure: Annotated[float, between(0, 100)] = field("Factor on the light.", default=1.0)
 

@@ -58,7 +58,7 @@ class SimulatedDepthCamera(RangeSensor):
         "Standard deviation of a depth near the camera, m.", default=0.001, key="noise_m"
     )
     noise_growth: Annotated[float, between(0, 10)] = field(
-        "What the square of the depth adds to it, m per m^2, as triangulation does.",
+        "Noise per square of the depth, m per m^2, as of triangulation.",
         default=0.0015,
         key="noise_per_m2",
     )

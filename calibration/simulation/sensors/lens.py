@@ -37,7 +37,7 @@ class Lens:
     height: Annotated[int, _PIXELS] = field("Height of the image, px.")
     hfov_deg: Annotated[float, between(1, 170)] | None = field("Horizontal field of view, deg.", default=None)
     principal_point: Annotated[tuple[float, float], listed(2, "two numbers: cx, cy")] | None = field(
-        "Principal point, px; Gazebo's where it is absent: half a pixel beyond the middle.", default=None
+        "Principal point, px; by default Gazebo's, half a pixel beyond the centre.", default=None
     )
     K: Annotated[tuple[float, ...], _K] | None = field(
         "Camera matrix, row by row, in place of hfov_deg and principal_point.", default=None, key="K"

@@ -220,7 +220,7 @@ def edited(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d["cells"][0].update(verdict="pass"), "says pass, which its own numbers and reasons deny"),
+        (lambda d: d["cells"][0].update(verdict="pass"), "found pass, which its own numbers and reasons contradict"),
         (lambda d: d["cells"][0].update(rms_px=float("nan")), "found NaN, a finite number was expected"),
         (lambda d: d["cells"][0].pop("converged"), r"cells\.0.*converged"),
         (lambda d: d.update(schema=2), "schema: found 2, expected 1"),
