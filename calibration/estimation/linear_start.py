@@ -298,16 +298,16 @@ class _Search:
                 link = sight.chain.links[unknown[0]]
                 before, after, usable = self._around(sight, unknown[0])
                 if usable.any():
-                    cuts = self.setup.dataset.sensors[sight.sensor].modality.is_planar
+                    planar = self.setup.dataset.sensors[sight.sensor].modality.is_planar
                     views = (sight.points.take(np.flatnonzero(usable)), before[usable], after[usable])
-                    together.setdefault((link.block, link.inverted, cuts), []).append(views)
+                    together.setdefault((link.block, link.inverted, planar), []).append(views)
         return any(self._aligned(*key, views) for key, views in together.items())
 
-    def _aligned(self, block: int, inverted: bool, cuts: bool, views: list[tuple[RangeTerm, Array, Array]]) -> bool:
+    def _aligned(self, block: int, inverted: bool, planar: bool, views: list[tuple[RangeTerm, Array, Array]]) -> bool:
         """Whether views ``T_sensor_pattern = before X after``, X a block or its inverse, have determined the block."""
         terms = [term for term, _, _ in views]
         before, after = (np.concatenate(parts) for parts in list(zip(*views, strict=True))[1:])
-        if cuts:
+        if planar:
             points = [term.points.swapaxes(1, 2)[term.present] for term in terms]
             view = np.repeat(np.arange(len(before)), np.concatenate([term.counts for term in terms]))
             back = align_scans(*scan_equations(np.concatenate(points), before[view], after[view]))  # inverse(X)

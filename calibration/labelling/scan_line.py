@@ -11,7 +11,7 @@ from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import TOLERANCE, PatternPoints
 
 
-def cut_ends(pattern: Pattern, T_sensor_pattern: Array) -> Array:
+def scan_line_ends(pattern: Pattern, T_sensor_pattern: Array) -> Array:
     """Return the ends (..., 2, 2), x and y, of a pattern's scan line: its intersection with the sensor's plane z = 0.
 
     Args:
@@ -55,7 +55,7 @@ def label_scan_line(
         T_sensor_pattern: (4, 4), expected pose of the pattern.
         tolerance: limit of the distance of any point of the pattern from its expected position, m.
     """
-    ends = cut_ends(pattern, T_sensor_pattern)
+    ends = scan_line_ends(pattern, T_sensor_pattern)
     length = float(np.linalg.norm(ends[1] - ends[0]))
     if not length > LEAST_LENGTH:
         return NotDetected("the scan does not cross the pattern at its expected pose")

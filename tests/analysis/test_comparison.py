@@ -1,4 +1,4 @@
-"""Which findings are new: code that moves or is formatted anew brings none, a copy and a change do."""
+"""New findings: moved or reformatted code has none, a copy and a change do."""
 
 from pathlib import Path
 

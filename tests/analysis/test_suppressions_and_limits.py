@@ -1,4 +1,4 @@
-"""What a team accepts, and how much may be found."""
+"""Accepted findings, and limits of their number."""
 
 from datetime import date
 from pathlib import Path

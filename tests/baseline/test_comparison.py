@@ -1,4 +1,4 @@
-"""What has moved is significant and named with its direction; what has not, is not."""
+"""Moved sensors are significant and named with their direction; others are not."""
 
 import math
 from dataclasses import replace

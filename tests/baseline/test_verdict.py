@@ -1,4 +1,4 @@
-"""What has changed since the accepted calibration is red, with its name, size and direction; nothing else is."""
+"""Changes since the accepted calibration are red, with name, size and direction; nothing else is."""
 
 from dataclasses import replace
 

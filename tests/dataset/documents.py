@@ -1,4 +1,4 @@
-"""A tiny valid dataset to change and break: a camera and a LiDAR that look at a chessboard."""
+"""Tiny valid dataset to change and break: a camera and a LiDAR that see a chessboard."""
 
 import copy
 import json

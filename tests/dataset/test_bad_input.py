@@ -1,4 +1,4 @@
-"""Every kind of wrong input ends in one line that says where, what was found and what was expected."""
+"""Every kind of invalid input is an error of one line: location, value found, value expected."""
 
 import base64
 import json

@@ -1,4 +1,4 @@
-"""Depth images: their pixels become points, or one line says what is wrong."""
+"""Depth images: conversion of pixels to points, and one-line errors."""
 
 import sys
 import zlib
@@ -160,7 +160,7 @@ def chunk(name: bytes, content: bytes) -> bytes:
 
 
 def test_a_whole_file_that_is_no_image(tmp_path):
-    """What its checksums say is in order, but nothing, or something else, is compressed in it."""
+    """Its checksums are valid, but its compressed data are empty or of something else."""
     start, end = encoded(DEPTH)[:33], chunk(b"IEND", b"")
     for content in (b"", chunk(b"IDAT", b"nothing"), chunk(b"IDAT", zlib.compress(b"short"))):
         found = refused(write(tmp_path, image=start + content + end))

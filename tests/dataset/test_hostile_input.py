@@ -1,4 +1,4 @@
-"""Whatever stands in the files: a dataset is read, or refused in one line. Nothing else ever happens."""
+"""With any content of the files, a dataset is read, or refused with one line."""
 
 import copy
 import json

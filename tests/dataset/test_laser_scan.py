@@ -1,4 +1,4 @@
-"""2D LiDARs: scans whose ranges stand in the dataset, labelled rays and the ends of the cut."""
+"""2D LiDARs: scans with their ranges in the dataset, labelled rays and the ends of the scan line."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Point clouds and depth images that are not there: an error only where they are needed, and told."""
+"""Missing point clouds and depth images: reported, and an error only if they are needed."""
 
 import json
 import shutil

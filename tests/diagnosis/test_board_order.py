@@ -1,4 +1,4 @@
-"""Corners that are numbered otherwise than the dataset says are refused, with the board that they fit."""
+"""Patterns with other corner numbers than in the dataset are refused, with the board that fits."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -53,7 +53,7 @@ def test_rows_of_another_length(shared_data: Path, columns: int, rows: int, expe
 
 
 def test_an_aprilgrid_with_another_number_of_tags_in_a_row() -> None:
-    """Labels of 4 x 3 tags, seen through t2rgb's cameras, in a dataset that says 3 x 4."""
+    """Labels of 4 x 3 tags, seen by t2rgb's cameras, in a dataset with 3 x 4."""
     printed, said = (tag_grid(columns, rows, 0.1, 0.3) for columns, rows in ((4, 3), (3, 4)))
 
     def change(_: int, sensor: str, label: Labels) -> Labels:

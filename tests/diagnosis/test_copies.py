@@ -1,4 +1,4 @@
-"""The same labels twice are refused by name; a robot that stands still is not."""
+"""Duplicated labels are refused by name; a robot at standstill is not."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Labels that do not fit: told, warned of, or red, by their share."""
+"""Labels that do not fit: noted, warned of, or red, by their share."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A calibrated dataset of other labels, or with other frames moved, is told from the one that was asked for."""
+"""A calibrated dataset of other labels, or with other frames moved, is distinguished from the requested one."""
 
 import re
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What does not fit is named with its size; what fits, or is as good as it is known, is not."""
+"""Parameters that do not fit are named with their deviation; those within their assumed error are not."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -45,7 +45,7 @@ class Scene:
     anchored: str | None = None
     additional: tuple[Edge, ...] = ()
     moving: frozenset[Edge] = frozenset()
-    """Those of the additional transforms that each collection has its own of."""
+    """The additional transforms that are free per collection."""
     joints: tuple[Joint, ...] = ()
     """With their true values; their transforms need not be among `transforms`."""
     sees: Callable[[str, str, int], bool] = lambda sensor, pattern, collection: True
@@ -90,7 +90,7 @@ class Scene:
 
     def _label(self, sensor: Sensor, pattern: Pattern, T: Array, rng: np.random.Generator) -> Labels:
         if sensor.modality == LIDAR2D:
-            return cut(pattern, T, rng, self.range_noise, self.border)
+            return scan_line(pattern, T, rng, self.range_noise, self.border)
         if sensor.modality == DEPTH:
             return depth_pixels(pattern, T, sensor.camera or DEPTH_CAMERA, rng, self.range_noise)
         if sensor.camera is None:
@@ -135,12 +135,12 @@ def scan(
     return PointLabels(points, np.unique(limits).astype(int))
 
 
-def cut(
+def scan_line(
     pattern: Pattern, T: Array, rng: np.random.Generator, noise: float = 0.0, border: bool = True, step: float = 0.5
 ) -> PointLabels:
-    """The points of a 2D LiDAR, a ray every `step` degrees, on a pattern at ``T_sensor_pattern``; the ends of the cut.
+    """Scan line of a 2D LiDAR, a ray every `step` degrees, on a pattern at ``T_sensor_pattern``, with its ends.
 
-    The scan begins at any angle, so that the border lies anywhere between two rays.
+    The scan begins at a random angle, so that the border is at a random position between two rays.
     """
     azimuth = np.radians(np.arange(-180, 180, step) + step * rng.random())
     rays = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], -1)
@@ -221,7 +221,7 @@ def true_values(setup: Setup) -> Values:
 
 
 def shaken(setup: Setup, values: Values, size: float, seed: int = 0) -> Values:
-    """The values with random twists on all blocks that are not held, each coordinate up to `size` (m, rad)."""
+    """The values with random twists on all blocks that are not fixed, each coordinate up to `size` (m, rad)."""
     rng = np.random.default_rng(seed)
     return tuple(
         value if block.held else retract(value, rng.uniform(-size, size, (*value.shape[:-2], 6)))
@@ -241,7 +241,7 @@ def relabelled(dataset: Dataset, change: Callable[[int, str, Labels], Labels | N
 
 
 def errors(dataset: Dataset, transforms: Mapping[Edge, Array], gauge: str | None = None) -> tuple[float, float]:
-    """The largest errors (m, rad) against the dataset's transforms, the sensor that was held being right."""
+    """The largest errors (m, rad) against the dataset's transforms, relative to the fixed sensor."""
     edge = dataset.sensors[gauge].edge if gauge else None
     back = dataset.transforms[edge][0] @ inverse(transforms[edge]) if edge else np.eye(4)
     apart = [distance(dataset.transforms[e][0], back @ T) for e, T in transforms.items()]
@@ -249,7 +249,7 @@ def errors(dataset: Dataset, transforms: Mapping[Edge, Array], gauge: str | None
 
 
 def relative(result: Calibration) -> dict[Edge, Array]:
-    """The transforms, seen from the sensor that was held."""
+    """The transforms relative to the fixed sensor."""
     back = inverse(result.transforms[result.dataset.sensors[result.gauge].edge]) if result.gauge else np.eye(4)
     return {edge: back @ T for edge, T in result.transforms.items()}
 

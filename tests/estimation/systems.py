@@ -62,7 +62,7 @@ def eye_to_hand(n: int = 12, seed: int = 0, **changes: object) -> Scene:
 
 
 def eye_in_hand(n: int = 12, seed: int = 0, **changes: object) -> Scene:
-    """A camera on the flange looks at a pattern that stands still; its mount is above its optical frame."""
+    """A camera on the flange sees a fixed pattern; its mount is above its optical frame."""
     T_flange_mount, T_mount_cam = (
         pose(0.05, 0.02, 0.1, 0.1, 0.2, -0.4),
         pose(0.0, 0.01, 0.02, -np.pi / 2, 0, -np.pi / 2),
@@ -116,7 +116,7 @@ def camera_and_lidar(n: int = 12, seed: int = 0, behind: bool = False, **changes
 
 
 def camera_and_lidar2d(n: int = 14, seed: int = 0, **changes: object) -> Scene:
-    """An anchored camera, a 2D LiDAR below it that looks up a little, a big moving pattern that it always cuts."""
+    """An anchored camera, a 2D LiDAR below it with a small upward tilt, and a large moving pattern in its plane."""
     pattern = board(square=0.12)
     T_world_cam = pose(0.0, 0.0, 0.5, -np.pi / 2, 0.0, -np.pi / 2)
     T_cam_board = looks(n, seed, tilt=0.9, pattern=pattern)
@@ -180,7 +180,7 @@ def linked_by_a_lidar(n: int = 24, seed: int = 0, flat: bool = False, **changes:
 
 
 def hand_and_world(n: int = 12, seed: int = 0, **changes: object) -> Scene:
-    """An anchored static camera and one in the hand of an arm whose base is to be found; one pattern stands still."""
+    """An anchored static camera and one in the hand of an arm with an unknown base; one pattern is fixed."""
     base = eye_in_hand(n, seed)
     T_world_base = pose(0.3, 0.1, 0.2, 0.05, -0.1, 0.6)
     transforms = dict(base.transforms)
@@ -198,7 +198,7 @@ def hand_and_world(n: int = 12, seed: int = 0, **changes: object) -> Scene:
 
 
 def two_patterns(n: int = 12, seed: int = 0, **changes: object) -> Scene:
-    """A stereo rig that sees a moving pattern in even collections and one that stands still in the others."""
+    """A stereo rig that sees a moving pattern in even collections and a fixed one in the others."""
     scene = stereo(n, seed, anchored="left")
     still = board("still", fixed=True)
     transforms = {**scene.transforms, ("world", "still_link"): STEREO["world", "left"] @ looks(1, seed + 3)[0]}
@@ -241,7 +241,7 @@ def mobile_base(n: int = 12, seed: int = 0, **changes: object) -> Scene:
 
 
 def arm_with_patterns(n: int = 14, seed: int = 0, **changes: object) -> Scene:
-    """A static camera before an arm with patterns on its forearm and its flange, and one that stands still."""
+    """A static camera in front of an arm with patterns on its forearm and its flange, and a fixed pattern."""
     rng = np.random.default_rng(4000 + seed)
     base = eye_to_hand(n, seed)
     T_world_camera, T_base_flange = base.transforms["world", "cam"], base.transforms["base", "flange"]

@@ -1,4 +1,4 @@
-"""A dataset as a problem: chains that multiply out to the true poses, what is held, what is free to move as one."""
+"""A dataset as a problem: chains that multiply to the true poses, fixed blocks, the gauge."""
 
 from dataclasses import replace
 
@@ -98,7 +98,7 @@ def test_the_gauge_is_fixed_by_a_pattern_with_a_known_pose():
 
 
 def test_a_rig_that_a_robot_carries_is_free_when_it_sees_a_moving_pattern():
-    """Whatever the robot does: the pattern, one pose a collection, makes up for it."""
+    """For any motion of the robot: the pattern's pose per collection is degenerate with it."""
     scene = stereo(6)
     T_world_robot = np.stack([pose(0.05 * i, 0, 0, 0.1 * i, 0, 0) for i in range(6)])
     transforms = {

@@ -1,4 +1,4 @@
-"""What a result says about itself: residuals, degrees of freedom, warnings; all of it checked against the labels."""
+"""Statistics of a result: residuals, degrees of freedom, warnings; all of it checked against the labels."""
 
 import numpy as np
 import pytest

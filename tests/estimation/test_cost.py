@@ -1,4 +1,4 @@
-"""What labels cost at given transforms: at the optimum what it says, elsewhere as its information says."""
+"""Cost of labels at given transforms: at the optimum the engine's, elsewhere by its information."""
 
 from collections.abc import Callable
 

@@ -103,7 +103,7 @@ def test_a_border_along_rows_and_columns_is_rejected():
 
 
 def test_across_a_gap_there_is_no_direction():
-    """Where a border is cut off, as by the edge of the image, the ends of what is left are no border."""
+    """If a border is truncated, as by the edge of the image, the ends of the rest are not on it."""
     points, limits = labelled(CAMERA, standing(2))
     pixels = CAMERA.project(points[limits])
     middle = pixels.mean(0)

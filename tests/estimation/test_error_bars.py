@@ -1,4 +1,4 @@
-"""Error bars contain the labels' noise, collections that disagree, and what is held but not exactly known."""
+"""Total covariances: the labels' noise, disagreement of collections, and errors of fixed parameters."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -41,7 +41,7 @@ def test_with_exact_fixed_parameters_they_are_by_the_labels_alone() -> None:
 def test_fixed_parameters_count_by_their_effect_on_the_result(
     assumed: dict[str, float], change: Callable[[Array], Array] | None
 ) -> None:
-    """The covariance that is added, against calibrations with each held value off by its standard deviation."""
+    """The added covariance, against calibrations with each fixed value off by its standard deviation."""
     dataset = systems.stereo(12, seed=1).dataset(1)
     levels = replace(Options().noise_levels, pixel=0.2)
     options = Options(assume=replace(EXACT, **assumed), noise_levels=levels)
@@ -62,7 +62,7 @@ def test_fixed_parameters_count_by_their_effect_on_the_result(
 
 
 def shaken(dataset: Dataset, sigma: float, seed: int) -> Dataset:
-    """The dataset with an arm that was elsewhere than its encoders say, by so much (m, rad) in each collection."""
+    """The dataset with an arm that differs from its encoders, by so much (m, rad) in each collection."""
     rng = np.random.default_rng(seed)
     edge = next(e for e, T in dataset.transforms.items() if np.abs(T - T[0]).max() > 1e-3)
     T = dataset.transforms[edge]

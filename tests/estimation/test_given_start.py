@@ -51,7 +51,7 @@ def test_a_bad_start_leads_to_the_optimum_or_a_reason(scene):
 
 
 def first_with(reason: str, scene: Scene, size: float) -> Calibration:
-    """What the first of some noisy guesses leads to that ends for this reason."""
+    """Result from the first of some noisy guesses that ends for this reason."""
     dataset = scene.dataset()
     for seed in range(40):
         result = calibrate(dataset, GIVEN, StartingNoise(size, size, seed))

@@ -1,4 +1,4 @@
-"""What is held moves the poses of views as its columns say: against poses that are computed anew."""
+"""Columns of fixed parameters, against poses that are computed with changed parameters."""
 
 from collections.abc import Sequence
 
@@ -95,7 +95,7 @@ def test_a_motion_about_several_axes_has_none() -> None:
 
 
 def test_velocities_carry_a_pose_to_the_next() -> None:
-    """A pattern that moves evenly is where the velocity of one step says."""
+    """A pattern with constant velocity is at the pose predicted by one step."""
     dataset = systems.eye_to_hand(6, seed=2).dataset(2)
     [group] = seen(dataset)
     step = np.array([1e-3, 2e-3, -1e-3, 1e-3, 0.0, 2e-3])

@@ -1,4 +1,4 @@
-"""What a user keeps as it is stays so, to the last bit, and the rest fits to it."""
+"""Parameters fixed by the user are unchanged to the last bit, and the others adapt."""
 
 from dataclasses import replace
 

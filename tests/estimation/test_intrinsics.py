@@ -1,4 +1,4 @@
-"""Intrinsics: found with honest error bars by the same solver, or what cannot be told is named."""
+"""Intrinsics: calibrated with correct covariances by the same solver; undetermined ones are named."""
 
 from dataclasses import replace
 
@@ -187,7 +187,7 @@ def facing(tilt: float, n: int = 20, cameras: int = 1, **changes: object) -> Sce
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_focal_lengths_from_patterns_that_face_the_camera(noise):
-    """A pattern twice as far in an image twice as large: only its tilt tells."""
+    """A pattern twice as far in an image twice as large: only its tilt distinguishes them."""
     with pytest.raises(UndeterminedError) as error:
         calibrate(facing(0.0, pixel_noise=noise).dataset(), EVERY)
     message = str(error.value)
@@ -270,7 +270,7 @@ def test_a_fraction_that_the_labels_tell_is_whole():
 
 @pytest.fixture(scope="module")
 def tangle() -> Setup:
-    """Several patterns, an arm, partial views, free intrinsics of which two are held."""
+    """Several patterns, an arm, partial views, free intrinsics of which two are fixed."""
     dataset = arm_with_patterns(5, pixel_noise=0.5, partial=0.4).dataset()
     return build(dataset, ("intrinsics-cam-fy", "intrinsics-cam-k2"), ("cam",))
 

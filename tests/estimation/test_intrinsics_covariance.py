@@ -1,4 +1,4 @@
-"""What is known of intrinsics beforehand: a prior where they are calibrated, considered where they are not."""
+"""Given covariances of intrinsics: a prior if they are calibrated, considered if they are fixed."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def known(C: Array | None = None, parameters: tuple[str, ...] = CAMERA.parameter
 
 
 def drawn(seed: int, n: int = 20) -> Dataset:
-    """What two cameras see whose intrinsics are drawn from what is known; they are in the dataset."""
+    """Views of two cameras with intrinsics drawn from the prior; they are in the dataset."""
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(covariance())
     cameras = [CAMERA.with_intrinsics(CAMERA.intrinsics + root @ rng.normal(size=9)) for _ in range(2)]

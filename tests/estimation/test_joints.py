@@ -1,4 +1,4 @@
-"""Joints: their parameters are found with honest error bars, or what they cannot be told from is named."""
+"""Joints: their parameters are found with correct covariances; degenerate ones are named."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Each column of what is held against finite differences of the cost: the labels, the camera or the pattern changed."""
+"""Each column of fixed parameters against finite differences of the cost, with changed labels, camera or pattern."""
 
 from dataclasses import replace
 

@@ -99,7 +99,7 @@ def test_a_start_without_a_finite_cost_is_no_optimum(bad):
 
 
 class Indefinite(NormalEquations):
-    """What rounding makes of a nearly singular system: steps that lead uphill, and say so, until they are damped."""
+    """A nearly singular system with rounding errors: steps that increase the cost, until they are damped."""
 
     def step(self, damping: float) -> tuple[Array, Array, float]:
         shared, local, predicted = super().step(damping)

@@ -30,7 +30,7 @@ EXACT = Weighting({"pixel": 1.0, "range": 0.01, "border": 0.01, "lidar2d_range":
 
 
 def start_of(setup: Setup, noise: StartingNoise | None = None) -> LinearStart:
-    """With guesses of the patterns that say nothing."""
+    """With uninformative guesses of the patterns."""
     nothing = tuple(
         np.broadcast_to(np.eye(4), v.shape).copy() if block.edge[1].endswith("_link") else v
         for v, block in zip(true_values(setup), setup.problem.blocks, strict=True)
@@ -98,7 +98,7 @@ def test_the_views_of_several_patterns_count_together_for_a_2d_lidar():
 
 
 def test_a_2d_lidar_in_the_hand_of_an_arm():
-    """A camera and a 2D LiDAR on the flange, a pattern that stands still."""
+    """A camera and a 2D LiDAR on the flange, and a fixed pattern."""
     scene = eye_in_hand(14, border=False)
     big = board(fixed=True, square=0.2)
     beside = scene.transforms["flange", "mount"] @ scene.transforms["mount", "cam"] @ transform(AHEAD, (0.05, 0.0, 0.0))

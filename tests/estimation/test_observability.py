@@ -1,4 +1,4 @@
-"""What the data leave open: named by transform and axis; what they determine: counted."""
+"""Undetermined directions, named by transform and axis; determined parameters, counted."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ GOOD = np.full(12, 1e-4)
 
 
 def equations(sigma: Array, directions: Array | None = None) -> NormalEquations:
-    """Whose covariance has these standard deviations (m, rad) along the axes, or along these orthonormal columns."""
+    """Equations whose covariance has these standard deviations (m, rad) on the axes, or these orthonormal columns."""
     Q = np.eye(12) if directions is None else directions
     H = (Q * np.where(np.isinf(sigma), 0.0, 1 / sigma**2)) @ Q.T
     return NormalEquations(np.zeros(1), H, np.zeros((1, 12, 0)), np.zeros((1, 0, 0)), np.zeros(12), np.zeros((1, 0)))

@@ -120,7 +120,7 @@ def test_outliers_pull_no_harder_than_the_threshold():
 
 
 def test_patterns_that_start_mirrored_are_put_right():
-    """From afar the two poses of a pattern look alike in one camera; the other one tells."""
+    """At a distance the two poses of a pattern look alike in one camera; the other one distinguishes them."""
     scene = stereo(40, pixel_noise=0.5, partial=0.3)
     left, boards = scene.transforms["world", "left"], scene.transforms["world", "board_link"]
     far = {**scene.transforms, ("world", "board_link"): translation(2 * left[:3, 2]) @ boards}

@@ -25,7 +25,7 @@ def views(seed: int, n: int, tilt: float = 0.4, depth: float = 1.5) -> Array:
 
 
 def rays_of(T: Array, noise: float = 0.0, seed: int = 0) -> Array:
-    """What the camera sees, (V, 2, K), with noise in pixels."""
+    """Rays of a camera's view (V, 2, K), with noise in pixels."""
     p = apply(T, CORNERS)
     exact = (p[..., :2] / p[..., 2:]).swapaxes(1, 2)
     return exact + np.random.default_rng(seed).normal(size=exact.shape) * noise / FOCAL

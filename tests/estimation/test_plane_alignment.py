@@ -75,7 +75,7 @@ def test_noise_on_the_planes_moves_the_result_as_much():
 
 @pytest.mark.parametrize("tilt", [0.0, 1e-4])
 def test_translations_that_parallel_planes_leave_open_are_those_of_the_guess(tilt):
-    """Planes that are parallel but for their noise say nothing about the other two directions."""
+    """Planes that are parallel up to their noise do not determine the other two directions."""
     rng = np.random.default_rng(0)
     turned = transform(rotations.exp(np.linspace(-1, 1, 6)[:, None] * [0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]))
     normals = turned[:, :3, 2] + tilt * rng.normal(size=(6, 3))

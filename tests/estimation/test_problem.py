@@ -49,7 +49,7 @@ def corners(views: int, camera: Camera = PINHOLE, count: int = 6) -> CornerTerm:
 
 
 def twist(before: Array, after: Array) -> Array:
-    """How poses have moved, in the sensor's frame."""
+    """Motion of poses, in the sensor's frame."""
     return local(np.broadcast_to(np.eye(4), after.shape), after @ inverse(before))
 
 

@@ -133,7 +133,7 @@ def test_a_view_does_not_depend_on_its_neighbours(name, monkeypatch):
 
 @EVERY_TERM
 def test_what_was_found_stays_when_more_is_asked_for(name):
-    """The rows are written over each time, what comes of them is not."""
+    """The rows are overwritten each time, results are not."""
     make, scale = TERMS[name]
     term = make(scale)
     found = term.linearise(poses(), scale, 0.8)

@@ -1,4 +1,4 @@
-"""Lines of a 2D LiDAR, aligned with the planes that they are cuts of."""
+"""Scan lines of a 2D LiDAR, aligned with planes at known poses."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from tests.properties import at_most
 RAYS = 30
 
 
-def cuts(n: int, seed: int = 0, noise: float = 0.0, solid: bool = False) -> tuple[Array, Array, Array, Array]:
+def scan_lines(n: int, seed: int = 0, noise: float = 0.0, solid: bool = False) -> tuple[Array, Array, Array, Array]:
     """Of n planes: points (30 n, 3), normals, offsets and the transform that puts points on planes.
 
     The points lie in the plane z = 0, or (solid) in one of any tilt for each view.
@@ -39,19 +39,19 @@ def cuts(n: int, seed: int = 0, noise: float = 0.0, solid: bool = False) -> tupl
 @at_most(40)
 @given(seed=st.integers(0, 10_000), n=st.integers(6, 20), solid=st.booleans())
 def test_exact_scan_lines_give_the_exact_transform(seed, n, solid):
-    points, normals, offsets, T = cuts(n + 2 * solid, seed, solid=solid)
+    points, normals, offsets, T = scan_lines(n + 2 * solid, seed, solid=solid)
     np.testing.assert_allclose(align_scans(points, normals, offsets), T, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_sensor_upside_down_is_another_solution_and_not_taken_for_it(seed):
-    points, normals, offsets, T = cuts(8, seed)
+    points, normals, offsets, T = scan_lines(8, seed)
     turned = align_scans(points * [1.0, -1.0, 1.0], normals, offsets)  # about its x axis
     np.testing.assert_allclose(turned @ transform(np.diag([1.0, -1.0, -1.0]), np.zeros(3)), T, atol=1e-7)
 
 
 def test_the_sides_of_the_planes_do_not_matter():
-    points, normals, offsets, T = cuts(8)
+    points, normals, offsets, T = scan_lines(8)
     sign = np.random.default_rng(0).choice([-1.0, 1.0], len(points))
     np.testing.assert_allclose(align_scans(points, normals * sign[:, None], offsets * sign), T, atol=1e-8)
 
@@ -59,7 +59,7 @@ def test_the_sides_of_the_planes_do_not_matter():
 @pytest.mark.parametrize("spoilt", ["points", "views"])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_fifth_of_the_points_off_or_of_the_planes_wrong_do_little_harm(spoilt, seed):
-    points, normals, offsets, T = cuts(20, seed, noise=0.01)
+    points, normals, offsets, T = scan_lines(20, seed, noise=0.01)
     rng = np.random.default_rng(seed)
     if spoilt == "points":
         off = rng.random(len(points)) < 0.2
@@ -76,7 +76,7 @@ def test_a_fifth_of_the_points_off_or_of_the_planes_wrong_do_little_harm(spoilt,
 
 def test_noise_moves_the_result_as_little_as_the_best_fit_does():
     """Refined: nothing near it has a smaller sum of absolute distances."""
-    points, normals, offsets, _ = cuts(10, 3, noise=0.01)
+    points, normals, offsets, _ = scan_lines(10, 3, noise=0.01)
     found = align_scans(points, normals, offsets)
     rng = np.random.default_rng(0)
 
@@ -92,7 +92,7 @@ def test_noise_moves_the_result_as_little_as_the_best_fit_does():
 
 @pytest.mark.parametrize("n", [1, 3, 4])
 def test_fewer_than_five_planes_are_too_few(n):
-    points, normals, offsets, _ = cuts(n)
+    points, normals, offsets, _ = scan_lines(n)
     assert align_scans(points, normals, offsets) is None
 
 
@@ -114,7 +114,7 @@ def test_planes_that_are_too_much_alike_give_nothing(alike, noise):
 
 
 def test_too_few_points_give_nothing():
-    points, normals, offsets, _ = cuts(8)
+    points, normals, offsets, _ = scan_lines(8)
     assert align_scans(points[:8], normals[:8], offsets[:8]) is None
 
 

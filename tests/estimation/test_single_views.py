@@ -32,7 +32,7 @@ def poses(seed: int, count: int, tilt: float = 0.4, depth: float = 1.5) -> Array
 
 
 def term(T: Array, noise: float = 0.0, seed: int = 0, seen: float = 1.0) -> CornerTerm:
-    """What the camera sees, with noise in px, a share of the corners in each view."""
+    """Term of a camera's views, with noise in px and a share of the corners in each view."""
     rng = np.random.default_rng(seed)
     pixels = CAMERA.project(apply(T, CORNERS)).swapaxes(1, 2)
     pixels = pixels + rng.normal(size=pixels.shape) * noise

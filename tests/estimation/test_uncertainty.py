@@ -26,7 +26,7 @@ CASES: dict[str, tuple[Callable[..., Scene], dict[str, object], Edge]] = {
 
 
 def error(result: Calibration, truth: dict[Edge, Array], edge: Edge) -> Array:
-    """The twist from the result to the truth, in the child frame; the sensor that was held being right."""
+    """The twist from the result to the truth, in the child frame, relative to the fixed sensor."""
     back = np.eye(4)
     if result.gauge:
         held = result.dataset.sensors[result.gauge].edge

@@ -25,7 +25,7 @@ ALTERNATING = {"sees": lambda sensor, _, i: (i % 2 == 0) == (sensor in ("left", 
 
 
 def refusal(scene: Scene, kind: type[InputError] = UndeterminedError) -> str:
-    """What it says; the same with and without noise on the labels, from both starts."""
+    """Message of the refusal; the same with and without noise on the labels, from both starts."""
     messages = set()
     for noise in (0.0, 0.3):
         dataset = replace(scene, pixel_noise=noise, range_noise=noise / 30).dataset()
@@ -167,7 +167,7 @@ def test_two_transforms_in_a_row_with_nothing_that_moves_between():
 
 
 def refusal_named(scene: Scene) -> str:
-    """Where directions are named by numbers that noise changes."""
+    """The refusal without the numbers that noise changes."""
     with pytest.raises(UndeterminedError) as error:
         calibrate(replace(scene, pixel_noise=0.3).dataset())
     message = str(error.value)

@@ -1,4 +1,4 @@
-"""Which labels count: what is left out is said, and is left out."""
+"""Usable labels: the others are removed and reported."""
 
 from dataclasses import replace
 

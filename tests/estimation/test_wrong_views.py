@@ -1,4 +1,4 @@
-"""Views that are wrong as a whole: found by what the others say, whatever the system."""
+"""Views that are wrong as a whole: found by the other views, in any system."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -58,7 +58,7 @@ def test_labels_of_another_moment(scene: Scene, sensor: str, named: set[str], wr
 
 
 def test_how_far_a_view_is_off() -> None:
-    """The arm stands half a metre from where it says, in one collection."""
+    """The arm is half a metre from its reported pose in one collection."""
     dataset = eye_to_hand(10, pixel_noise=0.05).dataset()
     moved = dataset.transforms["base", "flange"].copy()
     moved[4, 0, 3] += 0.5

@@ -1,4 +1,4 @@
-"""Hand-eye samples of a simulated arm, in the files of those who write them."""
+"""Hand-eye samples of a simulated arm, in the file formats of several tools."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ from calibration.geometry.types import Array
 MM, DEG = 1.0, 0.1
 """Standard deviations of the poses of the pattern, each axis."""
 X = transform(rotations.exp([0.1, -0.2, 0.3]), [0.03, -0.05, 0.08])
-"""``T_tool_camera``, or ``T_tool_pattern`` where the camera stands still."""
+"""``T_tool_camera``, or ``T_tool_pattern`` if the camera is fixed."""
 Y = transform(rotations.exp([0.3, 2.0, 0.2]), [0.8, 0.1, 0.1])
 """``T_base_pattern``, or ``T_base_camera``."""
 
@@ -56,7 +56,7 @@ def message(T: Array) -> dict[str, Any]:
 
 
 def easy_handeye(samples: Samples, path: Path) -> None:
-    """As easy_handeye2: the inverse of the arm's poses where the camera stands still."""
+    """Write the format of easy_handeye2: the inverse of the arm's poses if the camera is fixed."""
     arm = samples.arm if samples.in_hand else inverse(samples.arm)
     pairs = [{"robot": message(a), "tracking": message(b)} for a, b in zip(arm, samples.seen, strict=True)]
     path.write_text(yaml.safe_dump({"parameters": {"name": "", "calibration_type": ""}, "samples": pairs}))

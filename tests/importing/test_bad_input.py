@@ -1,4 +1,4 @@
-"""What is wrong in a recording is named in one line, and leaves nothing behind."""
+"""Errors in a recording are named in one line, and leave no files."""
 
 import json
 import random

@@ -28,7 +28,7 @@ SENSORS = {
 
 
 def scan(T_lidar_pattern: Array, outline: Array) -> dict[str, Any]:
-    """The LaserScan of a LiDAR whose plane z = 0 cuts a board; nothing comes back from elsewhere."""
+    """LaserScan of a LiDAR with a scan line on a board, and no other returns."""
     angles = np.arange(-0.6, 0.6, 0.002)
     rays = np.stack([np.cos(angles), np.sin(angles), 0 * angles], -1)
     T = inverse(T_lidar_pattern)

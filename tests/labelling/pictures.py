@@ -102,7 +102,7 @@ class Photograph:
     random: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def of(self, pattern: PatternConfiguration, T_camera_pattern: Array, legacy: bool = False, hidden=None) -> Image:
-        """The image; `hidden` is a box (left, top, right, bottom) in pixels that stands in front, and its grey."""
+        """The image; `hidden` is an occluding box (left, top, right, bottom) in pixels, and its grey."""
         width, height = self.camera.width, self.camera.height
         rays = _rays(self.camera, self.supersampling)
         border = np.array(pattern.border_size)

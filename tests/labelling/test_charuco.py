@@ -145,7 +145,7 @@ def test_partial_views_of_either_layout(legacy) -> None:
 
 @pytest.mark.parametrize("legacy", [False, True])
 def test_few_rows_of_markers_never_give_the_wrong_layout(legacy) -> None:
-    """Where one row of markers is seen, the two layouts differ by a shift: what surrounds it has to tell."""
+    """With one visible row of markers, the two layouts differ by a shift: only its surroundings distinguish them."""
     pattern = replace(charuco(11, 3), border_size=(0.0, 0.0))
     detector = CharucoDetector(pattern)
     T = facing(pattern, 0.8)

@@ -52,7 +52,7 @@ def mask(index, shape) -> np.ndarray:
 
 
 def from_border(index, T, camera=CAMERA) -> np.ndarray:
-    """How far within the board's border the rays of these pixels meet it, m."""
+    """Distance of the intersections of these pixels' rays inside of the board's border, m."""
     rectangle = board(T)
     directions = rays(camera).reshape(-1, 3)[index]
     points = directions * rectangle.cast(directions)[:, None]

@@ -1,4 +1,4 @@
-"""The points of a LiDAR on a board, against what each ray truly hit, whatever stands around."""
+"""Labelled points of a LiDAR on a board, against the true hits, with other objects around."""
 
 import numpy as np
 import pytest

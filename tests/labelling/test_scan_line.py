@@ -1,4 +1,4 @@
-"""The rays of a 2D LiDAR on a board, against what each ray truly hit, whatever stands around."""
+"""Labelled rays of a 2D LiDAR on a board, against the true hits, with other objects around."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from calibration.geometry.transforms import apply
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
-from calibration.labelling.scan_line import cut_ends, label_scan_line
+from calibration.labelling.scan_line import label_scan_line, scan_line_ends
 from tests.labelling.worlds import BOARD, Measured, board, displaced, measure, standing, true_border, upright
 
 ANGLES = np.radians(np.arange(-135, 135.1, 0.25))
@@ -123,7 +123,7 @@ def test_scattered_points_are_no_line():
 @given(turn=st.tuples(*[st.floats(-3, 3)] * 3), height=st.floats(-0.6, 0.6))
 def test_the_ends_of_a_scan_line_are_on_the_outline_and_in_the_scans_plane(turn, height):
     T = standing(0.3, 2.0, turn, height)
-    ends = cut_ends(BOARD, np.stack([T, T]))
+    ends = scan_line_ends(BOARD, np.stack([T, T]))
     assert ends.shape == (2, 2, 2)
     corners = apply(T, np.append(BOARD.outline, np.zeros((4, 1)), -1))
     if np.ptp(np.sign(corners[:, 2])) == 0:

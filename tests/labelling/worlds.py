@@ -67,7 +67,7 @@ def lidar_rays(rings: int = 16, azimuths: int = 1800, up: float = 15.0) -> Array
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What came back; the first two axes are those of the rays."""
+    """Measured returns; the first two axes are those of the rays."""
 
     distances: Array
     """Along the rays; NaN for nothing."""

@@ -46,7 +46,7 @@ def repository(tmp_path: Path, snapshots: tuple[Snapshot, Snapshot]) -> Path:
 
 
 def event(tmp_path: Path, base: str) -> dict[str, str]:
-    """What a runner says of a pull request."""
+    """A runner's description of a pull request."""
     path = tmp_path / "event.json"
     sides = {side: {"sha": base, "repo": {"full_name": "team/robot"}} for side in ("base", "head")}
     path.write_text(json.dumps({"pull_request": sides}))

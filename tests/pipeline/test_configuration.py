@@ -1,4 +1,4 @@
-"""calibration.yml: what it may say, and what a user hears who errs."""
+"""calibration.yml: its keys, and the errors of invalid ones."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a system that passes leaves for its robot, and one that fails does not."""
+"""Exports of a system that passes; none of one that fails."""
 
 import json
 import shutil

@@ -97,8 +97,8 @@ def test_the_expected_scan_lines_equal_those_of_the_simulated_scans(system: Syst
     exact = replace(lidar_of(system), noise=0.0, resolution=0.0)
     system = replace(system, sensors={**system.sensors, LIDAR: exact}, scene=Scene())
     placement = place(system, read_motion(DATASETS / "rlbot" / "motion.json"))
-    cuts = detects(system, LIDAR, "pattern_1", placement)
-    assert 3 < cuts.sum() < len(cuts)
+    detected = detects(system, LIDAR, "pattern_1", placement)
+    assert 3 < detected.sum() < len(detected)
     dataset = expected_dataset(system, placement)
     assert dataset.sensors[LIDAR].camera is None
     for number, labels in dataset.detections("pattern_1", LIDAR):
@@ -107,7 +107,7 @@ def test_the_expected_scan_lines_equal_those_of_the_simulated_scans(system: Syst
         on = np.flatnonzero(seen.board[0] == 0)
         np.testing.assert_allclose(labels.points, exact.directions()[0, on] * seen.ranges[0, on, None], atol=1e-9)
         assert labels.limits.tolist() == [0, len(on) - 1]
-    assert {i for i, _ in dataset.detections("pattern_1", LIDAR)} == set(np.flatnonzero(cuts))
+    assert {i for i, _ in dataset.detections("pattern_1", LIDAR)} == set(np.flatnonzero(detected))
 
 
 def test_a_scan_line_needs_range_angle_and_visibility(system: System) -> None:
@@ -132,8 +132,8 @@ def test_its_expected_noise_is_its_own(system: System) -> None:
 
 def test_the_recorder_shows_its_points(system: System) -> None:
     motion = read_motion(DATASETS / "rlbot" / "motion.json")
-    cuts = detects(system, LIDAR, "pattern_1", place(system, motion))
-    view = preview(system, motion.take([int(cuts.argmax())])).views[LIDAR]
+    detected = detects(system, LIDAR, "pattern_1", place(system, motion))
+    view = preview(system, motion.take([int(detected.argmax())])).views[LIDAR]
     assert view.detected
     assert np.isfinite(view.points).all()
     assert 10 < view.on_pattern.sum() < len(view.points)

@@ -1,4 +1,4 @@
-"""calibration.yml says where containers run: on this machine's engine or in the cloud."""
+"""Execution target of containers in calibration.yml: this machine's engine or the cloud."""
 
 from pathlib import Path
 

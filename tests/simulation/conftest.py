@@ -11,7 +11,7 @@ from calibration.simulation.system import System, read_system
 
 DATASETS = Path(__file__).resolve().parents[2] / "datasets"
 FREE = ("t2rgb", "rlbot", "riwbot")
-"""The systems in which a pattern can be brought to any pose before a sensor."""
+"""Systems in which a pattern can be moved to any pose in front of a sensor."""
 SYSTEMS = (*FREE, "softbot", "spjbot")
 
 
@@ -37,7 +37,7 @@ def detects(system: System, sensor: str, pattern: str, placement: Placement) -> 
 
 
 def corner_views(system: System, camera: str, pattern: str, placement: Placement) -> CornerViews:
-    """What a camera is expected to see of a pattern's corners."""
+    """Expected views of a pattern's corners by a camera."""
     return system.cameras[camera].corner_views(views(system, placement, camera, pattern))
 
 

@@ -27,7 +27,7 @@ from .conftest import DATASETS, FREE, SYSTEMS
 
 SEED = 1
 POSES = {"t2rgb": 26, "rlbot": 24, "riwbot": 24, "softbot": 14, "spjbot": 20}
-"""What the commands of the README say."""
+"""Options of the commands in the README."""
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -187,7 +187,7 @@ def test_the_transforms_in_the_file_are_the_truth(datasets: dict[str, Dataset], 
 
 
 def test_the_joints_in_the_file_are_those_of_the_description(datasets: dict[str, Dataset]) -> None:
-    """The truth has what the simulation put on top; each joint's transform is that of what the file says of it."""
+    """The truth has the errors of the simulation; each joint's transform matches its parameters in the file."""
     dataset = datasets["spjbot"]
     truth = find_truth(dataset)
     assert truth is not None

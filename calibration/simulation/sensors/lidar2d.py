@@ -13,7 +13,7 @@ from calibration.dataset.pattern import Pattern
 from calibration.estimation.median import median
 from calibration.geometry.types import Array, BoolArray
 from calibration.labelling.detection import Image
-from calibration.labelling.scan_line import cut_ends, label_scan_line
+from calibration.labelling.scan_line import label_scan_line, scan_line_ends
 from calibration.records import Converted, between, field, record
 from calibration.simulation.board import Board
 from calibration.simulation.description import listed, rising
@@ -22,7 +22,7 @@ from calibration.simulation.sensors.drawing import DARK, HEIGHT, blank, draw_poi
 from calibration.simulation.sensors.lidar import DECIMALS, RaySensor
 from calibration.simulation.sensors.sensor import LEAST_SHARE, MAX_VIEW_ANGLE, Data, Found, Views
 
-LEAST_CUT = 0.5
+LEAST_SCAN_LINE = 0.5
 """Minimum length of a scan line on a pattern, in the pattern's smaller side: a shorter one has little information."""
 _ANGLE_DECIMALS = 12
 
@@ -109,7 +109,7 @@ class SimulatedLidar2d(RaySensor):
     def detects(self, views: Views) -> BoolArray:
         """Return a mask (N,) of the poses with a scan line of sufficient length on the pattern."""
         board = views.pattern
-        ends = cut_ends(board, views.T_sensor_pattern)
+        ends = scan_line_ends(board, views.T_sensor_pattern)
         with np.errstate(invalid="ignore"):
             length, distance = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1), np.linalg.norm(ends, axis=-1)
             after_first = np.mod(np.arctan2(ends[..., 1], ends[..., 0]) - self.angle_min, 2 * np.pi)
@@ -117,7 +117,7 @@ class SimulatedLidar2d(RaySensor):
             nearest = np.abs(ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]) / length  # of the line
             middle = np.linalg.norm(ends.mean(1), axis=-1)
             cut: BoolArray = (
-                (length > LEAST_CUT * np.ptp(board.outline, axis=0).min())
+                (length > LEAST_SCAN_LINE * np.ptp(board.outline, axis=0).min())
                 & (nearest > self.least_range)
                 & (distance.max(-1) < self.most_range)
                 & within.all(-1)

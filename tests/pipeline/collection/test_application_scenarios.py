@@ -42,7 +42,7 @@ Leave = Callable[[Path], dict[str, Any] | None]
 
 
 class Leaves:
-    """A backend whose jobs leave what they are told to, by their number."""
+    """Backend whose jobs leave configured files, by their number."""
 
     def __init__(self, *leave: Leave) -> None:
         self.leave, self.jobs = leave, list[Job]()

@@ -1,4 +1,4 @@
-"""A dataset collected, proven and judged: what stands in its folder, and what turns it red."""
+"""A dataset collected, proven and judged: its files, and the reasons of a red verdict."""
 
 import csv
 import json

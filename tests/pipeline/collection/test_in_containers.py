@@ -1,4 +1,4 @@
-"""Datasets that applications collected: what their containers are told, and what is made of what they leave."""
+"""Datasets collected by applications: the inputs of their containers, and the use of their outputs."""
 
 import json
 import shutil

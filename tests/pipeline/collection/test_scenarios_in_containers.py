@@ -42,7 +42,7 @@ class RunsHere:
     """A backend that runs the command of each job in this process, with its folders in the place of a container's."""
 
     ran: dict[str, tuple[int, Path]] = {}  # noqa: RUF012
-    """What commands left, by all that they were given: the same is not run twice."""
+    """# results of commands by their inputs, so that none runs twice"""
     kept: Path
 
     def __init__(self, **changes: Change) -> None:

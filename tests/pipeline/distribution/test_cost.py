@@ -1,4 +1,4 @@
-"""What a run costs: each job's minutes rounded up, and never more certain than what the jobs have told."""
+"""Cost of a run: each job's minutes rounded up, with unknown times reported as such."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the jobs of a workflow left, held against the plan."""
+"""Results of a workflow's jobs, compared with the plan."""
 
 import json
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""How long a job took, as it says itself; what it says is nobody's reason to fail."""
+"""Durations of jobs, as reported by themselves; invalid ones are no failure."""
 
 from pathlib import Path
 

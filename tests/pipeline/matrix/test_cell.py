@@ -1,4 +1,4 @@
-"""What a cell's own results say of a calibration."""
+"""Details of a calibration in a cell's own results."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Rules and limits: red means red, and says which value was over which limit."""
+"""Rules and limits: a failure is red, and names the value and its limit."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The team's software in a cell: what it is told, and what its files say."""
+"""The team's software in a cell: its inputs, and its results by its files."""
 
 import json
 import re
@@ -216,7 +216,7 @@ def off_by(millimetres: float) -> Dataset:
 
 
 def one_step() -> Dataset:
-    """What comes of our engine when it is stopped after one step."""
+    """Result of our engine, stopped after one step."""
     dataset = with_starting_noise(loaded().dataset, StartingNoise(0.05, 0.05, 1))
     setup = build(dataset)
     start = pattern_poses(setup, initial_values(setup))

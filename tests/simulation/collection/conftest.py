@@ -39,7 +39,7 @@ def rlbot_play(systems: dict[str, System]) -> Play:
 
 @pytest.fixture(scope="session")
 def rlbot_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the files of `rlbot_records` lie."""
+    """Folder of the files of `rlbot_records`."""
     return tmp_path_factory.mktemp("files")
 
 

@@ -1,4 +1,4 @@
-"""What the sensors see depends on the seed, the pose and the sensor alone; labels are on the truth."""
+"""Captures depend on the seed, the pose and the sensor alone; labels match the truth."""
 
 from dataclasses import replace
 

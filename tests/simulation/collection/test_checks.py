@@ -1,4 +1,4 @@
-"""Why a collection is lost."""
+"""Reasons for rejecting a collection."""
 
 from dataclasses import replace
 

@@ -9,7 +9,7 @@ from calibration.pipeline.collection.results import CollectionResults
 from tests.simulation.conftest import DATASETS
 
 Edits = Mapping[str, Mapping[str, str]]
-"""By file: what stands in place of what."""
+"""By file: replaced texts and their replacements."""
 
 
 def collected(source: str, folder: Path, edits: Edits, poses: int = 8) -> CollectionResults:

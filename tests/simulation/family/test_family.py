@@ -63,7 +63,7 @@ def test_no_camera_of_a_ring_sees_every_collection(tmp_path: Path) -> None:
 
 
 def test_joints_at_both_ends_of_an_arm_are_refused_by_name(tmp_path: Path) -> None:
-    """The first makes up for the pattern's pose, the last for the camera's."""
+    """The first is degenerate with the pattern's pose, the last with the camera's."""
     system = replace(mrjbot, frames=rihbot.frames, anchored="").system(tmp_path)
     exact = expected_dataset(system, place(system, generate_motion(rihbot.system(tmp_path), 20, seed=1)))
     with pytest.raises(UndeterminedError) as error:

@@ -15,7 +15,7 @@ def at_random(candidates: Candidates, count: int, seed: int) -> list[int]:
 
 
 def spread(system: System, candidates: Candidates, count: int) -> list[int]:
-    """Poses that differ: each next one is the farthest from all before it, by where and how the pattern stands."""
+    """Choose poses that differ: the next one is the farthest from all previous ones, by the pattern's pose."""
     T = place(system, candidates.motion).pattern_in(next(iter(system.cameras)), next(iter(system.patterns)))
     features: Array = np.concatenate([T[:, :3, 3] / T[:, 2:3, 3], T[:, 2:3, 3], 2 * T[:, :2, 2], T[:, :2, 0]], -1)
     chosen = [0]

@@ -19,7 +19,7 @@ def matrices(seed: int, count: int = 30, size: int = 4) -> Array:
 
 
 def whole(count: int) -> Array:
-    """Nothing is seen in part."""
+    """No partial views."""
     return np.zeros(count)
 
 

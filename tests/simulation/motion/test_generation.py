@@ -69,7 +69,7 @@ def test_no_partial_views_where_none_are_wanted(systems: dict[str, System]) -> N
 
 
 def error(system: System, motion: Motion) -> float:
-    """What is predicted of the sensor that is free, m and rad together, a radian counting as the pattern's distance."""
+    """Predicted error of the free sensor, m and rad together, a radian counting as the pattern's distance."""
     camera = next(iter(system.cameras))
     distance = float(np.linalg.norm(place(system, motion).pattern_in(camera, PATTERN)[:, :3, 3], axis=-1).mean())
     return max(float(np.hypot(t / distance, r)) for t, r in predicted_sigmas(system, motion).values())

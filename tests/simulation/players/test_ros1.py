@@ -1,4 +1,4 @@
-"""The player with a system that stands in for ROS; a real one is in tests/integration/simulation/players."""
+"""The player with a fake ROS system; a real one is in tests/integration/simulation/players."""
 
 import json
 import threading
@@ -34,7 +34,7 @@ SEQUENCE = {
 
 
 class System:
-    """Takes poses, and answers as it is told."""
+    """Fake ROS system: takes poses, and answers as configured."""
 
     def __init__(self, answer: Callable[[int], Answer]) -> None:
         self.answer = answer

@@ -1,4 +1,4 @@
-"""What detectors find on rendered images against the projected truth."""
+"""Detected corners in rendered images against the projected truth."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -37,7 +37,7 @@ def render(boards: list[Board], scene: Scene = BRIGHT, of: object = CAMERA) -> n
 
 
 def crossing(profile: np.ndarray) -> float:
-    """Where a profile over pixels that rises or falls once has its step, by its area: exact for box-shaped pixels."""
+    """Position of the step in a rising or falling profile of pixels, by its area: exact for box-shaped pixels."""
     low, high = profile[0], profile[-1]
     return float(((high - profile) / (high - low)).sum() - 0.5)
 

@@ -47,7 +47,7 @@ def test_a_driver_may_be_a_magnitude_or_make_the_error_smaller() -> None:
 
 
 def test_chance_is_rarely_significant() -> None:
-    """Of 60 sets of scenarios without any driver, each with 30 parameters, hardly one has one that stands out."""
+    """Of 60 sets of scenarios without any driver, each with 30 parameters, hardly any has a significant one."""
     wrong = sum(find_drivers(scenarios(40, 30, seed), noise(40, seed + 1000))[0].stands_out for seed in range(60))
     assert wrong <= 4
 

@@ -178,7 +178,7 @@ def test_the_clearance_is_the_least_distance_to_a_box(systems: dict[str, System]
 
 
 def test_joints_differ_from_their_description(systems: dict[str, System]) -> None:
-    """What a scenario says of a parameter stands in place of what the simulation says; what it leaves out stays."""
+    """A scenario's parameters override the simulation's; others are unchanged."""
     system = systems["spjbot"]
     assert world(system).robot is system.robot
     values = {"j2_joint.origin_yaw.rotation_deg": -1.0, "j3_joint.origin_z.translation_mm": 4.0}
