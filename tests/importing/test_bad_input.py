@@ -68,7 +68,7 @@ def set_to(*keys: str, to: object) -> Callable[[Path], None]:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (cut, "0.jpg: this is no image that can be read, or it is cut off"),
+        (cut, "0.jpg: this is not a readable image, or it is truncated"),
         (smaller, "3.jpg: found 320 x 240 pixels, expected 640 x 480 as"),
         (all_smaller, "found an image of 320 x 240 pixels, expected 640 x 480 as"),
         (copied, "7.jpg: found the same pixels as in"),

@@ -422,5 +422,5 @@ def test_a_length_beyond_all_memory_is_damage(whole: Path, tmp_path: Path, monke
 
     monkeypatch.setattr(Reader, "messages", exhausted)
     shutil.copytree(whole / "bag", tmp_path / "copy")
-    with pytest.raises(InputError, match="cannot be read: MemoryError; is it cut off"):
+    with pytest.raises(InputError, match="cannot be read: MemoryError; is it truncated"):
         import_data(describe(file_of(tmp_path / "copy", "bag")), tmp_path / "out", jobs=1)

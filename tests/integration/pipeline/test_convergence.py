@@ -91,4 +91,4 @@ def test_software_whose_table_says_nothing_does_not_pass(sweep: Callable[..., in
     command = f'python3 -c "{program}" {{output}}'
     options = ["--translation-noise", "0", "--rotation-noise", "0", "--start", "given"]
     assert sweep(*options, command=command) == 1
-    assert "nothing says whether it is right" in results(tmp_path)["reasons"][0]
+    assert "no criterion for convergence" in results(tmp_path)["reasons"][0]
