@@ -21,6 +21,7 @@ from calibration.dataset.model import Dataset
 from calibration.estimation.assumptions import Assumptions
 from calibration.estimation.batches import batches, table_of
 from calibration.estimation.blocks import Values
+from calibration.estimation.distinct import distinct
 from calibration.estimation.held import (
     Cause,
     SeenGroup,
@@ -161,7 +162,7 @@ def _causes(problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], ass
 
 def _at_most(clusters: IntArray, most: int) -> IntArray:
     """Merge neighbouring clusters until there are at most ``most``."""
-    _, clusters = np.unique(clusters, return_inverse=True)
+    _, clusters = distinct(clusters)
     count = int(clusters.max()) + 1
     return clusters * most // count if count > most else clusters
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration.dataset.model import Dataset
+from calibration.estimation.distinct import distinct
 from calibration.geometry.transforms import apply, distance
 from calibration.geometry.types import Array, BoolArray, IntArray
 
@@ -48,7 +49,7 @@ def _near(views: Sequence[Array]) -> list[tuple[int, int]]:
         i, j = _candidates(view)
         near = ~_apart(view, i, j)
         numbers.append(i[near] * N + j[near])
-    i, j = np.divmod(np.unique(np.concatenate(numbers)), max(N, 1))
+    i, j = np.divmod(distinct(np.concatenate(numbers))[0], max(N, 1))
     near = np.ones(len(i), bool)
     for view in views:
         near &= ~_apart(view, i, j)
