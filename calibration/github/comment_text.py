@@ -52,8 +52,8 @@ def comment_text(brief: Brief, name: str, links: Mapping[str, str], commit: str 
 
 
 def _inactive(text: str) -> str:
-    """Escape a text to one line of Markdown that shows it literally."""
-    return _apart(escape_markdown(text))
+    """Escape a text to one line of Markdown that shows it literally; indented, it would be a block of code."""
+    return _apart(escape_markdown(text).strip())
 
 
 def _apart(markdown: str) -> str:

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
@@ -34,6 +34,7 @@ def rendered(markdown: str) -> str:
     return MarkdownIt("commonmark", {"html": True}).enable(["table", "strikethrough"]).render(markdown)
 
 
+@example("    |", "    |", "    |")
 @given(HOSTILE, HOSTILE, HOSTILE)
 def test_nothing_that_a_stranger_wrote_is_active(sentence: str, reason: str, cell: str) -> None:
     table = BriefTable(("System", cell), ((cell, "1.0 px"), ("robot", cell)))
