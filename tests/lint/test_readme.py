@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 import yaml
 
 from benchmarks.run_picture import LINE, PICTURE, drawing, tables
-from calibration.__main__ import main
+from calibration.__main__ import load_command, main
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
 from calibration.estimation.assumptions import Assumptions
@@ -103,6 +104,33 @@ def test_what_a_page_points_to_is_there(readme: Path) -> None:
 def anchors(page: Path) -> set[str]:
     """The anchors of a page's headings."""
     return {anchor(title) for title in re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)}
+
+
+def commands() -> list[str]:
+    """The lines of the pages that run a command of ours."""
+    blocks = [
+        block
+        for page in READMES
+        for block in re.findall(r"^ *```\w*\n(.*?)^ *```", page.read_text(), re.DOTALL | re.MULTILINE)
+    ]
+    lines = [line.strip().removeprefix("$ ") for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    return sorted({line for line in lines if line.startswith("calibration ")})
+
+
+@pytest.mark.parametrize("line", commands())
+def test_commands_in_pages_have_the_options_that_they_use(line: str) -> None:
+    _, name, *arguments = shlex.split(line, comments=True)
+    if name == "--help":
+        return
+    load_command(name).make_context(name, arguments)  # an error where an option is unknown, wrong or missing
+
+
+def test_the_library_s_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    [shown] = re.findall(r"^```python\n(.*?)^```", (PROJECT / "docs/library.md").read_text(), re.DOTALL | re.MULTILINE)
+    program = shown.replace('"data/my_robot"', repr(str(PROJECT / "datasets" / "t2rgb")))
+    assert program != shown
+    exec(compile(program, "docs/library.md", "exec"), {})  # noqa: S102 (our own page)
+    assert capsys.readouterr().out.startswith("camera_")
 
 
 def test_every_page_is_in_the_index() -> None:
