@@ -3,6 +3,7 @@
 import ctypes
 import mmap
 import multiprocessing
+import os
 import signal
 import sys
 from collections.abc import Callable, Generator, Sequence
@@ -12,7 +13,7 @@ from itertools import islice
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from calibration.errors import InfrastructureError
+from calibration.errors import ExitCode, InfrastructureError
 from calibration.workflow.signals import held_back
 
 Result = TypeVar("Result")
@@ -29,7 +30,7 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
     """Call each function in a worker process; see `calibration.execution.embedded.Embedded.run`."""
     _require_room_for_threads()
     context = multiprocessing.get_context("fork")
-    pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work,))
+    pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work, os.getpid()))
     try:
         # A queue, because a signal may interrupt waiting on it: waiting on futures holds locks that the
         # pool's own thread needs to end.
@@ -72,13 +73,15 @@ def _require_room_for_threads() -> None:
         raise MemoryError from None
 
 
-def _begin(work: Sequence[Callable[[], Any]]) -> None:
+def _begin(work: Sequence[Callable[[], Any]], parent: int) -> None:
     """Initialise a worker: the parent handles signals; if it is killed, the worker is killed too."""
     global _work
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it was killed before the worker could ask for the signal
+        os._exit(ExitCode.INFRASTRUCTURE)
     _work = work
 
 

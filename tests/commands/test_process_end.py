@@ -43,3 +43,17 @@ def test_no_workers_are_begun_without_room_for_their_threads() -> None:
         "except MemoryError:\n    print('no memory')\n"
     )
     assert ended(code).stdout == "no memory\n"
+
+
+def test_a_worker_whose_parent_is_killed_while_it_is_forked_ends() -> None:
+    code = (
+        "import os, signal, time\n"
+        "from calibration.execution.processes import in_processes\n"
+        "def kill_parent():\n"
+        "    parent = os.getppid()\n"
+        "    os.kill(parent, signal.SIGKILL)\n"
+        "    while os.getppid() == parent:\n        time.sleep(0.01)\n"
+        "os.register_at_fork(after_in_child=kill_parent)\n"
+        "list(in_processes([str], 1))\n"
+    )
+    assert ended(code).returncode == -9  # and no worker that keeps its stdout open
