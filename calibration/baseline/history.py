@@ -17,6 +17,7 @@ from calibration.errors import InputError
 from calibration.geometry.transforms import local
 from calibration.geometry.types import Array
 from calibration.git.repository import Commit, Repository
+from calibration.json_file import parse_json
 from calibration.records import computed, field, result
 
 LEAST = np.array([1e-6] * 3 + [1e-6] * 3)
@@ -112,7 +113,7 @@ def read_history(repository: Repository, path: str, commits: Sequence[Commit]) -
 def _read(content: bytes, where: str, known: dict[str, tuple[Any, Snapshot]]) -> dict[str, Snapshot]:
     """Parse the systems of a file; unchanged ones are taken from the previous revision."""
     try:
-        document = json.loads(content)
+        document = parse_json(content)
         entries = document["systems"] if document["version"] == VERSION else {}
         stayed = {name: known[name][1] for name, entry in entries.items() if name in known and known[name][0] == entry}
         new = {name: entry for name, entry in entries.items() if name not in stayed}

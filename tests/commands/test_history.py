@@ -85,11 +85,12 @@ def test_since_a_commit_and_a_system(repository: Path, accepted: Snapshot, capsy
     assert "no commit after HEAD has accepted anything" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("text", ["{]", '{"version": 1, "systems": {"a": 1}, "systems": {}}'])
 def test_a_commit_with_a_broken_file_is_skipped_and_reported(
-    repository: Path, accepted: Snapshot, capsys: pytest.CaptureFixture[str]
+    text: str, repository: Path, accepted: Snapshot, capsys: pytest.CaptureFixture[str]
 ) -> None:
     accept(repository, accepted, 3, lambda i: 0.0)
-    (repository / FILE).write_text("{]")
+    (repository / FILE).write_text(text)
     git(repository, "commit", "--quiet", "-am", "broken")
     broken = git(repository, "rev-parse", "HEAD")
     accept(repository, accepted, 2, lambda i: 0.1)
