@@ -21,3 +21,16 @@ def group_runs(leader: int) -> bool:
         except ProcessLookupError:
             continue
     return False
+
+
+def in_folder(folder: Path) -> list[int]:
+    """The processes that work in a folder, or below it, whatever group they are of."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            works_there = (process / "cwd").readlink().is_relative_to(folder)
+        except OSError:  # it has ended, or is of another user
+            continue
+        if works_there and runs(int(process.name)):
+            found.append(int(process.name))
+    return found

@@ -27,6 +27,7 @@ from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import one_line, shorten
 
 _PAUSE = 0.1
+LOST = "what one process of the tests has run is lost: it was ended, or its disk was full, while it wrote that down"
 
 
 def run(
@@ -239,7 +240,7 @@ def measurement(folder: Path) -> Measurement:
             measured_names([path])
             files.append(path)
         except InputError:
-            problems.append("what one process of the tests has run is lost: it was ended while it wrote that down")
+            problems.append(LOST)
     return Measurement(tuple(files), newest["executable"] if newest else None, tuple(problems))
 
 

@@ -9,6 +9,7 @@ import argparse
 import os
 import random
 import resource
+import shlex
 import signal
 import subprocess
 import sys
@@ -20,13 +21,11 @@ from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 
-from tests.processes import group_runs
+from tests.processes import in_folder
 
 PROJECT = Path(__file__).resolve().parents[2]
 SECONDS = 20
 """After a signal; and after the time that the command takes undisturbed."""
-BEGUN = 0.4
-"""s, until Python and our first lines have begun: before, nobody is there who could answer a signal."""
 DATASET = str(PROJECT / "datasets" / "riwbot")
 _NOISE = ("--translation-noise", "0,0.2,0.5", "--rotation-noise", "0,0.3", "--output", "out")
 COMMANDS: Mapping[str, tuple[str, ...]] = {
@@ -36,10 +35,38 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
         *("collect-data-sim", "--system", str(PROJECT / "datasets" / "t2rgb"), "--motion", "generate:4"),
         *("--output", "out", "--jobs", "2"),
     ),
+    "labels": ("label", "--dataset", DATASET, "--output", "out", "--again", "--jobs", "2"),
+    "pipeline": ("run", "--output", "out", "--jobs", "2"),
+    "coverage": (
+        *("coverage-upload", "--run", "unittest", "--interpreter", sys.executable, "--output", "out"),
+        *("--minimum", "50"),
+    ),
+    "analysis": ("static-analysis", "--tools", "ruff,xml,yamllint", "--output", "out"),
     "tables": ("introspect-csv", "--file", "table.csv", "--column", "x", "--max", "3", "--output", "out"),
 }
 PROGRAM = (sys.executable, "-m", "calibration")
-KINDS = ("signal", "signal", "signal", "two signals", "disk", "memory", "stdout")
+PIPELINE = f"""\
+noise: {{translation: [0, 0.2], rotation: [0, 0.3]}}
+assume: exact
+systems:
+  robot:
+    dataset: {DATASET}
+    limits: {{translation-mm: 1, rotation-deg: 0.1}}
+    exports: {{formats: [ros2]}}
+simulation:
+  fresh: {{system: {DATASET}, motion: "generate:4", minimum-collections: 4}}
+"""
+TEST = """\
+import subprocess, unittest
+from program import double
+
+class Doubled(unittest.TestCase):
+    def test_a_number(self):
+        subprocess.run(["sleep", "0.3"], check=True)
+        self.assertEqual(double(2), 4)
+"""
+KINDS = ("signal", "signal", "signal", "two signals", "killed", "disk", "memory", "stdout", "streams")
+FULL = "/dev/full"
 
 
 @cache
@@ -52,24 +79,34 @@ def undisturbed(name: str) -> tuple[float, int]:
         return time.monotonic() - begin, process.returncode
 
 
+def kind_of(seed: int) -> str:
+    """Which fault strikes in a case."""
+    return random.Random(seed).choice(KINDS)
+
+
 def problem_of(name: str, seed: int) -> str | None:
     """What is wrong with what a command did when a fault struck; None where nothing is."""
     draw = random.Random(seed)
-    kind = draw.choice(KINDS)
+    kind = draw.choice(KINDS)  # the first draw, as `kind_of` says
     duration, code = undisturbed(name)
     expected = {code, 3}
     limits: dict[int, int] = {}
     if kind == "disk":
         limits = {resource.RLIMIT_FSIZE: int(10 ** draw.uniform(1, 5))}
+        if name == "coverage":
+            expected.add(2)  # the tests' own Python could not write what it had measured
     elif kind == "memory":
         limits = {resource.RLIMIT_AS: int(10 ** draw.uniform(8.1, 9.3))}
     with tempfile.TemporaryDirectory(prefix="calibration-faults-") as folder:
-        process = _started(name, Path(folder), limits, "/dev/full" if kind == "stdout" else None)
-        if "signal" in kind:
-            number = draw.choice((signal.SIGINT, signal.SIGTERM))
-            # Before the command could take it, or after its last line, a signal ends Python itself, as for a shell.
+        streams = {"stdout": (FULL, None), "streams": (FULL, FULL)}.get(kind, (os.devnull, None))
+        process = _started(name, Path(folder), limits, *streams)
+        if "signal" in kind or kind == "killed":
+            number = signal.SIGKILL if kind == "killed" else draw.choice((signal.SIGINT, signal.SIGTERM))
+            # After its last line a signal ends Python itself, as for a shell.
             expected = {code, 128 + number, -number}
-            time.sleep(BEGUN + draw.random() * max(0.0, duration - BEGUN))
+            begin = time.monotonic()
+            _wait_for_handlers(process)
+            time.sleep(draw.random() * max(0.0, begin + duration - time.monotonic()))
             for _ in range(2 if kind == "two signals" else 1):
                 process.send_signal(number)
                 time.sleep(draw.random() / 10)
@@ -79,34 +116,74 @@ def problem_of(name: str, seed: int) -> str | None:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
             return f"{kind}: not done after {duration + SECONDS:.0f} s"
+        said = said or ""  # None where it is no pipe
+        if kind == "killed":
+            wait_until_none(Path(folder))
         left = [path.name for path in (Path(folder) / "tmp").iterdir()]
-    if group_runs(process.pid):
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        return f"{kind}: a process is left"
+        if processes := in_folder(Path(folder)):
+            for pid in processes:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            return f"{kind}: a process is left"
     if "Traceback" in said:
         return f"{kind}: {said.strip().splitlines()[-1]}, with a traceback"
     if process.returncode not in expected:
         return f"{kind}: exit code {process.returncode}, expected one of {sorted(expected)}: {said.strip()[-200:]}"
-    return f"{kind}: left {', '.join(left)}" if left else None
+    # Nobody can clean up who is killed.
+    return f"{kind}: left {', '.join(left)}" if left and kind != "killed" else None
 
 
-def _started(name: str, folder: Path, limits: Mapping[int, int], stdout: str | None = None) -> "subprocess.Popen[str]":
-    """A command in a group and a folder of its own."""
+def _wait_for_handlers(process: "subprocess.Popen[str]") -> None:
+    """Wait until a command answers SIGTERM itself, or has ended: before, nobody is there who could answer."""
+    status, bit = Path(f"/proc/{process.pid}/status"), 1 << (signal.SIGTERM - 1)
+    while process.poll() is None:
+        caught = next((line for line in status.read_text().splitlines() if line.startswith("SigCgt:")), "SigCgt: 0")
+        if int(caught.split()[1], 16) & bit:
+            return
+        time.sleep(0.005)
+
+
+def wait_until_none(folder: Path) -> None:
+    """Wait until no process works in a folder, for some seconds at most."""
+    end = time.monotonic() + SECONDS
+    while in_folder(folder) and time.monotonic() < end:
+        time.sleep(0.05)
+
+
+def _started(
+    name: str, folder: Path, limits: Mapping[int, int], stdout: str = os.devnull, stderr: str | None = None
+) -> "subprocess.Popen[str]":
+    """A command in a group and a folder of its own; its errors are in a pipe, or in a file."""
     (folder / "tmp").mkdir()
-    (folder / "table.csv").write_text("name,x\n" + "a,1\n" * 20_000)
-    with Path(stdout or os.devnull).open("w") as out:
+    if name == "tables":
+        (folder / "table.csv").write_text("name,x\n" + "a,1\n" * 200_000)
+    elif name == "pipeline":
+        (folder / "calibration.yml").write_text(PIPELINE)
+    elif name in ("coverage", "analysis"):
+        _commit(folder)
+    with Path(stdout).open("w") as out, Path(stderr or os.devnull).open("w") as errors:
         return subprocess.Popen(
             [*PROGRAM, *COMMANDS[name]],
             cwd=folder,
             env={**os.environ, "PYTHONPATH": str(PROJECT), "TMPDIR": str(folder / "tmp")},
             stdin=subprocess.DEVNULL,
             stdout=out,
-            stderr=subprocess.PIPE,
+            stderr=errors if stderr else subprocess.PIPE,
             text=True,
             start_new_session=True,
             preexec_fn=partial(_limit, limits),
         )
+
+
+def _commit(folder: Path) -> None:
+    """A repository with a program, its test, and files to analyse."""
+    (folder / ".gitignore").write_text("tmp/\nout/\n")
+    (folder / "program.py").write_text("import os\n\n\ndef double(x):\n    return 2 * x\n")
+    (folder / "test_program.py").write_text(TEST)
+    (folder / "robot.yml").write_text("sensors: [ camera]\n")
+    (folder / "robot.xml").write_text("<robot/>\n")
+    for command in ("init -q", "add .", "-c user.name=tester -c user.email=tester@example.org commit -qm program"):
+        subprocess.run(["git", *shlex.split(command)], cwd=folder, check=True)
 
 
 def _limit(limits: Mapping[int, int]) -> None:
@@ -127,16 +204,18 @@ def main() -> int:
     if asked.case is not None:
         print(problem_of(names[0], asked.case) or "as it should be")
         return 0
-    draw, counts, failures, end = random.Random(asked.seed), Counter[str](), 0, time.monotonic() + asked.seconds
+    draw, counts, kinds = random.Random(asked.seed), Counter[str](), Counter[str]()
+    failures, end = 0, time.monotonic() + asked.seconds
     for _ in range(asked.cases):
         if time.monotonic() > end:
             break
         name, seed = draw.choice(names), draw.randrange(1 << 31)
         counts[name] += 1
+        kinds[kind_of(seed)] += 1
         if problem := problem_of(name, seed):
             failures += 1
             print(f"--command {name} --case {seed}: {problem}", flush=True)
-    print(f"{counts.total()} cases ({dict(counts)}), seed {asked.seed}: {failures} failures")
+    print(f"{counts.total()} cases, seed {asked.seed}: {dict(counts)}, {dict(kinds)}: {failures} failures")
     return 1 if failures else 0
 
 

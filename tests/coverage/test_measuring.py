@@ -9,7 +9,7 @@ import pytest
 
 from calibration.coverage.injection import _option, bring_coverage, measuring, plain, team_settings, write_settings
 from calibration.coverage.junit import Tally
-from calibration.coverage.tests import Measurement, Tests, _Unittest, measured_environment, measurement
+from calibration.coverage.tests import LOST, Measurement, Tests, _Unittest, measured_environment, measurement
 from calibration.errors import InputError
 
 from .projects import TOKEN
@@ -131,7 +131,10 @@ def test_what_a_measurement_has_left(tmp_path: Path) -> None:
     assert measurement(tmp_path) == Measurement(
         (tmp_path / "data/.coverage.host.1",),
         str(new),
-        (expected, "what one process of the tests has run is lost: it was ended while it wrote that down"),
+        (
+            expected,
+            LOST,
+        ),
     )
 
 
