@@ -20,7 +20,7 @@ rooms = $(patsubst tests/%/__init__.py,%,$(wildcard tests/*/__init__.py tests/*/
 engine_tests = $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering)
 opencv_tests = $(addprefix tests/,dataset/test_depth_image.py dataset/test_reading.py comparison labelling simulation/rendering)
 
-.PHONY: help run check lint test test-only fuzz faults bench lock test-versions actions pictures aws-example clean
+.PHONY: help run check lint test test-only fuzz faults bench bench-table lock test-versions actions pictures aws-example clean
 
 help: ## this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1\t\2/p' Makefile | expand -t 16
@@ -89,6 +89,12 @@ faults: ## commands on machines that fail, by a seed: signals, a full disk, litt
 bench: ## what the measurements of benchmarks/ print
 	@$(setup) dev.txt .
 	$(python) -m benchmarks $(ARGS)
+
+bench-table: ## the speed table of the README, beside ceres, mrcal, pyceres and scipy as far as they are installed
+	@$(setup) dev.txt .
+	OPENBLAS_NUM_THREADS=1 $(python) -m benchmarks --only peers --json .peers.json || true
+	$(python) -m benchmarks.speed_table .peers.json README.md
+	rm .peers.json
 
 # dev.txt is resolved first and binds the others, so that what is tested is what the actions install, and that an
 # environment for the tests serves `make run` too. `make lock UPGRADE=--upgrade` takes the newest versions.

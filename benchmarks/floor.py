@@ -30,12 +30,12 @@ def gram_matrices(T: Array, corners: Array, pixels: Array, intrinsics: Array) ->
     gram = np.empty((len(T), 7, 7))
     for start in range(0, len(T), CHUNK):
         views = slice(start, start + CHUNK)
-        rows = _rows(T[views], corners, pixels[views], intrinsics)
+        rows = rows_of(T[views], corners, pixels[views], intrinsics)
         gram[views] = rows @ rows.transpose(0, 2, 1)
     return gram
 
 
-def _rows(T: Array, corners: Array, pixels: Array, intrinsics: Array) -> Array:
+def rows_of(T: Array, corners: Array, pixels: Array, intrinsics: Array) -> Array:
     """Derivatives and residual of both image axes, (v, 7, 2K)."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = (float(i) for i in intrinsics)
     p = T[:, :3, :3] @ corners.T + T[:, :3, 3:]

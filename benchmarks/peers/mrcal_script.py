@@ -1,6 +1,6 @@
 """mrcal on a rig, its intrinsics free or held: a script for the Python that has mrcal, usually the system's.
 
-``python3 mrcal_peer.py START.npz SOLUTION.npz``; it needs numpy and mrcal, and nothing of this project.
+``python3 mrcal_script.py START.npz SOLUTION.npz``; it needs numpy and mrcal, and nothing of this project.
 """
 
 import sys
