@@ -10,6 +10,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from calibration.errors import InfrastructureError, InputError
+from calibration.workflow.signals import held_back
 
 
 def read_bytes(path: Path | str, limit: int, what: str) -> bytes:
@@ -89,6 +90,35 @@ def link_or_copy(source: Path | str, target: Path | str) -> None:
             temporary.hardlink_to(source)
         except OSError:
             shutil.copyfile(source, temporary)
+
+
+@contextmanager
+def temporary_folder(
+    prefix: str = "calibration-", parent: Path | str | None = None, *, ignore_cleanup_errors: bool = False
+) -> Iterator[Path]:
+    """Yield a new folder (mode 0700), and remove it at the end of the block.
+
+    Unlike `tempfile.TemporaryDirectory`, a signal interrupts neither its creation nor its removal.
+
+    Args:
+        prefix: beginning of its name.
+        parent: folder that it is created in; that of the system for temporary files by default.
+        ignore_cleanup_errors: leave what cannot be removed, such as files of another user.
+
+    Raises:
+        OSError: it cannot be created or removed.
+    """
+    from tempfile import TemporaryDirectory  # slow to import
+
+    folder: TemporaryDirectory[str] | None = None
+    try:
+        with held_back():
+            folder = TemporaryDirectory(prefix=prefix, dir=parent, ignore_cleanup_errors=ignore_cleanup_errors)
+        yield Path(folder.name)
+    finally:
+        if folder is not None:
+            with held_back():
+                folder.cleanup()
 
 
 @contextmanager

@@ -1,10 +1,16 @@
 import os
+import shutil
+import signal
+import tempfile
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 
 from calibration.errors import InfrastructureError
-from calibration.files import write_atomically
+from calibration.files import temporary_folder, write_atomically
+from calibration.workflow.signals import Terminated, terminate_cleanly
 
 
 def names(folder: Path) -> list[str]:
@@ -77,3 +83,20 @@ def test_the_old_file_survives_a_failure(tmp_path: Path, monkeypatch: pytest.Mon
         assert str(caught.value) == f"{path}: cannot be written: No space left on device"
     assert path.read_text() == "old"
     assert names(tmp_path) == ["results.json"]
+
+
+@pytest.mark.parametrize(("module", "function"), [(tempfile, "mkdtemp"), (shutil, "rmtree")])
+def test_a_temporary_folder_is_removed_whenever_a_signal_arrives(
+    module: ModuleType, function: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = getattr(module, function)
+
+    def interrupted(*arguments: Any, **named: Any) -> object:
+        done = real(*arguments, **named) if function == "mkdtemp" else None
+        signal.raise_signal(signal.SIGTERM)
+        return done or real(*arguments, **named)
+
+    monkeypatch.setattr(module, function, interrupted)
+    with pytest.raises(Terminated), terminate_cleanly(), temporary_folder(parent=tmp_path) as folder:
+        (folder / "file").touch()
+    assert list(tmp_path.iterdir()) == []

@@ -1,7 +1,6 @@
 """Process of ``static-analysis``: copies the files, runs the analysers on them and on the base, compares and judges."""
 
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from calibration.analysis.suppressions import FILE as SUPPRESSIONS
 from calibration.analysis.suppressions import Suppression, read_suppressions, sift
 from calibration.errors import ExitCode, InputError
 from calibration.execution.sizes import parse_seconds
+from calibration.files import temporary_folder
 from calibration.git.changes import find_base
 from calibration.git.event import Event
 from calibration.git.repository import Repository
@@ -68,8 +68,8 @@ def analyse(settings: Settings, runner: Runner) -> ExitCode:
     repository = Repository.around(Path())
     accepted = _suppressions(settings, repository)
     base, no_base = _base(settings, repository)
-    with tempfile.TemporaryDirectory(prefix="calibration-analysis-") as folder:
-        state = _analysed(settings, repository, base, seconds, Path(folder), runner)
+    with temporary_folder(prefix="calibration-analysis-") as folder:
+        state = _analysed(settings, repository, base, seconds, folder, runner)
     sifted = sift(state.findings, accepted, datetime.now(UTC).date())
     reasons = {finding: suppression.reason for finding, suppression in sifted.suppressed}
     new = tuple(finding for finding in state.compared.new if finding not in reasons)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.errors import InfrastructureError
+from calibration.files import temporary_folder
 from calibration.workflow.text import one_line, shorten
 
 MAX_OUTPUT = 200_000_000
@@ -57,8 +58,9 @@ def say(name: str, command: Sequence[str], folder: Path, seconds: float, codes: 
     Raises:
         InfrastructureError: it cannot be started, takes too long, or fails.
     """
-    with tempfile.TemporaryDirectory(prefix="calibration-analysis-") as home, tempfile.TemporaryFile() as output:
-        environment = {"PATH": os.environ.get("PATH", os.defpath), "HOME": home, "LC_ALL": "C.UTF-8", "TMPDIR": home}
+    with temporary_folder(prefix="calibration-analysis-") as home, tempfile.TemporaryFile() as output:
+        own = {"HOME": str(home), "TMPDIR": str(home), "LC_ALL": "C.UTF-8"}
+        environment = {"PATH": os.environ.get("PATH", os.defpath), **own}
         try:
             process = subprocess.Popen(
                 command,

@@ -1,7 +1,6 @@
 """Implementation of ``coverage-upload``: run tests or read reports, judge, upload, report."""
 
 import os
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,7 +20,7 @@ from calibration.coverage.sources import Sources, find_sources
 from calibration.coverage.tests import Tests, measured_environment, measurement, run_tests
 from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.execution.sizes import parse_seconds
-from calibration.files import matching, write_atomically
+from calibration.files import matching, temporary_folder, write_atomically
 from calibration.git.changes import changed_lines, find_base
 from calibration.git.event import Event
 from calibration.git.repository import Repository
@@ -112,8 +111,8 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
     service, skipped = _service(settings, event)
     if settings.run is None and not settings.reports:
         return _only_final(settings, commit, service, skipped, runner)
-    with tempfile.TemporaryDirectory(prefix="calibration-coverage-") as folder:
-        results = _measure_and_judge(settings, repository, event, commit, Path(folder), runner)
+    with temporary_folder(prefix="calibration-coverage-") as folder:
+        results = _measure_and_judge(settings, repository, event, commit, folder, runner)
     results = replace(results, upload=_upload(results, settings, service, skipped, runner))
     if settings.badge is not None:
         write_atomically(settings.badge, badge(results.lines, results.goal))

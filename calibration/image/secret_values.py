@@ -1,14 +1,13 @@
 """Secrets of a build: read, masked in the log, and passed to BuildKit as files."""
 
 import os
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from calibration.errors import InputError
-from calibration.files import read_bytes
+from calibration.files import read_bytes, temporary_folder
 from calibration.image.specification import Secret
 from calibration.workflow import Runner, add_mask
 
@@ -73,10 +72,10 @@ def refuse_secrets_in(secrets: Iterable[SecretValue], places: Mapping[str, str])
 @contextmanager
 def secret_files(secrets: Iterable[SecretValue]) -> Iterator[dict[str, Path]]:
     """Write each secret to a file that only this user can read, removed at the end of the block."""
-    with tempfile.TemporaryDirectory(prefix="calibration-") as folder:  # mode 0700
+    with temporary_folder() as folder:  # mode 0700
         files = {}
         for number, secret in enumerate(secrets):
-            files[secret.id] = Path(folder, str(number))
+            files[secret.id] = folder / str(number)
             with os.fdopen(os.open(files[secret.id], os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
                 file.write(secret.value)
         yield files

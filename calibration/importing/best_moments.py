@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -15,6 +13,7 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.design import choose, informations
 from calibration.estimation.options import Options
 from calibration.estimation.result import Solution
+from calibration.files import temporary_folder
 from calibration.geometry.types import Array, BoolArray
 from calibration.importing.document import dataset_document
 from calibration.importing.recorded import Recorded, imported_moments
@@ -51,8 +50,8 @@ def best_moments(
 def _chosen(recorded: Recorded, most: int) -> list[int]:
     """Return the indices of the best moments, at most this many; of repeated poses the first one."""
     imported = imported_moments("", _of_cameras(recorded))
-    with TemporaryDirectory() as folder:
-        write_document(dataset_document(imported), Path(folder) / FILE_NAME)
+    with temporary_folder() as folder:
+        write_document(dataset_document(imported), folder / FILE_NAME)
         dataset = read_dataset(folder)
     solution = calibrate(dataset, Options(description="rough", intrinsics=imported.estimated)).solution
     once = np.unique(solution.clusters)

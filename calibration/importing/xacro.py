@@ -9,10 +9,9 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from calibration.errors import InfrastructureError, InputError
-from calibration.files import read_bytes
+from calibration.files import read_bytes, temporary_folder
 from calibration.simulation.description import MAX_BYTES
 from calibration.workflow.text import one_line, shorten
 
@@ -58,13 +57,13 @@ def read_robot_description(path: Path, packages: Path | None) -> bytes:
 def _expanded(path: Path, packages: Path | None) -> bytes:
     if find_spec("xacrodoc") is None:
         raise InfrastructureError(f"{path}: a xacro needs the package xacrodoc: pip install 'calibration-ci[xacro]'")
-    with TemporaryDirectory() as folder:
-        target = Path(folder) / "robot.urdf"
+    with temporary_folder() as folder:
+        target = folder / "robot.urdf"
         words = [str(path.resolve()), str(target), str(packages.resolve()) if packages else ""]
         try:
             done = subprocess.run(
                 [sys.executable, "-I", "-c", _CHILD, *words, str(SECONDS), str(MEMORY), str(MAX_BYTES)],
-                env={"PATH": os.defpath, "HOME": folder, "ROS_HOME": folder},
+                env={"PATH": os.defpath, "HOME": str(folder), "ROS_HOME": str(folder)},
                 cwd=folder,
                 capture_output=True,
                 timeout=2 * SECONDS,

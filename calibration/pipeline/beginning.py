@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import yaml
@@ -18,6 +17,7 @@ from calibration.errors import InputError
 from calibration.estimation.options import Options
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.measured_poses import COLUMNS
+from calibration.files import temporary_folder
 from calibration.importing.document import ESTIMATED, ROUGH
 from calibration.pipeline.matrix.cell import Cell, CellResult, run_cell
 from calibration.pipeline.matrix.matrix import load
@@ -118,8 +118,8 @@ def nice(number: float) -> float:
 
 
 def _calibrated(system: System) -> CellResult:
-    with TemporaryDirectory() as folder:
-        return run_cell(Cell(system.name, StartingNoise()), load(system), Path(folder))
+    with temporary_folder() as folder:
+        return run_cell(Cell(system.name, StartingNoise()), load(system), folder)
 
 
 def _table(dataset: Dataset) -> tuple[str | None, str]:

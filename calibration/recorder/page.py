@@ -5,7 +5,6 @@ the session and the panels; previews are computed without it, for the newest pos
 """
 
 import math
-import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping
@@ -19,6 +18,7 @@ import numpy as np
 import viser
 
 from calibration.errors import CalibrationError, InputError
+from calibration.files import temporary_folder
 from calibration.geometry.transforms import from_quaternion
 from calibration.geometry.types import Array
 from calibration.labelling.detection import Image
@@ -309,8 +309,8 @@ def parsed(name: str, content: bytes) -> Motion:
     Raises:
         InputError: see `read_motion`.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "motion.json")
+    with temporary_folder() as folder:
+        path = folder / "motion.json"
         path.write_bytes(content)
         try:
             motion = read_motion(path)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO
 
 from calibration.errors import InfrastructureError, InputError
+from calibration.files import temporary_folder
 from calibration.image.builders.build_log import LAST_LINES, BuildLog
 from calibration.image.builders.failure import build_problem
 from calibration.image.builders.programs import Program, docker_environment, lines_of
@@ -78,10 +79,10 @@ def build_and_push(
         BuildFailedError, InputError, InfrastructureError: as :func:`build_by_buildkit`.
     """
     with ExitStack() as stack:
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="calibration-"))
-        environment = docker_environment(os.environ) | write_login(credentials, Path(folder))
+        folder = stack.enter_context(temporary_folder())
+        environment = docker_environment(os.environ) | write_login(credentials, folder)
         name = stack.enter_context(_builder(program, environment, request.name))
-        metadata = Path(folder, "metadata.json")
+        metadata = folder / "metadata.json"
         tags = [word for reference in references for word in ("--tag", reference)]
         start = ["buildx", "build", "--builder", name, "--push", "--metadata-file", str(metadata), *tags]
         _run(program, start, environment, request, log)

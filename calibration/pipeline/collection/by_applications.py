@@ -6,7 +6,6 @@ One dataset, or many, which the applications vary by ``{seed}`` and ``{scenario}
 import hashlib
 import json
 import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -22,7 +21,7 @@ from calibration.execution.job import Job
 from calibration.execution.job_folder import ARTIFACTS, LOGS
 from calibration.execution.outcome import JobOutcome
 from calibration.execution.tasks import Task, run_tasks
-from calibration.files import read_bytes, write_atomically
+from calibration.files import read_bytes, temporary_folder, write_atomically
 from calibration.json_file import parse_json
 from calibration.pipeline.collection.applications import MOTION, PLAYER, REPORT, collection_job, dataset_place
 from calibration.pipeline.collection.report import report
@@ -86,15 +85,15 @@ def collect_by_applications(
         InfrastructureError: there is no backend, or a file cannot be written.
     """
     plan = read_plan(request)
-    with replacing_dataset(output, overwrite) as new, tempfile.TemporaryDirectory(prefix=".job-", dir=output) as work:
+    with replacing_dataset(output, overwrite) as new, temporary_folder(prefix=".job-", parent=output) as work:
 
         def judge(outcome: JobOutcome) -> CollectionResults:
             _keep_logs(outcome, output)
             return judged(plan, outcome, request.scenario, new)
 
-        inputs = write_inputs(Path(work, "in"), plan)
+        inputs = write_inputs(work / "in", plan)
         job = plan.job(JOB, request.scenario, inputs)
-        return run_tasks([Task.containers(JOB, job, judge)], Path(work), target=target)[JOB]
+        return run_tasks([Task.containers(JOB, job, judge)], work, target=target)[JOB]
 
 
 def read_plan(request: ContainerRequest) -> Plan:

@@ -1,7 +1,6 @@
 """Many scenarios in containers: each is a job with an output folder, which is kept once it is complete."""
 
 import shutil
-import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from calibration.execution.job import Job
 from calibration.execution.job_folder import LOGS
 from calibration.execution.outcome import JobOutcome
 from calibration.execution.tasks import Task, run_tasks
+from calibration.files import temporary_folder
 from calibration.pipeline.collection.scenario_file import read_scenario, write_scenario
 from calibration.pipeline.collection.scenario_report import REPORT_FILES
 from calibration.simulation.scenarios.scenario import ScenarioResult
@@ -142,8 +142,7 @@ def run_in_containers(
     """
     folder.make_room()
     pending = {each.id: each for each in scenarios.pending}
-    with tempfile.TemporaryDirectory(prefix=".scenarios-", dir=folder.output) as temporary:
-        work = Path(temporary)
+    with temporary_folder(prefix=".scenarios-", parent=folder.output) as work:
         inputs = scenarios.write_inputs(work / "in")
         found = run_tasks(
             [folder.task(scenarios, number, inputs, work) for number in range(len(scenarios.pending))],

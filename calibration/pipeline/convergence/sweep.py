@@ -13,7 +13,6 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from calibration.estimation.options import Start
 from calibration.execution.backends import ExecutionTarget
 from calibration.execution.tasks import run_tasks
 from calibration.execution.workspace import identity, workspace
+from calibration.files import temporary_folder
 from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import Done, Matrix, matrix_tasks
@@ -91,7 +91,7 @@ def run_sweep(
     with ExitStack() as stack:
         tasks = []
         work = stack.enter_context(workspace(output, _identity(matrices), _encoded, _decoded))
-        cells = Path(stack.enter_context(TemporaryDirectory(dir=work.folder, ignore_cleanup_errors=True)))
+        cells = stack.enter_context(temporary_folder(parent=work.folder, ignore_cleanup_errors=True))
         for matrix in matrices:
             start = matrix.systems[0].options.start
             folder = cells / start

@@ -10,7 +10,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.reading import read_dataset
@@ -20,6 +19,7 @@ from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.execution.backends import ExecutionTarget
 from calibration.execution.tasks import Task, run_tasks
+from calibration.files import temporary_folder
 from calibration.pipeline.matrix.cell import (
     OUR_METHOD,
     Cell,
@@ -163,7 +163,7 @@ def matrix_tasks(matrix: Matrix, output: Path, containers: Path) -> Iterator[Mat
         starts = containers
         if matrix.software:
             containers.mkdir(parents=True, exist_ok=True)
-            starts = Path(stack.enter_context(TemporaryDirectory(prefix=".starts-", dir=containers)))
+            starts = stack.enter_context(temporary_folder(prefix=".starts-", parent=containers))
         for number, cell in enumerate(matrix.cells):
             system = loaded[cell.system]
             if cell.system not in matrix.software:

@@ -2,7 +2,6 @@
 
 import filecmp
 import json
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -11,7 +10,7 @@ from calibration.dataset import truth
 from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.writing import write_document
 from calibration.errors import InfrastructureError, InputError
-from calibration.files import link_or_copy, write_atomically
+from calibration.files import link_or_copy, temporary_folder, write_atomically
 from calibration.simulation.collection.document import dataset_document, truth_document
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import motion_document
@@ -69,8 +68,8 @@ def replacing_dataset(folder: Path, overwrite: bool) -> Iterator[Path]:
     refuse_existing(folder, overwrite)
     created = _make(folder)
     try:
-        with tempfile.TemporaryDirectory(prefix=".collecting-", dir=folder) as temporary:
-            new, old = Path(temporary, "new"), Path(temporary, "old")
+        with temporary_folder(prefix=".collecting-", parent=folder) as temporary:
+            new, old = temporary / "new", temporary / "old"
             new.mkdir()
             old.mkdir()
             yield new

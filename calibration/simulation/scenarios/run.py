@@ -1,6 +1,5 @@
 """Run of scenarios: each is collected, calibrated, and compared with its ground truth."""
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -11,6 +10,7 @@ from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.writing import write_document
 from calibration.errors import InputError
 from calibration.execution.tasks import Task
+from calibration.files import temporary_folder
 from calibration.simulation.collection.capture import Requirements
 from calibration.simulation.collection.collecting import collect_pose, kept
 from calibration.simulation.collection.document import dataset_document, truth_document
@@ -51,9 +51,9 @@ def run_scenario(
         played = scenario_play(scenarios, scenario, motion)
     except InputError as error:
         return replace(result, reasons=(str(error),))
-    with tempfile.TemporaryDirectory(prefix="calibration-") as folder:
-        records = _collect(played, requirements or Requirements(), Path(folder))
-        return finished_result(result, records, prove(Path(folder)) if kept(records) else None)
+    with temporary_folder() as folder:
+        records = _collect(played, requirements or Requirements(), folder)
+        return finished_result(result, records, prove(folder) if kept(records) else None)
 
 
 def pending_result(scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> ScenarioResult:
