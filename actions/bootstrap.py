@@ -42,6 +42,7 @@ ACTIONS = {
     "comment": ("comment/main.py", "github.txt"),
     "introspect-csv": ("introspect-csv/main.py", "introspect.txt"),
     "calibrate-matrix": ("calibrate-matrix/main.py", "calibrate.txt"),
+    "convergence": ("convergence/main.py", "run.txt"),
     "collect-data-sim": ("collect-data-sim/main.py", "run.txt"),
     "coverage-upload": ("coverage-upload/main.py", "coverage.txt"),
     "static-analysis": ("static-analysis/main.py", "analysis.txt"),

@@ -18,6 +18,7 @@ INPUTS = {
     "calibrate-matrix": {"INPUT_DATASET": "nowhere"},
     "collect-data-sim": {"INPUT_SYSTEM": "nowhere", "INPUT_OUTPUT": "nowhere/output"},
     "comment": {"INPUT_RESULTS": "nowhere"},
+    "convergence": {"INPUT_DATASET": "nowhere"},
     "coverage-upload": {"INPUT_REPORTS": "nowhere.xml"},
     "import-data": {"INPUT_CONFIG": "nowhere.yml", "INPUT_OUTPUT": "nowhere/output"},
     "introspect-csv": {"INPUT_FILE": "nowhere.csv", "INPUT_COLUMN": "RMS", "INPUT_MAX": "1"},

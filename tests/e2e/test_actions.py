@@ -91,6 +91,13 @@ def green(registry: Registry, server: str, **more: str) -> list[Step]:
     image = {"spec": "my image.yml", "name": f"{registry.address}/green", "output": "the image"}
     matrix = {"dataset": "my robot", "translation-noise": "0, 0.5", "evaluate": EVALUATE, "output": "the matrix"}
     collection = {"system": "my robot", "motion": "generate:4", "seed": "3", "output": "the collection"}
+    sweep = {
+        "dataset": "my robot",
+        "translation-noise": "0.2",
+        "rotation-noise": "0",
+        "seeds": "2",
+        "output": "the sweep",
+    }
     coverage = {"run": "python3 -m unittest", "directory": "my package", "output": "the coverage", "badge": "badge.svg"}
     averages = {"column": "RMS (pix)", "row": "Averages", "max": "3"}
     tables = "${{ steps.matrix.outputs.output }}/**/rgb_to_rgb_results.csv"
@@ -106,6 +113,7 @@ def green(registry: Registry, server: str, **more: str) -> list[Step]:
         Step("matrix", "calibrate-matrix", matrix),
         Step("tables", "introspect-csv", {"file": tables, **averages}),
         Step("collection", "collect-data-sim", collection),
+        Step("sweep", "convergence", sweep),
         Step("import", "import-data", {"config": "my import.yml", "output": "the import"}),
         Step("pipeline", "", {"config": "my pipeline.yml", "output": "the pipeline"}),
     ]
@@ -113,7 +121,7 @@ def green(registry: Registry, server: str, **more: str) -> list[Step]:
 
 
 WRITTEN = """
-for file in "the "{report,coverage,image,matrix,collection,import,pipeline}/results.json badge.svg; do
+for file in "the "{report,coverage,image,matrix,collection,sweep,import,pipeline}/results.json badge.svg; do
     test -s "$file" || echo "missing: $file"
 done
 """
@@ -133,6 +141,7 @@ def check_green(run: Run, steps: list[Step]) -> dict[str, dict[str, str]]:
     assert float(outputs["matrix"]["success-rate"]) == float(outputs["pipeline"]["success-rate"]) == 1
     assert 0 < float(outputs["matrix"]["worst-rms-px"]) < 3
     assert outputs["collection"]["collections"] == "4"
+    assert float(outputs["sweep"]["largest-translation-noise"]) == 0.2
     assert outputs["import"]["collections"] == "10"
     assert outputs["coverage"]["line-rate"] == "75.0"
     return outputs
