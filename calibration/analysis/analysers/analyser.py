@@ -14,6 +14,8 @@ class Analyser(ABC):
     name: ClassVar[str]
     at_once: ClassVar[int] = 200
     """Limit of the number of files per process."""
+    whole: ClassVar[bool] = False
+    """Whether it compares files with each other, so that a change of one makes findings in others."""
     settings: ClassVar[tuple[str, ...]] = ()
     """Names of files with the team's settings for it."""
 

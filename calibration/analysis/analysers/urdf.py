@@ -4,29 +4,16 @@ import math
 from collections.abc import Iterator, Sequence
 from xml.etree.ElementTree import Element
 
-from defusedxml import DefusedXmlException
-from defusedxml.ElementTree import ParseError, XMLParser
-
 from calibration.analysis.analysers.analyser import Analyser
 from calibration.analysis.copies import Copy
 from calibration.analysis.finding import Finding, Severity
+from calibration.analysis.xml_lines import line_of, parse_xml
 from calibration.workflow.text import did_you_mean, shorten
 
-_LINE = "{calibration}line"
-"""Key of an element's line, which cannot be an attribute of a document."""
 _LIMITED = ("revolute", "prismatic")
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _Found = tuple[Element, str, Severity, str]
 """Element, rule, severity, message."""
-
-
-class _Parser(XMLParser):
-    """XML parser that stores the line of every element."""
-
-    def _start(self, tag: str, attributes: Sequence[str]) -> Element:
-        element: Element = super()._start(tag, attributes)  # type: ignore[misc]
-        element.set(_LINE, str(self.parser.CurrentLineNumber))
-        return element
 
 
 class Urdf(Analyser):
@@ -42,15 +29,11 @@ class Urdf(Analyser):
         """Check each file; invalid XML is reported by the analyser xml."""
         found = []
         for path in files:
-            try:
-                parser = _Parser()
-                parser.feed((copy.root / path).read_bytes())
-                root = parser.close()
-            except (DefusedXmlException, ParseError, ValueError, LookupError):
+            root = parse_xml((copy.root / path).read_bytes())
+            if root is None:
                 continue
             for element, rule, severity, message in _faults(root):
-                line = int(element.get(_LINE, "1"))
-                found.append(Finding(path, line, f"urdf/{rule}", "error-prone", severity, message))
+                found.append(Finding(path, line_of(element), f"urdf/{rule}", "error-prone", severity, message))
         return found
 
 

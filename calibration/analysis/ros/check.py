@@ -1,0 +1,18 @@
+"""All checks of ROS packages."""
+
+from collections.abc import Callable, Iterator
+
+from calibration.analysis.finding import Finding
+from calibration.analysis.ros.build_checks import check_builds
+from calibration.analysis.ros.package_checks import check_packages
+from calibration.analysis.ros.repository import Repository
+from calibration.analysis.ros.tree import Tree
+
+CHECKS: tuple[Callable[[Repository], Iterator[Finding]], ...] = (check_packages, check_builds)
+
+
+def check(tree: Tree) -> list[Finding]:
+    """Return the findings of all checks, each once."""
+    repository = Repository(tree)
+    found = dict.fromkeys(finding for each in CHECKS for finding in each(repository))
+    return sorted(found, key=lambda each: (each.path, each.line, each.rule))

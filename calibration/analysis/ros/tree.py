@@ -1,0 +1,88 @@
+"""Tracked files of one state of a repository."""
+
+from collections.abc import Iterable
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+
+
+def parents(path: str) -> list[str]:
+    """Return the folders that contain a path, the innermost first; the root is an empty string."""
+    return ["" if str(each) == "." else str(each) for each in PurePosixPath(path).parents]
+
+
+class Tree:
+    """Tracked files by their paths, with ``/``; the text of those that were copied."""
+
+    def __init__(self, root: Path, present: Iterable[str], opaque: Iterable[str] = ()) -> None:
+        """Take the files.
+
+        Args:
+            root: folder of the copy.
+            present: all tracked files, also those that were not copied.
+            opaque: symbolic links and submodules, below which anything may exist.
+        """
+        self.root = root
+        self.present = frozenset(present)
+        self.opaque = frozenset(opaque)
+        self._texts: dict[str, str] = {}
+
+    @cached_property
+    def files(self) -> tuple[str, ...]:
+        """Files whose text can be read, sorted."""
+        return tuple(path for path in sorted(self.present) if (self.root / path).is_file())
+
+    @cached_property
+    def folders(self) -> frozenset[str]:
+        """Folders that have tracked files."""
+        return frozenset(folder for path in self.present for folder in parents(path))
+
+    def data(self, path: str) -> bytes:
+        """Return the bytes of a file; none if it was not copied."""
+        try:
+            return (self.root / path).read_bytes()
+        except OSError:
+            return b""
+
+    def text(self, path: str) -> str:
+        """Return the text of a file; empty if it was not copied."""
+        if path not in self._texts:
+            self._texts[path] = self.data(path).decode("utf-8", "replace")
+        return self._texts[path]
+
+    def has(self, path: str) -> bool:
+        """Whether a file or folder is tracked, or may exist below a link or a submodule."""
+        return (
+            path in self.present
+            or path in self.folders
+            or path in self.opaque
+            or any(folder in self.opaque for folder in parents(path))
+        )
+
+    def below(self, folder: str) -> list[str]:
+        """Return the files in a folder and its folders, sorted."""
+        start = f"{folder}/" if folder else ""
+        return [path for path in self.files if path.startswith(start)]
+
+
+def join(folder: str, path: str) -> str | None:
+    """Return a path relative to a folder of the repository, without ``.`` and ``..``; None if it leads out of it."""
+    parts: list[str] = []
+    for part in (*folder.split("/"), *path.split("/")):
+        if part == "..":
+            if not parts:
+                return None
+            parts.pop()
+        elif part not in ("", "."):
+            parts.append(part)
+    return "/".join(parts)
+
+
+def without_comments(text: str) -> str:
+    """Return XML with empty lines in place of its comments."""
+    parts, at = [], 0
+    while (start := text.find("<!--", at)) >= 0:
+        end = text.find("-->", start + 4)
+        end = len(text) if end < 0 else end + 3
+        parts += [text[at:start], "\n" * text.count("\n", start, end)]
+        at = end
+    return "".join([*parts, text[at:]])

@@ -1,0 +1,41 @@
+"""XML of robots with the line of every element; documents that declare entities are refused."""
+
+from collections.abc import Sequence
+from typing import Any
+from xml.etree.ElementTree import Element
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import ParseError, XMLParser
+
+_LINE = "{calibration}line"
+"""Key of an element's line, which cannot be an attribute of a document."""
+
+
+class _Parser(XMLParser):
+    """XML parser that stores the line of every element."""
+
+    def _start(self, tag: str, attributes: Sequence[str]) -> Element:
+        element: Element = super()._start(tag, attributes)  # type: ignore[misc]
+        element.set(_LINE, str(self.parser.CurrentLineNumber))
+        return element
+
+
+def parse_xml(data: bytes) -> Element | None:
+    """Return the root of a document; None if it is not valid XML, or declares entities."""
+    try:
+        parser: Any = _Parser()
+        parser.feed(data)
+        root: Element = parser.close()
+    except (DefusedXmlException, ParseError, ValueError, LookupError):  # LookupError: an unknown encoding
+        return None
+    return root
+
+
+def line_of(element: Element) -> int:
+    """Return the line of an element, from 1."""
+    return int(element.get(_LINE, "1"))
+
+
+def attributes_of(element: Element) -> dict[str, str]:
+    """Return the attributes that the document gives an element."""
+    return {name: value for name, value in element.items() if name != _LINE}
