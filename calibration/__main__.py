@@ -271,14 +271,15 @@ def _usage_message(error: click.ClickException, is_action: bool) -> str:
 
 
 def _failure(error: OSError) -> str:
-    """Return the message of an operating system error: path, reason, advice."""
-    if error.filename is None or error.strerror is None:
+    """Return the message of an operating system error: path (of the log if there is none), reason, advice."""
+    if error.strerror is None:
         return str(error)
+    where = "the output" if error.filename is None else os.fsdecode(error.filename)
     advice = {
         errno.EACCES: ": give this user read and write access, or choose another path",
         errno.ENOSPC: ": free disk space, or choose another path",
     }
-    return f"{os.fsdecode(error.filename)}: {error.strerror}{advice.get(error.errno or 0, '')}"
+    return f"{where}: {error.strerror}{advice.get(error.errno or 0, '')}"
 
 
 def _report_bug(runner: Runner) -> int:

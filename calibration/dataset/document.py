@@ -17,6 +17,8 @@ from calibration.json_file import RepeatedKeyError, parse_json
 
 MAX_BYTES = 1 << 30
 """Limit of a file's size in bytes."""
+LONGEST_KEY = 255
+"""Limit of the characters of a key: names of sensors are part of file names, and of many lines for users."""
 
 Numbers = TypeVar("Numbers", Array, IntArray)
 
@@ -48,6 +50,8 @@ class Node:
         for key, value in self.mapping().items():
             if not isinstance(key, str):  # YAML keys may have any type
                 raise self.fault(f"found the key {shown(key)}, expected text")
+            if len(key) > LONGEST_KEY:
+                raise self.fault(f"found a key of {len(key)} characters ({shown(key)}), expected at most {LONGEST_KEY}")
             yield key, Node(self.file, (*self.keys, key), value)
 
     def elements(self) -> Iterator["Node"]:

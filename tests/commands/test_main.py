@@ -146,6 +146,11 @@ def test_the_exit_code_is_the_return_value(ends_with: list[object], end: object,
         (InputError("a.csv: is\nwrong"), 2, "error: a.csv: is\\nwrong\n"),
         (UndeterminedError("one axis"), 2, "error: one axis\n"),
         (InfrastructureError("disk full"), 3, "error: disk full\n"),
+        (
+            OSError(28, "No space left"),
+            3,
+            "error: the output: No space left: free disk space, or choose another path\n",
+        ),
         (OSError(28, "No space left", "/x"), 3, "error: /x: No space left: free disk space, or choose another path\n"),
         (KeyboardInterrupt(), 130, "error: stopped by SIGINT\n"),
         (

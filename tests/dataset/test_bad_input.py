@@ -263,6 +263,7 @@ CASES = [
     ({"collections/-1": {}}, "collections/-1: found the key '-1', expected a number such as '000'"),
     ({"collections/²": {}}, "collections/²: found the key '²', expected a number such as '000'"),
     ({"collections/02": {}}, "collections/02: found number 2 twice, expected it once (other key: '002')"),
+    ({f"{CONFIG}/sensors/{'x' * 300}": {}}, f"{CONFIG}/sensors: found a key of 300 characters ('xxxx"),
     # frames
     (
         {f"{CONFIG}/world_link": "map"},
