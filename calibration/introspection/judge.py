@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 from calibration.errors import InputError
 from calibration.introspection.numbers import number_text, parse_number
-from calibration.introspection.result import RuleResult, TableResult, Violation
+from calibration.introspection.result import MOST_LISTED, RuleResult, TableResult, Violation
 from calibration.introspection.rule_set import RuleSet
 from calibration.introspection.rules import ChangeRule, LimitRule, Limits, Rule, TextRule
 from calibration.introspection.selection import Aggregate, EveryRow, KeyedTable
@@ -94,8 +94,9 @@ def _check_rule(keyed: KeyedTable, rule: Rule, baseline: KeyedTable | None) -> R
         largest=max(numbers, default=None),
         violations=tuple(
             Violation(keyed.table.name, cell.line, rule.column, cell.row or f"line {cell.line}", found, expected)
-            for cell, found, expected in findings
+            for cell, found, expected in findings[:MOST_LISTED]
         ),
+        unlisted=max(0, len(findings) - MOST_LISTED),
     )
 
 

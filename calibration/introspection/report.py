@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from calibration.introspection.result import Results, RuleResult, TableResult, Violation
 from calibration.records import document_of
-from calibration.report import Outcome, Report, Table, count_of, verdict_of
+from calibration.report import Lines, Outcome, Report, Table, count_of, verdict_of
 from calibration.workflow.annotations import Annotation
 from calibration.workflow.text import shorten
 
@@ -16,13 +16,19 @@ def report(tables: Sequence[TableResult]) -> Report:
     results = Results(tuple(tables))
     violations = [violation for table in tables for violation in table.violations]
     checks = [(table, check) for table in tables for check in table.checks]
+    notes = tuple(
+        f"{table.file}: {check.column}, {check.rows}: {count_of(check.unlisted, 'more violation')} not listed"
+        for table, check in checks
+        if check.unlisted
+    )
     return Report(
         title=TITLE,
         verdict=verdict_of(not violations),
+        notes=notes,
         sentence=results.sentence,
         results=results,
         outputs={
-            "violations": len(violations),
+            "violations": results.count,
             "values": [{"file": table.file, **document_of(check)} for table, check in checks],
         },
         annotations=tuple(
@@ -30,6 +36,7 @@ def report(tables: Sequence[TableResult]) -> Report:
         ),
         blocks=(
             Table(_VIOLATION_HEADER, tuple(map(_violation_row, violations))),
+            Lines(notes),
             Table(_CHECK_HEADER, tuple(_check_row(*each) for each in checks), title="What was checked", folded=True),
         ),
         suites={table.file: [_outcome(table, check) for check in table.checks] for table in tables},
@@ -63,7 +70,7 @@ def _outcome(table: TableResult, check: RuleResult) -> Outcome:
     return Outcome(
         name=f"{check.rows if check.column is None else f'{check.column}, {check.rows}'}: {check.expected}",
         group=table.file,
-        reasons=() if not check.violations else (count_of(len(check.violations), "violation"), *lines),
+        reasons=() if not check.violations else (count_of(check.count, "violation"), *lines),
         file=table.file,
         line=next((violation.line for violation in check.violations), None),
     )

@@ -23,6 +23,10 @@ class Violation:
         return expectation(place, self.found, self.expected)
 
 
+MOST_LISTED = 10_000
+"""Limit of the listed violations of one rule in one table; the others are counted."""
+
+
 @result
 class RuleResult:
     """One rule applied to one table."""
@@ -35,12 +39,14 @@ class RuleResult:
     smallest: float | None = field("The smallest of the numbers among the judged values; null where there was none.")
     largest: float | None = field("The largest of them.")
     violations: tuple[Violation, ...]
+    unlisted: int = 0
+    """Number of violations beyond `violations`."""
 
     @property
     @computed("violations")
     def count(self) -> int:
         """Number of values that violate the rule."""
-        return len(self.violations)
+        return len(self.violations) + self.unlisted
 
     @property
     @computed()
@@ -72,7 +78,7 @@ class TableResult:
     @property
     @computed()
     def violations(self) -> tuple[Violation, ...]:
-        """All violations, in the order of the checks and the lines."""
+        """Violations, in the order of the checks and the lines, at most 10 000 of each check."""
         return tuple(violation for check in self.checks for violation in check.violations)
 
 
@@ -86,7 +92,7 @@ class Results:
     @computed("violations")
     def count(self) -> int:
         """Violations in all tables together."""
-        return sum(len(table.violations) for table in self.tables)
+        return sum(check.count for table in self.tables for check in table.checks)
 
     @property
     @computed()

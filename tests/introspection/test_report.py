@@ -8,6 +8,7 @@ from defusedxml.ElementTree import fromstring
 from calibration import introspection
 from calibration.introspection import Table, TableResult, judge, parse_rules
 from calibration.introspection.report import report
+from calibration.introspection.result import MOST_LISTED
 from calibration.introspection.table import parse_table
 
 SCHEMA = json.loads((Path(introspection.__file__).parent / "results.schema.json").read_text())
@@ -45,6 +46,18 @@ def hostile() -> TableResult:
 def test_sentence(red: TableResult, green: TableResult) -> None:
     assert report([green]).line == "pass: 2 checks of 1 table"
     assert report([green, red]).line == "fail: 2 violations in 8 checks of 2 tables"
+
+
+def test_violations_beyond_what_can_be_read_are_counted() -> None:
+    lines = "".join(f"r{i},5\n" for i in range(MOST_LISTED + 7))
+    many = judge(parse_table(f"k,v\n{lines}", "many.csv"), parse_rules([{"column": "v", "max": 3}], "rules"))
+    assert len(many.violations) == MOST_LISTED
+    found = report([many])
+    assert found.line == f"fail: {MOST_LISTED + 7} violations in 2 checks of 1 table"
+    assert found.outputs["violations"] == MOST_LISTED + 7
+    assert "many.csv: v, every row: 7 more violations not listed" in found.log()
+    assert f"{MOST_LISTED + 7} violations" in found.suites["many.csv"][1].reasons[0]
+    assert [check["violations"] for check in found.document["tables"][0]["checks"]] == [0, MOST_LISTED + 7]
 
 
 def test_log_lists_every_check_and_violation(red: TableResult, green: TableResult) -> None:
