@@ -90,6 +90,10 @@ def _misspelt(word: str, draw: random.Random) -> str:
 _BASE_CPP = "ROBOT_driver/src/base.cpp"
 _DRIVER_XML, _DRIVER_CMAKE = "ROBOT_driver/package.xml", "ROBOT_driver/CMakeLists.txt"
 _TOOLS_XML = "ROBOT_tools/package.xml"
+_URDF = "ROBOT_description/urdf/robot.urdf"
+_LAUNCH1, _LAUNCH2 = "ROBOT_bringup/launch/robot.launch", "ROBOT_bringup/launch/robot.launch.py"
+_SENSORS2 = "ROBOT_bringup/launch/sensors.launch.xml"
+_SENSORS_INCLUDE = (_LAUNCH2, "AnyLaunchDescriptionSource(sensors)")
 
 KINDS: tuple[Kind, ...] = (
     Kind(
@@ -333,6 +337,104 @@ KINDS: tuple[Kind, ...] = (
         "an entry point of a function that does not exist",
         "no-such-entry-point",
         (Edit(2, "ROBOT_tools/setup.py", "ROBOT_tools.monitor:main", "ROBOT_tools.monitor:~main~"),),
+    ),
+    Kind(
+        "an executable that does not exist",
+        "no-such-executable",
+        (
+            Edit(1, _LAUNCH1, 'type="base_node"', 'type="~base_node~"'),
+            Edit(2, _LAUNCH2, 'executable="follower"', 'executable="~follower~"'),
+            Edit(2, _SENSORS2, 'exec="scanner"', 'exec="~scanner~"'),
+        ),
+    ),
+    Kind(
+        "an included launch file that does not exist",
+        "no-such-file",
+        (
+            Edit(1, _LAUNCH1, "launch/sensors.launch", "launch/~sensors~.launch"),
+            Edit(2, _LAUNCH2, '"sensors.launch.xml"', '"~sensors~.launch.xml"'),
+            Edit(2, "ROBOT_bringup/launch/all.launch.yaml", "robot.launch.py", "~robot~.launch.py"),
+        ),
+    ),
+    Kind(
+        "a file of parameters that does not exist",
+        "no-such-file",
+        (
+            Edit(1, _LAUNCH1, "config/tools.yaml", "config/~tools~.yaml"),
+            Edit(2, _SENSORS2, "config/driver.yaml", "config/~driver~.yaml"),
+            Edit(2, _LAUNCH2, '"config", "tools.yaml"', '"config", "~tools~.yaml"'),
+        ),
+    ),
+    Kind(
+        "a mesh that does not exist",
+        "no-such-file",
+        (Edit(1, _URDF, "meshes/base.stl", "meshes/~base~.stl"), Edit(2, _URDF, "meshes/base.stl", "mesh/base.stl")),
+    ),
+    Kind(
+        "a file that is not installed",
+        "not-installed",
+        (
+            Edit(1, "ROBOT_description/CMakeLists.txt", "launch meshes urdf", "launch urdf", (_URDF, "base.stl")),
+            Edit(
+                2, "ROBOT_description/CMakeLists.txt", "launch meshes urdf", "meshes urdf", (_LAUNCH2, "description =")
+            ),
+            Edit(
+                2,
+                "ROBOT_driver/CMakeLists.txt",
+                "install(DIRECTORY config DESTINATION share/${PROJECT_NAME})\n",
+                "",
+                (_SENSORS2, "param from"),
+            ),
+        ),
+    ),
+    Kind(
+        "an argument that an included file does not declare",
+        "launch-argument",
+        (
+            Edit(1, _LAUNCH1, '<arg name="frame" value', '<arg name="~frame~" value'),
+            Edit(2, _LAUNCH2, '{"frame": "laser_link"}', '{"~frame~": "laser_link"}'),
+        ),
+    ),
+    Kind(
+        "an argument that an included file needs",
+        "launch-argument",
+        (
+            Edit(1, _LAUNCH1, '    <arg name="frame" value="laser_link"/>\n', "", (_LAUNCH1, "sensors.launch")),
+            Edit(
+                2,
+                _SENSORS2,
+                '  <arg name="frame"/>\n',
+                '  <arg name="frame"/>\n  <arg name="side"/>\n',
+                _SENSORS_INCLUDE,
+            ),
+        ),
+    ),
+    Kind(
+        "an argument that is not declared",
+        "launch-argument",
+        (
+            Edit(1, "ROBOT_bringup/launch/sensors.launch", "$(arg frame)", "$(arg ~frame~)"),
+            Edit(2, _SENSORS2, "$(var frame)", "$(var ~frame~)"),
+            Edit(2, _LAUNCH2, 'LaunchConfiguration("mode")', 'LaunchConfiguration("~mode~")'),
+        ),
+    ),
+    Kind(
+        "a launch file that includes itself",
+        "launch-cycle",
+        (
+            Edit(
+                1,
+                "ROBOT_bringup/launch/sensors.launch",
+                '  <arg name="frame"/>\n',
+                '  <arg name="frame"/>\n  <include file="$(find ROBOT_bringup)/launch/robot.launch"/>\n',
+            ),
+            Edit(
+                2,
+                _SENSORS2,
+                '  <arg name="frame"/>\n',
+                '  <arg name="frame"/>\n  <include file="$(find-pkg-share ROBOT_bringup)/launch/all.launch.yaml"/>\n',
+            ),
+        ),
     ),
 )
 """All kinds, in the order of the rules."""

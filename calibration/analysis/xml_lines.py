@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import ParseError, XMLParser
 
-_LINE = "{calibration}line"
+LINE = "{calibration}line"
 """Key of an element's line, which cannot be an attribute of a document."""
 
 
@@ -16,7 +16,7 @@ class _Parser(XMLParser):
 
     def _start(self, tag: str, attributes: Sequence[str]) -> Element:
         element: Element = super()._start(tag, attributes)  # type: ignore[misc]
-        element.set(_LINE, str(self.parser.CurrentLineNumber))
+        element.set(LINE, str(self.parser.CurrentLineNumber))
         return element
 
 
@@ -33,9 +33,9 @@ def parse_xml(data: bytes) -> Element | None:
 
 def line_of(element: Element) -> int:
     """Return the line of an element, from 1."""
-    return int(element.get(_LINE, "1"))
+    return int(element.get(LINE, "1"))
 
 
 def attributes_of(element: Element) -> dict[str, str]:
     """Return the attributes that the document gives an element."""
-    return {name: value for name, value in element.items() if name != _LINE}
+    return {name: value for name, value in element.items() if name != LINE}

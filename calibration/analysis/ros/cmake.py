@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from calibration.analysis.ros.tree import Tree, join
 
-_TOKEN = re.compile(r'\s+|\(|\)|(?:\\[\s\S]|\$\{[^}\s]*\}|[^\s()"#\\])+|["#\\]')
+_TOKEN = re.compile(r'\s+|\(|\)|(?:\\[\s\S]|\$\{[^}\s]{0,200}\}|[^\s()"#\\])+|["#\\]')
 _BRACKET = re.compile(r"\[(=*)\[")
 _VARIABLE = re.compile(r"\$\{([A-Za-z0-9_./+-]+)\}")
 _LONGEST = 2_000

@@ -37,6 +37,15 @@ RULES: dict[str, Rule] = {
         "error-prone", "error", "a field's type is no built-in one and no interface of its package"
     ),
     "no-such-entry-point": Rule("error-prone", "error", "setup.py names a module or function that does not exist"),
+    "no-such-executable": Rule(
+        "error-prone", "error", "a launch file starts an executable that its package does not have"
+    ),
+    "no-such-file": Rule("error-prone", "error", "a launch file or robot description names a file that does not exist"),
+    "not-installed": Rule(
+        "error-prone", "warning", "a launch file or robot description names a file that is not installed"
+    ),
+    "launch-argument": Rule("error-prone", "error", "an argument of a launch file is not declared, or not given"),
+    "launch-cycle": Rule("error-prone", "error", "a launch file includes itself"),
 }
 """Rules by name."""
 
