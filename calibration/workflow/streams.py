@@ -1,19 +1,17 @@
 """Live output of several concurrent programs, kept apart, with workflow commands disabled."""
 
-import re
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from calibration.workflow.groups import group, stop_commands
 from calibration.workflow.runner import Runner
-from calibration.workflow.text import one_line, shorten
+from calibration.workflow.text import one_line, shorten, without_escapes
 
 MOST_SHOWN = 4 * 1024**2
 """Limit of characters of one stream; the rest is not shown."""
 LONGEST_LINE = 2000
 """Limit of characters of a line."""
-_COLOURS = re.compile(r"\x1b\[[0-9;:?]*[A-Za-z]")
 
 
 class LogStream:
@@ -156,6 +154,6 @@ def tame(text: str) -> str:
     Of a progress bar, which uses carriage returns, the last state is kept.
     """
     text = text.rstrip().rpartition("\r")[2].expandtabs(4)
-    text = _COLOURS.sub("", text)
+    text = without_escapes(text)
     words = text.lstrip(" ")
     return " " * min(len(text) - len(words), LONGEST_LINE // 4) + one_line(shorten(words, LONGEST_LINE))

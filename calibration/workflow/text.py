@@ -13,6 +13,15 @@ _UNPRINTABLE = re.compile(
 """Control characters, changes of the writing direction, invisible characters, halves of surrogate pairs."""
 
 
+_ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|[ -/]+[0-~]|[0-Z\\^-~])")
+"""Sequences for terminals: colours and cursor, titles of windows (roslaunch), character sets, others."""
+
+
+def without_escapes(text: str) -> str:
+    """Remove the sequences by which programs command a terminal."""
+    return _ESCAPES.sub("", text)
+
+
 def one_line(text: str) -> str:
     """Put a text on one line, without control of the terminal or the runner.
 

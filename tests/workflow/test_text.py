@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.workflow.summary import markdown_table
-from calibration.workflow.text import aligned, did_you_mean, one_line, shorten
+from calibration.workflow.text import aligned, did_you_mean, one_line, shorten, without_escapes
 
 
 @pytest.mark.parametrize(
@@ -31,6 +31,20 @@ def test_one_line_never_breaks_and_never_commands(text: str) -> None:
     assert "##[" not in line
     assert not any(ord(character) < 32 and character != "\t" for character in line)
     line.encode()
+
+
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        ("\x1b]2;/ws/src/arm.launch http://robot:11311\x07[INFO] up", "[INFO] up"),  # roslaunch
+        ("\x1b]0;title\x1b\\up", "up"),
+        ("\x1b[1;31m[ERROR]\x1b[0m \x1b[38:5:1mred\x1b[K", "[ERROR] red"),
+        ("\x1b(Bplain\x1b=\x1b7", "plain"),
+        ("\x1b]0;without an end", "\x1b]0;without an end"),
+    ],
+)
+def test_sequences_for_terminals_are_removed(text: str, plain: str) -> None:
+    assert without_escapes(text) == plain
 
 
 def test_shorten() -> None:

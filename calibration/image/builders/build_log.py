@@ -1,14 +1,12 @@
 """Log of a build: its steps and their output."""
 
-import re
 from collections import deque
 from collections.abc import Iterable, Sequence
 
 from calibration.workflow import Runner, redact
 from calibration.workflow.progress import Advance
-from calibration.workflow.text import one_line, shorten
+from calibration.workflow.text import one_line, shorten, without_escapes
 
-_COLOURS = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 LAST_LINES = 20
 LONGEST = 500
 """Limit of characters of a line."""
@@ -56,7 +54,7 @@ class BuildLog:
 
     def clean(self, text: str) -> str:
         """Return a text on one line with secrets redacted."""
-        return one_line(redact(_COLOURS.sub("", text), self._secrets))
+        return one_line(redact(without_escapes(text), self._secrets))
 
     def _line(self, text: str) -> None:
         text = text.rstrip("\r").rpartition("\r")[2]  # of a progress bar that overwrites its line, keep the last state
