@@ -24,8 +24,20 @@ class BuildFailedError(CalibrationError):
         """
         self.headline = f"image {name}: {shorten(one_line(step), 200)}{': ' if step else ''}{one_line(problem)}"
         self.lines = tuple(lines)
-        last = f"; its last line: {shorten(self.lines[-1], 200)}" if self.lines else ""
-        super().__init__(one_line(self.headline + last))
+        super().__init__(one_line(self.headline + _said(self.lines)))
+
+
+_ERROR = re.compile(r"(^|[\s:(])(error|fatal|e|err!)[:! ]|error: |^traceback ", re.IGNORECASE)
+"""A line that states an error, of compilers, CMake, make, pip, apt, npm and Python."""
+
+
+def _said(lines: Sequence[str]) -> str:
+    """Quote the last line of a step, and the first one that states an error: what follows it is often a consequence."""
+    if not lines:
+        return ""
+    error = next((line for line in lines if _ERROR.search(line)), lines[-1])
+    first = "" if error == lines[-1] else f"; its first error: {shorten(error, 200)}"
+    return f"{first}; its last line: {shorten(lines[-1], 200)}"
 
 
 _WORLD = re.compile(

@@ -146,3 +146,28 @@ def test_whose_fault_it_is(runner: Runner, message: str, kind: type) -> None:
         assert error.exit_code == ExitCode.FAIL
         assert error.lines == ("last words",)
         assert str(error) == f"image robot: step 1 of 2, RUN x: {message}; its last line: last words"
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (
+            ["main.cpp:3:1: error: unknown type name 'x'", "1 error generated.", "make: *** [all] Error 1"],
+            "its first error: main.cpp:3:1: error: unknown type name 'x'; its last line: make: *** [all] Error 1",
+        ),
+        (["Reading package lists...", "E: Unable to locate package x"], "its last line: E: Unable to locate package x"),
+        (
+            ["ERROR: No matching distribution found for x", "[notice] a new release of pip"],
+            "its first error: ERROR: No matching distribution found for x; its last line: [notice] a",
+        ),
+        (
+            ["CMake Error at CMakeLists.txt:3 (find_package):", "-- Configuring incomplete, errors occurred!"],
+            "its first error: CMake Error at CMakeLists.txt:3 (find_package):; its last line: -- Configuring",
+        ),
+        (["no errors so far", "done"], "its last line: done"),
+    ],
+)
+def test_the_error_above_the_last_line_is_quoted(runner: Runner, lines: list[str], said: str) -> None:
+    log = make(runner)
+    log.output("\n".join(lines))
+    assert f"exit code 1; {said}" in str(build_problem("robot", "step 1 of 2, RUN x", "exit code 1", log))
