@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -77,6 +78,11 @@ def test_a_start_that_does_not_come_back_is_red(tmp_path: Path, capsys: pytest.C
     assert code == 1
     assert results(tmp_path)["verdict"] == "fail"
     assert "error: t2rgb, 2 m, 3 rad, seed" in capsys.readouterr().err
+
+
+def test_why_there_is_no_result_is_in_the_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate-matrix", "--dataset", T2RGB, "--compare", "icp", "--output", str(tmp_path)]) == 0
+    assert re.search(r"t2rgb, icp, .*: no result: .*ICP does not apply", capsys.readouterr().out)
 
 
 def test_rules_from_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

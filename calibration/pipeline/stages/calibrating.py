@@ -10,6 +10,10 @@ from calibration.pipeline.matrix.matrix import run_matrix
 from calibration.pipeline.results import results_of, without_verdicts
 from calibration.pipeline.stages.running import Run
 from calibration.workflow.progress import progress
+from calibration.workflow.text import shorten
+
+LONGEST_REASON = 200
+"""Limit of characters of a reason in the log's line of a cell; all of it stands in the results."""
 
 
 def calibrate_stage(run: Run) -> Run:
@@ -34,9 +38,13 @@ def calibrate_stage(run: Run) -> Run:
 
 def _line(cell: CellResult) -> str:
     rms = "" if cell.rms_px is None else f", {cell.rms_px:.4f} px"
-    converged = "calibrated" if cell.converged else "not converged"
+    converged = "calibrated" if cell.converged else "not converged" if cell.error is None else _why(cell)
     method = "" if cell.by_other_method else f", {cell.method}"  # named in the cell's name
     return f"{cell.name}{method}: {converged}{rms} ({cell.seconds:.2f} s)"
+
+
+def _why(cell: CellResult) -> str:
+    return f"no result: {shorten('; '.join(cell.reasons), LONGEST_REASON)}"
 
 
 def introspect_stage(run: Run) -> Run:
