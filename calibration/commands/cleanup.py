@@ -12,6 +12,9 @@ from calibration.execution.backends import AWS_BATCH, DOCKER, KINDS, Leftovers, 
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.text import aligned
 
+KEPT_SHOWN = 50
+"""Limit of shown leftovers that are kept."""
+
 
 @click.command("cleanup")
 @click.option("--run", type=text, help="Remove everything of this run, even if it is still running.")
@@ -69,6 +72,10 @@ def clean_up(leftovers: Leftovers[Any], run: str | None, everything: bool, dry_r
         if chosen:
             runner.log(aligned(leftovers.header, [each.row for each in chosen]))
     runner.log(leftovers.summary(chosen, dry_run))
-    if others := len(found) - len(chosen):
-        runner.log(f"{others} kept: their run is active, or may be active elsewhere (--all removes them too)")
+    if kept := [] if everything or run is not None else [each for each in found if each not in dead]:
+        rows = [(*each.row, each.owner.where if each.owner else "by an unknown process") for each in kept[:KEPT_SHOWN]]
+        with stop_commands(runner):
+            runner.log(aligned((*leftovers.header, "its run"), rows))
+        more = f", {len(kept) - len(rows)} of them not shown" if len(kept) > len(rows) else ""
+        runner.log(f"{len(kept)} kept{more}: their run is active, or may be (--run removes one, --all removes all)")
     return ExitCode.PASS

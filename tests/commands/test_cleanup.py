@@ -1,5 +1,7 @@
 """Command `calibration cleanup`; leftovers of killed runs are tested in tests/integration/execution."""
 
+import re
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -33,7 +35,9 @@ def test_objects_of_another_version(engine: "DockerClient", capsys: pytest.Captu
     try:
         assert main(["cleanup"]) == 0  # its owner is unknown
         assert len(find_leftovers(engine.api, run)) == 1
-        assert "kept: their run" in capsys.readouterr().out
+        shown = capsys.readouterr().out
+        assert "kept: their run" in shown
+        assert re.search(rf"volume +calibration-{run} .*by an unknown process", shown)
         assert main(["cleanup", "--all", "--dry-run"]) == 0
         shown = capsys.readouterr().out
         assert run in shown
@@ -45,6 +49,22 @@ def test_objects_of_another_version(engine: "DockerClient", capsys: pytest.Captu
         assert find_leftovers(engine.api, run) == []
         assert main(["cleanup", "--run", run]) == 0
         assert capsys.readouterr().out == "nothing removed\n"
+    finally:
+        remove(engine.api, find_leftovers(engine.api, run))
+
+
+def test_why_what_may_be_in_use_is_kept(engine: "DockerClient", capsys: pytest.CaptureFixture[str]) -> None:
+    run, here = new_run(), Owner.this_process()
+    owners = {"here": here, "there": replace(here, host="robot-2"), "inside": replace(here, namespace="pid:[1]")}
+    for name, owner in owners.items():
+        engine.api.create_volume(f"calibration-{run}-{name}", labels={RUN: run, **owner.labels})
+    try:
+        assert main(["cleanup"]) == 0
+        shown = capsys.readouterr().out
+        assert re.search(rf"{run}-here .*active, process {here.process}\n", shown)
+        assert re.search(rf"{run}-there .*may be active on robot-2\n", shown)
+        assert re.search(rf"{run}-inside .*may be active in another container of this machine\n", shown)
+        assert len(find_leftovers(engine.api, run)) == 3
     finally:
         remove(engine.api, find_leftovers(engine.api, run))
 

@@ -53,6 +53,16 @@ class Owner:
             return True  # the machine has rebooted
         return self.namespace == here.namespace and started(int(self.process)) != self.started
 
+    @property
+    def where(self) -> str:
+        """Where the process is active, or may be, as no proof of its end is known: for messages."""
+        here = type(self).this_process()
+        if self.host != here.host:
+            return f"may be active on {self.host}"
+        if self.namespace != here.namespace:
+            return "may be active in another container of this machine"
+        return f"active, process {self.process}"
+
 
 def new_run() -> str:
     """Return a unique name for a run."""

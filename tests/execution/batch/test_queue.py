@@ -1,6 +1,7 @@
 """Queues, definitions and images: checks before submission, and search in a queue."""
 
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -248,10 +249,10 @@ def test_cleanup_terminates_leftovers_of_killed_runs(
         foreign = batch.submit_job(jobName="calibration-night-x", jobQueue=QUEUE, jobDefinition=definition)["jobId"]
         killed.wait()
         assert main(["cleanup", "--cloud", "--dry-run", *where]) == 0
-        said = capsys.readouterr().out
-        assert "night.1" in said
-        assert "night " not in said
-        assert "1 job or array in AWS Batch would be ended\n1 kept" in said
+        ended, kept = capsys.readouterr().out.split("1 job or array in AWS Batch would be ended\n")
+        assert "night.1" in ended
+        assert "night " not in ended
+        assert re.search(rf"night .*active, process {os.getpid()}\n1 kept: ", kept)
         assert len(running(batch_emulator)) == 3
 
         config = tmp_path / "calibration.yml"
