@@ -1,7 +1,9 @@
 """Detection of the patterns in a camera's images."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -74,12 +76,26 @@ def decoded_image(data: bytes, where: str) -> Image:
         InputError: it is not an image.
     """
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        with _without_stderr():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise InputError(f"{where}: this image cannot be read: {error.err}") from None
     if image is None or image.size > 3 * MAX_PIXELS:
         raise InputError(f"{where}: this is not a readable image, or it is truncated or too large")
     return np.asarray(image, np.uint8)
+
+
+@contextmanager
+def _without_stderr() -> Iterator[None]:
+    """Discard what libraries of C write: of a damaged image libpng and libjpeg print lines beside our error."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def look(path: Path, detectors: Mapping[str, CornerDetector]) -> View:

@@ -19,6 +19,7 @@ from calibration.__main__ import main
 from calibration.errors import CalibrationError, InputError
 from calibration.importing.camera_files import read_lens
 from calibration.importing.importing import import_data, read_description
+from calibration.importing.looking import decoded_image
 from calibration.importing.samples import read_samples
 from calibration.importing.target_files import pattern_configuration
 from tests.importing.conftest import BOARD, CAMERAS, camera_info, change
@@ -63,6 +64,15 @@ def blank(folder: Path) -> None:
 
 def set_to(*keys: str, to: object) -> Callable[[Path], None]:
     return lambda folder: change(folder, *keys, to=to)
+
+
+def test_libraries_print_nothing_of_a_damaged_image(capfd: pytest.CaptureFixture[str]) -> None:
+    noise = np.random.default_rng(1).integers(0, 255, (40, 60, 3), np.uint8)
+    data = bytearray(cv2.imencode(".png", noise)[1])
+    data[len(data) // 2] ^= 1
+    with pytest.raises(InputError, match="not a readable image"):
+        decoded_image(bytes(data), "0.png")
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(
