@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calibration.dataset.model import Dataset
 from calibration.errors import InputError
 from calibration.estimation.result import Calibration
 from calibration.evaluation.table import Table
@@ -22,6 +23,15 @@ def reprojection(calibration: Calibration) -> Table:
             for key, errors in zip(view.collections, view.magnitudes, strict=True):
                 squares.setdefault(key, []).extend((errors[np.isfinite(errors)] ** 2).tolist())
     if not squares:
-        raise InputError(f"{calibration.dataset.path}: no camera has labels, so there are no reprojection errors")
+        raise InputError(
+            f"{calibration.dataset.path}: no camera has labels, so there are no reprojection errors: choose "
+            f"another table (evaluate), such as {_other(calibration.dataset)}"
+        )
     keys = sorted(squares, key=int)
     return Table(KEY, COLUMNS, tuple(keys), np.array([[np.sqrt(np.mean(squares[key]))] for key in keys]))
+
+
+def _other(dataset: Dataset) -> str:
+    """Name a table for a dataset without cameras."""
+    tracker = next((name for name, sensor in dataset.sensors.items() if sensor.modality.family == "tracker"), None)
+    return f"measured-poses:{tracker}" if tracker else "lidar-to-lidar:SOURCE:TARGET"

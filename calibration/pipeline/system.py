@@ -78,8 +78,8 @@ class System:
     evaluate: Text | None = field(
         "The table: rgb-to-rgb:SOURCE:TARGET, lidar-to-rgb:LIDAR:CAMERA, depth-to-rgb:DEPTH:CAMERA, "
         "lidar-to-lidar:SOURCE:TARGET, lidar-to-depth:LIDAR:DEPTH or depth-to-depth:SOURCE:TARGET, each also as "
-        "inter-collection-...; single-rgb, ground-truth-transform:PARENT:CHILD or ground-truth-frame:FRAME. "
-        "':PATTERN' may follow two sensors.",
+        "inter-collection-...; single-rgb, measured-poses:SENSOR, ground-truth-transform:PARENT:CHILD or "
+        "ground-truth-frame:FRAME. ':PATTERN' may follow two sensors.",
         default=None,
         option="The table: rgb-to-rgb:SOURCE:TARGET, lidar-to-rgb:LIDAR:CAMERA, ...",
     )

@@ -147,3 +147,11 @@ def test_invalid_input_is_reported(tmp_path: Path) -> None:
     change(folder, "sensors", "camera", "intrinsics", to="camera.yaml")
     (folder / "camera.yaml").write_text("{intrinsics: {fx: 500, fy: 500, cx: 320, cy: 240}}")
     refused("found poses, no images: leave out 'intrinsics' of 'camera'")
+
+
+def test_without_a_table_the_error_names_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    imported(tmp_path, True)
+    arguments = ["calibrate-matrix", "--dataset", str(tmp_path / "out"), "--output", str(tmp_path / "cells")]
+    assert main([*arguments, "--description", "rough"]) == 2
+    assert "choose another table (evaluate), such as measured-poses:camera\n" in capsys.readouterr().err
+    assert main([*arguments, "--description", "rough", "--evaluate", "measured-poses:camera"]) == 0
