@@ -1,24 +1,32 @@
 """What is fuzzed: a reader of files of others, with files that it can read."""
 
+import contextlib
 import io
 import json
+import shutil
 import tarfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from calibration.__main__ import main
+from calibration.analysis.suppressions import read_suppressions
+from calibration.baseline.document import read_baseline
+from calibration.coverage.junit import parse_junit
 from calibration.coverage.reading import read_reports
 from calibration.coverage.sources import Sources
 from calibration.dataset.configuration import read_configuration as read_atom_configuration
 from calibration.dataset.depth_image import read_depth_image
 from calibration.dataset.pointcloud import read_points
 from calibration.dataset.reading import read_dataset
+from calibration.dataset.truth import read_truth
 from calibration.diagnosis.check_data import check_data
 from calibration.errors import CalibrationError
+from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.execution.extraction import Budget, extract
 from calibration.execution.globs import Glob
@@ -29,6 +37,7 @@ from calibration.importing.bag import open_bag
 from calibration.importing.camera_files import read_lens
 from calibration.importing.description import Bags, ImportDescription, PatternDescription
 from calibration.importing.importing import import_data, read_description
+from calibration.importing.looking import read_image
 from calibration.importing.messages import depth_of, image_of
 from calibration.importing.samples import read_samples
 from calibration.importing.survey import survey
@@ -37,8 +46,13 @@ from calibration.introspection import judge, parse_rules, read_table
 from calibration.introspection.rulesfile import read_rules
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.cell import Cell, LoadedSystem, calibrate_cell
+from calibration.pipeline.results import read_results
+from calibration.report.brief import read_brief
 from calibration.rigel.conversion import convert
 from calibration.rigel.document import read_rigelfile
+from calibration.simulation.motion.sequence import read_motion
+from calibration.simulation.scenarios.scenario_set import read_scenario_set
+from calibration.simulation.system import System, read_system
 from tests.importing import hand_eye
 from tests.importing.bags import BEGIN, SECOND, BagFile, Kind
 
@@ -232,7 +246,67 @@ cam0:
 """
 
 
+SUPPRESSIONS = b"""\
+suppressions:
+- {rule: ruff/S603, path: "scripts/*", reason: only names of our own, until: 2030-01-31}
+- {rule: "lizard/*", reason: generated}
+"""
+SCENARIOS = b"""\
+light: {ambient: {uniform: [0.4, 0.9]}, elevation_deg: 30, azimuth_deg: 5}
+cameras: {exposure: {log_uniform: [0.7, 1.4]}, k1: {normal: [0, 0.05], within: [-0.15, 0.1]}}
+occluders: {count: {integer: [0, 3]}, size_m: {uniform: [0.03, 0.12]}}
+motion: {poses: 12}
+constraints:
+  - {less: [cameras.k1, light.ambient]}
+"""
+SYSTEM = DATASETS / "riwbot"
+
+
+def _system(path: Path) -> None:
+    """A system one of whose files was changed."""
+    for name in ("robot.urdf", "config.yml", "simulation.yml"):
+        if not (path.parent / name).exists():
+            shutil.copy(SYSTEM / name, path.parent)
+    read_system(path.parent)
+
+
+@cache
+def _known_system() -> System:
+    return read_system(DATASETS / "t2rgb")
+
+
+def _photographs() -> list[bytes]:
+    import cv2
+
+    image = np.random.default_rng(1).integers(0, 255, (24, 32, 3), np.uint8)
+    return [bytes(cv2.imencode(suffix, image)[1]) for suffix in (".png", ".jpg", ".tiff")]
+
+
+def _left_by_a_run(name: str) -> Callable[[], list[bytes]]:
+    def originals() -> list[bytes]:
+        with TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+            arguments = ["--dataset", str(SYSTEM), "--intrinsics", "all", "--compare", "shah", "--output", folder]
+            main(["calibrate-matrix", *arguments])
+            return [path.read_bytes() for path in Path(folder).rglob(name)][:1]
+
+    return originals
+
+
 TARGETS: Mapping[str, Target] = {
+    "simulation": Target("simulation.yml", _files("datasets/riwbot/simulation.yml"), _system, 2),
+    "robot": Target("robot.urdf", _files("datasets/riwbot/robot.urdf"), _system, 2),
+    "scenarios": Target("scenarios.yml", lambda: [SCENARIOS], lambda path: read_scenario_set(path, _known_system()), 4),
+    "motion": Target("motion.json", _files("datasets/*/motion.json"), read_motion, 4),
+    "truth": Target("ground_truth.json", _files("datasets/*/ground_truth.json"), read_truth, 4),
+    "photograph": Target("image", _photographs, read_image),
+    "suppressions": Target(".static-analysis.yml", lambda: [SUPPRESSIONS], read_suppressions, 4),
+    "baseline": Target("baseline.json", _files("calibration-baseline.json"), read_baseline, 4),
+    "results": Target("results.json", _left_by_a_run("results.json"), lambda path: read_results(path.parent), 4),
+    "comment": Target("comment.json", _left_by_a_run("comment.json"), read_brief, 4),
+    "intrinsics-covariance": Target("intrinsics.json", _left_by_a_run("intrinsics.json"), read_intrinsics, 4),
+    "junit": Target(
+        "junit.xml", _files("datasets/*/junit.xml"), lambda path: parse_junit(path.read_bytes(), "junit.xml"), 4
+    ),
     "import.yml": Target("import.yml", lambda: [IMPORT], read_description, 4),
     "intrinsics": Target("camera.yaml", lambda: [CAMERA_INFO, CAMCHAIN], read_lens, 4),
     "hand-eye-samples": Target(
