@@ -93,6 +93,9 @@ _TOOLS_XML = "ROBOT_tools/package.xml"
 _URDF = "ROBOT_description/urdf/robot.urdf"
 _LAUNCH1, _LAUNCH2 = "ROBOT_bringup/launch/robot.launch", "ROBOT_bringup/launch/robot.launch.py"
 _SENSORS2 = "ROBOT_bringup/launch/sensors.launch.xml"
+_MONITOR1, _MONITOR2 = "ROBOT_tools/scripts/monitor.py", "ROBOT_tools/ROBOT_tools/monitor.py"
+_FOLLOWER2 = "ROBOT_tools/ROBOT_tools/follower.py"
+_CALIBRATION = "calibration/config.yml"
 _SENSORS_INCLUDE = (_LAUNCH2, "AnyLaunchDescriptionSource(sensors)")
 
 KINDS: tuple[Kind, ...] = (
@@ -435,6 +438,164 @@ KINDS: tuple[Kind, ...] = (
                 '  <arg name="frame"/>\n  <include file="$(find-pkg-share ROBOT_bringup)/launch/all.launch.yaml"/>\n',
             ),
         ),
+    ),
+    Kind(
+        "two nodes of one name",
+        "node-name-twice",
+        (
+            Edit(1, _LAUNCH1, 'name="monitor"', 'name="follower"'),
+            Edit(2, _LAUNCH2, 'name="monitor"', 'name="follower"', (_LAUNCH2, 'executable="monitor"')),
+        ),
+    ),
+    Kind(
+        "a topic of two types",
+        "topic-types",
+        (
+            Edit(
+                1,
+                _MONITOR1,
+                "from ROBOT_msgs.msg import STATUS\n",
+                "from ROBOT_msgs.msg import Wheel as STATUS\n",
+                (_MONITOR1, "rospy.Subscriber"),
+            ),
+            Edit(
+                2,
+                _BASE_CPP,
+                "create_subscription<geometry_msgs::msg::Twist>",
+                "create_subscription<geometry_msgs::msg::Pose>",
+            ),
+            Edit(2, _FOLLOWER2, "LaserScan\n\n", "PointCloud2 as LaserScan\n\n", (_FOLLOWER2, "create_subscription")),
+        ),
+    ),
+    Kind(
+        "a service of two types",
+        "topic-types",
+        (
+            Edit(
+                1, _MONITOR1, "srv import SetMode", "srv import Trigger as SetMode", (_MONITOR1, "rospy.ServiceProxy")
+            ),
+            Edit(2, _MONITOR2, "srv import SetMode", "srv import Trigger as SetMode", (_MONITOR2, "create_client")),
+        ),
+    ),
+    Kind(
+        "a subscriber of a misspelt topic",
+        "not-connected",
+        (
+            Edit(1, _MONITOR1, '"TOPIC_status"', '"~TOPIC_status~"'),
+            Edit(2, _MONITOR2, '"TOPIC_status"', '"~TOPIC_status~"'),
+            Edit(1, _BASE_CPP, '"cmd_vel"', '"~cmd_vel~"'),
+            Edit(2, _BASE_CPP, '"cmd_vel"', '"~cmd_vel~"', (_BASE_CPP, "create_subscription")),
+        ),
+    ),
+    Kind(
+        "a remapping to a misspelt topic",
+        "not-connected",
+        (
+            Edit(1, _LAUNCH1, 'to="TOPIC_scan_raw"', 'to="~TOPIC_scan_raw~"'),
+            Edit(2, _LAUNCH2, '"TOPIC_scan_raw")', '"~TOPIC_scan_raw~")'),
+        ),
+    ),
+    Kind(
+        "a client of a misspelt service",
+        "not-connected",
+        (
+            Edit(1, _MONITOR1, 'ServiceProxy("set_mode"', 'ServiceProxy("~set_mode~"'),
+            Edit(2, _MONITOR2, '"set_mode"', '"~set_mode~"'),
+        ),
+    ),
+    Kind("a client of a misspelt action", "not-connected", (Edit(2, _MONITOR2, '"dock"', '"~dock~"'),)),
+    Kind(
+        "a reliable subscriber of a best effort publisher",
+        "quality-of-service",
+        (
+            Edit(2, _FOLLOWER2, "BEST_EFFORT", "RELIABLE", (_FOLLOWER2, "create_subscription")),
+            Edit(2, _FOLLOWER2, "self.on_scan, quality", "self.on_scan, 10"),
+            Edit(
+                2,
+                _FOLLOWER2,
+                'self.create_publisher(Twist, "cmd_vel", 1)',
+                'self.create_publisher(Twist, "cmd_vel", quality)',
+                (_BASE_CPP, "create_subscription"),
+            ),
+        ),
+    ),
+    Kind(
+        "a transient local subscriber of a volatile publisher",
+        "quality-of-service",
+        (
+            Edit(
+                2,
+                _FOLLOWER2,
+                "depth=5, ",
+                "depth=5, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL, ",
+                (_FOLLOWER2, "create_subscription"),
+            ),
+        ),
+    ),
+    Kind(
+        "a parameter that the node does not know",
+        "no-such-parameter",
+        (
+            Edit(1, _LAUNCH1, 'param name="mode"', 'param name="~mode~"'),
+            Edit(2, _LAUNCH2, '{"gain": 0.3}', '{"~gain~": 0.3}'),
+            Edit(2, _SENSORS2, 'param name="frame_id"', 'param name="~frame_id~"'),
+        ),
+    ),
+    Kind(
+        "a parameter in a file that the node does not know",
+        "no-such-parameter",
+        (
+            Edit(1, "ROBOT_bringup/config/tools.yaml", "gain", "~gain~"),
+            Edit(2, "ROBOT_driver/config/driver.yaml", "wheel_radius", "~wheel_radius~"),
+        ),
+    ),
+    Kind(
+        "a remapping of a name that the node does not use",
+        "unused-remapping",
+        (
+            Edit(1, _LAUNCH1, 'from="TOPIC_scan"', 'from="~TOPIC_scan~"'),
+            Edit(2, _SENSORS2, 'from="TOPIC_scan"', 'from="~TOPIC_scan~"'),
+            Edit(2, _LAUNCH2, '("TOPIC_scan"', '("~TOPIC_scan~"'),
+        ),
+    ),
+    Kind(
+        "a frame that the description does not have",
+        "no-such-frame",
+        (
+            Edit(1, _CALIBRATION, "    link: laser_link\n", "    link: ~laser_link~\n"),
+            Edit(2, _CALIBRATION, "    child_link: laser_link\n", "    child_link: scanner\n"),
+        ),
+    ),
+    Kind(
+        "a frame that the description has renamed",
+        "no-such-frame",
+        tuple(
+            Edit(
+                version,
+                _URDF,
+                '<link name="camera_optical"/>',
+                '<link name="camera_eye"/>',
+                (_CALIBRATION, "link: camera_opt"),
+            )
+            for version in (1, 2)
+        ),
+    ),
+    Kind(
+        "another parent of a frame",
+        "frame-parent",
+        (
+            Edit(
+                1,
+                _CALIBRATION,
+                "parent_link: base_link\n    child_link: camera_link",
+                "parent_link: laser_link\n    child_link: camera_link",
+            ),
+        ),
+    ),
+    Kind(
+        "a calibration's topic that nothing publishes",
+        "not-connected",
+        tuple(Edit(version, _CALIBRATION, "/TOPIC_scan_raw", "/~TOPIC_scan_raw~") for version in (1, 2)),
     ),
 )
 """All kinds, in the order of the rules."""

@@ -4,12 +4,20 @@ from collections.abc import Callable, Iterator
 
 from calibration.analysis.finding import Finding
 from calibration.analysis.ros.build_checks import check_builds
+from calibration.analysis.ros.frame_checks import check_frames
+from calibration.analysis.ros.graph_checks import check_graph
 from calibration.analysis.ros.launch_checks import check_launches
 from calibration.analysis.ros.package_checks import check_packages
 from calibration.analysis.ros.repository import Repository
 from calibration.analysis.ros.tree import Tree
 
-CHECKS: tuple[Callable[[Repository], Iterator[Finding]], ...] = (check_packages, check_builds, check_launches)
+CHECKS: tuple[Callable[[Repository], Iterator[Finding]], ...] = (
+    check_packages,
+    check_builds,
+    check_launches,
+    check_graph,
+    check_frames,
+)
 
 
 def check(tree: Tree) -> list[Finding]:

@@ -46,6 +46,20 @@ RULES: dict[str, Rule] = {
     ),
     "launch-argument": Rule("error-prone", "error", "an argument of a launch file is not declared, or not given"),
     "launch-cycle": Rule("error-prone", "error", "a launch file includes itself"),
+    "node-name-twice": Rule("error-prone", "error", "two nodes that are started together have one name"),
+    "topic-types": Rule("error-prone", "error", "a topic, service or action is used with two types"),
+    "not-connected": Rule(
+        "error-prone", "warning", "nothing gives to a topic, service or action, and a similar one has no taker"
+    ),
+    "quality-of-service": Rule("error-prone", "error", "a subscriber asks for more than the publisher offers"),
+    "no-such-parameter": Rule("error-prone", "warning", "a parameter is set that the code of the node does not know"),
+    "unused-remapping": Rule(
+        "error-prone", "warning", "a name is remapped that the node does not use, but a similar one"
+    ),
+    "no-such-frame": Rule(
+        "error-prone", "error", "a calibration names a frame that the robot description does not have"
+    ),
+    "frame-parent": Rule("error-prone", "error", "a calibration names another parent of a frame than the description"),
 }
 """Rules by name."""
 
