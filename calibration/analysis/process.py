@@ -9,12 +9,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from calibration.analysis.analysers import ANALYSERS, Analyser
+from calibration.analysis.analysers.ros import Ros
 from calibration.analysis.comparison import Compared, compare, with_content
 from calibration.analysis.copies import Copy, before, copied
 from calibration.analysis.finding import Finding, Located
 from calibration.analysis.limits import parse_limits
 from calibration.analysis.report import report
 from calibration.analysis.results import Results, Suppressed, Tool
+from calibration.analysis.ros_graph import JSON_FILE, PICTURE_FILE, RosGraph, read_graph
 from calibration.analysis.sarif import FILE as SARIF_FILE
 from calibration.analysis.sarif import sarif
 from calibration.analysis.suppressions import FILE as SUPPRESSIONS
@@ -67,7 +69,7 @@ def analyse(settings: Settings, runner: Runner) -> ExitCode:
         InfrastructureError: an analyser is missing, fails or takes too long, or a result cannot be written.
     """
     if settings.output is not None:
-        remove_results(settings.output, (*FILES, SARIF_FILE))
+        remove_results(settings.output, (*FILES, SARIF_FILE, JSON_FILE, PICTURE_FILE))
     new_limits = parse_limits(settings.max_new, "max-new")
     total_limits = parse_limits(settings.max_total, "max-total")
     seconds = parse_seconds(settings.timeout, "timeout")
@@ -93,9 +95,10 @@ def analyse(settings: Settings, runner: Runner) -> ExitCode:
         suppressed=tuple(Suppressed(finding, each.reason) for finding, each in sifted.suppressed),
         remarks=(*no_base, *sifted.remarks),
         checks=tuple(checks),
+        graph=state.graph.since(state.earlier_graph) if state.graph else None,
     )
     text = state.sarif(reasons, compared=base is not None)
-    found = report(results, text, repository.root, settings.output)
+    found = report(results, text, state.graph, repository.root, settings.output)
     publish(found, runner, settings.output)
     return found.exit_code
 
@@ -110,6 +113,8 @@ class _State:
     left_out: Mapping[str, str]
     compared: Compared
     contents: Mapping[Finding, str]
+    graph: RosGraph | None
+    earlier_graph: RosGraph | None
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -158,6 +163,7 @@ def _analysed(
         )
     runner.log(f"{count_of(len(looked_at), 'file')} for {', '.join(name for name, files in wanted.items() if files)}")
     findings = _findings(analysers, wanted, now, seconds)
+    graph = earlier_graph = read_graph(now, seconds) if wanted.get(Ros.name) else None
     if base is None:
         compared = Compared((), tuple(findings), ())
     else:
@@ -178,6 +184,7 @@ def _analysed(
         whole = {each.name for each in analysers if each.whole and changed}
         findings_then = _findings(analysers, then, earlier, seconds)
         compared = compare(findings, now, findings_then, earlier, changed, whole)
+        earlier_graph = read_graph(earlier, seconds) if graph and changed else graph
     return _State(
         tools=tuple(Tool(name, _version(name), len(files)) for name, files in wanted.items() if files),
         files=len(looked_at),
@@ -185,6 +192,8 @@ def _analysed(
         left_out=now.left_out,
         compared=compared,
         contents={each.finding: each.content for each in with_content(findings, now)},
+        graph=graph,
+        earlier_graph=earlier_graph,
     )
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.analysis.finding import CATEGORIES, SEVERITIES, Finding
-from calibration.analysis.results import Results
+from calibration.analysis.results import Graph, Results
+from calibration.analysis.ros_graph import JSON_FILE, PICTURE_FILE, RosGraph
 from calibration.analysis.sarif import FILE as SARIF_FILE
 from calibration.report import Lines, Outcome, Report, Table, count_of, outcome_of_check, verdict_of
 from calibration.workflow.annotations import Annotation, Level
@@ -19,12 +20,13 @@ _LEVELS = {"error": Level.ERROR, "warning": Level.WARNING, "note": Level.NOTICE}
 _HEADER = ("place", "severity", "category", "rule", "finding")
 
 
-def report(results: Results, sarif: str, root: Path, folder: Path | None) -> Report:
+def report(results: Results, sarif: str, graph: RosGraph | None, root: Path, folder: Path | None) -> Report:
     """Return the report.
 
     Args:
         results: the results.
         sarif: the same as SARIF.
+        graph: of the ROS nodes, if there are any.
         root: of the repository, for annotations.
         folder: of the files, if they are written.
     """
@@ -51,6 +53,7 @@ def report(results: Results, sarif: str, root: Path, folder: Path | None) -> Rep
                 title="Findings",
             ),
             Table(("file", "findings"), _files(results), title="Files with most findings"),
+            *_graph(results.graph),
             Lines(results.remarks),
             Lines(tuple(f"not analysed: {path}: {why}" for path, why in results.left_out.items()), most=MOST_FILES),
             Table(_HEADER, _rows(results.unchanged), MOST_ROWS, title="Not new", folded=True),
@@ -65,7 +68,7 @@ def report(results: Results, sarif: str, root: Path, folder: Path | None) -> Rep
             "per-thousand-lines": results.per_thousand_lines,
             "sarif": None if folder is None else folder / SARIF_FILE,
         },
-        files={SARIF_FILE: sarif},
+        files={SARIF_FILE: sarif} | ({JSON_FILE: graph.document, PICTURE_FILE: graph.picture} if graph else {}),
     )
 
 
@@ -93,6 +96,17 @@ def _rows(findings: Sequence[Finding]) -> tuple[tuple[str, ...], ...]:
 def _files(results: Results) -> tuple[tuple[str, str], ...]:
     counts = Counter(finding.path for finding in results.findings)
     return tuple((path, str(count)) for path, count in counts.most_common(MOST_FILES))
+
+
+def _graph(graph: Graph | None) -> tuple[Table | Lines, ...]:
+    """Return the blocks about the graph: what a change connects or cuts."""
+    if graph is None:
+        return ()
+    rows = [*(("connected", each) for each in graph.connected), *(("cut", each) for each in graph.cut)]
+    size = f"{count_of(graph.nodes, 'ROS node')}, {count_of(graph.connections, 'connection')}, see {PICTURE_FILE}"
+    unresolved = f"; {len(graph.unresolved)} names are known only at run time" if graph.unresolved else ""
+    table = Table(("change", "connection"), tuple(rows), MOST_ROWS, title="ROS graph")
+    return (table, Lines((f"{size}{unresolved}",)))
 
 
 def _outcomes(results: Results) -> list[Outcome]:

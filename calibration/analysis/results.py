@@ -26,6 +26,17 @@ class Suppressed:
 
 
 @result
+class Graph:
+    """Nodes of ROS packages that launch files start, and what connects them."""
+
+    nodes: int
+    connections: int = field("Number of pairs of nodes with a topic, service or action in common.")
+    connected: tuple[str, ...] = field("Connections that the change makes, such as `/scan: /lidar -> /follower`.")
+    cut: tuple[str, ...] = field("Connections that it cuts.")
+    unresolved: tuple[str, ...] = field("What is known only when the nodes run; it makes no finding.")
+
+
+@result
 class Results:
     """Results of static-analysis."""
 
@@ -40,6 +51,7 @@ class Results:
     suppressed: tuple[Suppressed, ...] = field("Accepted findings.")
     remarks: tuple[str, ...] = field("Suppressions that have ended or cover nothing; why there is no base.")
     checks: tuple[Check, ...] = field("The limits.")
+    graph: Graph | None = field("Graph of the ROS nodes; null if there is no ROS package.", default=None)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

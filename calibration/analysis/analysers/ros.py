@@ -5,7 +5,7 @@ import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import calibration
 from calibration.analysis.analysers.analyser import Analyser
@@ -38,10 +38,25 @@ class Ros(Analyser):
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
         """Check all files together, and keep what is found in ``files``."""
-        with temporary_folder(prefix="calibration-analysis-") as folder:
-            task = folder / "task.json"
-            task.write_text(json.dumps([str(copy.root), copy.present, copy.opaque]), encoding="ascii")
-            home = str(Path(calibration.__file__).parents[1])
-            said = say(self.name, [sys.executable, "-I", "-c", _START, home, str(task)], copy.root, seconds, (0,))
         asked = set(files)
-        return [finding for entry in json.loads(said.output) if (finding := Finding(**entry)).path in asked]
+        entries = run_in_process("findings", copy, seconds)
+        return [finding for entry in entries if (finding := Finding(**entry)).path in asked]
+
+
+def run_in_process(what: str, copy: Copy, seconds: float) -> Any:
+    """Run the checks of ROS packages in a process of their own, and return the document that it prints.
+
+    Args:
+        what: ``findings`` or ``graph``.
+        copy: the files.
+        seconds: time limit.
+
+    Raises:
+        InfrastructureError: it fails, or takes too long.
+    """
+    with temporary_folder(prefix="calibration-analysis-") as folder:
+        task = folder / "task.json"
+        task.write_text(json.dumps([what, str(copy.root), copy.present, copy.opaque]), encoding="ascii")
+        home = str(Path(calibration.__file__).parents[1])
+        said = say(Ros.name, [sys.executable, "-I", "-c", _START, home, str(task)], copy.root, seconds, (0,))
+    return json.loads(said.output)

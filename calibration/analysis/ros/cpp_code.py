@@ -49,6 +49,8 @@ class _File:
     """Type of the first parameter of each function."""
     private: set[str] = field(default_factory=set)
     """Node handles of ROS 1 that are made with ``~``."""
+    elsewhere: set[str] = field(default_factory=set)
+    """Those that are made with another namespace."""
     initial: dict[str, str] = field(default_factory=dict)
     """Source of the initial value of each variable."""
 
@@ -93,8 +95,8 @@ def _names(path: str, nodes: list[Node]) -> _File:
             _callback(node, file)
         elif node.type == "field_initializer" and len(node.named_children) == 2:
             name, value = node.named_children
-            if _literals(value) == ["~"]:
-                file.private.add(_source(name))
+            if literals := _literals(value):
+                (file.private if literals == ["~"] else file.elsewhere).add(_source(name))
     return file
 
 
@@ -110,8 +112,8 @@ def _variable(node: Node, file: _File) -> None:
     is_text = len(literals) == 1 and value.type in ("string_literal", "initializer_list", "argument_list")
     file.texts[name] = literals[0] if is_text and name not in file.texts else None
     file.initial[name] = _source(value) if name not in file.initial else ""
-    if value.type == "argument_list" and literals == ["~"]:
-        file.private.add(name)
+    if value.type in ("argument_list", "initializer_list") and literals:
+        (file.private if literals == ["~"] else file.elsewhere).add(name)
 
 
 def _callback(node: Node, file: _File) -> None:
@@ -178,6 +180,8 @@ def _call(node: Node, file: _File) -> Iterator[Call]:
     if name in ("advertise", "subscribe", "advertiseService", "serviceClient"):
         if not owner:
             return
+        if owner in file.elsewhere:
+            text = None
         if text is not None and owner in file.private and not text.startswith(("/", "~")):
             text = f"~{text}"
     found = None if kind in ("parameter", "declared parameter") else _type_of(argument, file)

@@ -1,6 +1,7 @@
 """Executables of a package, with the files of their code; and what a package installs."""
 
 import ast
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,8 @@ from calibration.analysis.ros.tree import join
 
 _SOURCES = (".cpp", ".cc", ".cxx", ".c")
 _HEADERS = (".h", ".hpp", ".hh", ".hxx")
+_INCLUDED = re.compile(r"#\s*include\s*[<\"](?:[^>\"\n]*/)?([\w-]+)\.h")
+"""Name of an included header, without folders and suffix."""
 _LINK_KEYWORDS = ("PUBLIC", "PRIVATE", "INTERFACE")
 _ALWAYS = ("package.xml",)
 """Files that the build tools install themselves."""
@@ -39,7 +42,7 @@ def find_executables(package: Package) -> Executables:
         name = command.texts[0]
         own = _sources(package, command)
         libraries = [path for each in linked.get(name, ()) for path in sources.get(each, ())]
-        files[name] = _with_headers(package, (*own, *libraries))
+        files[name] = _with_headers(package, (*own, *_included(package, own, libraries)))
     for command in package.commands("rclcpp_components_register_node"):
         for name in [each.text for each in command.after("EXECUTABLE", ("PLUGIN", "EXECUTOR", "RESOURCE_INDEX"))]:
             files[name] = _with_headers(package, sources.get(command.texts[0], ()))
@@ -56,7 +59,8 @@ def find_executables(package: Package) -> Executables:
                 files[place.rpartition("/")[2]] = (place,)
     if not package.is_ros2:  # roslaunch takes any executable file below the package's folder
         for path in package.files:
-            files.setdefault(path.rpartition("/")[2], (path,))
+            if not path.endswith((*_SOURCES, *_HEADERS)):
+                files.setdefault(path.rpartition("/")[2], (path,))
     if package.setup is not None:
         complete = complete and package.setup.is_known
         for entry in package.setup.entry_points:
@@ -88,6 +92,18 @@ def _linked(package: Package) -> dict[str, list[str]]:
 def _sources(package: Package, command: Command) -> tuple[str, ...]:
     places = (command.place(each) for each in command.texts[1:] if each.endswith(_SOURCES))
     return tuple(each for each in places if each is not None and each in package.tree.present)
+
+
+def _included(package: Package, own: Sequence[str], others: Sequence[str]) -> list[str]:
+    """Return those of other sources whose header some source includes, directly or not: a linked one may be unused."""
+    used: dict[str, None] = {}
+    open_paths = list(own)
+    while open_paths:
+        stems = set(_INCLUDED.findall(package.tree.text(open_paths.pop())))
+        found = [each for each in others if each not in used and each.rpartition("/")[2].rpartition(".")[0] in stems]
+        used |= dict.fromkeys(found)
+        open_paths += found
+    return list(used)
 
 
 def _with_headers(package: Package, sources: Sequence[str]) -> tuple[str, ...]:

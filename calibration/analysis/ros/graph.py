@@ -185,10 +185,12 @@ def _graph(root: str, nodes: list[GraphNode], unresolved: list[str]) -> Graph:
 
 def _endpoint(node: GraphNode, call: Call) -> Endpoint | None:
     """Return the use of a name, after the remappings of the node; None if it is not known."""
-    full = None if call.name is None or node.name is None else _resolved(node, call.name)
-    path, line = call.path, call.line
-    for each in node.start.remappings if node.start and full is not None else ():
-        if node.start and _resolved(node, each.old) == full:
+    remappings = node.start.remappings if node.start else ()
+    if call.name is None or node.name is None or any(each.old is None for each in remappings):
+        return None
+    full, path, line = _resolved(node, call.name), call.path, call.line
+    for each in remappings:
+        if node.start and each.old and _resolved(node, each.old) == full:
             full = None if each.new is None else _resolved(node, each.new)
             path, line = node.start.path, each.line
             break
@@ -201,9 +203,26 @@ def _resolved(node: GraphNode, name: str) -> str | None:
     return resolved(node.namespace, name)
 
 
-def as_document(graphs: list[Graph]) -> Mapping[str, object]:
-    """Return the graphs as JSON: nodes, connections by name with types, what could not be resolved."""
-    return {"graphs": [_document(each) for each in graphs]}
+def summary_of(graphs: list[Graph]) -> Mapping[str, object]:
+    """Return the numbers and connections of all graphs together, and their document as text."""
+    nodes = {(each.title, each.package, each.executable) for graph in graphs for each in graph.nodes}
+    unresolved = dict.fromkeys(each for graph in graphs for each in graph.unresolved)
+    document = {"schema": 1, "graphs": [_document(each) for each in graphs]}
+    return {
+        "nodes": len(nodes),
+        "connections": sorted({each for graph in graphs for each in _connections(graph)}),
+        "unresolved": list(unresolved),
+        "document": json.dumps(document, indent=1) + "\n",
+    }
+
+
+def _connections(graph: Graph) -> Iterator[str]:
+    """Yield a line for each two nodes that a topic, service or action connects."""
+    for _, giving, taking in CONNECTIONS:
+        for giver in graph.of(giving):
+            for taker in graph.of(taking):
+                if giver.name == taker.name:
+                    yield f"{giver.name}: {giver.node} -> {taker.node}"
 
 
 def _document(graph: Graph) -> Mapping[str, object]:
@@ -230,8 +249,3 @@ def _document(graph: Graph) -> Mapping[str, object]:
             }
         found[title] = entries
     return found | {"unresolved": list(graph.unresolved)}
-
-
-def to_json(graphs: list[Graph]) -> str:
-    """Return the document as text."""
-    return json.dumps(as_document(graphs), indent=1) + "\n"

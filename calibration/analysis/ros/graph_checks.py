@@ -133,9 +133,9 @@ def _remappings(node: GraphNode) -> Iterator[Finding]:
     if node.start is None or not uses or any(each.name is None for each in uses):
         return
     names = {(each.name or "").strip("~/") for each in uses}
-    olds = {each.old.strip("~/") for each in node.start.remappings}
+    olds = {(each.old or "").strip("~/") for each in node.start.remappings}
     for each in node.start.remappings:
-        old = each.old.strip("~/")
+        old = (each.old or "").strip("~/")
         if old not in names and (hint := did_you_mean(old, names - olds)):
             message = f"{quoted(node.title)} uses no {quoted(old)}{hint}"
             yield fault("unused-remapping", node.start.path, each.line, message)

@@ -14,9 +14,9 @@ _FOLDER = re.compile(r"\$\(dirname\)")
 class Remapping:
     """Name that a node is given in place of another one."""
 
-    old: str
+    old: str | None
     new: str | None
-    """None if it is not known."""
+    """None if it is not known, as the old one."""
     line: int
 
 

@@ -152,8 +152,7 @@ def _children(element: Element, scope: _Scope, found: _Found) -> None:
 
 
 def _remapping(text: dict[str, str], line: int) -> tuple[Remapping, ...]:
-    old = known(text.get("from"))
-    return () if old is None else (Remapping(old, known(text.get("to")), line),)
+    return (Remapping(known(text.get("from")), known(text.get("to")), line),)
 
 
 def _include(element: Element, text: dict[str, str], scope: _Scope, path: str) -> Include:

@@ -149,13 +149,16 @@ def _start(node: ast.Call, file: _File) -> Start:
 
 
 def _remappings(node: ast.expr | None, file: _File) -> Iterator[Remapping]:
-    if isinstance(node, ast.Name):
-        node = file.values.get(node.id)
-    for each in node.elts if isinstance(node, ast.List | ast.Tuple) else ():
-        if isinstance(each, ast.Tuple) and len(each.elts) == 2:
-            old, new = (known(_text(part, file)) for part in each.elts)
-            if old is not None:
-                yield Remapping(old, new, each.lineno)
+    if node is None:
+        return
+    value = file.values.get(node.id) if isinstance(node, ast.Name) else node
+    if not isinstance(value, ast.List | ast.Tuple):
+        yield Remapping(None, None, node.lineno)
+        return
+    for each in value.elts:
+        pair = each.elts if isinstance(each, ast.Tuple) and len(each.elts) == 2 else (None, None)
+        old, new = (known(_text(part, file)) for part in pair)
+        yield Remapping(old, new, each.lineno)
 
 
 def _parameters(node: ast.expr | None, file: _File) -> tuple[list[Parameter], list[str]]:
