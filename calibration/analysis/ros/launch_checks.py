@@ -61,6 +61,9 @@ def _file(text: str, path: str, line: int, repository: Repository) -> Iterator[F
     inside = named[1]
     if inside.rpartition("/")[2] in package.build_words:  # generated, downloaded, or installed by name
         return
+    folders = {package.folder.rpartition("/")[2], package.name}
+    if any(f"{each}/{inside}" in repository.image_text for each in folders):
+        return  # copied there when an image is built
     if not repository.tree.has(package.inside(inside)):
         folder, _, name = inside.rpartition("/")
         beside = [each for each in package.files if package.relative(each).rpartition("/")[0] == folder]

@@ -51,6 +51,13 @@ class Repository:
             return read_launch_yaml(path, self.tree.text(path))
         return read_launch_python(path, self.tree.text(path)) if path.endswith(".py") else None
 
+    @cached_property
+    def image_text(self) -> str:
+        """The text of all files that say what images contain."""
+        names = ((path, path.rpartition("/")[2]) for path in self.tree.files)
+        said = (path for path, name in names if name.startswith("Dockerfile") or name == "calibration.yml")
+        return "\n".join(map(self.tree.text, said))
+
     def place(self, text: str | None) -> str | None:
         """Return the path in the repository of ``package://name/path``; None if it is of no package here."""
         if text is not None and text.startswith("repository://"):

@@ -110,3 +110,12 @@ def test_a_file_that_cmake_makes_is_not_missed() -> None:
     assert [each.rule for each in found_in(files)] == ["ros/no-such-file"]
     files[cmake] += "configure_file(tools.in config/made.yaml)\n"
     assert found_in(files) == []
+
+
+def test_a_file_that_an_image_gets_is_not_missed() -> None:
+    files = dict(Workspace(1, 0).files)
+    [path] = [each for each in files if each.endswith("_bringup/launch/robot.launch")]
+    folder = path.partition("/")[0]
+    files[path] = files[path].replace("config/tools.yaml", "config/made.yaml")
+    files["docker/Dockerfile"] = f"FROM ros\nCOPY made.yaml /opt/{folder}/config/made.yaml\n"
+    assert found_in(files) == []
