@@ -43,6 +43,7 @@ class PlanSettings:
     image: str | None = None
     command: str | None = None
     tests: str | None = None
+    analyse: bool = False
     jobs: tuple[str, ...] = ()
     promote: bool = True
     minute_rate: float | None = None
@@ -80,7 +81,8 @@ def minute_rate(value: str | float) -> float:
 @click.option("--image", type=text, help="Image with the team's own calibration.")
 @click.option("--command", type=text, help="Command of this image.")
 @click.option("--tests", type=text, help="The command that runs the unit tests.")
-@click.option("--jobs", type=TEXT_LIST, help="Only these jobs: calibrate, collect-data, unit-tests.")
+@boolean_option("--analyse", default=False, help="Analyse the code of the repository (no).")
+@click.option("--jobs", type=TEXT_LIST, help="Only these jobs: calibrate, collect-data, unit-tests, static-analysis.")
 @boolean_option("--promote", default=True, help="An image that passes may get its release tags (yes).")
 @click.option("--minute-rate", type=minute_rate, help="Price of a minute of a job, in your currency: 0.006.")
 @click.option("--artifact-name", type=artifact_name, help="Prefix of the artifact names (calibration).")
@@ -126,6 +128,7 @@ def plan_of(settings: PlanSettings, event: Event) -> Plan:
         image=bool(settings.image),
         command=bool(settings.command),
         tests=bool(settings.tests),
+        analyse=settings.analyse,
         push=event.by_stranger is None,
         promote=settings.promote,
         minute_rate=settings.minute_rate,
@@ -136,10 +139,10 @@ def plan_of(settings: PlanSettings, event: Event) -> Plan:
 
 
 def _configuration(settings: PlanSettings) -> Configuration | None:
-
     if settings.datasets:
         return datasets_as_configuration(settings.datasets)
-    only_tests = settings.jobs == ("unit-tests",) or (settings.tests and not settings.jobs)
-    if settings.config is None and only_tests and not DEFAULT_FILE.exists():
+    of_code = {"unit-tests": bool(settings.tests), "static-analysis": settings.analyse}
+    only_code = set(settings.jobs) <= set(of_code) if settings.jobs else any(of_code.values())
+    if settings.config is None and only_code and not DEFAULT_FILE.exists():
         return None
     return read_configuration(settings.config or DEFAULT_FILE)

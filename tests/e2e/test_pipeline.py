@@ -276,6 +276,19 @@ def test_unit_tests_alone(still: bool, caller: Caller, tmp_path: Path) -> None:
     assert list(caller.artifacts.glob("calibration~unit-tests/unit-tests/results.json"))
 
 
+@pytest.mark.parametrize("limit", ["", "error=5"])
+def test_static_analysis_alone(limit: str, caller: Caller) -> None:
+    """Its findings are red by the limits of the inputs, and the verdict says why."""
+    files = {"naming.py": "import os\n\n\ndef f():\n    return missing\n"}
+    caller.write({"analyse": True, "analysis-max-total": limit or "error=0"}, {**ROBOT, **files})
+    run = caller.run("push")
+    assert run.code == (0 if limit else 1), run.log
+    assert any(f"static-analysis {'success' if limit else 'failure'}" in line for line in run.printed)
+    said = [line for line in run.annotations if "gather-results::static-analysis: " in line]
+    assert len(said) == (0 if limit else 1)
+    assert list(caller.artifacts.glob("calibration~static-analysis/static-analysis/findings.sarif"))
+
+
 def test_a_token_that_nobody_uses_is_warned_of(repository: Repository, tmp_path: Path) -> None:
     caller = Caller(repository, tmp_path / "artifacts", {"python": sys.executable}, {"codacy-project-token": TOKEN})
     caller.write({"jobs": "calibrate", "datasets": "riwbot"}, {"riwbot": DATASETS / "riwbot"})

@@ -65,6 +65,7 @@ def test_every_variable_of_a_step_is_an_input_of_its_command() -> None:
                 assert given <= known
                 assert "INPUT_PYTHON" in given
     steps = {"plan-matrix", "build-image", "calibrate-matrix", "run", "coverage-upload", "gather-results", "comment"}
+    steps.add("static-analysis")
     assert started == steps
 
 
@@ -89,7 +90,7 @@ def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
 def test_no_call_gathers_what_another_one_left() -> None:
     """Whatever their names, of those that plan-matrix takes, and a job's slug are."""
     steps = [step["with"] for job in JOBS.values() for step in job["steps"] if "artifact@" in step.get("uses", "")]
-    assert len(steps) == 10
+    assert len(steps) == 11
 
     def names(key: str, call: str) -> list[str]:
         texts = [step[key] for step in steps if key in step]
@@ -179,6 +180,7 @@ def test_jobs_have_the_time_that_the_caller_gives_their_kind() -> None:
         "calibrate-collected": "${{ inputs.timeout-minutes }}",
         "collect-data": "${{ inputs.collect-timeout-minutes || inputs.timeout-minutes }}",
         "unit-tests": "${{ inputs.tests-timeout-minutes || inputs.timeout-minutes }}",
+        "static-analysis": "${{ inputs.timeout-minutes }}",
     }
 
 

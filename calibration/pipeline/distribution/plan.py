@@ -14,7 +14,7 @@ from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.system import NoiseGrid, System
 from calibration.workflow.text import did_you_mean
 
-JOBS = ("calibrate", "collect-data", "unit-tests")
+JOBS = ("calibrate", "collect-data", "unit-tests", "static-analysis")
 """Jobs that a user can choose."""
 LONGEST = 80
 """Limit of a slug's length."""
@@ -25,7 +25,7 @@ MOST_BYTES_INSIDE = 60_000_000
 """Limit, in bytes of dataset.json, of all labels in a job with all noises: our engine reads and calibrates a
 megabyte in 0.1 to 0.3 s on one core, on GitHub's machines in less than a second.
 """
-COLLECTED_DATA, UNIT_TESTS = "collected-data", "unit-tests"
+COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS = "collected-data", "unit-tests", "static-analysis"
 """Slugs of the artifacts of these jobs."""
 ImageSource: TypeAlias = Literal["", "own", "built", "given"]
 """Image of the team's software: none (our engine calibrates), the one that the system names, the one that
@@ -82,6 +82,7 @@ class Plan:
     """Tags of the image after a pass verdict."""
     minute_rate: float | None = None
     """Cost of a minute of a job."""
+    static_analysis: bool = False
 
     @property
     def at_once(self) -> tuple[JobCell, ...]:
@@ -102,6 +103,7 @@ class Plan:
             "collect-data": bool(self.simulations),
             "calibrate-collected": bool(self.after_collection),
             "unit-tests": self.unit_tests,
+            "static-analysis": self.static_analysis,
         }
 
 
@@ -119,6 +121,8 @@ class Wishes:
     """Whether a command is given, which calibrates in place of our engine."""
     tests: bool = False
     """Whether unit tests are given."""
+    analyse: bool = False
+    """Whether the repository is to be analysed."""
     push: bool = True
     """False without credentials to push, as in a fork."""
     promote: bool = True
@@ -188,6 +192,7 @@ def plan_jobs(
         push=push,
         promote=section.promote if section is not None and image and wishes.promote else (),
         minute_rate=wishes.minute_rate,
+        static_analysis="static-analysis" in wanted,
     )
 
 
@@ -196,11 +201,17 @@ def _runs_in_built_image(simulation: Simulation) -> bool:
 
 
 def _wanted(wishes: Wishes, systems: bool, simulations: bool) -> list[str]:
-    possible = {"calibrate": systems, "collect-data": simulations, "unit-tests": wishes.tests}
+    possible = {
+        "calibrate": systems,
+        "collect-data": simulations,
+        "unit-tests": wishes.tests,
+        "static-analysis": wishes.analyse,
+    }
     missing = {
         "calibrate": "the configuration has no systems",
         "collect-data": "the configuration has no simulation",
         "unit-tests": "the input tests is empty: name the command that runs them",
+        "static-analysis": "the input analyse is not true",
     }
     for job in wishes.jobs:
         if job not in JOBS:
@@ -209,7 +220,7 @@ def _wanted(wishes: Wishes, systems: bool, simulations: bool) -> list[str]:
             raise InputError(f"jobs: there is nothing for {job} to do: {missing[job]}")
     wanted = [job for job in JOBS if possible[job] and (not wishes.jobs or job in wishes.jobs)]
     if not wanted:
-        raise InputError("jobs: there is nothing to do: no systems, no simulation, no tests")
+        raise InputError("jobs: there is nothing to do: no systems, no simulation, no tests, no analysis")
     return wanted
 
 
@@ -228,7 +239,8 @@ def _cells(systems: Sequence[System], noise: NoiseGrid, wishes: Wishes, by_path:
             f"{len(noise.rotations)} rotation noises), GitHub takes {MOST_JOBS}: {advice}"
         )
     names = [_name(system.name, t, r) for system, t, r in pairs]
-    found = slugs([name.replace(", ", "_").replace(" ", "") for name in names], (COLLECTED_DATA, UNIT_TESTS))
+    taken = (COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS)
+    found = slugs([name.replace(", ", "_").replace(" ", "") for name in names], taken)
     return tuple(
         JobCell(
             name,

@@ -56,6 +56,7 @@ def plan_of_outputs(outputs: Mapping[str, Any]) -> Plan:
             push=outputs["push"] == "true",
             promote=tuple(json.loads(outputs["promote"])),
             minute_rate=parse_number(outputs["minute-rate"]),
+            static_analysis=outputs["static-analysis"] == "true",
         )
         if plan_outputs(plan) == dict(outputs):
             return plan

@@ -71,6 +71,7 @@ def test_every_pair_of_noises_of_every_system_is_a_job() -> None:
         "collect-data": False,
         "calibrate-collected": False,
         "unit-tests": False,
+        "static-analysis": False,
     }
 
 
@@ -109,7 +110,7 @@ def test_the_largest_matrix_that_github_takes_and_one_more() -> None:
 
 
 def test_systems_whose_dataset_is_collected_wait_for_it() -> None:
-    plan = planned(ROBOT, COLLECTED, simulations=(FRESH,), noise_inside_cells=True, tests=True)
+    plan = planned(ROBOT, COLLECTED, simulations=(FRESH,), noise_inside_cells=True, tests=True, analyse=True)
     assert [cell.system for cell in plan.at_once] == ["robot"]
     assert [cell.system for cell in plan.after_collection] == ["fresh"]
     assert plan.simulations == ("fresh",)
@@ -126,6 +127,7 @@ def test_systems_whose_dataset_is_collected_wait_for_it() -> None:
         (("calibrat",), "there is no job 'calibrat': did you mean 'calibrate'\\?"),
         (("collect-data",), "nothing for collect-data to do: the configuration has no simulation"),
         (("calibrate", "unit-tests"), "nothing for unit-tests to do: the input tests is empty"),
+        (("static-analysis",), "nothing for static-analysis to do: the input analyse is not true"),
     ],
 )
 def test_a_job_without_work_is_refused(jobs: tuple[str, ...], message: str) -> None:

@@ -85,6 +85,14 @@ def test_unit_tests_need_no_configuration(monkeypatch: pytest.MonkeyPatch) -> No
     assert plan(monkeypatch, jobs="unit-tests")["calibrate"] == "false"
 
 
+def test_an_analysis_needs_no_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = plan(monkeypatch, analyse="true")
+    assert (found["static-analysis"], found["calibrate"]) == ("true", "false")
+    Path("calibration.yml").write_text(CONFIGURATION)
+    assert plan(monkeypatch)["calibrate"] == "true"
+    assert plan(monkeypatch, jobs="static-analysis")["calibrate"] == "false"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
