@@ -10,13 +10,13 @@ ratio", 1931). On the same data the result is deterministic, so every difference
 
 import math
 from collections.abc import Callable, Iterator, Set
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from calibration.baseline.snapshot import POSITIONS, Parameter, Pose, Snapshot
 from calibration.estimation.significance import FAMILY_WISE, score_of_f
+from calibration.frozen import frozen
 from calibration.geometry.transforms import local
 from calibration.geometry.types import Array
 from calibration.records import field, result
@@ -52,7 +52,7 @@ class Change:
     )
 
 
-@dataclass(frozen=True)
+@frozen
 class Comparison:
     """Comparison of two calibrations of one system."""
 

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from calibration.baseline.comparison import Change, Comparison, compare
 from calibration.baseline.settings import BaselineSettings
 from calibration.baseline.snapshot import Snapshot, Start
 from calibration.diagnosis.finding import Finding
+from calibration.frozen import frozen
 from calibration.introspection.baseline import Allowance
 from calibration.introspection.numbers import number_text
 from calibration.report import Check, at_most
@@ -28,7 +28,7 @@ NEGLIGIBLE = 0.1
 """Tolerance for the distance of other software from the optimum, as a fraction of the standard deviation."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Accepted:
     """Accepted calibration that a system's cells are compared with."""
 

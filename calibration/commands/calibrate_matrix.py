@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import field as dataclass_field
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
@@ -15,14 +15,16 @@ from calibration.commands.target import execution_target
 from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, ExecutionTarget, check_backend
 from calibration.introspection.rulesfile import read_rules
-from calibration.pipeline.configuration import Configuration, read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import Software, adjusted_software
 from calibration.pipeline.stages import Run, run_stages
-from calibration.pipeline.system import Noise, System
+from calibration.pipeline.system import Noise, NoiseGrid, System, chosen_systems
 from calibration.records import at_least, changed, field, read, record
 from calibration.registries.credentials import RegistrySettings
 from calibration.workflow import Runner
+
+if TYPE_CHECKING:
+    from calibration.pipeline.configuration import Configuration
 
 TITLE = "calibrate-matrix"
 
@@ -111,7 +113,7 @@ def calibrate_matrix(settings: MatrixSettings, runner: Runner) -> ExitCode:
     matrix = matrix_of(settings, configuration)
     target = target_of(settings, configuration, matrix, runner)
     pull(settings, runner)
-    baseline = configuration.baseline if settings.dataset is None else None
+    baseline = configuration.baseline if configuration else None
     run = Run(
         matrix,
         settings.output,
@@ -127,14 +129,14 @@ def calibrate_matrix(settings: MatrixSettings, runner: Runner) -> ExitCode:
 
 
 def target_of(
-    settings: MatrixSettings, configuration: Configuration, matrix: Matrix, runner: Runner
+    settings: MatrixSettings, configuration: "Configuration | None", matrix: Matrix, runner: Runner
 ) -> ExecutionTarget:
     """Return the execution target of the team's software.
 
     Raises:
         InputError: unknown backend, a cloud backend without software to run, or without its section of settings.
     """
-    backend = settings.backend or configuration.backend
+    backend = settings.backend or (configuration.backend if configuration else DOCKER)
     check_backend(backend, CONTAINERS)
     in_cloud = backend == AWS_BATCH and bool(matrix.software)
     if not in_cloud and settings.backend == AWS_BATCH:
@@ -150,7 +152,7 @@ def target_of(
         settings.run,
         settings.resume,
         runner,
-        configuration.sections,
+        configuration.sections if configuration else None,
     )
 
 
@@ -170,29 +172,37 @@ def pull(settings: MatrixSettings, runner: Runner) -> None:
     pull_image(image, login, runner, TITLE)
 
 
-def matrix_of(settings: MatrixSettings, configuration: Configuration) -> Matrix:
-    """Return the matrix of calibrations: the configuration's, with the settings taking precedence.
+def matrix_of(settings: MatrixSettings, configuration: "Configuration | None") -> Matrix:
+    """Return the matrix of calibrations: the configuration's or the single dataset's; the settings take precedence.
 
     Raises:
-        InputError: the configuration lacks a selected system, or the settings are wrong.
+        InputError: a selected system is missing, or the settings are wrong.
     """
-    systems = tuple(_adjusted(system, settings) for system in configuration.only(settings.systems))
-    return Matrix(systems, settings.noise.grid(configuration.noise))
+    known = configuration.systems if configuration else (_single(settings),)
+    systems = tuple(_adjusted(system, settings) for system in chosen_systems(known, settings.systems))
+    return Matrix(systems, settings.noise.grid(configuration.noise if configuration else NoiseGrid()))
 
 
-def configuration_of(settings: MatrixSettings) -> Configuration:
-    """Read the configuration, or create one for a single dataset.
+def configuration_of(settings: MatrixSettings) -> "Configuration | None":
+    """Read the configuration; None for a single dataset.
 
     Raises:
         InputError: both or none are given, or the configuration is wrong.
     """
-    if settings.config is not None and settings.dataset is None:
-        return read_configuration(settings.config)
-    if settings.dataset is None or settings.config is not None:
+    if (settings.dataset is None) == (settings.config is None):
         raise InputError("exactly one of dataset and config is to be given: a dataset's folder, or a calibration.yml")
+    if settings.config is None:
+        return None
+    from calibration.pipeline.configuration import read_configuration  # with the rooms of all its sections
+
+    return read_configuration(settings.config)
+
+
+def _single(settings: MatrixSettings) -> System:
+    """Return the system of a single dataset, named as its folder."""
+    assert settings.dataset is not None  # noqa: S101 (else there is a configuration)
     folder = settings.dataset.resolve()
-    name = folder.parent.name if folder.suffix == ".json" else folder.name
-    return Configuration(systems=(System(name, settings.dataset),))
+    return System(folder.parent.name if folder.suffix == ".json" else folder.name, settings.dataset)
 
 
 def _adjusted(system: System, settings: MatrixSettings) -> System:

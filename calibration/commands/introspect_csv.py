@@ -1,7 +1,7 @@
 """``introspect-csv``: check tables against rules."""
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.commands.record_options import record_options
 from calibration.errors import ExitCode, InputError
 from calibration.files import matching
+from calibration.frozen import frozen
 from calibration.introspection.judge import judge
 from calibration.introspection.report import report
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked
@@ -20,7 +21,7 @@ from calibration.report import FILES, publish, remove_results
 from calibration.workflow import Runner
 
 
-@dataclass(frozen=True)
+@frozen
 class IntrospectionSettings:
     """Inputs of ``introspect-csv``."""
 

@@ -1,7 +1,7 @@
 """``run``: run the whole pipeline of ``calibration.yml``, with one verdict."""
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ import click
 
 from calibration.commands.parameters import TEXT_LIST, boolean_option, count, path
 from calibration.errors import ExitCode
+from calibration.frozen import frozen
 from calibration.image.specification import ImageSpecification
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
@@ -16,7 +17,7 @@ from calibration.pipeline.stages import STAGES, Run, run_stages
 from calibration.workflow import Runner, set_outputs
 
 
-@dataclass(frozen=True)
+@frozen
 class RunSettings:
     """Inputs of ``run``."""
 

@@ -9,7 +9,6 @@ with enough rotation of the arm; the other fixed ones follow as the mean over th
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from calibration.dataset.model import Dataset, Edge, Sensor
 from calibration.dataset.pattern import Pattern
@@ -17,6 +16,7 @@ from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.linear_start import SINGLE_AXIS
 from calibration.estimation.robot_world import solve_robot_world
 from calibration.evaluation.views import corner_views, measured_views
+from calibration.frozen import frozen
 from calibration.geometry import rotations
 from calibration.geometry.transforms import distance, inverse, transform
 from calibration.geometry.types import Array
@@ -28,7 +28,7 @@ MINIMUM_VIEWS = 3
 """Minimum of relative motions with rotations about two axes."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class ArmViews:
     """A camera's n views of a pattern: ``arm = X @ seen @ Y``.
 

@@ -6,13 +6,12 @@ collections, or the one with the best fit. A third variant uses all collections 
 along a single board.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from calibration.comparison.sensor_pair import RANGE_SENSORS, pair_of, why_not_pair, with_pair
 from calibration.dataset.model import Dataset, PointLabels
 from calibration.errors import InputError, UndeterminedError
+from calibration.frozen import frozen
 from calibration.geometry import rotations
 from calibration.geometry.nearest import nearest
 from calibration.geometry.transforms import apply, transform
@@ -32,7 +31,7 @@ Clouds = tuple[Array, Array]
 """Points on the pattern of the first sensor (N, 3) and of the second (M, 3), each in its own frame."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Alignment:
     """Result of ICP."""
 

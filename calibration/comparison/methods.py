@@ -1,7 +1,6 @@
 """Registry of the comparison's methods."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 
 from calibration.comparison.arm import why_not_arm
@@ -11,9 +10,10 @@ from calibration.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fi
 from calibration.comparison.sensor_pair import CAMERAS, RANGE_SENSORS, only_pair
 from calibration.dataset.model import Dataset
 from calibration.errors import InputError, solvable
+from calibration.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class Method:
     """A calibration method other than the built-in engine."""
 

@@ -4,7 +4,7 @@ ATOM's config.yml and a dataset's ``calibration_config`` have the same content.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any, get_args
 
@@ -19,6 +19,7 @@ from calibration.dataset.pattern import (
     tag_grid,
     tag_outline,
 )
+from calibration.frozen import frozen
 
 MAX_CORNERS = 1000
 """Limit of the number of corners along one side of a pattern."""
@@ -32,7 +33,7 @@ FIRST_PATTERN = "pattern_1"
 """Name of the only pattern of a version 2 configuration."""
 
 
-@dataclass(frozen=True)
+@frozen
 class SensorConfiguration:
     """Configuration of a sensor: the frame of its data, and the transform parent_link -> child_link to calibrate."""
 
@@ -46,7 +47,7 @@ class SensorConfiguration:
     throttle: float | None = None
 
 
-@dataclass(frozen=True)
+@frozen
 class PatternConfiguration:
     """Configuration of a pattern: its print and its mounting. Metres."""
 
@@ -82,7 +83,7 @@ class PatternConfiguration:
         return Pattern(self.name, self.kind, self.link, self.parent_link, self.fixed, corners, border)
 
 
-@dataclass(frozen=True)
+@frozen
 class Configuration:
     """Configuration of a calibration."""
 

@@ -1,7 +1,6 @@
 """Depth images: 16-bit PNG files of depth along the optical axis, in tenths of a millimetre."""
 
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from calibration.dataset.document import shown
 from calibration.errors import InfrastructureError, InputError
 from calibration.files import read_bytes
+from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
 
@@ -25,7 +25,7 @@ _FIRST_CHUNK = b"\0\0\0\rIHDR"  # its length and its name
 _HEADER_BYTES = 26  # up to bit depth and colour type
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class DepthImage:
     """Depth image of a camera."""
 

@@ -5,7 +5,6 @@ simulation of each modality is in `calibration.simulation.sensors`.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -17,6 +16,7 @@ from calibration.dataset.document import Node
 from calibration.dataset.laser_scan import read_scan
 from calibration.dataset.payload import locate_existing
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
 
@@ -50,7 +50,7 @@ class IndexedPoints(Protocol):
         """
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Points:
     """The points of a cloud or a scan."""
 
@@ -64,7 +64,7 @@ class _Points:
         return np.asarray(self.points.take(index, axis=0), float)
 
 
-@dataclass(frozen=True)
+@frozen
 class PointData:
     """Access to the data of a sensor that measures points, and to labels that index them."""
 
@@ -84,7 +84,7 @@ class PointData:
     """Possible keys of its limit points."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Modality:
     """Modality of a sensor."""
 

@@ -4,7 +4,7 @@ A `Dataset` is immutable; `Dataset.with_transforms` returns a new one.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from calibration.dataset.modalities import Modality
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.joints import JointModel, JointParameter
@@ -25,7 +26,7 @@ Edge = tuple[str, str]
 """(parent, child); in a file it is the key ``parent-child``."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Sensor:
     """Sensor with the transform that calibrates it."""
 
@@ -44,7 +45,7 @@ class Sensor:
         return (self.calibration_parent, self.calibration_child)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Joint:
     """Joint of the robot with calibrated parameters."""
 
@@ -66,7 +67,7 @@ class Joint:
         return T
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class CornerLabels:
     """Corners that a camera detected in one collection."""
 
@@ -76,7 +77,7 @@ class CornerLabels:
     """(K, 2)."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class PointLabels:
     """Points of a LiDAR or a depth camera on the pattern in one collection."""
 
@@ -86,7 +87,7 @@ class PointLabels:
     """(L,): indices of the `points` on the pattern's physical border: of a 2D LiDAR the ends of the scan line."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class PoseLabels:
     """Measured pose of a pattern in one collection."""
 
@@ -119,7 +120,7 @@ def label_count(label: Labels) -> int:
             return 1
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Collection:
     """Labels of all sensors at one moment. Sensors without a detection are absent."""
 
@@ -128,7 +129,7 @@ class Collection:
     """By (pattern, sensor)."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Dataset:
     """Calibration dataset.
 

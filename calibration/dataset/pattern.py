@@ -5,19 +5,20 @@ that sees it), all corners at z = 0. Metres.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 
 from calibration.dataset.corners import read_corners
 from calibration.dataset.document import Node
+from calibration.frozen import frozen
 from calibration.geometry.types import Array
 
 PatternKind = Literal["charuco", "chessboard", "aprilgrid"]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Pattern:
     """Calibration pattern: its geometry, and its frame in the tree."""
 

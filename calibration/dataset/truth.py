@@ -1,7 +1,7 @@
 """Ground truth of a dataset: the values that a calibration should find."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from calibration.dataset.document import Node, read_json
 from calibration.dataset.edges import read_transform, transform_documents
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.writing import write_document
+from calibration.frozen import frozen
 from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.types import Array
 
@@ -18,7 +19,7 @@ FILE_NAME = "ground_truth.json"
 _KEYS = ("sensors", "pattern", "patterns", "transforms", "joints")
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Truth:
     """True transforms, each ``T_parent_child`` (4, 4)."""
 

@@ -12,7 +12,7 @@ same errors agree to a small fraction of a standard deviation. The distance is r
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from statistics import NormalDist
 
@@ -29,6 +29,7 @@ from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 from calibration.estimation.wrong_views import without
 from calibration.evaluation.truth import PoseError, TruthError, error_against
+from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 
 KIND = "against-optimum"
@@ -42,7 +43,7 @@ NAMED = 3
 """Number of sensors that a message names."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class OurOptimum:
     """Optimum of a dataset, the reference for other calibrations."""
 

@@ -1,12 +1,12 @@
 """Limits of the errors of a result, with or without ground truth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
 from calibration.estimation.result import Calibration
+from calibration.frozen import frozen
 from calibration.geometry.types import Array
 from calibration.records import at_least, between, field, one_of, record
 
@@ -58,7 +58,7 @@ def _or(limit: float | None, least: float) -> float:
     return least if limit is None else limit
 
 
-@dataclass(frozen=True)
+@frozen
 class Allowed:
     """Allowed displacement and rotation of a sensor or a joint."""
 

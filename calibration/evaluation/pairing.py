@@ -1,18 +1,18 @@
 """Pairs of views of two sensors, of the same collection or of different ones."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.dataset.model import Dataset, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, IntArray
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Pairs:
     """P pairs of views, by the indices of their collections."""
 

@@ -1,17 +1,17 @@
 """Residuals of a calibrated dataset for each label, for figures; tables contain only averages."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.dataset.model import CornerLabels, Dataset, PointLabels, PoseLabels, Sensor
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, IntArray
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Residuals:
     """Residuals of a sensor's n labels."""
 

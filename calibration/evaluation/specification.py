@@ -1,7 +1,6 @@
 """Evaluations specified by a short text, such as ``rgb-to-rgb:right_camera:left_camera``."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 
 from calibration.dataset.model import Dataset
@@ -21,11 +20,12 @@ from calibration.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_t
 from calibration.evaluation.selection import pattern_of
 from calibration.evaluation.single_rgb import single_rgb
 from calibration.evaluation.table import Table
+from calibration.frozen import frozen
 
 Names = tuple[str, ...]
 
 
-@dataclass(frozen=True)
+@frozen
 class Kind:
     """A kind of table."""
 
@@ -97,7 +97,7 @@ KINDS: Mapping[str, Kind] = {
 """Kinds of tables: ATOM's, by the name of its script, and the one of measured poses, which ATOM lacks."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Evaluation:
     """Specification of a table."""
 

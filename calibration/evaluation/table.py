@@ -2,12 +2,13 @@
 
 import csv
 import io
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
 
 from calibration.files import write_atomically
+from calibration.frozen import frozen
 from calibration.geometry.types import Array, BoolArray
 
 AVERAGES = "Averages"
@@ -22,7 +23,7 @@ MISSING = "---"
 """Text of a missing value."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Table:
     """Table with one row of numbers for each collection, or pair of collections.
 

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
 
@@ -11,12 +10,13 @@ import numpy as np
 from calibration.dataset.model import Dataset, Joint, Sensor
 from calibration.dataset.truth import Truth
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.transforms import distance, inverse
 from calibration.geometry.types import Array
 
 
-@dataclass(frozen=True)
+@frozen
 class PoseError:
     """Error of one pose against the true one."""
 
@@ -28,7 +28,7 @@ class PoseError:
     """Angle between the orientations."""
 
 
-@dataclass(frozen=True)
+@frozen
 class JointError:
     """Error of one parameter of a joint against the true one."""
 
@@ -39,7 +39,7 @@ class JointError:
     unit: Literal["m", "rad"]
 
 
-@dataclass(frozen=True)
+@frozen
 class TruthError:
     """Errors of a calibration: of each calibrated sensor, or of each pair if only relative poses are observable."""
 

@@ -1,6 +1,5 @@
 """Views of a pattern by a camera, over all collections, and the pose estimated from each view alone."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -9,12 +8,13 @@ from calibration.dataset.model import Collection, CornerLabels, Dataset, PoseLab
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.single_views import corner_term, fitted_poses
 from calibration.evaluation.selection import camera_of
+from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class CornerViews:
     """V views of a pattern with K corners by a camera. Unseen corners are zero."""
 
@@ -43,7 +43,7 @@ class CornerViews:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class MeasuredViews:
     """V measured poses of a pattern."""
 

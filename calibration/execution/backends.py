@@ -6,7 +6,6 @@ of killed runs.
 
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from importlib import import_module
 from pathlib import Path
@@ -16,11 +15,11 @@ from calibration.errors import InputError
 from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.job import Job
 from calibration.execution.outcome import JobOutcome
+from calibration.frozen import frozen
 from calibration.records import field, flat_fields, read, record
 from calibration.variables import with_variables
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
-from calibration.yaml_file import read_yaml
 
 if TYPE_CHECKING:
     from calibration.execution.docker.labels import Owner
@@ -84,7 +83,7 @@ class Backend(Protocol[Work, Outcome]):
 JobBackend = Backend[Job, JobOutcome]
 
 
-@dataclass(frozen=True)
+@frozen
 class BackendKind:
     """Registration of a backend for jobs; its modules are imported when it is opened."""
 
@@ -141,7 +140,7 @@ def check_backend(name: str, known: tuple[str, ...] = BACKENDS) -> None:
         raise InputError(f"backend: found '{name}', expected {expected}{did_you_mean(name, known)}")
 
 
-@dataclass(frozen=True)
+@frozen
 class ExecutionTarget:
     """Backend, settings and run to execute jobs of containers."""
 
@@ -183,6 +182,8 @@ def read_sections(backend: str, path: Path) -> Sections:
     Raises:
         InputError: the file or the section is missing or wrong; the message names file and key.
     """
+    from calibration.yaml_file import read_yaml  # YAML is slow to import
+
     kind = KINDS[backend].settings
     document = read_yaml(path, f"a file with a section {backend}")
     if not isinstance(document, dict) or backend not in document:

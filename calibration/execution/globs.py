@@ -2,14 +2,15 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from fnmatch import translate
 from functools import cached_property
+
+from calibration.frozen import frozen
 
 _WILDCARD = re.compile(r"[*?\[]")
 
 
-@dataclass(frozen=True)
+@frozen
 class Glob:
     """A path in a container that may contain wildcards."""
 

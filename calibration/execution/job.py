@@ -5,13 +5,14 @@ It is independent of the backend that runs it.
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from calibration.errors import InputError
 from calibration.execution.placeholders import split_command
 from calibration.execution.sizes import Bytes, Seconds
+from calibration.frozen import frozen
 from calibration.records import (
     UNIQUE,
     Converted,
@@ -187,7 +188,7 @@ class Container:
     relaxations: Relaxations = field(flat=True, default_factory=Relaxations)
 
 
-@dataclass(frozen=True)
+@frozen
 class Job:
     """Containers that run together."""
 

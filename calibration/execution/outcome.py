@@ -1,11 +1,11 @@
 """Outcome of a job, the same for all backends."""
 
 import enum
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from calibration.errors import ExitCode
+from calibration.frozen import frozen
 
 
 class End(enum.StrEnum):
@@ -28,7 +28,7 @@ class End(enum.StrEnum):
     """Unknown, because the connection to the engine was lost."""
 
 
-@dataclass(frozen=True)
+@frozen
 class ContainerOutcome:
     """How a container ended."""
 
@@ -44,7 +44,7 @@ class ContainerOutcome:
     """Id of its image, if the backend knows it."""
 
 
-@dataclass(frozen=True)
+@frozen
 class ArtifactFile:
     """A file copied out of a container."""
 
@@ -56,7 +56,7 @@ class ArtifactFile:
     sha256: str
 
 
-@dataclass(frozen=True)
+@frozen
 class JobOutcome:
     """Outcome of a job."""
 

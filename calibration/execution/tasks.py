@@ -7,7 +7,6 @@ interrupted or a result demands it. A `calibration.execution.workspace.Workspace
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar
 
@@ -15,12 +14,13 @@ from calibration.execution.backends import Backend, ExecutionTarget
 from calibration.execution.embedded import Embedded
 from calibration.execution.job import Job
 from calibration.execution.outcome import JobOutcome
+from calibration.frozen import frozen
 
 Result = TypeVar("Result")
 Other = TypeVar("Other")
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Task(Generic[Result]):
     """A unit of work."""
 

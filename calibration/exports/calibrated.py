@@ -1,12 +1,12 @@
 """Calibrated part of a robot: the transforms, joints and cameras of a dataset that are exported."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.dataset.model import Dataset, Edge
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array
@@ -15,7 +15,7 @@ SAME = 1e-9
 """m, rad: tolerance for a calibrated transform to be the same in all collections."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Calibrated:
     """Calibrated transforms, joints and cameras of a robot."""
 

@@ -3,10 +3,10 @@
 from itertools import pairwise
 
 import numpy as np
-import yaml
 
 from calibration.errors import InputError
 from calibration.exports.calibrated import Calibrated
+from calibration.exports.yaml_text import yaml_text
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import inverse
 
@@ -29,7 +29,7 @@ def camera_info(camera: Camera, name: str) -> str:
         "rectification_matrix": matrix(3, 3, np.eye(3).ravel().tolist()),
         "projection_matrix": matrix(3, 4, [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]),
     }
-    return yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
+    return yaml_text(document)
 
 
 def kalibr_camchain(of: Calibrated) -> str:
@@ -58,7 +58,7 @@ def kalibr_camchain(of: Calibrated) -> str:
     for i, (before, name) in enumerate(pairwise(of.cameras), 1):
         if before in of.poses and name in of.poses:
             document[f"cam{i}"]["T_cn_cnm1"] = (inverse(of.poses[name]) @ of.poses[before]).tolist()
-    return yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
+    return yaml_text(document)
 
 
 def opencv_storage(of: Calibrated) -> str:

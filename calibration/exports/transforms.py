@@ -3,10 +3,9 @@
 import json
 import re
 
-import yaml
-
 from calibration.errors import InputError
 from calibration.exports.calibrated import Calibrated
+from calibration.exports.yaml_text import yaml_text
 from calibration.geometry.rotations import to_quaternion, to_rpy
 from calibration.geometry.types import Array
 
@@ -105,7 +104,7 @@ def tf_static(of: Calibrated) -> str:
                 },
             }
         )
-    return yaml.safe_dump({"transforms": messages}, sort_keys=False, allow_unicode=True)
+    return yaml_text({"transforms": messages})
 
 
 def autoware(of: Calibrated) -> dict[str, str]:
@@ -122,9 +121,7 @@ def autoware(of: Calibrated) -> dict[str, str]:
         names = ("x", "y", "z", "roll", "pitch", "yaw")
         file = "sensors_calibration.yaml" if parent == AUTOWARE_BASE else "sensor_kit_calibration.yaml"
         files[file].setdefault(parent, {})[child] = dict(zip(names, values, strict=True))
-    return {
-        name: yaml.safe_dump(content, sort_keys=False, allow_unicode=True) for name, content in files.items() if content
-    }
+    return {name: yaml_text(content) for name, content in files.items() if content}
 
 
 def xacro_properties(of: Calibrated) -> str:
@@ -140,4 +137,4 @@ def xacro_properties(of: Calibrated) -> str:
         }
         for (parent, child), T in {**of.transforms, **of.joints}.items()
     }
-    return yaml.safe_dump(origins, sort_keys=False, allow_unicode=True)
+    return yaml_text(origins)

@@ -1,13 +1,13 @@
 """Allowed deviations of a number from a baseline."""
 
-from dataclasses import dataclass
 from decimal import Decimal
 
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.introspection.numbers import number_text, parse_number
 
 
-@dataclass(frozen=True)
+@frozen
 class Allowance:
     """Allowed deviation from the baseline, in one direction."""
 

@@ -1,11 +1,11 @@
 """Evaluation of rules on a table."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from decimal import Decimal
 from typing import TypeAlias
 
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.introspection.numbers import number_text, parse_number
 from calibration.introspection.result import MOST_LISTED, RuleResult, TableResult, Violation
 from calibration.introspection.rule_set import RuleSet
@@ -40,7 +40,7 @@ def judge(table: Table, rules: RuleSet, baseline: Table | None = None) -> TableR
     return TableResult(table.name, len(table.rows), keyed.key_column, tuple(checks))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen(slots=True)
 class _Cell:
     """A value to judge and its position."""
 

@@ -2,12 +2,12 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from decimal import Decimal
 from functools import cached_property
 from typing import TypeAlias
 
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.introspection.table import Row, Table
 from calibration.workflow.text import did_you_mean
 
@@ -15,7 +15,7 @@ KEY_COLUMNS = ("Collection #", "Collection")
 """Columns of row labels in ATOM's tables; the default is the first column."""
 
 
-@dataclass(frozen=True)
+@frozen
 class EveryRow:
     """Every row, individually."""
 
@@ -23,7 +23,7 @@ class EveryRow:
         return "every row"
 
 
-@dataclass(frozen=True)
+@frozen
 class LabelledRow:
     """The row with a label in the key column."""
 
@@ -33,7 +33,7 @@ class LabelledRow:
         return f"row {self.label}"
 
 
-@dataclass(frozen=True)
+@frozen
 class IndexedRow:
     """A row by its index: 0 is the first, -1 the last."""
 
@@ -43,7 +43,7 @@ class IndexedRow:
         return {0: "first row", -1: "last row"}.get(self.index, f"row index:{self.index}")
 
 
-@dataclass(frozen=True)
+@frozen
 class Aggregate:
     """Aggregate of every row: max, min, mean, median or a percentile."""
 
@@ -110,7 +110,7 @@ _AGGREGATES: dict[str, Callable[[Sequence[Decimal]], Decimal]] = {
 }
 
 
-@dataclass(frozen=True)
+@frozen
 class KeyedTable:
     """A table whose rows have labels."""
 

@@ -5,12 +5,12 @@ import csv
 import io
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 from calibration.errors import InputError
 from calibration.files import read_bytes
+from calibration.frozen import frozen
 from calibration.workflow.text import did_you_mean
 
 MAX_BYTES = 64 * 1024 * 1024
@@ -30,7 +30,7 @@ _BYTE_ORDER_MARKS = (
 _BINARY = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen(slots=True)
 class Row:
     """One row: as many cells as the header, without surrounding white space."""
 
@@ -39,7 +39,7 @@ class Row:
     cells: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen(slots=True)
 class Table:
     """A header and rows of the same length."""
 

@@ -1,7 +1,7 @@
 """The HTML page: head, style, sections, and a script for interaction."""
 
 from collections.abc import Sequence
-from importlib.resources import files
+from pathlib import Path
 
 from calibration.pages.html import Html, element, join
 
@@ -11,7 +11,7 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inl
 
 def page(title: str, sections: list[Html]) -> str:
     """Return a self-contained page: the same bytes for the same sections."""
-    style, script = (files(__package__).joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    style, script = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     head = join(
         [
             element("meta", charset="utf-8"),

@@ -3,10 +3,10 @@
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.frozen import frozen
 from calibration.geometry.types import Array
 from calibration.pages.html import Html, element, join
 from calibration.pages.svg import drawing, path
@@ -18,7 +18,7 @@ TURN, TILT = math.radians(-35), math.radians(28)
 """Initial direction of view."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Line:
     """A polyline with a style."""
 

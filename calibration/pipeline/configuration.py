@@ -13,7 +13,7 @@ from calibration.execution.backends import CONTAINERS, KINDS, BackendName, Conta
 from calibration.image.specification import ImageDocument, ImageSpecification, parse_image_specification
 from calibration.pipeline.collection.applications import Applications, checked_applications
 from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
-from calibration.pipeline.system import Exports, Noise, NoiseGrid, System, Text, Truth
+from calibration.pipeline.system import Exports, Noise, NoiseGrid, System, Text, Truth, chosen_systems
 from calibration.records import (
     ByName,
     Converted,
@@ -164,18 +164,8 @@ class Configuration:
         return ExecutionTarget(self.backend, self.sections)
 
     def only(self, names: tuple[str, ...]) -> tuple[System, ...]:
-        """Return the systems of these names, or all if there are none.
-
-        Raises:
-            InputError: there is no such system.
-        """
-        known = {system.name: system for system in self.systems}
-        for name in names:
-            if name not in known:
-                raise InputError(
-                    f"systems: there is no '{name}'{did_you_mean(name, known)} (known: {', '.join(known)})"
-                )
-        return tuple(known[name] for name in names) if names else self.systems
+        """Return the systems of these names, or all; see `chosen_systems`."""
+        return chosen_systems(self.systems, names)
 
 
 def read_configuration(path: Path, environment: Mapping[str, str] | None = None) -> Configuration:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from calibration.baseline.verdict import Accepted
 from calibration.diagnosis.limits import Limits
+from calibration.errors import InputError
 from calibration.estimation.options import Options
 from calibration.exports.formats import FORMATS, URDF
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked, unfolded
@@ -23,6 +24,7 @@ from calibration.records import (
     record,
     result,
 )
+from calibration.workflow.text import did_you_mean
 
 FormatName = Annotated[str, matching("|".join((URDF, *FORMATS)), f"one of {', '.join((URDF, *FORMATS))}")]
 COLLECTED = "simulation:"
@@ -123,6 +125,19 @@ Magnitudes = Annotated[tuple[Annotated[float, between(0, 1000)], ...], length(1)
 
 
 Seeds = Annotated[tuple[Annotated[int, at_least(0)], ...], length(1), UNIQUE]
+
+
+def chosen_systems(systems: tuple[System, ...], names: tuple[str, ...]) -> tuple[System, ...]:
+    """Return the systems of these names, or all if there are none.
+
+    Raises:
+        InputError: there is no such system.
+    """
+    known = {system.name: system for system in systems}
+    for name in names:
+        if name not in known:
+            raise InputError(f"systems: there is no '{name}'{did_you_mean(name, known)} (known: {', '.join(known)})")
+    return tuple(known[name] for name in names) if names else systems
 
 
 @result

@@ -2,14 +2,16 @@
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Any
+
+from calibration.frozen import frozen
 
 if TYPE_CHECKING:
     from calibration.records.reading import Place
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Constraint:
     """Condition on a value of the right type."""
 
@@ -24,7 +26,7 @@ class Constraint:
     """Whether a wrong value may be a secret and must not be repeated in a message."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Converted:
     """Value whose form in the document differs from that in the record.
 
@@ -37,7 +39,7 @@ class Converted:
     """Additional keywords of the schema, beyond ``accepts``."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class ByName:
     """Tuple of records that is a mapping in the document, whose keys are their field ``name``."""
 

@@ -3,10 +3,11 @@
 import dataclasses
 import typing
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING
 from functools import cache, cached_property
 from typing import Any, Literal, TypeVar, dataclass_transform
 
+from calibration.frozen import frozen
 from calibration.records.constraints import Converted
 from calibration.workflow.text import did_you_mean, shorten
 
@@ -24,7 +25,7 @@ class Misfit(ValueError):  # noqa: N818 (it becomes an error for users where the
         self.key = key
 
 
-@dataclass(frozen=True)
+@frozen
 class Rule:
     """Condition on the keys of a document."""
 
@@ -34,7 +35,7 @@ class Rule:
     """The condition as keywords of JSON Schema."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Settings:
     """Properties of a record as a whole."""
 
@@ -45,7 +46,7 @@ class Settings:
     rules: tuple[Rule, ...] = ()
 
 
-@dataclass(frozen=True)
+@frozen
 class Declared:
     """Field of a record that is part of its document."""
 
@@ -140,13 +141,13 @@ def record(cls: Any = None, /, **settings: Any) -> Any:
 
     Args:
         cls: the class; its docstring describes the document.
-        settings: see `Settings`; all others are those of `dataclasses.dataclass`.
+        settings: see `Settings`; all others are those of `frozen`.
     """
 
     def declare(cls: Any) -> Any:
         own = {name: settings[name] for name in Settings.__dataclass_fields__.keys() & settings.keys()}
         others = {name: value for name, value in settings.items() if name not in own}
-        made = dataclass(frozen=True, **others)(cls)
+        made = frozen(**others)(cls)
         setattr(made, _SETTINGS, Settings(**own))
         return made
 
@@ -163,7 +164,7 @@ def result(cls: Any = None, /, **options: Any) -> Any:
 
     Args:
         cls: the class; its docstring describes the document.
-        options: those of `dataclasses.dataclass`.
+        options: those of `frozen`.
     """
     declare = record(case="snake", nulls=True, unknown="ignore", **options)
     return declare if cls is None else declare(cls)

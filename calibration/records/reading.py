@@ -3,12 +3,13 @@
 import math
 import typing
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import MISSING, replace
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, TypeVar
 
 from calibration.errors import CalibrationError, InputError
+from calibration.frozen import frozen
 from calibration.records.constraints import ByName, Constraint, Converted
 from calibration.records.declaration import (
     Declared,
@@ -28,7 +29,7 @@ _FEW = 3
 """Limit of the numbers of a list in a message."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Place:
     """Position in a document, for messages, with the context of reading."""
 

@@ -1,9 +1,10 @@
 """Credentials of a registry, and the settings that refer to them."""
 
 import base64
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Annotated, Literal
 
+from calibration.frozen import frozen
 from calibration.records import field as declared
 from calibration.records import length, matching, needs, record
 
@@ -26,7 +27,7 @@ class RegistrySettings:
     insecure: bool = declared("HTTP without TLS; the default for a registry on this machine.", default=False)
 
 
-@dataclass(frozen=True)
+@frozen
 class Credentials:
     """User and password, or a token, valid for one registry only."""
 

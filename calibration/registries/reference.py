@@ -1,9 +1,10 @@
 """Image names: ``host:port/name:tag@digest``, and the short forms of Docker Hub."""
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.workflow.text import shorten
 
 DOCKER_HUB = "docker.io"
@@ -19,7 +20,7 @@ _TAG = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
 _DIGEST = re.compile(r"sha256:[0-9a-f]{64}|sha512:[0-9a-f]{128}")
 
 
-@dataclass(frozen=True)
+@frozen
 class Reference:
     """Name of an image: registry, repository, tag and digest."""
 
@@ -118,7 +119,7 @@ _ECR_HOST = re.compile(
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class EcrHost:
     """Account and region in the host name of a private registry of AWS."""
 

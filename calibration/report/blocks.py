@@ -2,9 +2,9 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
+from calibration.frozen import frozen
 from calibration.workflow.summary import code_block, escape_markdown
 from calibration.workflow.text import one_line
 
@@ -17,7 +17,7 @@ def cut(lines: Sequence[str], most: int, rest: str) -> tuple[str, ...]:
     return tuple(lines) if len(lines) <= most else (*lines[:most], f"and {len(lines) - most} more, see {rest}")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Block(ABC):
     """One block of a report."""
 
@@ -38,7 +38,7 @@ class Block(ABC):
         """Return it as Markdown, without the title; empty if there is nothing to show."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Text(Block):
     """A paragraph."""
 
@@ -53,7 +53,7 @@ class Text(Block):
         return f"{escape_markdown(self.text)}\n" if self.text else ""
 
 
-@dataclass(frozen=True)
+@frozen
 class Lines(Block):
     """A list of lines."""
 
@@ -72,7 +72,7 @@ class Lines(Block):
         return "".join(f"- {escape_markdown(line)}\n" for line in cut(self.lines, self.most, self.rest))
 
 
-@dataclass(frozen=True)
+@frozen
 class Code(Block):
     """Output of a program, or commands to copy."""
 

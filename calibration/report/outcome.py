@@ -1,9 +1,9 @@
 """Result of one unit of work: a calibration, a collected dataset, a scenario, a rule over a table."""
 
-from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from calibration.errors import ExitCode
+from calibration.frozen import frozen
 from calibration.records import Converted
 from calibration.report.check import Check
 from calibration.report.verdict import Verdict, verdict_of
@@ -12,7 +12,7 @@ ErrorCode = Annotated[ExitCode, Converted(Literal[2, 3], lambda code, _place: Ex
 """Exit code of work that failed because of bad input (2) or infrastructure (3), in results.json."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Outcome:
     """Result of one unit of work, as JUnit shows it."""
 

@@ -1,12 +1,13 @@
 """Report: verdict, results, outputs, annotations and text of a command."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
 from calibration.errors import ExitCode
 from calibration.files import write_atomically
+from calibration.frozen import frozen
 from calibration.report.blocks import Block, Lines
 from calibration.report.brief import BRIEF_FILE, Brief, BriefTable
 from calibration.report.outcome import Outcome
@@ -24,7 +25,7 @@ FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)
 REASONS_SHOWN = 50
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Report:
     """Results of a command, complete and independent of where they are written."""
 

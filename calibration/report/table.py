@@ -3,14 +3,14 @@
 import csv
 import io
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
+from calibration.frozen import frozen
 from calibration.report.blocks import MOST_LINES, Block, cut
 from calibration.workflow.summary import markdown_table
 from calibration.workflow.text import aligned
 
 
-@dataclass(frozen=True)
+@frozen
 class Table(Block):
     """A table of strings with a header."""
 

@@ -2,10 +2,10 @@
 
 import enum
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.errors import brief
+from calibration.frozen import frozen
 from calibration.workflow.commands import workflow_command
 from calibration.workflow.runner import Runner
 from calibration.workflow.text import one_line, visible
@@ -24,7 +24,7 @@ class Level(enum.StrEnum):
     NOTICE = "notice"
 
 
-@dataclass(frozen=True)
+@frozen
 class Annotation:
     """One message, with its file and line if it has them."""
 

@@ -3,12 +3,14 @@
 import os
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Self, TextIO
 
+from calibration.frozen import frozen
 
-@dataclass(frozen=True)
+
+@frozen
 class Runner:
     """Runner of a step: its environment variables, and its output streams."""
 

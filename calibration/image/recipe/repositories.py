@@ -2,12 +2,12 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import urlsplit
 
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.image.recipe.user_text import check_line
 from calibration.workflow.text import shorten
 from calibration.yaml_file import read_yaml
@@ -17,7 +17,7 @@ _SCP_FORM = re.compile(r"[A-Za-z0-9_.-]+@[A-Za-z0-9.-]+:(?!:).+")
 _VERSION = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./+@-]*")
 
 
-@dataclass(frozen=True)
+@frozen
 class Repository:
     """A git repository to clone."""
 

@@ -1,10 +1,10 @@
 """Requests of a collection: a dataset, or many, by our own simulation or by the team's applications."""
 
 import dataclasses
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from calibration.frozen import frozen
 from calibration.pipeline.collection.applications import SECONDS, Applications
 from calibration.records import at_least, between, field, record
 
@@ -29,7 +29,7 @@ class CollectionChecks:
     """Likewise for rotations and angles."""
 
 
-@dataclass(frozen=True)
+@frozen
 class ScenarioOfSet:
     """One scenario of a scenario set."""
 
@@ -37,7 +37,7 @@ class ScenarioOfSet:
     id: str
 
 
-@dataclass(frozen=True)
+@frozen
 class CollectionRequest:
     """Request of a collection by our own simulation."""
 
@@ -58,7 +58,7 @@ class CollectionRequest:
     """None for the system as described."""
 
 
-@dataclass(frozen=True)
+@frozen
 class ContainerRequest:
     """Request of a collection by the team's applications."""
 
@@ -78,7 +78,7 @@ class ContainerRequest:
     """Number of the collection among those of the seed."""
 
 
-@dataclass(frozen=True)
+@frozen
 class ScenarioImage:
     """Image with this package, for scenarios of our own simulation."""
 
@@ -87,7 +87,7 @@ class ScenarioImage:
     """Time limit of a scenario."""
 
 
-@dataclass(frozen=True)
+@frozen
 class ScenarioRequest:
     """Request of many datasets."""
 

@@ -3,8 +3,8 @@
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -40,6 +40,7 @@ from calibration.evaluation.reprojection import reprojection
 from calibration.evaluation.specification import Evaluation
 from calibration.evaluation.table import RMS_PIX, Table
 from calibration.evaluation.truth import truth_error
+from calibration.frozen import frozen
 from calibration.geometry.rotations import rpy_rates, to_quaternion, to_rpy
 from calibration.geometry.transforms import distance
 from calibration.introspection.numbers import number_text
@@ -54,7 +55,7 @@ MOST_CAUSES = 5
 """Limit of the reported contributions to the uncertainty."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class LoadedSystem:
     """System with its data in memory."""
 
@@ -96,7 +97,7 @@ class LoadedSystem:
         return find_optimum(self.dataset, self.options)
 
 
-@dataclass(frozen=True)
+@frozen
 class Cell:
     """System and initial guess of a cell."""
 
@@ -115,7 +116,7 @@ class Cell:
         return f"{self.system}, {noise_text(n.translation, n.rotation)}, seed {n.seed}"
 
 
-@dataclass(frozen=True)
+@frozen
 class Comparison:
     """Comparison method on a system's data."""
 

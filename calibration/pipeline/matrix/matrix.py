@@ -7,7 +7,7 @@ got worse".
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from calibration.evaluation.specification import parse_evaluation
 from calibration.execution.backends import ExecutionTarget
 from calibration.execution.tasks import Task, run_tasks
 from calibration.files import temporary_folder
+from calibration.frozen import frozen
 from calibration.pipeline.matrix.cell import (
     OUR_METHOD,
     Cell,
@@ -40,7 +41,7 @@ Done = Callable[[int, int, CellResult], None]
 """Callback after each task: number of finished tasks, number of all tasks, result."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Matrix:
     """Systems, noise and methods of a matrix."""
 
@@ -81,7 +82,7 @@ class Matrix:
         return [StartingNoise(t, r, seed) for t in n.translations for r in n.rotations for seed in n.seeds]
 
 
-@dataclass(frozen=True)
+@frozen
 class MatrixResults:
     """Results of a matrix; cells that did not run, because another one failed, are missing."""
 
@@ -130,7 +131,7 @@ def run_matrix(
     return MatrixResults(results(tasks.cells), (*results(tasks.references), *results(tasks.comparisons)))
 
 
-@dataclass(frozen=True)
+@frozen
 class MatrixTasks:
     """Tasks of a matrix, each kind in the matrix's order."""
 

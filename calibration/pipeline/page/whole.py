@@ -3,10 +3,10 @@
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.baseline.history import History, history_of
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.diagnosis.limits import Limits
@@ -35,13 +35,16 @@ from calibration.pipeline.results import Results
 from calibration.pipeline.system import System
 from calibration.report import Report
 
+if TYPE_CHECKING:
+    from calibration.baseline.history import History
+
 MOST_COMMITS = 50
 """Limit of the shown accepted calibrations, newest first."""
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def report_page(
-    report: Report, results: Results, output: Path, matrix: Matrix | None = None, accepted: History | None = None
+    report: Report, results: Results, output: Path, matrix: Matrix | None = None, accepted: "History | None" = None
 ) -> str:
     """Return the page, a single file.
 
@@ -77,7 +80,7 @@ def _anchor(system: str) -> str:
     return "system-" + "".join(c if c.isascii() and c.isalnum() else f"-{ord(c):x}-" for c in system)
 
 
-def _system(name: str, cell: CellResult, output: Path, system: System | None, accepted: History | None) -> Html:
+def _system(name: str, cell: CellResult, output: Path, system: System | None, accepted: "History | None") -> Html:
     """Return the sections of one system, by one of its cells."""
     tables = (transforms_table, parameters_table, changes_table)
     notes = tuple(finding.text for finding in cell.findings if finding.severity != "red")
@@ -108,7 +111,7 @@ def _given(system: System | None) -> Dataset | None:
         return None
 
 
-def _trends(system: str, found: History | None) -> Iterator[Html]:
+def _trends(system: str, found: "History | None") -> Iterator[Html]:
     """Return the figures of a system's sensors over the accepted calibrations of the repository."""
     figures = [
         figure(
@@ -129,8 +132,10 @@ def _trends(system: str, found: History | None) -> Iterator[Html]:
         yield element("div", *figures, class_="figures")
 
 
-def accepted_history(file: Path) -> History | None:
+def accepted_history(file: Path) -> "History | None":
     """Return the newest accepted calibrations of the repository; None if there are none, or they are unreadable."""
+    from calibration.baseline.history import history_of  # most runs have no baseline
+
     try:
         return history_of(file, (), None, MOST_COMMITS)
     except CalibrationError:

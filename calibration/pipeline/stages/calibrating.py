@@ -3,7 +3,6 @@
 import os
 from dataclasses import replace
 
-from calibration.pipeline.baseline import with_accepted
 from calibration.pipeline.matrix.cell import CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import run_matrix
@@ -25,6 +24,8 @@ def calibrate_stage(run: Run) -> Run:
     """
     matrix, update = run.matrix, None
     if run.baseline is not None:
+        from calibration.pipeline.baseline import with_accepted  # brings git
+
         matrix, update = with_accepted(run.matrix, run.baseline, os.environ)
     with progress(run.runner, run.title, bar=not run.matrix.software) as advance:
 

@@ -5,14 +5,14 @@ function in a module of its own, and a line in `STAGES`.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calibration.baseline.settings import BaselineSettings
 from calibration.errors import InputError
 from calibration.execution.backends import ExecutionTarget, imported
-from calibration.image.specification import ImageSpecification
-from calibration.pipeline.configuration import Simulation
+from calibration.frozen import frozen
 from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.page.whole import accepted_history, report_page
 from calibration.pipeline.report import report, write_cells, write_results
@@ -21,13 +21,16 @@ from calibration.report import Report, publish
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
-from calibration.yaml_file import line_of
+
+if TYPE_CHECKING:
+    from calibration.image.specification import ImageSpecification
+    from calibration.pipeline.configuration import Simulation
 
 COLLECTED = "collected"
 """Folder of collected datasets, in a pipeline's output folder."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Run:
     """Options of a run of the pipeline, and the results of its stages so far."""
 
@@ -45,9 +48,9 @@ class Run:
     """Number of parallel processes or containers; None for as many as the machine can run."""
     fail_fast: bool = False
     """Whether the first cell that fails stops the others."""
-    simulations: tuple[Simulation, ...] = ()
+    simulations: "tuple[Simulation, ...]" = ()
     """Simulations of the stage collect."""
-    image: ImageSpecification | None = None
+    image: "ImageSpecification | None" = None
     """Image of the stage build."""
     baseline: BaselineSettings | None = None
     """Baseline and allowed changes; None for no comparison."""
@@ -63,7 +66,7 @@ class Run:
         return not all(container.image for container in (*software, *theirs))
 
 
-@dataclass(frozen=True)
+@frozen
 class Stage:
     """Stage of the pipeline."""
 
@@ -131,6 +134,8 @@ def _places(reasons: Sequence[str], run: Run) -> dict[str, tuple[Path, int]]:
     """Return the lines of the rules or limits in the reasons, for a runner that annotates them."""
     if run.config is None or not run.runner.github:
         return {}
+    from calibration.yaml_file import line_of  # YAML is slow to import
+
     found = {}
     for reason in reasons:
         names = (system for system in run.matrix.systems if reason.startswith((f"{system.name},", f"{system.name}:")))

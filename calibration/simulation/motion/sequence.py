@@ -5,7 +5,7 @@ The file format is that of ATOM's motion recorder: a JSON object with keys "1" t
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from calibration.dataset.document import read_json
 from calibration.dataset.edges import QUATERNION_TOLERANCE
 from calibration.errors import InputError
+from calibration.frozen import frozen
 from calibration.geometry import rotations
 from calibration.geometry.transforms import from_quaternion
 from calibration.geometry.types import Array, IntArray
@@ -28,7 +29,7 @@ DECIMALS = 6
 """Decimals of positions and quaternions: a micrometre and a microradian."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Motion:
     """A sequence of N poses of a pattern's model, of joints, or of both."""
 
