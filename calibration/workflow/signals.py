@@ -24,15 +24,20 @@ def terminate_cleanly() -> Iterator[None]:
     After the first SIGINT or SIGTERM, SIGTERM is ignored: GitHub sends it while the clean-up
     after SIGINT is still running. A second SIGINT (by the user) interrupts again. Python drops an
     exception that is raised in a callback (of ``os.fork``, of the garbage collector): then the signal
-    is raised again after the callback. Does nothing outside the main thread, where Python handles no signals.
+    is raised again after the callback. Other code turns it into an exception of its own (numpy, while it is imported,
+    into ImportError): then the signal's exception takes the place of that one. Does nothing outside the main thread,
+    where Python handles no signals.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
+    arrived: list[type[KeyboardInterrupt]] = []
+
     def stop(number: int, _frame: FrameType | None) -> None:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
+        arrived.append(Terminated if number == signal.SIGTERM else KeyboardInterrupt)
+        raise arrived[-1]
 
     def strike_again(dropped: Any) -> None:
         if not issubclass(dropped.exc_type, KeyboardInterrupt):
@@ -49,6 +54,10 @@ def terminate_cleanly() -> Iterator[None]:
         signal.signal(signal.SIGINT, stop)
     try:
         yield
+    except Exception as error:
+        if arrived:
+            raise arrived[0] from error
+        raise
     finally:
         sys.unraisablehook = report_dropped
         for number, handler in before.items():

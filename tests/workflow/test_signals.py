@@ -36,6 +36,20 @@ def test_sigterm_does_not_disturb_the_cleaning_after_sigint() -> None:
     assert not isinstance(caught.value, Terminated)
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_a_library_turns_into_an_error_is_still_the_signal(number: signal.Signals) -> None:
+    def imported() -> None:
+        with terminate_cleanly():
+            try:
+                os.kill(os.getpid(), number)
+            except KeyboardInterrupt:
+                raise ImportError("cannot be imported") from None
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        imported()
+    assert isinstance(caught.value, Terminated) == (number == signal.SIGTERM)
+
+
 def test_a_second_sigint_interrupts_again() -> None:
     cleaned: list[bool] = []
     with pytest.raises(KeyboardInterrupt):
