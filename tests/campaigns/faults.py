@@ -8,6 +8,7 @@ process and no temporary file. What else happens is a failure, named by its comm
 import argparse
 import os
 import random
+import re
 import resource
 import shlex
 import signal
@@ -126,11 +127,19 @@ def problem_of(name: str, seed: int) -> str | None:
                     os.kill(pid, signal.SIGKILL)
             return f"{kind}: a process is left"
     if "Traceback" in said:
-        return f"{kind}: {said.strip().splitlines()[-1]}, with a traceback"
+        return f"{kind}: {_raised(said)}, with a traceback"
     if process.returncode not in expected:
         return f"{kind}: exit code {process.returncode}, expected one of {sorted(expected)}: {said.strip()[-200:]}"
     # Nobody can clean up who is killed.
     return f"{kind}: left {', '.join(left)}" if left and kind != "killed" else None
+
+
+def _raised(said: str) -> str:
+    """The exception of a traceback, and the lines of code that it came through, in one line."""
+    lines = [line.strip() for line in said[said.index("Traceback") :].splitlines()]
+    places = [line.removeprefix("File ") for line in lines if line.startswith("File ")]
+    error = next((line for line in lines if re.match(r"[\w.]+(Error|Exception|Interrupt|Warning)\b", line)), lines[-1])
+    return f"{error} ({'; '.join(places[-6:])})"
 
 
 def _wait_for_handlers(process: "subprocess.Popen[str]") -> None:

@@ -32,7 +32,7 @@ def mutated(data: bytes, seed: int) -> bytes:
     draw = random.Random(seed)
     for _ in range(draw.choice((1, 1, 1, 2, 4))):
         data = draw.choice((_value, _value, _value, _bits, _doubled, _removed, _swapped, _ended))(data, draw)
-    return data
+    return _repeated(data, draw) if draw.random() < 0.05 else data
 
 
 def _value(data: bytes, draw: random.Random) -> bytes:
@@ -61,6 +61,13 @@ def _piece(data: bytes, draw: random.Random) -> tuple[int, int]:
 def _doubled(data: bytes, draw: random.Random) -> bytes:
     start, end = _piece(data, draw)
     return data[:end] + data[start:end] * draw.choice((1, 1, 3)) + data[end:]
+
+
+def _repeated(data: bytes, draw: random.Random) -> bytes:
+    """A short piece that is there thousands of times: what is nested, is nested deeply."""
+    start = draw.randrange(len(data) + 1)
+    piece = data[start : start + draw.randrange(1, 12)]
+    return data[:start] + piece * (_MOST // 12) + data[start:]
 
 
 def _removed(data: bytes, draw: random.Random) -> bytes:

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import re
 import shutil
 import tarfile
 from collections.abc import Callable, Mapping
@@ -13,7 +14,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from benchmarks.ros_defects.workspace import Workspace
 from calibration.__main__ import main
+from calibration.analysis.ros.check import check as check_ros
+from calibration.analysis.ros.tree import Tree
 from calibration.analysis.suppressions import read_suppressions
 from calibration.baseline.document import read_baseline
 from calibration.coverage.junit import parse_junit
@@ -292,7 +296,26 @@ def _left_by_a_run(name: str) -> Callable[[], list[bytes]]:
     return originals
 
 
+def _workspaces() -> list[bytes]:
+    """Repositories of ROS packages, all files of each one after the other, below their paths."""
+    return [
+        b"".join(b"=== %s\n%s\n" % (path.encode(), text.encode()) for path, text in Workspace(version, 1).files.items())
+        for version in (1, 2)
+    ]
+
+
+def _packages(path: Path) -> None:
+    _, *parts = re.split(rb"^=== ([\w./]{1,80})\n", path.read_bytes(), flags=re.MULTILINE)
+    known = {name for version in (1, 2) for name in Workspace(version, 1).files}
+    files = {name.decode(): text for name, text in zip(parts[::2], parts[1::2], strict=True) if name.decode() in known}
+    for name, text in files.items():
+        (path.parent / name).parent.mkdir(parents=True, exist_ok=True)
+        (path.parent / name).write_bytes(text)
+    check_ros(Tree(path.parent, files))
+
+
 TARGETS: Mapping[str, Target] = {
+    "ros-packages": Target("workspace", _workspaces, _packages, 4),
     "simulation": Target("simulation.yml", _files("datasets/riwbot/simulation.yml"), _system, 2),
     "robot": Target("robot.urdf", _files("datasets/riwbot/robot.urdf"), _system, 2),
     "scenarios": Target("scenarios.yml", lambda: [SCENARIOS], lambda path: read_scenario_set(path, _known_system()), 4),

@@ -1,5 +1,6 @@
 """Faults: a share of the campaign, and whether it would find anything."""
 
+import re
 import sys
 
 import pytest
@@ -23,7 +24,7 @@ def test_a_second_signal_while_workers_end_is_no_hang(monkeypatch: pytest.Monkey
         ("import time; time.sleep(60)", "not done after"),
         ("raise SystemExit(7)", "exit code 7"),
         ("import tempfile; tempfile.mkdtemp()", "left tmp"),
-        ("raise KeyError", "KeyError, with a traceback"),
+        ("raise KeyError", "KeyError .*, with a traceback"),
         ("import subprocess; subprocess.Popen(['sleep', '60'], stderr=subprocess.DEVNULL)", "a process is left"),
     ],
 )
@@ -32,4 +33,4 @@ def test_what_goes_wrong_is_found(code: str, problem: str, monkeypatch: pytest.M
     monkeypatch.setattr(faults, "undisturbed", lambda _: (0.5, 0))
     monkeypatch.setattr(faults, "KINDS", ("stdout",))
     monkeypatch.setattr(faults, "PROGRAM", (sys.executable, "-c", code))
-    assert problem in (problem_of("tables", 1) or "")
+    assert re.search(problem, problem_of("tables", 1) or "")
