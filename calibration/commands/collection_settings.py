@@ -29,7 +29,7 @@ class CollectionSettings:
     """Inputs of ``collect-data-sim``."""
 
     system: str = field("Name of a system in datasets/, or the folder of one.")
-    robot: Path | None = field("URDF file, in place of the system's robot.urdf.", default=None)
+    robot: Path | None = field("URDF or xacro, in place of the system's robot.urdf.", default=None)
     config: Path | None = field("ATOM's calibration configuration, in place of the system's config.yml.", default=None)
     motion: str | None = field(
         "Motion sequence (JSON), or generate:N; by default the system's motion.json.", default=None

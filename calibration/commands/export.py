@@ -17,13 +17,16 @@ from calibration.workflow.text import did_you_mean, one_line
 
 @click.command("export")
 @click.option("--dataset", type=path, required=True, help="Calibrated dataset: a cell's folder, or its dataset.json.")
-@click.option("--robot-description", type=path, help="The robot's URDF, to be written with calibrated origins.")
+@click.option(
+    "--robot-description", type=path, help="The robot's URDF or xacro, to be written as URDF with calibrated origins."
+)
 @click.option("--formats", type=TEXT_LIST, help=f"{URDF}, {', '.join(FORMATS)} (all that there can be).")
 @click.option("--output", type=path, default="exports", show_default=True, help="Folder to write.")
 def command(dataset: Path, robot_description: Path | None, formats: tuple[str, ...] | None, output: Path) -> ExitCode:
     """Write a calibration as URDF, launch files, camera_info, Kalibr's camchain and OpenCV's storage.
 
-    In the URDF only calibrated origins are changed; every other byte of the robot's file is kept.
+    In the URDF only calibrated origins are changed; every other byte of the robot's file, or of the expanded xacro, is
+    kept.
     """
     return export(dataset, robot_description, formats or (), output, Runner.from_environment(os.environ))
 

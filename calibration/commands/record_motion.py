@@ -41,7 +41,7 @@ class RecorderSettings:
 
 @click.command("record-motion")
 @click.option("--system", type=text, required=True, help="Name of a system in datasets/, or the folder of one.")
-@click.option("--robot", type=path, help="URDF file, in place of the system's robot.urdf.")
+@click.option("--robot", type=path, help="URDF or xacro, in place of the system's robot.urdf.")
 @click.option("--config", type=path, help="ATOM's calibration configuration, in place of the system's config.yml.")
 @click.option("--motion", type=path, help="Motion sequence (JSON) to begin with.")
 @click.option(

@@ -8,9 +8,8 @@ from calibration.errors import InputError
 from calibration.exports.calibrated import Calibrated, calibrated
 from calibration.exports.formats import FORMATS, URDF
 from calibration.exports.urdf import calibrated_urdf
-from calibration.files import read_bytes
+from calibration.robot_description import read_robot_description
 
-LARGEST_URDF = 50_000_000
 CALIBRATED_URDF = "calibrated.urdf"
 
 
@@ -20,7 +19,7 @@ def exported(dataset: Dataset, formats: Sequence[str], description: Path | None)
     Args:
         dataset: the calibrated dataset.
         formats: names of formats; empty for all that the dataset supports.
-        description: the robot's URDF; None if there is none.
+        description: the robot's URDF, or a xacro, which is expanded; None if there is none.
 
     Raises:
         InputError: the dataset is not calibrated, the URDF does not match it, or the dataset does not support a
@@ -31,9 +30,7 @@ def exported(dataset: Dataset, formats: Sequence[str], description: Path | None)
     of = calibrated(dataset)
     files, notes = _texts(of, formats)
     if description is not None and (URDF in formats or not formats):
-        made = calibrated_urdf(
-            read_bytes(description, LARGEST_URDF, "a URDF"), {**of.transforms, **of.joints}, str(description)
-        )
+        made = calibrated_urdf(read_robot_description(description), {**of.transforms, **of.joints}, str(description))
         files = {CALIBRATED_URDF: made.content} | files
         notes = [*made.notes, *notes]
     return files, notes

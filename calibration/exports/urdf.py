@@ -67,7 +67,7 @@ def calibrated_urdf(content: bytes, transforms: Mapping[Edge, Array], where: str
             transform or a joint to change.
     """
     if XACRO in content:
-        raise InputError(f"{where}: this is a xacro, a URDF was expected: expand it, or export 'xacro' properties")
+        raise InputError(f"{where}: this is a xacro, a URDF was expected: name it robot.urdf.xacro and it is expanded")
     joints = {joint.child: joint for joint in _joints(content, where)}
     origins: dict[str, Array] = {}
     notes = []

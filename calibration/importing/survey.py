@@ -12,7 +12,7 @@ from calibration.importing.bag import MORE_TYPES, SECOND, Bag, RawMessage
 from calibration.importing.description import ImportDescription, SensorDescription
 from calibration.importing.messages import camera_of, transform_of
 from calibration.importing.motion_log import MotionLog
-from calibration.importing.xacro import read_robot_description
+from calibration.robot_description import read_robot_description
 
 _SENSOR = "sensor_msgs/msg/"
 IMAGES = (f"{_SENSOR}Image", f"{_SENSOR}CompressedImage")

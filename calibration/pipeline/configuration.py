@@ -84,7 +84,7 @@ class Simulation:
         "embedded: our own simulation. docker, aws-batch: where the containers run; by default where the others do.",
         default=None,
     )
-    robot: Path | None = field("Another robot description (URDF).", default=None)
+    robot: Path | None = field("Another robot description (URDF or xacro).", default=None)
     config: Path | None = field("Another calibration configuration.", default=None)
     motion: Annotated[str, Converted(Text, _motion)] | None = field(
         "A motion sequence (JSON), or generate:N; by default the system's motion.json.", default=None

@@ -55,7 +55,7 @@ class Exports:
     formats: Annotated[tuple[FormatName, ...], UNIQUE] = field(
         f"The formats: {', '.join((URDF, *FORMATS))}; by default all that there can be.", default=()
     )
-    robot_description: Path | None = field("The robot's URDF, relative to this file.", default=None)
+    robot_description: Path | None = field("The robot's URDF or xacro, relative to this file.", default=None)
 
     def __post_init__(self) -> None:
         """Refuse a URDF export without a robot description.

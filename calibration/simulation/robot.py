@@ -18,12 +18,11 @@ from defusedxml.common import DefusedXmlException
 
 from calibration.dataset.model import Edge
 from calibration.errors import InputError
-from calibration.files import read_bytes
 from calibration.geometry import rotations
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.transforms import from_xyz_rpy, inverse, transform, translation
 from calibration.geometry.types import Array
-from calibration.simulation.description import MAX_BYTES
+from calibration.robot_description import read_robot_description
 
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
 JOINT_KINDS: tuple[JointKind, ...] = get_args(JointKind)
@@ -145,13 +144,15 @@ def compose(tree: FrameTree, transforms: Mapping[Edge, Array], start: str, end: 
 
 
 def read_robot(path: Path) -> Robot:
-    """Read a robot from a URDF file.
+    """Read a robot from a URDF file, or from a xacro.
 
     Raises:
         InputError: in one line, with file and joint: not XML, not URDF, a type that
-            is not supported, a missing or unknown link, two parents, a loop, a bad number.
+            is not supported, a missing or unknown link, two parents, a loop, a bad number; a xacro that
+            cannot be expanded.
+        InfrastructureError: xacrodoc is needed and not installed.
     """
-    return parse_robot(read_bytes(path, MAX_BYTES, "a robot description"), path)
+    return parse_robot(read_robot_description(path), path)
 
 
 def parse_robot(urdf: bytes, path: Path) -> Robot:
@@ -167,7 +168,7 @@ def parse_robot(urdf: bytes, path: Path) -> Robot:
     if root.tag != "robot":
         raise _fault(f"{path}: the root element is <{root.tag}>, not <robot>")
     if any("xacro" in str(element.tag) for element in root.iter()):
-        raise _fault(f"{path}: is a xacro file; expand it first: xacro {path.name} > robot.urdf")
+        raise _fault(f"{path}: is a xacro; name it robot.urdf.xacro and it is expanded")
     return Robot(path, root.get("name", ""), _read_joints(root, path))
 
 

@@ -2,7 +2,8 @@
 
 A system is a folder with
 
-- ``robot.urdf``: the robot, and the patterns that are fixed to it or to the world;
+- ``robot.urdf``, or ``robot.urdf.xacro``, which is expanded: the robot, and the patterns that are fixed to it or to
+  the world;
 - ``config.yml``: ATOM's calibration configuration;
 - ``simulation.yml``: everything else (`Simulation`). Lengths are metres, angles radians unless the key
   says otherwise.
@@ -22,10 +23,11 @@ from calibration.files import read_bytes
 from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.types import Array
 from calibration.records import Converted, Place, between, field, read, read_as, record, unknown_key
+from calibration.robot_description import ENDING, read_robot_description
 from calibration.simulation.board import Board
 from calibration.simulation.description import MAX_BYTES, Pose, degrees, listed, rising
 from calibration.simulation.joints import JointErrors, check_calibrated_joints, with_errors
-from calibration.simulation.robot import Robot, read_robot
+from calibration.simulation.robot import Robot, parse_robot
 from calibration.simulation.scene import Scene
 from calibration.simulation.sensors import (
     KINDS,
@@ -192,18 +194,18 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
 
     Raises:
         InputError: a file is missing or wrong, or the three are inconsistent.
+        InfrastructureError: the robot is a xacro, and xacrodoc is not installed.
     """
-    robot_path, configuration_path = robot or folder / ROBOT_FILE, configuration or folder / CONFIGURATION_FILE
+    robot_path, configuration_path = robot or _robot_file(folder), configuration or folder / CONFIGURATION_FILE
     simulation_path = folder / SIMULATION_FILE
-    sources = {
+    sources = {ROBOT_FILE: read_robot_description(robot_path)} | {
         name: read_bytes(path, MAX_BYTES, "a file of the system")
         for name, path in (
-            (ROBOT_FILE, robot_path),
             (CONFIGURATION_FILE, configuration_path),
             (SIMULATION_FILE, simulation_path),
         )
     }
-    config, urdf = read_configuration(configuration_path), read_robot(robot_path)
+    config, urdf = read_configuration(configuration_path), parse_robot(sources[ROBOT_FILE], robot_path)
     place = Place(str(simulation_path))
     simulation = read(Simulation, read_yaml(simulation_path, "the description of a simulation"), place.where)
     for key, known in (("sensors", config.sensors), ("patterns", config.patterns), ("joints", urdf.movable)):
@@ -229,6 +231,11 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
     )
     _check(system, configuration_path)
     return system
+
+
+def _robot_file(folder: Path) -> Path:
+    xacro = folder / f"{ROBOT_FILE}{ENDING}"
+    return xacro if xacro.is_file() and not (folder / ROBOT_FILE).exists() else folder / ROBOT_FILE
 
 
 def _check_names(found: Collection[str], known: Collection[str], place: Place) -> None:

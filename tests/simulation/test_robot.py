@@ -161,7 +161,7 @@ def broken(old: str, new: str) -> str:
         ('<?xml version="1.0" encoding="nonsense"?><robot/>', "robot.urdf: is not XML: unknown encoding: nonsense"),
         (
             '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="a"/></robot>',
-            "robot.urdf: is a xacro file; expand it first: xacro robot.urdf > robot.urdf",
+            "robot.urdf: is a xacro; name it robot.urdf.xacro and it is expanded",
         ),
         (broken('name="turn" ', ""), "robot.urdf: a joint has no name"),
         (broken('<parent link="slid"/>', ""), "robot.urdf: joint 'spin': has no parent link"),

@@ -1,4 +1,4 @@
-"""Expansion of xacro robot descriptions by the library xacrodoc, without ROS.
+"""Reading of robot descriptions: URDF, and xacro, which the library xacrodoc expands to URDF without ROS.
 
 A xacro has expressions, which are program code: it is expanded in a separate process with an empty
 environment, and with limits of its time, its memory and its output.
@@ -12,10 +12,12 @@ from pathlib import Path
 
 from calibration.errors import InfrastructureError, InputError
 from calibration.files import read_bytes, temporary_folder
-from calibration.simulation.description import MAX_BYTES
 from calibration.workflow.text import one_line, shorten
 
 ENDING = ".xacro"
+MAX_BYTES = 10_000_000
+"""Limit of a description's size, expanded or not: far above that of any robot."""
+PLACES = "packages are looked for above the file and beside its own package; an import names them by 'packages'"
 SECONDS, MEMORY = 60, 2 * 1024**3
 """Limits of the expansion: seconds of processor time, and bytes."""
 _CHILD = """
@@ -37,12 +39,13 @@ Path(sys.argv[2]).write_text(text)
 """
 
 
-def read_robot_description(path: Path, packages: Path | None) -> bytes:
+def read_robot_description(path: Path, packages: Path | None = None) -> bytes:
     """Read a URDF, or expand a xacro to one.
 
     Args:
         path: path of the file; the name of a xacro ends with ``.xacro``.
-        packages: the folder in which ``$(find PACKAGE)`` is searched, in addition to the file's parent folders.
+        packages: the folder in which ``$(find PACKAGE)`` is searched, in addition to the file's parent folders; None
+            for the one that holds the file's own package, as a workspace does.
 
     Raises:
         InputError: the file cannot be read or expanded, or the folder does not exist.
@@ -51,7 +54,12 @@ def read_robot_description(path: Path, packages: Path | None) -> bytes:
     content = read_bytes(path, MAX_BYTES, "a robot description")
     if packages is not None and not packages.is_dir():
         raise InputError(f"{packages}: there is no such folder, expected one with the packages of {path.name}")
-    return _expanded(path, packages) if path.name.endswith(ENDING) else content
+    return _expanded(path, packages or _workspace_of(path)) if path.name.endswith(ENDING) else content
+
+
+def _workspace_of(path: Path) -> Path | None:
+    """Return the folder that holds the package of a file; None if it is in no package."""
+    return next((each.parent for each in path.resolve().parents if (each / "package.xml").is_file()), None)
 
 
 def _expanded(path: Path, packages: Path | None) -> bytes:
@@ -77,6 +85,6 @@ def _expanded(path: Path, packages: Path | None) -> bytes:
                 f"it took more than {SECONDS} s or {MAX_BYTES:g} bytes" if done.returncode < 0 else "no reason given"
             )
             why = shorten(one_line(lines[-1]), 300) if lines else ended
-            hint = "; its packages are looked for above the file, or in 'packages'" if "ackage" in why else ""
+            hint = f"; {PLACES}" if "ackage" in why else ""
             raise InputError(f"{path}: this xacro cannot be expanded: {why}{hint}")
         return read_bytes(target, MAX_BYTES, "an expanded robot description")

@@ -1,15 +1,20 @@
 """Robot descriptions made of macros: expanded as a team's are, and kept from doing harm."""
 
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from calibration import robot_description
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
-from calibration.importing import xacro
+from calibration.estimation.calibrate import calibrate
+from calibration.exports.files import exported
 from calibration.importing.importing import import_data
-from calibration.importing.xacro import read_robot_description
+from calibration.robot_description import read_robot_description
 from calibration.simulation.robot import parse_robot
+from calibration.simulation.system import read_system
 from tests.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
 from tests.importing.test_bags import describe, file_of
 
@@ -51,10 +56,34 @@ def test_it_expands_to_the_same_robot(tmp_path: Path) -> None:
     ]
 
 
+def test_a_system_of_a_simulation_may_have_one(tmp_path: Path) -> None:
+    folder = tmp_path / "cell_description" / "urdf"
+    arm_in_packages(tmp_path).rename(folder / "robot.urdf.xacro")
+    for name in ("config.yml", "simulation.yml"):
+        shutil.copy(SYSTEM / name, folder)
+    found, expected = read_system(folder), read_system(SYSTEM)
+    assert [joint.name for joint in found.robot.joints] == [joint.name for joint in expected.robot.joints]
+    assert b"macro" not in found.sources["robot.urdf"]
+    assert read_system(SYSTEM, robot=folder / "robot.urdf.xacro").sources == found.sources
+
+
+def test_exports_write_the_expanded_robot(tmp_path: Path) -> None:
+    dataset = calibrate(read_dataset(SYSTEM)).dataset
+    made, _ = exported(dataset, ["urdf"], arm_in_packages(tmp_path))
+    expected, _ = exported(dataset, ["urdf"], SYSTEM / "robot.urdf")
+    ours, theirs = (parse_robot(files["calibrated.urdf"], SYSTEM) for files in (made, expected))
+    assert [joint.name for joint in ours.joints] == [joint.name for joint in theirs.joints]
+    for edge, T in theirs.transforms({}).items():
+        np.testing.assert_allclose(ours.transforms({})[edge], T, atol=1e-15)
+
+
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ('<xacro:include filename="$(find nowhere)/a.xacro"/>', "nowhere.*looked for above the file, or in 'packages'"),
+        (
+            '<xacro:include filename="$(find nowhere)/a.xacro"/>',
+            "nowhere.*looked for above the file and beside its own package",
+        ),
         ("<link name='${1 / 0}'/>", "division by zero"),
         ("<link name='${undefined}'/>", "undefined"),
         ("<link", "not well-formed|no element found|unclosed token"),
@@ -68,18 +97,18 @@ def test_what_cannot_be_expanded_is_one_line(
     file = tmp_path / "robot.urdf.xacro"
     file.write_text(f"{HEAD}{body}</robot>")
     with pytest.raises(InputError, match=message) as error:
-        read_robot_description(file, None)
+        read_robot_description(file)
     assert "hush" not in str(error.value)
     assert "\n" not in str(error.value)
     assert str(error.value).startswith(f"{file}: this xacro cannot be expanded: ")
 
 
 def test_an_endless_one_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(xacro, "SECONDS", 2)
+    monkeypatch.setattr(robot_description, "SECONDS", 2)
     file = tmp_path / "robot.urdf.xacro"
     file.write_text(f"{HEAD}<link name='${{sum(1 for _ in range(10**12))}}'/><link name='${{10**(10**9)}}'/></robot>")
     with pytest.raises(InputError, match="cannot be expanded"):
-        read_robot_description(file, None)
+        read_robot_description(file)
 
 
 def test_a_folder_of_packages_that_is_none(tmp_path: Path) -> None:
