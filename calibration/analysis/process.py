@@ -19,7 +19,7 @@ from calibration.analysis.results import Results, Suppressed, Tool
 from calibration.analysis.ros_graph import JSON_FILE, PICTURE_FILE, RosGraph, read_graph
 from calibration.analysis.sarif import FILE as SARIF_FILE
 from calibration.analysis.sarif import sarif
-from calibration.analysis.suppressions import FILE as SUPPRESSIONS
+from calibration.analysis.settings import SUPPRESSIONS, AnalysisSettings
 from calibration.analysis.suppressions import Suppression, read_suppressions, sift
 from calibration.errors import ExitCode, InputError
 from calibration.execution.sizes import parse_seconds
@@ -28,7 +28,7 @@ from calibration.git.changes import find_base
 from calibration.git.event import Event
 from calibration.git.repository import Repository
 from calibration.records import field, record
-from calibration.report import FILES, count_of, publish, remove_results
+from calibration.report import FILES, Report, count_of, publish, remove_results
 from calibration.workflow import Runner
 from calibration.workflow.text import did_you_mean, shorten
 
@@ -43,21 +43,9 @@ _PACKAGES = {
 
 
 @record
-class Settings:
+class Settings(AnalysisSettings):
     """Inputs of ``static-analysis``."""
 
-    paths: tuple[str, ...] = field("Folders and files of the repository to analyse (all in git).", default=())
-    exclude: tuple[str, ...] = field("Patterns of git for files that are not analysed.", default=())
-    tools: tuple[str, ...] = field(
-        "Only these of ruff, cppcheck, shellcheck, yamllint, zizmor, lizard, xml, urdf, ros (all).", default=()
-    )
-    base: str | None = field("Branch or commit that the change goes to (what the event says).", default=None)
-    max_new: tuple[str, ...] = field(
-        "Most new findings of a severity, a category or all (error=0 security=0).", default=("error=0", "security=0")
-    )
-    max_total: tuple[str, ...] = field("Most findings, new or not, in the same form (no limit).", default=())
-    suppressions: Path | None = field(f"File of what is accepted ({SUPPRESSIONS}, if there is one).", default=None)
-    timeout: str = field("Time limit of one program, such as 5m (5m).", default="5m")
     output: Path | None = field("Folder for results.json, junit.xml, summary.md and findings.sarif.", default=None)
 
 
@@ -68,16 +56,34 @@ def analyse(settings: Settings, runner: Runner) -> ExitCode:
         InputError: an input is wrong, or there is nothing to analyse.
         InfrastructureError: an analyser is missing, fails or takes too long, or a result cannot be written.
     """
-    if settings.output is not None:
-        remove_results(settings.output, (*FILES, SARIF_FILE, JSON_FILE, PICTURE_FILE))
+    found, _ = analysed(settings, Path(), settings.output, runner)
+    publish(found, runner, settings.output)
+    return found.exit_code
+
+
+def analysed(settings: AnalysisSettings, folder: Path, output: Path | None, runner: Runner) -> tuple[Report, Results]:
+    """Analyse the repository around a folder, and return the report and the results.
+
+    Args:
+        settings: what is analysed.
+        folder: in the repository.
+        output: folder of the results, from which those of an earlier analysis are removed; None for none.
+        runner: for the progress.
+
+    Raises:
+        InputError: an input is wrong, or there is nothing to analyse.
+        InfrastructureError: an analyser is missing, fails or takes too long.
+    """
+    if output is not None:
+        remove_results(output, (*FILES, SARIF_FILE, JSON_FILE, PICTURE_FILE))
     new_limits = parse_limits(settings.max_new, "max-new")
     total_limits = parse_limits(settings.max_total, "max-total")
     seconds = parse_seconds(settings.timeout, "timeout")
-    repository = Repository.around(Path())
+    repository = Repository.around(folder)
     accepted = _suppressions(settings, repository)
     base, no_base = _base(settings, repository)
-    with temporary_folder(prefix="calibration-analysis-") as folder:
-        state = _analysed(settings, repository, base, seconds, folder, runner)
+    with temporary_folder(prefix="calibration-analysis-") as copies:
+        state = _analysed(settings, repository, base, seconds, copies, runner)
     sifted = sift(state.findings, accepted, datetime.now(UTC).date())
     reasons = {finding: suppression.reason for finding, suppression in sifted.suppressed}
     new = tuple(finding for finding in state.compared.new if finding not in reasons)
@@ -98,9 +104,7 @@ def analyse(settings: Settings, runner: Runner) -> ExitCode:
         graph=state.graph.since(state.earlier_graph) if state.graph else None,
     )
     text = state.sarif(reasons, compared=base is not None)
-    found = report(results, text, state.graph, repository.root, settings.output)
-    publish(found, runner, settings.output)
-    return found.exit_code
+    return report(results, text, state.graph, repository.root, output), results
 
 
 @dataclass(frozen=True)
@@ -127,14 +131,14 @@ class _State:
         return sarif(entries, {tool.name: tool.version for tool in self.tools}, new, suppressed)
 
 
-def _suppressions(settings: Settings, repository: Repository) -> tuple[Suppression, ...]:
+def _suppressions(settings: AnalysisSettings, repository: Repository) -> tuple[Suppression, ...]:
     usual = repository.root / SUPPRESSIONS
     if settings.suppressions is None and not os.path.lexists(usual):
         return ()
     return read_suppressions(settings.suppressions or usual)
 
 
-def _base(settings: Settings, repository: Repository) -> tuple[str | None, tuple[str, ...]]:
+def _base(settings: AnalysisSettings, repository: Repository) -> tuple[str | None, tuple[str, ...]]:
     """Return the base commit of the change; or None, with the reason.
 
     Raises:
@@ -149,7 +153,7 @@ def _base(settings: Settings, repository: Repository) -> tuple[str | None, tuple
 
 
 def _analysed(
-    settings: Settings, repository: Repository, base: str | None, seconds: float, folder: Path, runner: Runner
+    settings: AnalysisSettings, repository: Repository, base: str | None, seconds: float, folder: Path, runner: Runner
 ) -> _State:
     """Run the analysers on the files, and on the base's version of the changed files."""
     analysers = _chosen(settings.tools)

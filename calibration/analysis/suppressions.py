@@ -12,9 +12,6 @@ from calibration.analysis.finding import Finding
 from calibration.errors import InputError
 from calibration.records import Converted, field, length, read, record
 
-FILE = ".static-analysis.yml"
-"""Default path, in the root of the repository."""
-
 
 def parse_date(value: str, place: object) -> date:
     """Parse a date, YYYY-MM-DD.

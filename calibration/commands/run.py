@@ -60,6 +60,7 @@ def run(settings: RunSettings, runner: Runner) -> ExitCode:
         simulations=configuration.simulations,
         image=_image(configuration.image, settings.push),
         baseline=configuration.baseline,
+        analysis=configuration.analysis,
         target=configuration.target,
     )
     results = run_stages(asked, settings.only or STAGES)

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from calibration.analysis.settings import AnalysisSettings
 from calibration.baseline.settings import FILE, BaselineSettings
 from calibration.diagnosis.limits import Limit, Limits
 from calibration.errors import InputError
@@ -151,6 +152,9 @@ class Configuration:
     baseline: Annotated[BaselineSettings, Converted(Literal["required"] | BaselineSettings, _baseline)] = field(
         "The accepted calibration that every cell is compared with; required: a system that has none fails.",
         default_factory=BaselineSettings,
+    )
+    analysis: AnalysisSettings | None = field(
+        "Static analysis of the repository around this file, a stage of run; {} for the defaults.", default=None
     )
     sections: Sections = field(flat=True, default_factory=Sections)
     systems: Annotated[tuple[System, ...], ByName(_NAME)] = field("The robots to calibrate, by name.", default=())

@@ -18,7 +18,7 @@ from calibration.pipeline.matrix.cell import (
     Transform,
     noise_text,
 )
-from calibration.pipeline.results import CELLS_FILE, Collected, ImageResult, Results, own_file
+from calibration.pipeline.results import CELLS_FILE, Analysed, Collected, ImageResult, Results, own_file
 from calibration.report import Lines, Outcome, Report, Table, Text, count_of, results_text, shown
 from calibration.report.badge import FILE as BADGE
 from calibration.report.badge import verdict_badge
@@ -61,6 +61,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             *failures(results),
             *(results.baseline.reasons if results.baseline else ()),
             *(reason for each in results.exports for reason in each.reasons),
+            *(results.analysis.reasons if results.analysis else ()),
         ),
         warnings=(*_said(results, "warning"), *left_out),
         blocks=(
@@ -80,6 +81,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             Lines(_said(results, "note"), NOTES_SHOWN, title="Notes"),
             Lines(tuple(_exports(results, output)), NOTES_SHOWN, title="For the robot"),
             Text(f"{image_line(results.image)}." if results.image else ""),
+            Text(f"Static analysis: {output / results.analysis.folder / 'summary.md'}" if results.analysis else ""),
             Lines(left_out, title="Methods without a result", only="summary"),
         ),
         suites=_suites(results),
@@ -389,13 +391,21 @@ def _sentence(results: Results) -> str:
     for things, what, verb in ((results.cells, "cell", "calibrated"), (results.collections, "dataset", "collected")):
         wrong = sum(thing.verdict == "fail" for thing in things)
         count = count_of(len(things), what)
-        if wrong or (what == "cell" and not results.judged and results.image is None):
+        nothing = not results.judged and results.image is None and results.analysis is None
+        if wrong or (what == "cell" and nothing):
             failed.append(f"{wrong} of {count} failed")
         elif things:
             done.append(f"{count} {verb}")
     if results.image is not None and not results.judged:
         done.append("the image is built" if results.image.built else "the image is there")
+    if results.analysis is not None:
+        done.append(_analysis_sentence(results.analysis))
     return ", ".join((*failed, *done))
+
+
+def _analysis_sentence(analysis: Analysed) -> str:
+    count = count_of(analysis.findings, "finding")
+    return f"{count} in the code" if analysis.new is None else f"{count} in the code, {analysis.new} new"
 
 
 def failures(results: Results) -> list[str]:

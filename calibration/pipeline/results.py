@@ -60,6 +60,22 @@ class ImageResult:
 
 
 @result(kw_only=True)
+class Analysed:
+    """Static analysis of the repository."""
+
+    findings: int = field("Number of findings that are not accepted.")
+    new: int | None = field("Those that the change brings in; null if there is no base to compare with.")
+    folder: str = field("The folder with its results, relative to the output folder.")
+    reasons: tuple[str, ...] = field("Limits that are exceeded.", default=())
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Fail if a limit is exceeded."""
+        return verdict_of(not self.reasons)
+
+
+@result(kw_only=True)
 class Exported:
     """Exported files of a system."""
 
@@ -128,6 +144,7 @@ class Results:
         "The file of accepted calibrations, and what the change under test does to it.", default=None, omitted=True
     )
     exports: tuple[Exported, ...] = field("Exports of the systems that passed.", default=())
+    analysis: Analysed | None = field("Static analysis, where calibration.yml asks for it.", default=None, omitted=True)
 
     @property
     @computed()
@@ -152,10 +169,11 @@ class Results:
 
     @property
     def verdict(self) -> Verdict:
-        """Pass if every cell and every collection passed, and there is one; or if only an image was built."""
-        found = bool(self.judged or self.image is not None)
+        """Pass if all cells and collections passed; without any, if an image was built or code analysed."""
+        found = bool(self.judged or self.image is not None or self.analysis is not None)
         comparable = self.baseline is None or not self.baseline.reasons
         whole = comparable and not any(each.reasons for each in self.exports)
+        whole = whole and (self.analysis is None or not self.analysis.reasons)
         return verdict_of(found and whole and all(each.verdict == "pass" for each in self.judged))
 
     @property

@@ -191,7 +191,7 @@ def test_links_large_and_binary_files_are_not_read(root: Path, tmp_path: Path) -
     [
         (["--base", "nowhere"], 2, "base nowhere: no such commit is in this checkout"),
         (["--paths", "nowhere"], 2, "there is no file in git that an analyser looks at"),
-        (["--tools", "ruf"], 2, "urdf: did you mean 'ruff'?"),
+        (["--tools", "ruf"], 2, "ros: did you mean 'ruff'?"),
         (["--max-new", "erorr=0"], 2, "max-new: found 'erorr', expected one of all, error"),
         (["--suppressions", "nowhere.yml"], 2, "nowhere.yml: a file of suppressions was expected"),
         (["--timeout", "0.000001s"], 3, "took longer than"),

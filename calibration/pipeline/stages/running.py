@@ -9,6 +9,7 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calibration.analysis.settings import AnalysisSettings
 from calibration.baseline.settings import BaselineSettings
 from calibration.errors import InputError
 from calibration.execution.backends import ExecutionTarget, imported
@@ -54,6 +55,8 @@ class Run:
     """Image of the stage build."""
     baseline: BaselineSettings | None = None
     """Baseline and allowed changes; None for no comparison."""
+    analysis: AnalysisSettings | None = None
+    """Settings of the stage analyse; None for no analysis."""
     target: ExecutionTarget = field(default_factory=ExecutionTarget)
     """Execution target of the containers, and settings of the others."""
     results: Results = field(default_factory=Results)
@@ -85,6 +88,7 @@ STAGES: Mapping[str, Stage] = {
         "calibration.pipeline.stages.exporting:export_stage",
         lambda run: any(system.exports for system in run.matrix.systems),
     ),
+    "analyse": Stage("calibration.pipeline.stages.analysing:analyse_stage", lambda run: run.analysis is not None),
     "promote": Stage(
         "calibration.pipeline.stages.building:promote_stage", lambda run: bool(run.image and run.image.promote)
     ),
@@ -117,7 +121,8 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
         found = report(run.results, run.output, run.title)
         files = {**found.files, PAGE_FILE: _page(found, run)}
     except BaseException:  # signals too: the results of earlier stages are kept for another run
-        if run.results.judged:  # results of an earlier run are not replaced if only an image was built
+        # results of an earlier run are not replaced if only an image was built
+        if run.results.judged or run.results.analysis:
             write_results(run.results, run.output)
         raise
     outputs = {**found.outputs, "report": run.output / PAGE_FILE}

@@ -1,0 +1,33 @@
+"""Stage analyse: static analysis of the repository around the configuration."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from calibration.analysis.process import analysed
+from calibration.pipeline.results import Analysed
+from calibration.pipeline.stages.running import Run
+from calibration.workflow import annotate
+
+FOLDER = "static-analysis"
+
+
+def analyse_stage(run: Run) -> Run:
+    """Analyse the repository; a limit that is exceeded is a reason of the verdict.
+
+    Raises:
+        InputError: a setting is wrong, or there is nothing to analyse.
+        InfrastructureError: an analyser is missing, fails or takes too long, or a file cannot be written.
+    """
+    if run.analysis is None:
+        return run
+    folder = run.output / FOLDER
+    report, found = analysed(run.analysis, run.config.parent if run.config else Path(), folder, run.runner)
+    report.write(folder)
+    annotate(run.runner, report.annotations)
+    result = Analysed(
+        findings=len(found.findings),
+        new=None if found.base is None else len(found.new),
+        folder=FOLDER,
+        reasons=tuple(f"static analysis: {reason}" for reason in report.reasons),
+    )
+    return replace(run, results=replace(run.results, analysis=result))
