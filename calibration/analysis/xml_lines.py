@@ -10,18 +10,31 @@ from defusedxml.ElementTree import ParseError, XMLParser
 LINE = "{calibration}line"
 """Key of an element's line, which cannot be an attribute of a document."""
 
+DEEPEST = 100
+"""Limit of elements inside one another; readers of elements are recursive."""
+
 
 class _Parser(XMLParser):
-    """XML parser that stores the line of every element."""
+    """XML parser that stores the line of every element, and refuses what is nested too deeply."""
+
+    _depth = 0
+
+    def _end(self, tag: str) -> Element:
+        self._depth -= 1
+        element: Element = super()._end(tag)  # type: ignore[misc]
+        return element
 
     def _start(self, tag: str, attributes: Sequence[str]) -> Element:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise ValueError(f"more than {DEEPEST} elements are inside one another")
         element: Element = super()._start(tag, attributes)  # type: ignore[misc]
         element.set(LINE, str(self.parser.CurrentLineNumber))
         return element
 
 
 def parse_xml(data: bytes) -> Element | None:
-    """Return the root of a document; None if it is not valid XML, or declares entities."""
+    """Return the root of a document; None if it is not valid XML, declares entities, or is nested too deeply."""
     try:
         parser: Any = _Parser()
         parser.feed(data)

@@ -12,6 +12,7 @@ from calibration.analysis.copies import Copy
 from calibration.analysis.ros.check import check
 from calibration.analysis.ros.cmake import parse, read_cmake
 from calibration.analysis.ros.tree import Tree, join, without_comments
+from calibration.analysis.xml_lines import DEEPEST, parse_xml
 
 LOOPS = "".join(f"foreach(x{depth} {'1 ' * 400})\n" for depth in range(10)) + "endforeach()\n" * 10
 
@@ -107,3 +108,12 @@ def test_a_package_below_a_package_and_an_ignored_one_are_none() -> None:
     assert found_in({**files, f"{folder}/test/package.xml": text}) == []
     assert found_in({**files, "old/package.xml": text, "old/CATKIN_IGNORE": ""}) == []
     assert [each.rule for each in found_in({**files, "old/package.xml": text.replace("driver", "old")})] != []
+
+
+@pytest.mark.parametrize("path", ["otter_bringup/launch/sensors.launch.xml", "otter_description/urdf/robot.urdf"])
+def test_elements_thousands_deep_are_not_read(path: str) -> None:
+    files = Workspace(2, 0).files
+    tag, inside = ("robot", "link") if path.endswith("urdf") else ("launch", "group")
+    found_in({**files, path: f"<{tag}>{f'<{inside}>' * 3000}{f'</{inside}>' * 3000}</{tag}>"})
+    assert parse_xml(b"<a>" * DEEPEST + b"</a>" * DEEPEST) is not None
+    assert parse_xml(b"<a>" * (DEEPEST + 1) + b"</a>" * (DEEPEST + 1)) is None
