@@ -1,21 +1,30 @@
 """Intrinsics in the files of other tools: ROS, Kalibr, OpenCV and robot_cal_tools."""
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from calibration.dataset.document import Node
 from calibration.dataset.sensors import MAX_PIXELS, read_camera
 from calibration.errors import InputError
 from calibration.files import read_bytes
+from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import inverse, transform
+from calibration.geometry.types import Array
 from calibration.yaml_file import MAX_BYTES, read_yaml
 
 KALIBR_MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bob"}
 """ROS's names of Kalibr's distortion models; the other ones (fov) have no equivalent."""
+BASELINE = "T_cn_cnm1"
+"""Kalibr's key of a camera: the pose of the one before in its frame."""
+ROUNDED = 1e-2
+"""Limit of how far an element of a rotation in a file is off."""
 _KEYS = {
     "width": ("image_width", "width", "image_Width", "imageWidth"),
     "height": ("image_height", "height", "image_Height", "imageHeight"),
@@ -33,6 +42,8 @@ class KnownLens:
     camera: Camera
     has_size: bool
     """Whether the file has the size of the images; else the camera's size must not be used."""
+    T_chain_camera: Array | None = None
+    """(4, 4): the camera's pose in the frame of cam0, where a camchain has its baselines."""
 
 
 def read_lens(path: Path, name: str | None = None) -> KnownLens:
@@ -52,7 +63,8 @@ def read_lens(path: Path, name: str | None = None) -> KnownLens:
         root = Node(path, (), read_yaml(path, "a file of intrinsics"))
     document = root.mapping()
     if cameras := [key for key, value in document.items() if isinstance(value, dict) and "camera_model" in value]:
-        return _kalibr(root[_chosen(root, cameras, name)])
+        chosen = _chosen(root, cameras, name)
+        return replace(_kalibr(root[chosen]), T_chain_camera=_pose_in_chain(root, chosen))
     if numbered := [key[len("name_") :] for key in document if isinstance(key, str) and key.startswith("name_")]:
         return _of_our_storage(root, numbered, name)
     if name is not None:
@@ -102,6 +114,31 @@ def _kalibr(node: Node) -> KnownLens:
         "distortion_model": KALIBR_MODELS[name.value] if name else "plumb_bob",
     }
     return KnownLens(node.file, read_camera(Node(node.file, node.keys, info)), has_size=True)
+
+
+def _pose_in_chain(root: Node, name: str) -> Array | None:
+    """Return the pose of a camera in the frame of cam0, from the baselines between them; None if one is missing."""
+    numbered = re.fullmatch(r"cam([0-9]{1,3})", name)
+    if numbered is None:
+        return None
+    pose = np.eye(4)
+    for i in range(1, int(numbered[1]) + 1):
+        camera = root.get(f"cam{i}")
+        baseline = camera.get(BASELINE) if camera else None
+        if baseline is None:
+            return None
+        pose = pose @ inverse(_rigid(baseline))
+    return pose
+
+
+def _rigid(node: Node) -> Array:
+    """Parse a transform of four rows (4, 4); its rotation may be rounded."""
+    rows = [row.numbers(4) for row in node.elements()]
+    T = np.array(rows) if len(rows) == 4 else np.zeros((4, 4))
+    R = rotations.nearest(T[:3, :3])
+    if abs(T[:3, :3] - R).max() > ROUNDED or (T[3] != [0, 0, 0, 1]).any():
+        raise node.fault("is no transform, expected four rows of four numbers: a rotation, a translation, 0 0 0 1")
+    return transform(R, T[:3, 3])
 
 
 def _robot_cal_tools(node: Node) -> KnownLens:

@@ -23,6 +23,7 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
 from calibration.importing.bag import open_bag
+from calibration.importing.baselines import with_baselines
 from calibration.importing.best_moments import best_moments
 from calibration.importing.camera_files import KnownLens, read_lens
 from calibration.importing.contact_sheet import FILE as SHEET
@@ -195,7 +196,8 @@ def _from_images(
         for name in configuration.sensors:
             check_copies(name, [moment.views[name] for moment in seen if name in moment.views])
         lag = max(moment.lag for moment in moments)
-        return Recorded(configuration, lenses, seen, transforms, rough=True, of=len(seen), lag=lag)
+        placed = with_baselines(transforms, configuration, lenses)
+        return Recorded(configuration, lenses, seen, placed, rough=True, of=len(seen), lag=lag)
 
     return _Source(
         _identity(patterns, [path for moment in moments for path in moment.files.values()]),
@@ -234,7 +236,12 @@ def _from_bags(
                 mounted.configuration,
                 {**told, **lenses},
                 [LabelledMoment({name: frame.view for name, frame in moment.frames.items()}) for moment in some],
-                mounted.transforms(found.log, [moment.time for moment in some]),
+                with_baselines(
+                    mounted.transforms(found.log, [moment.time for moment in some]),
+                    mounted.configuration,
+                    lenses,
+                    mounted.edges,
+                ),
                 rough=not mounted.edges,
                 lag=max(moment.lag for moment in some),
             )

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -10,6 +11,7 @@ from calibration.errors import InputError
 from calibration.exports.calibrated import calibrated
 from calibration.exports.formats import FORMATS
 from calibration.geometry.distortion import MODELS
+from calibration.geometry.transforms import inverse
 from calibration.importing.camera_files import read_lens
 from tests.importing.conftest import DATASETS, camera_info
 
@@ -55,6 +57,35 @@ def test_a_fisheye_of_kalibr(tmp_path: Path) -> None:
         read_lens(tmp_path / "chain.yaml")
     with pytest.raises(InputError, match="expected 'cam2'"):
         read_lens(tmp_path / "chain.yaml", "cam2")
+
+
+def test_baselines_of_a_camchain_are_poses_in_its_first_camera(tmp_path: Path) -> None:
+    dataset = read_dataset(DATASETS / "t2rgb")
+    of = calibrated(dataset)
+    (text,) = FORMATS["kalibr"].files(of).values()
+    chain = yaml.safe_load(text)
+    chain["cam2"], chain["cam10"] = chain["cam1"], chain["cam0"]
+    (tmp_path / "chain.yaml").write_text(yaml.safe_dump(chain))
+    first, second = (of.poses[name] for name in list(of.cameras)[:2])
+    expected = inverse(first) @ second
+    poses = {name: read_lens(tmp_path / "chain.yaml", name).T_chain_camera for name in chain}
+    np.testing.assert_allclose(poses["cam0"], np.eye(4))
+    np.testing.assert_allclose(poses["cam1"], expected, atol=1e-9)
+    np.testing.assert_allclose(poses["cam2"], expected @ expected, atol=1e-9)
+    assert poses["cam10"] is None
+
+
+@pytest.mark.parametrize(
+    "baseline", [[], 1, [[1, 0, 0, 0]], [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], [[0] * 4] * 4]
+)
+def test_a_baseline_that_is_none_is_named(tmp_path: Path, baseline: object) -> None:
+    (text,) = FORMATS["kalibr"].files(calibrated(read_dataset(DATASETS / "t2rgb"))).values()
+    chain = yaml.safe_load(text)
+    chain["cam1"]["T_cn_cnm1"] = baseline
+    (tmp_path / "chain.yaml").write_text(yaml.safe_dump(chain))
+    with pytest.raises(InputError, match=r"chain\.yaml: cam1/T_cn_cnm1: ") as error:
+        read_lens(tmp_path / "chain.yaml", "cam1")
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,9 @@ def write_session(folder: Path) -> None:
         for camera, pose, lag in (("cam0", T, 0), ("cam1", T_CAM1_CAM0 @ T, 3_000_000)):
             file = folder / camera / f"{START + number * 50_000_000 + lag}.png"
             cv2.imwrite(str(file), photograph.of(BOARD, pose))
-    (folder / "camchain.yaml").write_text(yaml.safe_dump({"cam0": CAMERA, "cam1": {**CAMERA, "T_cn_cnm1": []}}))
+    (folder / "camchain.yaml").write_text(
+        yaml.safe_dump({"cam0": CAMERA, "cam1": {**CAMERA, "T_cn_cnm1": T_CAM1_CAM0.tolist()}})
+    )
     (folder / "aprilgrid.yaml").write_text(yaml.safe_dump(TARGET))
     sensors = {
         camera: {"images": camera, "intrinsics": "camchain.yaml", "camera": camera} for camera in ("cam0", "cam1")
@@ -84,6 +86,13 @@ def test_it_calibrates_to_the_truth(session: Path, tmp_path: Path) -> None:
     assert np.degrees(rad) < 0.03
     assert calibration.rms_px is not None
     assert calibration.rms_px < 0.1
+
+
+def test_it_starts_from_the_baseline(session: Path, tmp_path: Path) -> None:
+    import_data(session / "import.yml", tmp_path / "out", jobs=1)
+    dataset = read_dataset(tmp_path / "out")
+    starts = dataset.transform("cam1_optical_frame", "cam0_optical_frame")
+    np.testing.assert_allclose(starts, np.broadcast_to(T_CAM1_CAM0, starts.shape), atol=1e-9)
 
 
 def test_an_aprilgrid_described_in_import_yml_is_the_same(session: Path, tmp_path: Path) -> None:
