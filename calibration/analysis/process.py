@@ -14,6 +14,7 @@ from calibration.analysis.comparison import Compared, compare, with_content
 from calibration.analysis.copies import Copy, before, copied
 from calibration.analysis.finding import Finding, Located
 from calibration.analysis.limits import parse_limits
+from calibration.analysis.metrics import BADGE_FILE, CodeMetrics, measure
 from calibration.analysis.report import report
 from calibration.analysis.results import Results, Suppressed, Tool
 from calibration.analysis.ros_graph import JSON_FILE, PICTURE_FILE, RosGraph, read_graph
@@ -75,7 +76,7 @@ def analysed(settings: AnalysisSettings, folder: Path, output: Path | None, runn
         InfrastructureError: an analyser is missing, fails or takes too long.
     """
     if output is not None:
-        remove_results(output, (*FILES, SARIF_FILE, JSON_FILE, PICTURE_FILE))
+        remove_results(output, (*FILES, SARIF_FILE, JSON_FILE, PICTURE_FILE, BADGE_FILE))
     new_limits = parse_limits(settings.max_new, "max-new")
     total_limits = parse_limits(settings.max_total, "max-total")
     seconds = parse_seconds(settings.timeout, "timeout")
@@ -101,6 +102,7 @@ def analysed(settings: AnalysisSettings, folder: Path, output: Path | None, runn
         suppressed=tuple(Suppressed(finding, each.reason) for finding, each in sifted.suppressed),
         remarks=(*no_base, *sifted.remarks),
         checks=tuple(checks),
+        metrics=state.metrics.graded(sifted.kept, state.code_lines) if state.metrics else None,
         graph=state.graph.since(state.earlier_graph) if state.graph else None,
     )
     text = state.sarif(reasons, compared=base is not None)
@@ -117,6 +119,7 @@ class _State:
     left_out: Mapping[str, str]
     compared: Compared
     contents: Mapping[Finding, str]
+    metrics: CodeMetrics | None
     graph: RosGraph | None
     earlier_graph: RosGraph | None
 
@@ -196,6 +199,7 @@ def _analysed(
         left_out=now.left_out,
         compared=compared,
         contents={each.finding: each.content for each in with_content(findings, now)},
+        metrics=measure(now, looked_at, seconds) if settings.metrics else None,
         graph=graph,
         earlier_graph=earlier_graph,
     )

@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.analysis.finding import CATEGORIES, SEVERITIES, Finding
-from calibration.analysis.results import Graph, Results
+from calibration.analysis.metrics import BADGE_FILE, grade_badge
+from calibration.analysis.results import Graph, Metrics, Results
 from calibration.analysis.ros_graph import JSON_FILE, PICTURE_FILE, RosGraph
 from calibration.analysis.sarif import FILE as SARIF_FILE
 from calibration.report import Lines, Outcome, Report, Table, count_of, outcome_of_check, verdict_of
@@ -53,6 +54,7 @@ def report(results: Results, sarif: str, graph: RosGraph | None, root: Path, fol
                 title="Findings",
             ),
             Table(("file", "findings"), _files(results), title="Files with most findings"),
+            *_metrics(results.metrics),
             *_graph(results.graph),
             Lines(results.remarks),
             Lines(tuple(f"not analysed: {path}: {why}" for path, why in results.left_out.items()), most=MOST_FILES),
@@ -66,9 +68,14 @@ def report(results: Results, sarif: str, graph: RosGraph | None, root: Path, fol
             "findings": len(results.findings),
             "suppressed": len(results.suppressed),
             "per-thousand-lines": results.per_thousand_lines,
+            "grade": results.metrics.grade if results.metrics else None,
             "sarif": None if folder is None else folder / SARIF_FILE,
         },
-        files={SARIF_FILE: sarif} | ({JSON_FILE: graph.document, PICTURE_FILE: graph.picture} if graph else {}),
+        files={
+            SARIF_FILE: sarif,
+            **({JSON_FILE: graph.document, PICTURE_FILE: graph.picture} if graph else {}),
+            **({BADGE_FILE: grade_badge(results.metrics.grade)} if results.metrics else {}),
+        },
     )
 
 
@@ -96,6 +103,19 @@ def _rows(findings: Sequence[Finding]) -> tuple[tuple[str, ...], ...]:
 def _files(results: Results) -> tuple[tuple[str, str], ...]:
     counts = Counter(finding.path for finding in results.findings)
     return tuple((path, str(count)) for path, count in counts.most_common(MOST_FILES))
+
+
+def _metrics(metrics: Metrics | None) -> tuple[Table, ...]:
+    if metrics is None:
+        return ()
+    rows = (
+        ("grade", metrics.grade, "A to F"),
+        ("weighted findings in a thousand lines", f"{metrics.weighted_findings:g}", "error 5, warning 1, note 0.2"),
+        ("functions", str(metrics.functions), f"mean complexity {metrics.mean_complexity:g}"),
+        ("too complex", f"{metrics.complex_percent:g} %", "above 10 %: one grade worse"),
+        ("duplicate", f"{metrics.duplicate_percent:g} %", "above 10 %: one grade worse"),
+    )
+    return (Table(("metric", "value", ""), rows, title="Metrics"),)
 
 
 def _graph(graph: Graph | None) -> tuple[Table | Lines, ...]:

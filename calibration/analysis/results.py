@@ -37,6 +37,23 @@ class Graph:
 
 
 @result
+class Metrics:
+    """Metrics of the code in Python, C and C++, and a grade."""
+
+    functions: int
+    mean_complexity: float = field("Mean cyclomatic complexity of the functions.")
+    complex_percent: float = field("Share of functions with a cyclomatic complexity above 15, in percent.")
+    duplicate_percent: float = field("Share of duplicate code, in percent, as lizard counts it.")
+    weighted_findings: float = field(
+        "Findings in a thousand lines that are not empty: 5 for an error, 1 for a warning, 0.2 for a note."
+    )
+    grade: str = field(
+        "A up to 1 weighted finding in a thousand lines, B 5, C 10, D 20, E 40, F beyond; one worse if more than 10 "
+        "percent of the functions are too complex, and if more than 10 percent of the code is duplicate."
+    )
+
+
+@result
 class Results:
     """Results of static-analysis."""
 
@@ -51,6 +68,7 @@ class Results:
     suppressed: tuple[Suppressed, ...] = field("Accepted findings.")
     remarks: tuple[str, ...] = field("Suppressions that have ended or cover nothing; why there is no base.")
     checks: tuple[Check, ...] = field("The limits.")
+    metrics: Metrics | None = field("Metrics and grade; null if they are not asked for.", default=None)
     graph: Graph | None = field("Graph of the ROS nodes; null if there is no ROS package.", default=None)
 
     @property

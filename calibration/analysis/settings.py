@@ -23,4 +23,7 @@ class AnalysisSettings:
     )
     max_total: tuple[str, ...] = field("Most findings, new or not, in the same form (no limit).", default=())
     suppressions: Path | None = field(f"File of what is accepted ({SUPPRESSIONS}, if there is one).", default=None)
+    metrics: bool = field(
+        "Measure complexity and duplication, and grade the code; 10 s for 100 000 lines.", default=False
+    )
     timeout: str = field("Time limit of one program, such as 5m (5m).", default="5m")
