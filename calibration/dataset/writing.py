@@ -19,6 +19,7 @@ from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.sensors import camera_document, read_camera
 from calibration.errors import InputError
 from calibration.files import link_or_copy, write_atomically
+from calibration.geometry.types import Array
 from calibration.json_text import Shared, json_text
 
 
@@ -130,8 +131,7 @@ class DatasetWriter:
             present = ~np.isnan(T[:, 0, 0])
             if not np.isfinite(T[present]).all():
                 raise InputError(f"{dataset.path}: transform '{'-'.join(edge)}' is not finite; it is not written")
-            entries = iter(transform_documents(edge, T[present]))
-            changed[edge] = [next(entries) if each else None for each in present]
+            changed[edge] = _entries(edge, T)
         return changed
 
     def _collection(
@@ -199,15 +199,23 @@ def _pattern(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
 def _initial_poses(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
     """Return the current poses of a pattern as its initial ones, with the camera that saw it."""
     edge = (pattern.parent_link, pattern.link)
-    poses = {}
-    for i, collection in enumerate(dataset.collections):
+    poses: dict[str, Any] = {}
+    if edge not in dataset.transforms:
+        return {key: {"detected": False} for key in dataset.keys}
+    for collection, entry in zip(dataset.collections, _entries(edge, dataset.transforms[edge]), strict=True):
         cameras = [s for p, s in collection.labels if p == pattern.name and dataset.sensors[s].modality.has_corners]
-        T = dataset.transforms[edge][i] if edge in dataset.transforms else None
-        if cameras and T is not None and np.isfinite(T).all():
-            poses[collection.key] = {"detected": True, "sensor": cameras[0], **transform_documents(edge, T[None])[0]}
+        if cameras and entry is not None:
+            poses[collection.key] = {"detected": True, "sensor": cameras[0], **entry}
         else:
             poses[collection.key] = {"detected": False}
     return poses
+
+
+def _entries(edge: Edge, T: Array) -> list[dict[str, Any] | None]:
+    """Return the document entries of an edge's transforms (N, 4, 4); None where they are not finite."""
+    finite = np.flatnonzero(np.isfinite(T).all(axis=(1, 2))).tolist()
+    found = dict(zip(finite, transform_documents(edge, T[finite]), strict=True))
+    return [found.get(i) for i in range(len(T))]
 
 
 def _kind(dataset: Dataset, edge: Edge) -> dict[str, Any]:

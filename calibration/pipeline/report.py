@@ -3,11 +3,14 @@
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from calibration.baseline.comparison import Change
 from calibration.baseline.update import BaselineUpdate
 from calibration.diagnosis.finding import Severity
+from calibration.execution.embedded import cores
+from calibration.execution.tasks import Task, run_tasks
 from calibration.files import write_atomically
 from calibration.pipeline.matrix.cell import (
     OUR_METHOD,
@@ -29,6 +32,8 @@ SIDE_BY_SIDE = 3
 """Limit of the systems side by side in a log."""
 PARAMETERS_SHOWN = 200
 TRANSFORMS_SHOWN = 30
+CELLS_A_PROCESS = 50
+"""Least number of cells whose files a process writes: in less time than one takes to begin."""
 
 
 def write_results(results: Results, output: Path) -> None:
@@ -37,7 +42,7 @@ def write_results(results: Results, output: Path) -> None:
     Raises:
         InfrastructureError: a file cannot be written.
     """
-    write_cells(results, output)
+    write_cells(results, output, 1)
     report(results, output, "calibration").write(output)
 
 
@@ -109,13 +114,26 @@ def _without_table(results: Results) -> str:
     return f"{which}; a table between two sensors is another number: evaluate: rgb-to-rgb:SOURCE:TARGET"
 
 
-def write_cells(results: Results, output: Path) -> None:
-    """Write each cell's own results into the output folder, one after the other: of many cells they are large.
+def write_cells(results: Results, output: Path, jobs: int | None = None) -> None:
+    """Write each cell's own results into the output folder, of many cells in several processes.
+
+    Args:
+        results: the cells.
+        output: the folder.
+        jobs: number of processes; None for one per core.
 
     Raises:
-        InfrastructureError: a file cannot be written.
+        InfrastructureError: a file cannot be written, or a process died.
     """
-    for cell in (*results.cells, *results.comparisons):
+    cells = (*results.cells, *results.comparisons)
+    count = min(jobs or cores(), -(-len(cells) // CELLS_A_PROCESS))
+    shares = [partial(_write_cells, cells[number::count], output) for number in range(count)]
+    run_tasks([Task.call(str(number), share) for number, share in enumerate(shares)], workers=count or None)
+
+
+def _write_cells(cells: Sequence[CellResult], output: Path) -> None:
+    """Write one after the other, as they are large."""
+    for cell in cells:
         if cell.details and (file := own_file(cell)):
             write_atomically(output / file, results_text(cell.verdict, Results((cell,)), cell.reasons))
 

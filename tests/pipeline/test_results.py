@@ -14,12 +14,14 @@ from calibration.errors import ExitCode, InputError
 from calibration.pipeline.matrix.cell import CellResult, Details, Deviation, Parameter
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import (
+    CELLS_A_PROCESS,
     failures,
     grid,
     parameters_table,
     precision_table,
     report,
     truth_table,
+    write_cells,
     write_results,
 )
 from calibration.pipeline.results import (
@@ -84,6 +86,21 @@ def test_writing_what_was_read_changes_nothing(tmp_path: Path) -> None:
 
     assert {p: p.read_bytes() for p in tmp_path.rglob("results.json")} == before
     assert len(before) == 2
+
+
+def test_many_cells_are_written_by_several_processes_as_by_one(tmp_path: Path) -> None:
+    cells = tuple(
+        replace(CELL, seed=seed, dataset=f"s/seed-{seed}/dataset.json", details=Details(iterations=seed))
+        for seed in range(2 * CELLS_A_PROCESS + 1)
+    )
+    for jobs in (1, 3):
+        write_cells(Results(cells), tmp_path / str(jobs), jobs)
+
+    written = {path.parent.name: path.read_bytes() for path in tmp_path.glob("3/s/*/results.json")}
+    assert len(written) == len(cells)
+    for path in tmp_path.glob("1/s/*/results.json"):
+        assert path.read_bytes() == written[path.parent.name]
+    assert read_results(tmp_path / "3/s/seed-7").cells[0].details == Details(iterations=7)
 
 
 @pytest.mark.parametrize(

@@ -117,7 +117,7 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
         for name, stage in STAGES.items():
             if stage.applies(run) and (name in stages or (name == "build" and run.wants_image)):
                 run = imported(stage.target)(run)
-        write_cells(run.results, run.output)
+        write_cells(run.results, run.output, run.jobs)
         found = report(run.results, run.output, run.title)
         files = {**found.files, PAGE_FILE: _page(found, run)}
     except BaseException:  # signals too: the results of earlier stages are kept for another run
