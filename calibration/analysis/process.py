@@ -12,6 +12,7 @@ from calibration.analysis.analysers import ANALYSERS, Analyser
 from calibration.analysis.analysers.ros import Ros
 from calibration.analysis.comparison import Compared, compare, with_content
 from calibration.analysis.copies import Copy, before, copied
+from calibration.analysis.earlier_sarif import compare_with_earlier, read_earlier
 from calibration.analysis.finding import Finding, Located
 from calibration.analysis.limits import parse_limits
 from calibration.analysis.metrics import BADGE_FILE, CodeMetrics, measure
@@ -88,14 +89,15 @@ def analysed(settings: AnalysisSettings, folder: Path, output: Path | None, runn
     sifted = sift(state.findings, accepted, datetime.now(UTC).date())
     reasons = {finding: suppression.reason for finding, suppression in sifted.suppressed}
     new = tuple(finding for finding in state.compared.new if finding not in reasons)
-    checks = [limit.check(new, "new") for limit in new_limits] if base is not None else []
+    name = base if settings.base_sarif is None else str(settings.base_sarif)
+    checks = [limit.check(new, "new") for limit in new_limits] if name is not None else []
     checks += [limit.check(sifted.kept, "all") for limit in total_limits]
     results = Results(
         tools=state.tools,
         files=state.files,
         code_lines=state.code_lines,
         left_out=state.left_out,
-        base=base,
+        base=name,
         new=new,
         unchanged=tuple(finding for finding in state.compared.unchanged if finding not in reasons),
         fixed=state.compared.fixed,
@@ -105,7 +107,7 @@ def analysed(settings: AnalysisSettings, folder: Path, output: Path | None, runn
         metrics=state.metrics.graded(sifted.kept, state.code_lines) if state.metrics else None,
         graph=state.graph.since(state.earlier_graph) if state.graph else None,
     )
-    text = state.sarif(reasons, compared=base is not None)
+    text = state.sarif(reasons, compared=name is not None)
     return report(results, text, state.graph, repository.root, output), results
 
 
@@ -145,8 +147,12 @@ def _base(settings: AnalysisSettings, repository: Repository) -> tuple[str | Non
     """Return the base commit of the change; or None, with the reason.
 
     Raises:
-        InputError: it is requested, and cannot be found.
+        InputError: it is requested, and cannot be found; or a file of earlier findings is given too.
     """
+    if settings.base_sarif is not None:
+        if settings.base is not None:
+            raise InputError("base and base-sarif exclude each other: a commit, or the findings of an earlier analysis")
+        return None, ()
     try:
         return find_base(repository, settings.base, Event.from_environment(os.environ).bases), ()
     except InputError as error:
@@ -171,7 +177,9 @@ def _analysed(
     runner.log(f"{count_of(len(looked_at), 'file')} for {', '.join(name for name, files in wanted.items() if files)}")
     findings = _findings(analysers, wanted, now, seconds)
     graph = earlier_graph = read_graph(now, seconds) if wanted.get(Ros.name) else None
-    if base is None:
+    if settings.base_sarif is not None:
+        compared = compare_with_earlier(with_content(findings, now), read_earlier(settings.base_sarif))
+    elif base is None:
         compared = Compared((), tuple(findings), ())
     else:
         changed = repository.changed(base)

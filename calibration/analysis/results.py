@@ -61,7 +61,9 @@ class Results:
     files: int = field("Number of files that at least one of them analysed.")
     code_lines: int = field("Number of non-empty lines of these files.")
     left_out: Mapping[str, str] = field("Reason why a file was not analysed, by path.")
-    base: str | None = field("Base commit of the change; null if there is nothing to compare with.")
+    base: str | None = field(
+        "Base commit of the change, or the file of earlier findings; null if there is nothing to compare with."
+    )
     new: tuple[Finding, ...] = field("New findings of the change.")
     unchanged: tuple[Finding, ...] = field("Findings of the base too; all findings if there is no base.")
     fixed: tuple[Finding, ...] = field("Fixed findings, at their lines in the base.")

@@ -18,6 +18,9 @@ class AnalysisSettings:
         "Only these of ruff, cppcheck, shellcheck, yamllint, zizmor, lizard, xml, urdf, ros (all).", default=()
     )
     base: str | None = field("Branch or commit that the change goes to (what the event says).", default=None)
+    base_sarif: Path | None = field(
+        "findings.sarif of an earlier analysis to compare with, in place of a commit.", default=None
+    )
     max_new: tuple[str, ...] = field(
         "Most new findings of a severity, a category or all (error=0 security=0).", default=("error=0", "security=0")
     )
