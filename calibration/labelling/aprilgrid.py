@@ -6,6 +6,8 @@ of tags are about 3 px off, because the squares at the corners touch the tags.
 Ids are Kalibr's (`calibration.dataset.pattern.tag_grid`).
 """
 
+import math
+
 from calibration.dataset.configuration import TAG_COUNT, PatternConfiguration
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
@@ -24,6 +26,8 @@ LEAST_FREE = 3.0
 """Corners of smaller tags (below 15 px, by the usual spacing) are skipped: the print next to them biases them. Measured
 errors are 0.05 px for squares wider than 20 px, 0.2 px and more at 14 px.
 """
+LEAST_ANGLE = math.radians(25)
+"""Corners whose edges meet at a smaller angle are skipped: blur fills the wedge (0.2 to 2.4 px off)."""
 
 
 class AprilgridDetector:
@@ -59,7 +63,9 @@ class AprilgridDetector:
             return NotDetected(f"{seen} tags, {LEAST_TAGS} are needed that lie as on the board")
         if len(reading.markers) <= LEAST_AGREEING * seen:
             return NotDetected(f"{len(reading.markers)} of {seen} tags lie as on the board, more than half are needed")
-        return enough(self._corners, *find_corners(image, reading, self._corners, self._clearance, LEAST_FREE))
+        return enough(
+            self._corners, *find_corners(image, reading, self._corners, self._clearance, LEAST_FREE, LEAST_ANGLE)
+        )
 
     def _read(self, image: Image) -> tuple[Reading | None, int]:
         """Return the tags that match the board, and the number of all tags.

@@ -15,7 +15,7 @@ from calibration.geometry.types import Array, IntArray
 from calibration.labelling.board_image import fits_neighbours, predict
 from calibration.labelling.detection import Image, NotDetected
 from calibration.labelling.layouts import Reading
-from calibration.labelling.printed_corners import refine, shortest
+from calibration.labelling.printed_corners import angles, refine, shortest
 
 DECIMALS = 4
 """Decimals of the corners' pixels."""
@@ -30,7 +30,7 @@ LEAST_SHARE = 0.25
 
 
 def find_corners(
-    image: Image, reading: Reading, corners: Array, clearance: float, least: float = 0.0
+    image: Image, reading: Reading, corners: Array, clearance: float, least: float = 0.0, least_angle: float = 0.0
 ) -> tuple[IntArray, Array]:
     """Find the corners of a board, first from its markers, and then from each other.
 
@@ -40,6 +40,7 @@ def find_corners(
         corners: (C, 2), positions of all corners by id.
         clearance: distance around a corner without other print, along x and y.
         least: corners are skipped if this distance is shorter in the image, px.
+        least_angle: they are skipped too if their edges meet at a smaller angle in the image, rad.
 
     Returns:
         The ids (K,) and the pixels (K, 2).
@@ -49,7 +50,9 @@ def find_corners(
     pixels, found = predicted.pixels.copy(), np.zeros(len(corners), bool)
     for _ in range(ROUNDS):
         free = clearance * shortest(predicted.jacobians)
-        wanted = np.flatnonzero((predicted.support >= SUPPORT) & (free >= least) & ~found)
+        wanted = np.flatnonzero(
+            (predicted.support >= SUPPORT) & (free >= least) & (angles(predicted.jacobians) >= least_angle) & ~found
+        )
         refined, at = refine(image, predicted.pixels[wanted], predicted.jacobians[wanted], clearance)
         seen = found.copy()
         seen[wanted[at]] = True

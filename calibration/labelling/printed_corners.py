@@ -57,6 +57,15 @@ def shortest(jacobians: Array) -> Array:
     return lengths
 
 
+def angles(jacobians: Array) -> Array:
+    """Angle (K,) between the board's two directions in the image, rad, at most a right one; 0 if unknown."""
+    known = np.isfinite(jacobians.sum(axis=(1, 2)))
+    J = np.where(known[:, None, None], jacobians, 0.0)
+    dots = np.abs((J[..., 0] * J[..., 1]).sum(-1))
+    between: Array = np.arctan2(np.abs(np.linalg.det(J)), dots)
+    return between
+
+
 def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
     """Refine corners (K, 2) with windows of one size; failed ones have arbitrary values."""
     height, width = image.shape
