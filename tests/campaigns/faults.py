@@ -36,6 +36,11 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
         *("collect-data-sim", "--system", str(PROJECT / "datasets" / "t2rgb"), "--motion", "generate:4"),
         *("--output", "out", "--jobs", "2"),
     ),
+    "recordings": ("import-data", "--config", "import.yml", "--output", "out", "--jobs", "2"),
+    "scenarios": (
+        *("collect-data-sim", "--system", str(PROJECT / "datasets" / "t2rgb"), "--scenarios", "2", "--output", "out"),
+        *("--scenario-set", str(PROJECT / "datasets" / "scenarios.yml"), "--jobs", "2"),
+    ),
     "labels": ("label", "--dataset", DATASET, "--output", "out", "--again", "--jobs", "2"),
     "pipeline": ("run", "--output", "out", "--jobs", "2"),
     "coverage": (
@@ -56,6 +61,14 @@ systems:
     exports: {{formats: [ros2]}}
 simulation:
   fresh: {{system: {DATASET}, motion: "generate:4", minimum-collections: 4}}
+"""
+IMAGES = PROJECT / "datasets" / "t2rgb"
+IMPORT = f"""\
+sensors:
+  left_camera: {{images: "{IMAGES}/left_camera_*", intrinsics: camera.yml}}
+  right_camera: {{images: "{IMAGES}/right_camera_*", intrinsics: camera.yml}}
+patterns:
+  board: {{type: charuco, columns: 11, rows: 8, square: 0.06, marker: 0.045, dictionary: DICT_5X5_100}}
 """
 TEST = """\
 import subprocess, unittest
@@ -166,6 +179,9 @@ def _started(
     (folder / "tmp").mkdir()
     if name == "tables":
         (folder / "table.csv").write_text("name,x\n" + "a,1\n" * 200_000)
+    elif name == "recordings":
+        (folder / "import.yml").write_text(IMPORT)
+        (folder / "camera.yml").write_text("intrinsics: {fx: 554.256, fy: 554.256, cx: 320.5, cy: 240.5}\n")
     elif name == "pipeline":
         (folder / "calibration.yml").write_text(PIPELINE)
     elif name in ("coverage", "analysis"):
