@@ -12,7 +12,7 @@ from calibration.analysis.finding import Finding
 from calibration.analysis.ros.faults import fault, quoted
 from calibration.analysis.ros.graph import build_graphs
 from calibration.analysis.ros.repository import Repository
-from calibration.analysis.ros.tree import without_comments
+from calibration.analysis.ros.tree import join, without_comments
 from calibration.analysis.xml_lines import parse_xml
 from calibration.workflow.text import did_you_mean
 
@@ -52,7 +52,7 @@ def check_frames(repository: Repository) -> Iterator[Finding]:
         if found is None:
             continue
         named, description_file = found
-        description = _description(repository, description_file)
+        description = _description(repository, path, description_file)
         if description is not None:
             yield from _frames(path, named, description, _static_frames(repository))
         if published is None:
@@ -120,8 +120,9 @@ def _of_dataset(text: str) -> tuple[list[_Named], str] | None:
     return found, description if isinstance(description, str) else ""
 
 
-def _description(repository: Repository, text: str) -> _Description | None:
-    place = repository.place(text.strip())
+def _description(repository: Repository, path: str, text: str) -> _Description | None:
+    """Return the description that a configuration names, of a package or beside the configuration."""
+    place = repository.place(text.strip()) or join(path.rpartition("/")[0], text.strip())
     if place is None or place not in repository.tree.present:
         return None
     content = repository.tree.text(place)

@@ -137,3 +137,34 @@ def test_files_of_parameters() -> None:
     assert [each.name for each in private_parameters_of("p.yaml", "a: 1\nb: {c: 2}\n")] == ["a", "b/c"]
     assert private_parameters_of("p.yaml", "a: &a {b: *a}\n") == []
     assert parameters_of("p.yaml", "{", "/x") == []
+
+
+@pytest.mark.parametrize("description", ["robot.urdf", "../calibration/robot.urdf"])
+def test_a_description_beside_the_configuration_is_read(description: str) -> None:
+    files = robot(2)
+    [urdf] = [text for path, text in files.items() if path.endswith("robot.urdf")]
+    configuration = files["calibration/config.yml"].replace("link: laser_link", "link: lidar_link", 1)
+    [named] = [line for line in configuration.splitlines() if line.startswith("description_file")]
+    files["calibration/config.yml"] = configuration.replace(named, f"description_file: {description}")
+    files["calibration/robot.urdf"] = urdf
+    assert [(each.path, each.rule) for each in found_in(files)] == [("calibration/config.yml", "ros/no-such-frame")]
+
+
+def test_the_frames_of_a_dataset_are_checked() -> None:
+    files = robot(2)
+    [description] = [path for path in files if path.endswith("_description/package.xml")]
+    name = description.split("/")[-2]
+    sensor = {"link": "lidar_link", "parent_link": "base_link", "child_link": "laser_link", "topic_name": "/x"}
+    configuration = {"description_file": f"package://{name}/urdf/robot.urdf", "sensors": {"laser": sensor}}
+    files["data/dataset.json"] = json.dumps({"calibration_config": configuration}, indent=1)
+    [finding] = found_in(files)
+    assert (finding.path, finding.rule) == ("data/dataset.json", "ros/no-such-frame")
+    assert "lidar_link" in files["data/dataset.json"].split("\n")[finding.line - 1]
+    for text in (
+        "[]",
+        '{"calibration_config": 1, "description_file": "sensors"}',
+        "{",
+        '{"sensors": "description_file"}',
+    ):
+        files["data/dataset.json"] = text
+        assert found_in(files) == []
