@@ -6,7 +6,6 @@ are in one table, and a link refers to one of its rows in each view.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -16,6 +15,7 @@ from calibration.estimation.blocks import Block, FreeJoint, Pose, Values
 from calibration.estimation.intrinsics import FreeIntrinsics
 from calibration.estimation.residuals import CHUNK, CornerTerm, side_by_side
 from calibration.estimation.views import Link, Term, ViewGroup, per_view, times
+from calibration.frozen import frozen
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, IntArray
 
@@ -26,7 +26,7 @@ VIEWS_OF_SEVERAL_CAMERAS = 128
 Columns = slice | IntArray
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Part:
     """Views of one group in a batch, with the parameters of the columns of the batch's Jacobian."""
 
@@ -63,7 +63,7 @@ class Part:
         return index_of(self.collections, self.local_at, self.local_at)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Step:
     """Link of all views of a batch."""
 
@@ -80,7 +80,7 @@ class _Step:
     """Its columns in the Jacobian."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Batch:
     """V views of one or more groups."""
 

@@ -1,18 +1,18 @@
 """Blocks of unknowns: a pose, a joint or a camera's intrinsics, each with its parametrisation."""
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 from calibration.dataset.model import Edge
 from calibration.estimation.intrinsics import FreeIntrinsics
 from calibration.estimation.motion import Motion
+from calibration.frozen import frozen
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
 from calibration.geometry.transforms import adjoint, moved_twists, retract
 from calibration.geometry.types import Array
 
 
-@dataclass(frozen=True)
+@frozen
 class Pose:
     """Transform ``T_parent_child`` (4, 4), moved by a twist in its child frame: translation, rotation (m, rad)."""
 
@@ -33,7 +33,7 @@ class Pose:
         return [Motion("translation", 3, unit=size, extent=size), Motion("rotation", 3)]
 
 
-@dataclass(frozen=True)
+@frozen
 class FreeJoint:
     """Joint with some unknown parameters; its value is the array of all parameters, (7,)."""
 
@@ -74,7 +74,7 @@ class FreeJoint:
         ]
 
 
-@dataclass(frozen=True)
+@frozen
 class Block:
     """Unknown, with its parametrisation."""
 

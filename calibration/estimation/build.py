@@ -1,7 +1,7 @@
 """Build the least-squares problem of a dataset: the unknown transforms, and the labels that depend on them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -21,11 +21,12 @@ from calibration.estimation.single_views import corner_term
 from calibration.estimation.unknown_intrinsics import intrinsics_blocks
 from calibration.estimation.usable_labels import usable_labels
 from calibration.estimation.views import Chain, Link, Term, ViewGroup
+from calibration.frozen import frozen
 from calibration.geometry.transforms import inverse, translation
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Setup:
     """Problem, with the meaning of its blocks in the dataset."""
 

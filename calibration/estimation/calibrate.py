@@ -1,7 +1,7 @@
 """Calibrate a dataset: from its labels to transforms, their covariances, and warnings."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.estimation.suspects import explains_all
 from calibration.estimation.unknown_intrinsics import contradicted_priors
 from calibration.estimation.wrong_views import without, wrong_views
+from calibration.frozen import frozen
 from calibration.geometry.transforms import adjoint, inverse, translation
 from calibration.geometry.types import Array, BoolArray, IntArray
 
@@ -119,7 +120,7 @@ def _explained(dataset: Dataset, started: "_Started", options: Options) -> Calib
     return whole if whole.converged and explains_all(whole.solution.model) else None
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Started:
     """Problem with its initial values."""
 

@@ -13,18 +13,18 @@ The inverse of the information, C, is valid for independent noise of the labels 
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.estimation.linear_model import LinearModel
+from calibration.frozen import frozen
 from calibration.geometry.types import Array
 
 DECISIVE = 1e-6
 """Information left without a cluster, relative to the total, below which that cluster alone determines a direction."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class ErrorBars:
     """Covariances of the shared parameters, by block."""
 

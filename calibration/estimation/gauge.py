@@ -7,7 +7,6 @@ free per collection is degenerate with any such motion.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,13 +14,14 @@ from calibration.dataset.model import Dataset, Edge
 from calibration.errors import UndeterminedError
 from calibration.estimation.blocks import Block
 from calibration.estimation.views import ViewGroup
+from calibration.frozen import frozen
 from calibration.geometry.types import BoolArray
 
 RIGID = 1e-9
 """Tolerance (m, and elements of rotations) of transforms that are the same in all collections."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Gauge:
     """Fixed transforms, if the data determine only relative poses."""
 

@@ -5,7 +5,6 @@ Each is a *cause*: a few parameters with a common error, the derivatives of the 
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -16,6 +15,7 @@ from calibration.dataset.pattern import Pattern
 from calibration.estimation.assumptions import Assumptions
 from calibration.estimation.label_columns import LENS, POSE, ColumnNames
 from calibration.estimation.views import ViewGroup
+from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import Step
 from calibration.geometry.transforms import adjoint, inverse, local
@@ -30,7 +30,7 @@ CROOKED = 1e-4
 """Limit of the motion off the axis, relative to that about or along it, for a joint with one axis."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class SeenGroup:
     """Views of one sensor and one pattern at the optimum."""
 
@@ -67,7 +67,7 @@ Columns = Callable[[SeenGroup], Array | None]
 combinations (6 + E, k) of a view's columns after those of the pose; None for no effect."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Cause:
     """Fixed parameters with a possible common error."""
 

@@ -1,13 +1,14 @@
 """Free intrinsics of a camera: any subset, with or without a prior."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from calibration.estimation.motion import Motion
+from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, BoolArray
 
@@ -15,7 +16,7 @@ PIXELS = ("fx", "fy", "cx", "cy")
 """Parameters in pixels."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class CalibratedIntrinsics:
     """Estimates of intrinsics with their covariance: calibrated, or given."""
 
@@ -39,7 +40,7 @@ class CalibratedIntrinsics:
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Prior:
     """Gaussian prior of some parameters."""
 
@@ -58,7 +59,7 @@ class Prior:
         return 0.5 * (inverse + inverse.T)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class FreeIntrinsics:
     """Camera with some free intrinsics."""
 

@@ -8,7 +8,6 @@ equivalent to moving the pattern along it). Intrinsics of a camera have rows of 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +16,7 @@ from calibration.dataset.pattern import Pattern
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.residuals import BorderTerm, PoseTerm
 from calibration.estimation.views import Term
+from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array
 
@@ -32,7 +32,7 @@ RANGING = ("bias", "scale", "elevation", "sweep_x", "sweep_y", "sweep_z")
 (rad), and motion during a sweep (m per revolution, in its own frame)."""
 
 
-@dataclass(frozen=True)
+@frozen
 class ColumnNames:
     """Columns of the views of one sensor and one pattern."""
 

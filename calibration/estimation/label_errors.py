@@ -1,16 +1,16 @@
 """Residual of each label at the optimum, with its position, for checks of their distribution."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
 from calibration.estimation.result import Solution
+from calibration.frozen import frozen
 from calibration.geometry.types import Array, BoolArray
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class LabelErrors:
     """Residuals of one kind, of one sensor and one pattern."""
 

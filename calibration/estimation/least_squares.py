@@ -1,7 +1,6 @@
 """Levenberg-Marquardt minimisation over poses, joints and intrinsics."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,13 +8,14 @@ from calibration.estimation.blocks import Values
 from calibration.estimation.normal_equations import NormalEquations, Squares, Weighting, assemble
 from calibration.estimation.problem import Problem
 from calibration.estimation.residuals import robust
+from calibration.frozen import frozen
 from calibration.geometry.types import Array, BoolArray
 
 STALLED = 20
 """Number of steps without a noticeable decrease after which a minimisation has stalled."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Termination:
     """Termination criteria."""
 
@@ -30,7 +30,7 @@ class Termination:
     iterations: int = 500
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Optimum:
     """Result of a minimisation."""
 
@@ -49,7 +49,7 @@ class Optimum:
         return self.equations.total
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Evaluation:
     """Normal equations at some values, with their residuals."""
 

@@ -11,7 +11,6 @@ All questions on fixed parameters are answered from these, without another pass 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
@@ -36,6 +35,7 @@ from calibration.estimation.label_columns import POSE, squeeze
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.problem import Problem
 from calibration.estimation.views import Term
+from calibration.frozen import frozen
 from calibration.geometry.types import Array, IntArray
 
 MOST_CLUSTERS = 100
@@ -43,7 +43,7 @@ MOST_CLUSTERS = 100
 VIEWS_AT_A_TIME = 128
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class LinearModel:
     """Information and gradient of the shared parameters and of causes, by cluster."""
 
@@ -167,7 +167,7 @@ def _at_most(clusters: IntArray, most: int) -> IntArray:
     return clusters * most // count if count > most else clusters
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Sums:
     """Sums of the products of all columns, filled by `_add`."""
 
@@ -188,7 +188,7 @@ class _Sums:
         return cls(np.zeros((K, C, C)), np.zeros((K, C)), np.zeros((N, C, P)), np.zeros((N, P, P)), np.zeros((N, P)))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Design:
     """Derivatives of some views by the columns of the model: of their pose, and of the view's other columns."""
 

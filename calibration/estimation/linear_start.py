@@ -18,7 +18,7 @@ and intrinsics start from their nominal parameters: they are small corrections, 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -33,6 +33,7 @@ from calibration.estimation.robot_world import RobotWorld, solve_robot_world_rob
 from calibration.estimation.scan_alignment import align_scans, scan_equations
 from calibration.estimation.single_views import robust_poses
 from calibration.estimation.views import Chain, Link, ViewGroup
+from calibration.frozen import frozen
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
 
@@ -40,7 +41,7 @@ SINGLE_AXIS = 0.002
 """rad: rotations of a robot that tilt every direction by less than this, about all but one axis, are insufficient."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class LinearStart:
     """Initial values, and the blocks taken from the guess."""
 
@@ -108,7 +109,7 @@ def place_gauge_patterns(setup: Setup, values: Values) -> Values:
     return tuple(placed[i] if i in held else value for i, value in enumerate(values))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Sight:
     """V views ``T_sensor_pattern = chain``: of a group, or combined from two groups of the same moving pattern."""
 

@@ -1,10 +1,11 @@
 """Motion of a block by its parameters: the directions in which uncertainty is reported."""
 
-from dataclasses import dataclass
 from typing import Literal
 
+from calibration.frozen import frozen
 
-@dataclass(frozen=True)
+
+@frozen
 class Motion:
     """Translation or rotation of a pose, or the effect of one parameter of a joint or a camera."""
 

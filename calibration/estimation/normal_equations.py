@@ -24,7 +24,7 @@ rows and columns follow those of t. With ``A = dt/d(x, y)`` (6, C) of the C para
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,7 @@ from calibration.estimation.batches import Batch, index_of, table_of
 from calibration.estimation.blocks import Values
 from calibration.estimation.problem import Problem
 from calibration.estimation.views import Term
+from calibration.frozen import frozen
 from calibration.geometry.types import Array
 
 ONE_THREAD = 1 << 18
@@ -41,7 +42,7 @@ ONE_THREAD = 1 << 18
 machine."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Weighting:
     """Weights of the residuals."""
 
@@ -51,7 +52,7 @@ class Weighting:
     """Threshold of Huber's loss in standard deviations; None for plain least squares."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class NormalEquations:
     """Normal equations ``H step = -g``: S parameters of shared blocks, P of local ones per collection; see above."""
 

@@ -1,7 +1,7 @@
 """Observability of the unknowns: their covariance, and the directions that the data do not determine."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from calibration.estimation.intrinsics import PIXELS, FreeIntrinsics, Prior, roo
 from calibration.estimation.motion import Motion
 from calibration.estimation.normal_equations import NormalEquations, Weighting, assemble
 from calibration.estimation.problem import Problem
+from calibration.frozen import frozen
 from calibration.geometry.types import Array
 
 SINGULAR = 1e-12
@@ -28,7 +29,7 @@ WEAK = 0.005
 """Standard deviation (m or rad) above which a direction is reported as weak."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class WeakDirection:
     """Common motion of the shared blocks that the data hardly determine."""
 

@@ -1,7 +1,7 @@
 """Optimisation from an initial guess: noise levels that match the residuals, correction of flipped patterns."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.problem import Problem
 from calibration.estimation.residuals import CornerTerm
 from calibration.estimation.views import ViewGroup
+from calibration.frozen import frozen
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray
 
@@ -32,7 +33,7 @@ FEW = 100
 """From so many collections the first standard deviations are estimated."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class WeightedOptimum:
     """Optimum, with its weights."""
 

@@ -1,7 +1,7 @@
 """Least-squares problem: blocks of unknowns, and groups of views over N collections."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -9,11 +9,12 @@ import numpy as np
 from calibration.estimation.batches import Batch, batches
 from calibration.estimation.blocks import Block, Pose, Values
 from calibration.estimation.views import Term, ViewGroup
+from calibration.frozen import frozen
 from calibration.geometry.transforms import retract
 from calibration.geometry.types import Array, BoolArray
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Problem:
     """Blocks and groups of views over N collections."""
 

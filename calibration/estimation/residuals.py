@@ -10,7 +10,7 @@ Points are stored as structure of arrays, and processed in chunks of views that 
 import math
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar, Literal, Self
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
 from calibration.estimation.planar_pose import planar_poses
+from calibration.frozen import frozen
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import LAST_STEP
@@ -48,7 +49,7 @@ class _Scratch(threading.local):
 _SCRATCH = _Scratch()
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class CornerTerm:
     """Corners of a pattern in a camera's images: reprojection errors in pixels."""
 
@@ -281,7 +282,7 @@ def _corner_rows(
     rows[:, -1] = r
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Rays:
     """Rays to points on a pattern, one residual each."""
 
@@ -324,7 +325,7 @@ class _Rays:
         return self
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class RangeTerm(_Rays):
     """Points of a LiDAR or a depth camera on a pattern's plane: measured range minus that of the ray's intersection.
 
@@ -366,7 +367,7 @@ class RangeTerm(_Rays):
         return np.where(self.present, np.abs(meeting.height * meeting.slope), np.nan)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class BorderTerm(_Rays):
     """Rays to a pattern's border: distance of their intersections with the plane from the nearest border line.
 
@@ -453,7 +454,7 @@ class BorderTerm(_Rays):
         return np.take_along_axis(signed, side[..., None], -1)[..., 0], side
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class PoseTerm:
     """Measured poses of a pattern: difference of position, or of orientation, along the sensor's axes.
 

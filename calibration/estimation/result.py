@@ -1,7 +1,7 @@
 """Result of a calibration: transforms, covariances, residuals."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import Literal
 
@@ -19,12 +19,13 @@ from calibration.estimation.linear_model import LinearModel, linear_model
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.repeated import repeated_collections
+from calibration.frozen import frozen
 from calibration.geometry.joints import JointParameter
 from calibration.geometry.types import Array, IntArray
 from calibration.records import record
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class ViewResiduals:
     """Residuals of one sensor and one pattern."""
 
@@ -63,7 +64,7 @@ class DroppedView:
     degrees: float = records.field("How far it is turned.", unit="degrees")
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class CalibratedJoint:
     """Joint with calibrated parameters."""
 
@@ -89,7 +90,7 @@ class CalibratedJoint:
         return np.asarray(np.sqrt(np.diagonal(self.label_covariance)))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Solution:
     """Solved problem and its optimum, for checks that linearise it again."""
 
@@ -111,7 +112,7 @@ class Solution:
         return repeated_collections(self.dataset, self.weighting.scales.get("pixel"))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Calibration:
     """Result of a calibration."""
 

@@ -5,12 +5,12 @@ With an arm that carries a pattern in front of a camera, ``A_i = T_camera_patter
 are unknown. The literature writes ``A Z' = X B`` with ``Z' = inverse(Y)``.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from calibration.estimation.median import median
+from calibration.frozen import frozen
 from calibration.geometry import rotations
 from calibration.geometry.transforms import distance, inverse, transform
 from calibration.geometry.types import Array, ArrayLike
@@ -21,7 +21,7 @@ FITTING = 0.03
 """as long as their mean misfit exceeds this (rad, and translations relative to the distance)."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Spectrum:
     """Observability of a robot-world problem, from the motion and the measurements."""
 

@@ -7,20 +7,19 @@ its three fixed Euler axes. Additional transforms that are free per collection g
 of their own in each.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from calibration.dataset.model import Dataset, Edge
 from calibration.estimation.blocks import Values
 from calibration.estimation.build import Setup
 from calibration.estimation.usable_labels import usable_labels
+from calibration.frozen import frozen
 from calibration.geometry import rotations
 from calibration.geometry.transforms import transform
 from calibration.geometry.types import Array
 
 
-@dataclass(frozen=True)
+@frozen
 class StartingNoise:
     """Noise of an initial guess."""
 

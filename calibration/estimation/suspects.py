@@ -20,13 +20,14 @@ are named with it.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from calibration.estimation.held import PLACE, Cause
 from calibration.estimation.linear_model import LinearModel
 from calibration.estimation.significance import score_of_f, threshold
+from calibration.frozen import frozen
 from calibration.geometry.types import Array, IntArray
 
 FEWEST_CLUSTERS = 6
@@ -50,7 +51,7 @@ HALF_PIXEL = (0.35, 0.65)
 """Deviation of the principal point that indicates the other convention of pixel centres."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Suspect:
     """Cause that does not fit, with its estimate."""
 
@@ -71,7 +72,7 @@ class Suspect:
     """Other causes that explain nearly as much."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Candidates:
     """Causes of the same size, tested together: n causes with k parameters each."""
 
@@ -83,7 +84,7 @@ class _Candidates:
     """(n, K): mask of the clusters that they concern."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Disagreement:
     """Disagreement of collections, or of sensors in them, beyond the noise inside their views."""
 
@@ -102,7 +103,7 @@ class Disagreement:
         return self.ratio > CONTRADICTION * self.expected
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Explanation:
     """Suspects, best explanation first, and the remaining disagreement."""
 
@@ -207,7 +208,7 @@ def _candidates(model: LinearModel) -> Iterator[_Candidates]:
         yield _Candidates([cause for cause, _, _ in each], [since for _, since, _ in each], columns, masks)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _State:
     """Linear model with the causes that have been set free among the free parameters."""
 
@@ -300,7 +301,7 @@ def _whitening(G: Array, alone: Array) -> Array:
     return whitening
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Step:
     """Newton step that frees a cause."""
 

@@ -11,18 +11,19 @@ the centre rotates the pattern without moving it, which decouples rotation and t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
+from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, IntArray
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Link:
     """Block in a chain, and the constant that follows it."""
 
@@ -32,7 +33,7 @@ class Link:
     """(4, 4), or (V, 4, 4) if it differs between collections; None for the identity."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Chain:
     """``T_sensor_pattern`` as ``before * link * link ...``, each link a block and a constant; no block occurs twice."""
 
@@ -125,7 +126,7 @@ class Term(Protocol):
         """Norm (V, L) of each label's residual in px, m or rad; NaN without a label."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class ViewGroup:
     """Views of one sensor and one pattern."""
 

@@ -12,7 +12,7 @@ Fischler and R. C. Bolles, "Random sample consensus", 1981), then that of all co
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -34,6 +34,7 @@ from calibration.estimation.residuals import CornerTerm, PoseTerm, RangeTerm
 from calibration.estimation.result import DroppedView
 from calibration.estimation.single_views import robust_poses
 from calibration.estimation.views import Term, ViewGroup
+from calibration.frozen import frozen
 from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array, BoolArray, IntArray
 
@@ -167,7 +168,7 @@ def _middle(magnitudes: Array, counts: IntArray) -> Array:
 # ----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Verdict:
     """Result of a test."""
 

@@ -4,15 +4,16 @@ The camera frame is the optical one: x right, y down, z forward. Pixel (0, 0) is
 top-left pixel.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
+from calibration.frozen import frozen
 from calibration.geometry.distortion import Distortion, PlumbBob
 from calibration.geometry.types import Array, BoolArray
 
 
-@dataclass(frozen=True)
+@frozen
 class Camera:
     """A pinhole camera with distortion. Focal lengths and principal point are in pixels."""
 

@@ -5,12 +5,13 @@ The Jacobian of each model here is symmetric, so three numbers suffice.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
 
+from calibration.frozen import frozen
 from calibration.geometry.types import Array
 
 LAST_STEP = 1e-8
@@ -73,7 +74,7 @@ class Distortion(ABC):
         """
 
 
-@dataclass(frozen=True)
+@frozen
 class _RadialTangential(Distortion):
     """Radial-tangential model: ``x' = x radial(r2) + 2 p1 x y + p2 (r2 + 2 x^2)``; y' with p1 and p2 exchanged."""
 
@@ -147,7 +148,7 @@ class _RadialTangential(Distortion):
         """Radial factor, and twice its derivative with respect to r2."""
 
 
-@dataclass(frozen=True)
+@frozen
 class PlumbBob(_RadialTangential):
     """Radial and tangential distortion with 5 coefficients (Brown-Conrady; ROS's ``plumb_bob``).
 
@@ -172,7 +173,7 @@ class PlumbBob(_RadialTangential):
         return self._radial(r2), 2 * self.k1 + r2 * (4 * self.k2 + 6 * self.k3 * r2)
 
 
-@dataclass(frozen=True)
+@frozen
 class Rational(_RadialTangential):
     """Rational radial and tangential distortion with 8 coefficients (ROS's ``rational_polynomial``).
 
@@ -228,7 +229,7 @@ NEAR_AXIS = 1e-2
 """Limit of r2 below which a series replaces a difference that would lose digits to cancellation."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Equidistant(Distortion):
     """A fisheye lens with 4 coefficients (ROS's ``equidistant``, OpenCV's ``fisheye``).
 

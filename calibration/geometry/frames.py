@@ -1,12 +1,12 @@
 """Kinematic trees: the path between any two frames."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from calibration.errors import InputError
+from calibration.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class Step:
     """One edge of a path: the transform ``T_parent_child``, or its inverse if ``inverted``."""
 

@@ -1,11 +1,11 @@
 """Joints of a robot: the transform from parent to child and its derivatives with respect to the parameters."""
 
-from dataclasses import dataclass
 from math import cos, sin
 from typing import Literal, get_args
 
 import numpy as np
 
+from calibration.frozen import frozen
 from calibration.geometry import rotations
 from calibration.geometry.transforms import adjoint, inverse, transform, translation
 from calibration.geometry.types import Array, ArrayLike
@@ -16,7 +16,7 @@ JointParameter = Literal[
 JOINT_PARAMETERS: tuple[JointParameter, ...] = get_args(JointParameter)
 
 
-@dataclass(frozen=True)
+@frozen
 class JointModel:
     """A revolute or prismatic joint, ``T_parent_child = origin * motion(position + bias)``, as URDF has it.
 
