@@ -95,6 +95,7 @@ _LAUNCH1, _LAUNCH2 = "ROBOT_bringup/launch/robot.launch", "ROBOT_bringup/launch/
 _SENSORS2 = "ROBOT_bringup/launch/sensors.launch.xml"
 _MONITOR1, _MONITOR2 = "ROBOT_tools/scripts/monitor.py", "ROBOT_tools/ROBOT_tools/monitor.py"
 _FOLLOWER2 = "ROBOT_tools/ROBOT_tools/follower.py"
+_MESH = "ROBOT_description/meshes/base.stl"
 _CALIBRATION = "calibration/config.yml"
 _SENSORS_INCLUDE = (_LAUNCH2, "AnyLaunchDescriptionSource(sensors)")
 
@@ -596,6 +597,14 @@ KINDS: tuple[Kind, ...] = (
         "a calibration's topic that nothing publishes",
         "not-connected",
         tuple(Edit(version, _CALIBRATION, "/TOPIC_scan_raw", "/~TOPIC_scan_raw~") for version in (1, 2)),
+    ),
+    Kind(
+        "a mesh in millimetres",
+        "mesh-size",
+        (
+            Edit(1, _URDF, 'base.stl"/>', 'base.stl" scale="1000 1000 1000"/>'),
+            Edit(2, _MESH, "vertex 1 0 0", "vertex 1000 0 0", (_URDF, "base.stl")),
+        ),
     ),
 )
 """All kinds, in the order of the rules."""

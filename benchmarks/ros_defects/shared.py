@@ -1,5 +1,9 @@
 """Files of both robots: the description, and the calibration of their sensors."""
 
+_MESH = (
+    "solid base\nfacet\nouter loop\nvertex 0 0 0\nvertex {0} 0 0\nvertex 0 {0} 0\nendloop\nendfacet\nendsolid base\n"
+)
+
 FILES: dict[str, str] = {
     "ROBOT_description/urdf/robot.urdf": """<?xml version="1.0"?>
 <robot name="ROBOT">
@@ -25,7 +29,7 @@ FILES: dict[str, str] = {
   </joint>
 </robot>
 """,
-    "ROBOT_description/meshes/base.stl": "solid base\nendsolid base\n",
+    "ROBOT_description/meshes/base.stl": _MESH.format(1),
     "calibration/config.yml": """description_file: package://ROBOT_description/urdf/robot.urdf
 bag_file: ""
 world_link: base_link

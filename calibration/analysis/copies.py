@@ -17,6 +17,9 @@ _DATA = (
     *(".bag", ".db3", ".gz", ".mcap", ".npy", ".npz", ".pcd", ".ply", ".zip"),
 )
 """Suffixes of data files, which are skipped without a report."""
+_MESHES = ".stl"
+"""Suffix of data files that are copied, for checks of the files that name them."""
+MAX_MESH_BYTES = 20_000_000
 _DEEPEST = 4000
 """Limit of a path's length in characters."""
 
@@ -34,6 +37,8 @@ class Copy:
     """All tracked files, also those that are not copied."""
     opaque: tuple[str, ...] = ()
     """Symbolic links and submodules."""
+    meshes: tuple[str, ...] = ()
+    """Meshes that are copied too, and not analysed themselves."""
 
     def text(self, path: str) -> str:
         """Return the text of a file; invalid UTF-8 is replaced."""
@@ -70,8 +75,12 @@ def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
     """
     left_out: dict[str, str] = {}
     kept: list[str] = []
+    meshes: list[str] = []
     for path in paths:
-        if PurePosixPath(path).suffix.lower() in _DATA:
+        suffix = PurePosixPath(path).suffix.lower()
+        if suffix == _MESHES and _unfit(path) is None and _copied_mesh(repository, folder, path):
+            meshes.append(path)
+        if suffix in _DATA:
             continue
         if len(kept) >= MAX_FILES:
             raise InputError(f"{repository.root}: more than {MAX_FILES} files are to be analysed: name folders (paths)")
@@ -88,7 +97,17 @@ def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
             continue
         _write(folder / path, data)
         kept.append(path)
-    return Copy(folder, tuple(kept), left_out, tuple(repository.tracked()), tuple(repository.links()))
+    return Copy(folder, tuple(kept), left_out, tuple(repository.tracked()), tuple(repository.links()), tuple(meshes))
+
+
+def _copied_mesh(repository: Repository, folder: Path, path: str) -> bool:
+    """Copy a mesh; False if it is too large."""
+    try:
+        data = read_bytes(repository.root / path, MAX_MESH_BYTES, "a mesh")
+    except InputError:
+        return False
+    _write(folder / path, data)
+    return True
 
 
 def before(now: Copy, repository: Repository, commit: str, folder: Path, changed: Iterable[str]) -> Copy:
@@ -107,7 +126,7 @@ def before(now: Copy, repository: Repository, commit: str, folder: Path, changed
     Raises:
         InfrastructureError: git fails, or a file cannot be written.
     """
-    for path in now.files:
+    for path in (*now.files, *now.meshes):
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)
         target.hardlink_to(now.root / path)
@@ -126,7 +145,8 @@ def before(now: Copy, repository: Repository, commit: str, folder: Path, changed
         if data is not None and not _is_binary(data):
             _write(folder / path, data)
             kept.append(path)
-    return Copy(folder, tuple(kept), present=tuple(present), opaque=now.opaque)
+    meshes = tuple(path for path in now.meshes if (folder / path).exists())
+    return Copy(folder, tuple(kept), present=tuple(present), opaque=now.opaque, meshes=meshes)
 
 
 def _is_binary(data: bytes) -> bool:

@@ -7,6 +7,7 @@ from calibration.analysis.ros.build_checks import check_builds
 from calibration.analysis.ros.frame_checks import check_frames
 from calibration.analysis.ros.graph_checks import check_graph
 from calibration.analysis.ros.launch_checks import check_launches
+from calibration.analysis.ros.mesh_checks import check_meshes
 from calibration.analysis.ros.package_checks import check_packages
 from calibration.analysis.ros.repository import Repository
 from calibration.analysis.ros.tree import Tree
@@ -17,6 +18,7 @@ CHECKS: tuple[Callable[[Repository], Iterator[Finding]], ...] = (
     check_launches,
     check_graph,
     check_frames,
+    check_meshes,
 )
 
 

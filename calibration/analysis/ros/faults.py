@@ -60,6 +60,7 @@ RULES: dict[str, Rule] = {
         "error-prone", "error", "a calibration names a frame that the robot description does not have"
     ),
     "frame-parent": Rule("error-prone", "error", "a calibration names another parent of a frame than the description"),
+    "mesh-size": Rule("error-prone", "warning", "a mesh of a robot description is too large for metres"),
 }
 """Rules by name."""
 
