@@ -2,6 +2,7 @@
 
 import ast
 import re
+import warnings
 from collections.abc import Iterator
 from configparser import ConfigParser
 from configparser import Error as ConfigError
@@ -41,8 +42,6 @@ class Setup:
 
 def parse_python(text: str) -> ast.Module | None:
     """Parse Python; None if it does not parse."""
-    import warnings
-
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # invalid escapes in the strings of others
