@@ -4,6 +4,7 @@ import hashlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -44,8 +45,8 @@ class View:
     file: str = field("The image.")
     width: int = field("Of the image.", unit="px")
     height: int = field("Of the image.", unit="px")
-    digest: str = field("Of its pixels.")
     found: Mapping[str, FoundCorners] = field("By pattern.")
+    digest: str = field("Of the pixels of a file, in which copies are looked for.", default="")
 
     @property
     def labelled(self) -> bool:
@@ -104,7 +105,9 @@ def look(path: Path, detectors: Mapping[str, CornerDetector]) -> View:
     Raises:
         InputError: it cannot be read.
     """
-    return look_at(read_image(path), str(path), detectors)
+    image = read_image(path)
+    digest = hashlib.sha256(np.ascontiguousarray(image).data).hexdigest()
+    return replace(look_at(image, str(path), detectors), digest=digest)
 
 
 def look_at(image: Image, file: str, detectors: Mapping[str, CornerDetector]) -> View:
@@ -116,8 +119,7 @@ def look_at(image: Image, file: str, detectors: Mapping[str, CornerDetector]) ->
             found[pattern] = FoundCorners(tuple(seen.ids.tolist()), tuple(seen.pixels.ravel().tolist()))
         else:
             found[pattern] = FoundCorners((), (), seen.reason)
-    digest = hashlib.sha256(np.ascontiguousarray(image).tobytes()).hexdigest()
-    return View(file, image.shape[1], image.shape[0], digest, found)
+    return View(file, image.shape[1], image.shape[0], found)
 
 
 def check_sizes(sensor: str, views: Sequence[View]) -> None:

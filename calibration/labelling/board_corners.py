@@ -48,6 +48,7 @@ def find_corners(
     places = reading.layout.markers[reading.markers.ids].reshape(-1, 2)
     predicted = predict(places, reading.markers.corners.reshape(-1, 2), corners)
     pixels, found = predicted.pixels.copy(), np.zeros(len(corners), bool)
+    agreed = found
     for _ in range(ROUNDS):
         free = clearance * shortest(predicted.jacobians)
         wanted = np.flatnonzero(
@@ -61,7 +62,10 @@ def find_corners(
         before, found = found, seen & (likeness >= LIKENESS)
         if found.sum() < 4:
             break
-        found[found] = fits_neighbours(corners[found], pixels[found])
+        if not np.array_equal(found, agreed):  # else they agree as in the last round
+            seen = found.copy()
+            found[found] = fits_neighbours(corners[found], pixels[found])
+            agreed = found.copy() if np.array_equal(found, seen) else np.zeros_like(found)
         if found.sum() < 4 or not (found & ~before).any():
             break
         predicted = predict(corners[found], pixels[found], corners)

@@ -94,28 +94,34 @@ class _Around:
 
     def __init__(self, places: Array, wanted: Array) -> None:
         self._places, self._wanted = places, wanted
+        self._same = places is wanted
         offset = (places - wanted[:, None]) / REACH  # (M, N, 2)
         x, y = offset[..., 0], offset[..., 1]
-        self.near: Array = np.exp(-x * x - y * y)
+        xx, yy = x * x, y * y
+        self.near: Array = np.exp(-xx - yy)
         """(M, N): weight of each known point for each wanted position, 0 to 1."""
-        self._basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)  # (M, N, 6)
+        self._least_trust = 0.3 * self.near.sum(axis=0)
+        self._basis = np.stack([np.ones_like(x), x, y, xx, x * y, yy], 1)  # (M, 6, N)
 
     def predict(self, pixels: Array, weights: Array) -> Prediction:
         """Predict the wanted positions from known points at pixels (N, 2) with weights (M, N)."""
-        trusted = weights.sum(axis=0) > 0.3 * self.near.sum(axis=0)
+        trusted = weights.sum(axis=0) > self._least_trust
         trusted = trusted if trusted.sum() >= 4 else np.ones(len(pixels), bool)
         H = homography(self._places[trusted], pixels[trusted])
         about, jacobians = project(H, self._wanted)
-        left_over = pixels - project(H, self._places)[0]
-        weighted = np.swapaxes(self._basis * weights[..., None], 1, 2)
-        moments = weighted @ self._basis + RIDGE * np.eye(6)
-        fit = np.linalg.inv(moments)[:, :3] @ weighted  # (M, 3, N): contribution of each point to value and slopes
-        bend = fit @ left_over  # (M, 3, 2): value and slopes of the quadratic at the wanted position
+        left_over = pixels - (about if self._same else project(H, self._places)[0])
+        weighted = self._basis * weights[:, None]
+        moments = weighted @ np.swapaxes(self._basis, 1, 2) + RIDGE * np.eye(6)
+        sides = np.zeros((len(moments), 6, 3))
+        sides[:, :, :2], sides[:, 0, 2] = weighted @ left_over, 1.0
+        solved = np.linalg.solve(moments, sides)
+        bend = solved[:, :3, :2]  # (M, 3, 2): value and slopes of the quadratic at the wanted position
+        shares = (solved[:, None, :, 2] @ weighted)[:, 0]  # (M, N): contribution of each point to the value
         return Prediction(
             pixels=about + bend[:, 0],
             jacobians=jacobians + np.swapaxes(bend[:, 1:], 1, 2) / REACH,
             support=weights.sum(-1),
-            spread=np.sqrt((fit[:, 0] ** 2).sum(-1)),
+            spread=np.sqrt((shares**2).sum(-1)),
         )
 
 

@@ -70,7 +70,7 @@ def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
     """Refine corners (K, 2) with windows of one size; failed ones have arbitrary values."""
     height, width = image.shape
     corners, found = _nearly(image, start, half), np.zeros(len(start), bool)
-    cells, moments = np.full((len(start), 2), -1), np.zeros((len(start), 5, 4, 4))
+    cells, moments = np.full((len(start), 2), -1), np.zeros((len(start), 5, 16))
     active = np.arange(len(start))
     for _ in range(STEPS):
         at = corners[active]
@@ -79,11 +79,12 @@ def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
         active, at = active[near & inside], at[near & inside]
         whole = np.floor(at).astype(int)
         if (elsewhere := (whole != cells[active]).any(axis=-1)).any():
-            moments[active[elsewhere]] = _moments(image, whole[elsewhere], half)
+            moments[active[elsewhere]] = _moments(image, whole[elsewhere], half).reshape(-1, 5, 16)
             cells[active] = whole
         x, y = (at - whole).T
-        share = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], -1)[:, None, :, None]
-        a, b, c, u, v = ((moments[active] @ share).swapaxes(-1, -2) @ share)[:, :, 0, 0].T
+        share = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], -1)
+        products = (share[:, :, None] * share[:, None]).reshape(-1, 16, 1)
+        a, b, c, u, v = (moments[active] @ products)[..., 0].T
         det = a * c - b * b
         regular = det > FLAT * (a + c) ** 2
         safe = np.where(regular, det, 1.0)

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.aprilgrid import look
 from calibration.dataset.configuration import TAGS, PatternConfiguration
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
@@ -93,6 +94,13 @@ def test_what_is_seen_so_steeply_that_its_gaps_close_is_not_found() -> None:
         off = np.linalg.norm(found.pixels - true_corners(HD_DISTORTED, BOARD, T)[found.ids], axis=-1)
         assert len(off) > 36
         assert off.max() < 0.95
+
+
+def test_sharp_wedges_are_not_found() -> None:
+    """In this image, at 70 degrees and along a diagonal, corners between edges that nearly agree were 1.4 px off."""
+    found = look(936)
+    assert len(found.errors) > 36
+    assert np.linalg.norm(found.errors, axis=-1).max() < 0.6
 
 
 def test_what_is_hidden_is_not_found() -> None:
