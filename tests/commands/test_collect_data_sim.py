@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -250,6 +251,20 @@ def test_outputs_of_the_step(small: Path, motion: Path, tmp_path: Path, monkeypa
     assert Path(found["contact-sheet"]).exists()
     assert Path(found["results"]).exists()
     assert "## collect-data-sim: pass" in (tmp_path / "summary").read_text()
+
+
+def test_a_scenario_whose_process_dies_leaves_no_temporary_folder(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    monkeypatch.setattr("calibration.simulation.scenarios.run.prove", lambda _: os._exit(3))
+    scenarios = tmp_path / "scenarios.yml"
+    scenarios.write_text("assembly: {translation_mm: {normal: [0, 3]}}\nmotion: {poses: 2}\n")
+    arguments = ("--system", small, "--scenario-set", scenarios, "--scenarios", "2", "--jobs", "2")
+    assert run(*arguments, "--output", tmp_path / "all") == 3
+    assert "a worker process died" in capsys.readouterr().err
+    assert list((tmp_path / "tmp").iterdir()) == []
 
 
 def test_many_scenarios_and_one_of_them_again(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

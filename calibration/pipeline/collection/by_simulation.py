@@ -19,7 +19,7 @@ from calibration.execution.job_folder import ARTIFACTS, LOGS
 from calibration.execution.outcome import JobOutcome
 from calibration.execution.tasks import run_tasks
 from calibration.execution.workspace import identity, workspace
-from calibration.files import read_bytes, write_atomically
+from calibration.files import read_bytes, temporary_folder, write_atomically
 from calibration.pipeline.collection.applications import INPUTS
 from calibration.pipeline.collection.report import report
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioRequest
@@ -186,8 +186,10 @@ class SimulatedScenarios(Scenarios):
         Raises:
             InfrastructureError: a file cannot be written, or a process died.
         """
-        with workspace(output, self._identity, text_of, _decoded) as work, single_threaded_opencv():
-            tasks = [scenario_task(self._set, each, self._motion, self._requirements) for each in self._scenarios]
+        resumed = workspace(output, self._identity, text_of, _decoded)
+        with resumed as work, temporary_folder() as scratch, single_threaded_opencv():
+            asked = self._motion, self._requirements, scratch
+            tasks = [scenario_task(self._set, each, *asked) for each in self._scenarios]
             found = run_tasks([work.keeping(task) for task in tasks], workers=jobs, find=work.find, done=done)
         return [Judged(result) for result in found.values()]
 

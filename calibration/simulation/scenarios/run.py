@@ -39,9 +39,20 @@ def scenario_play(scenarios: ScenarioSet, scenario: Scenario, motion: Motion | N
 
 
 def run_scenario(
-    scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None, requirements: Requirements | None = None
+    scenarios: ScenarioSet,
+    scenario: Scenario,
+    motion: Motion | None = None,
+    requirements: Requirements | None = None,
+    scratch: Path | None = None,
 ) -> ScenarioResult:
     """Collect, calibrate and judge one scenario. A failed calibration is a result too, with its reasons.
+
+    Args:
+        scenarios: the scenario's set.
+        scenario: from `ScenarioSet.scenario`.
+        motion: see `scenario_play`.
+        requirements: of its collections.
+        scratch: folder for temporary files; its owner removes what a worker leaves that dies.
 
     Raises:
         InfrastructureError: no temporary file can be written.
@@ -51,7 +62,7 @@ def run_scenario(
         played = scenario_play(scenarios, scenario, motion)
     except InputError as error:
         return replace(result, reasons=(str(error),))
-    with temporary_folder() as folder:
+    with temporary_folder(parent=scratch) as folder:
         records = _collect(played, requirements or Requirements(), folder)
         return finished_result(result, records, prove(folder) if kept(records) else None)
 
@@ -74,10 +85,14 @@ def finished_result(result: ScenarioResult, records: Sequence[Record], proof: Pr
 
 
 def scenario_task(
-    scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None, requirements: Requirements | None = None
+    scenarios: ScenarioSet,
+    scenario: Scenario,
+    motion: Motion | None = None,
+    requirements: Requirements | None = None,
+    scratch: Path | None = None,
 ) -> Task[ScenarioResult]:
-    """Return the task of one scenario, named by its id; its result does not depend on the others."""
-    return Task.call(scenario.id, partial(run_scenario, scenarios, scenario, motion, requirements))
+    """Return the task of `run_scenario`, named by the scenario's id; its result does not depend on the others."""
+    return Task.call(scenario.id, partial(run_scenario, scenarios, scenario, motion, requirements, scratch))
 
 
 def _collect(played: Play, requirements: Requirements, folder: Path) -> list[Record]:
