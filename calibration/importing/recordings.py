@@ -31,8 +31,10 @@ from calibration.importing.survey import SensorTopic, Survey
 from calibration.labelling.detection import CornerDetector, DepthImage, Image
 from calibration.records import field, read, result
 
-AT_ONCE = 40
-"""Images of one task, whose result is stored."""
+AT_ONCE = 20
+"""Images of one task, whose result is stored. To open a bag takes a third of an image's time; a long last task leaves
+the other processes idle.
+"""
 LIDAR_LAG = 0.2
 """s: a rotating LiDAR takes 0.1 s for one cloud, and nothing moves meanwhile."""
 MAX_TIMES = 1_000_000
