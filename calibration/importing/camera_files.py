@@ -62,7 +62,7 @@ def read_lens(path: Path, name: str | None = None) -> KnownLens:
     else:
         root = Node(path, (), read_yaml(path, "a file of intrinsics"))
     document = root.mapping()
-    if cameras := [key for key, value in document.items() if isinstance(value, dict) and "camera_model" in value]:
+    if cameras := [key for key, node in root.items() if isinstance(node.value, dict) and "camera_model" in node.value]:
         chosen = _chosen(root, cameras, name)
         return replace(_kalibr(root[chosen]), T_chain_camera=_pose_in_chain(root, chosen))
     if numbered := [key[len("name_") :] for key in document if isinstance(key, str) and key.startswith("name_")]:
