@@ -23,6 +23,8 @@ KALIBR_MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "p
 """ROS's names of Kalibr's distortion models; the other ones (fov) have no equivalent."""
 BASELINE = "T_cn_cnm1"
 """Kalibr's key of a camera: the pose of the one before in its frame."""
+MAX_BASELINE = 1e4
+"""Limit of a baseline, m."""
 ROUNDED = 1e-2
 """Limit of how far an element of a rotation in a file is off."""
 _KEYS = {
@@ -135,8 +137,8 @@ def _rigid(node: Node) -> Array:
     """Parse a transform of four rows (4, 4); its rotation may be rounded."""
     rows = [row.numbers(4) for row in node.elements()]
     T = np.array(rows) if len(rows) == 4 else np.zeros((4, 4))
-    R = rotations.nearest(T[:3, :3])
-    if abs(T[:3, :3] - R).max() > ROUNDED or (T[3] != [0, 0, 0, 1]).any():
+    R = rotations.nearest(np.clip(T[:3, :3], -2, 2))
+    if abs(T[:3, :3] - R).max() > ROUNDED or (T[3] != [0, 0, 0, 1]).any() or abs(T[:3, 3]).max() > MAX_BASELINE:
         raise node.fault("is no transform, expected four rows of four numbers: a rotation, a translation, 0 0 0 1")
     return transform(R, T[:3, 3])
 

@@ -248,6 +248,17 @@ cam0:
   distortion_coeffs: [0, 0, 0, 0]
   resolution: [640, 480]
 """
+STEREO = (
+    CAMCHAIN
+    + CAMCHAIN.replace(b"cam0", b"cam1")
+    + b"""\
+  T_cn_cnm1:
+  - [1.0, 0.0, 0.0, -0.1]
+  - [0.0, 0.99995, -0.01, 0.0]
+  - [0.0, 0.01, 0.99995, 0.002]
+  - [0.0, 0.0, 0.0, 1.0]
+"""
+)
 
 
 SUPPRESSIONS = b"""\
@@ -332,6 +343,7 @@ TARGETS: Mapping[str, Target] = {
     ),
     "import.yml": Target("import.yml", lambda: [IMPORT], read_description, 4),
     "intrinsics": Target("camera.yaml", lambda: [CAMERA_INFO, CAMCHAIN], read_lens, 4),
+    "camchain": Target("camchain.yaml", lambda: [STEREO], partial(read_lens, name="cam1"), 4),
     "hand-eye-samples": Target(
         "robot.samples", _hand_eye("robot.samples", "moveit.yaml"), partial(read_samples, in_hand=True), 4
     ),
