@@ -31,7 +31,7 @@ def test_only_requested_formats_are_written(tmp_path: Path) -> None:
     [
         (["--formats", "urfd"], "found 'urfd', expected urdf, xacro"),
         (["--formats", "urdf"], "give robot-description"),
-        (["--robot-description", "none.urdf"], "none.urdf: a URDF was expected"),
+        (["--robot-description", "none.urdf"], "none.urdf: a robot description was expected"),
         (["--robot-description", str(DATASETS / "riwbot" / "robot.urdf")], "no chain of joints"),
     ],
 )
