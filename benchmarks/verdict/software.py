@@ -12,7 +12,8 @@ from benchmarks.rows import Bar, Row
 from benchmarks.verdict.strata import Stratum, clean, entries
 from calibration.dataset.model import Dataset
 from calibration.estimation.build import build
-from calibration.estimation.calibrate import calibrate, initial_values
+from calibration.estimation.calibrate import calibrate
+from calibration.estimation.initial_values import initial_values
 from calibration.estimation.least_squares import Termination, minimise
 from calibration.estimation.linear_start import pattern_poses
 from calibration.estimation.normal_equations import Weighting

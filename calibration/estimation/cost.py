@@ -7,12 +7,13 @@ import numpy as np
 from calibration.dataset.model import Dataset
 from calibration.errors import solvable
 from calibration.estimation.build import Setup, build
-from calibration.estimation.calibrate import initial_values
+from calibration.estimation.flipped_patterns import unflipped
+from calibration.estimation.initial_values import initial_values
 from calibration.estimation.least_squares import Termination, minimise, settle
 from calibration.estimation.linear_start import pattern_poses
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.normal_equations import Weighting
-from calibration.estimation.optimisation import HUBER, unflipped
+from calibration.estimation.optimisation import HUBER
 from calibration.estimation.options import Options
 
 _NEAR = Termination(decrease=1e-3, iterations=30)

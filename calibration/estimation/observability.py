@@ -1,6 +1,6 @@
 """Observability of the unknowns: their covariance, and the directions that the data do not determine."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 
 import numpy as np
@@ -47,7 +47,7 @@ class WeakDirection:
     parameters: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
     """Of each joint or camera among the blocks, the parameters that change; largest change first."""
 
-    def describe(self, names: list[str]) -> str:
+    def describe(self, names: Sequence[str]) -> str:
         """Describe transform and axis, or joint or intrinsics and parameters, in one phrase."""
         unit = {"translation": "mm", "rotation": "mrad", "ray": "mrad of a ray"}[self.kind]
         size = f"{1e3 * self.sigma:.3g} {unit}" if np.isfinite(self.sigma) else "without bound"
@@ -58,7 +58,7 @@ class WeakDirection:
         what = "moving along" if self.kind == "translation" else "turning about"
         return f"'{names[self.block]}' {what} ({x:g}, {y:g}, {z:g}) of its frame{along}: {size}"
 
-    def to_hold(self, names: list[str]) -> str:
+    def to_hold(self, names: Sequence[str]) -> str:
         """Return the name of the joint's or camera's parameter that changes least, to be fixed; empty without one."""
         return next((f"{names[block]}-{each[-1]}" for block, each in self.parameters.items() if each), "")
 
@@ -75,7 +75,7 @@ class WeakDirection:
         powers = sorted(each for each in moving if each.startswith("k"))
         return denominator or tuple(powers[-1:])
 
-    def _name(self, block: int, names: list[str]) -> str:
+    def _name(self, block: int, names: Sequence[str]) -> str:
         parameters = self.parameters.get(block)
         return f"'{names[block]}' ({', '.join(parameters)})" if parameters else f"'{names[block]}'"
 
@@ -153,7 +153,7 @@ def _named(parts: list[tuple[int, Motion]], direction: Array, sigma: float, movi
     )
 
 
-def _listed(names: list[str]) -> str:
+def _listed(names: Sequence[str]) -> str:
     """Format the first three names, and the number of others."""
     more = [f"{len(names) - 3} more"] if len(names) > 3 else []
     return " and ".join([*names[:3], *more])

@@ -22,12 +22,13 @@ from calibration.dataset.model import Dataset
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup
+from calibration.estimation.flipped_patterns import unflipped
 from calibration.estimation.gauge import free_gauge
 from calibration.estimation.least_squares import Termination, choose, minimise, settle
 from calibration.estimation.linear_start import linear_start, local_poses
 from calibration.estimation.median import median
 from calibration.estimation.normal_equations import Weighting
-from calibration.estimation.optimisation import HUBER, unflipped
+from calibration.estimation.optimisation import HUBER
 from calibration.estimation.plane_alignment import fit_planes
 from calibration.estimation.problem import Problem
 from calibration.estimation.residuals import CornerTerm, PoseTerm, RangeTerm

@@ -7,11 +7,12 @@ import pytest
 
 from calibration.estimation.build import Setup, build
 from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.flipped_patterns import unflipped
 from calibration.estimation.least_squares import minimise
 from calibration.estimation.linear_start import linear_start
 from calibration.estimation.noise_levels import NoiseLevels, estimate_scales
 from calibration.estimation.normal_equations import Weighting, assemble
-from calibration.estimation.optimisation import HUBER, WeightedOptimum, optimise, unflipped
+from calibration.estimation.optimisation import HUBER, WeightedOptimum, optimise
 from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.problem import Values
 from calibration.geometry.transforms import distance, inverse, translation

@@ -7,7 +7,8 @@ import pytest
 
 from calibration.dataset.model import Edge
 from calibration.estimation.build import build
-from calibration.estimation.calibrate import Options, _of_transforms, calibrate
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.calibrated import covariances_of_transforms
 from calibration.estimation.result import Calibration
 from calibration.geometry.transforms import inverse, local, retract, translation
 from calibration.geometry.types import Array
@@ -80,7 +81,7 @@ def test_the_covariance_of_a_pattern_is_about_its_own_frame():
     moved = [local(T, retract(T @ centre, 1e-6 * axis) @ inverse(centre)) / 1e-6 for axis in np.eye(6)]
     J = np.stack(moved, -1)
 
-    found = _of_transforms(setup, {setup.block(edge): A @ A.T})
+    found = covariances_of_transforms(setup, {setup.block(edge): A @ A.T})
 
     np.testing.assert_allclose(found[edge], J @ A @ A.T @ J.T, rtol=1e-4, atol=1e-4)
     assert np.abs(J - np.eye(6)).max() > 0.1

@@ -16,7 +16,7 @@ from calibration.dataset.writing import write_dataset
 from calibration.diagnosis.limits import Limits
 from calibration.errors import ExitCode, InputError
 from calibration.estimation.build import build
-from calibration.estimation.calibrate import initial_values
+from calibration.estimation.initial_values import initial_values
 from calibration.estimation.least_squares import Termination, minimise
 from calibration.estimation.linear_start import pattern_poses
 from calibration.estimation.normal_equations import Weighting

@@ -1,0 +1,55 @@
+"""Reasons why an optimum is not the calibration: not reached, patterns mirrored, a better one elsewhere."""
+
+import numpy as np
+
+from calibration.estimation.blocks import Values
+from calibration.estimation.build import Setup
+from calibration.estimation.flipped_patterns import unflipped
+from calibration.estimation.least_squares import minimise
+from calibration.estimation.optimisation import WeightedOptimum
+from calibration.geometry.types import BoolArray
+
+
+def why_not_reached(setup: Setup, result: WeightedOptimum) -> str:
+    """Return the reason why no minimum was reached; empty if one was."""
+    impossible = np.flatnonzero(~np.isfinite(result.optimum.equations.cost))
+    if len(impossible):
+        behind = _behind(setup, result.optimum.values)[impossible].any()
+        keys = ", ".join(setup.dataset.keys[i] for i in impossible[:5])
+        why = "the pattern lies behind a camera" if behind else "labels lie too far off to be compared with the pattern"
+        return f"the start is not possible: {why} in {len(impossible)} collections ({keys})"
+    if not result.optimum.reached:
+        return f"no minimum was reached in {result.optimum.iterations} iterations"
+    return ""
+
+
+def _behind(setup: Setup, values: Values) -> BoolArray:
+    """Return a mask (N,) of the collections with a corner behind its camera."""
+    behind = np.zeros(setup.problem.collections, bool)
+    for group in setup.problem.groups:
+        for term in setup.problem.terms(group, values):
+            magnitudes = term.magnitudes(setup.problem.poses(group, values))
+            behind[group.collections] |= np.count_nonzero(~np.isnan(magnitudes), axis=-1) < term.counts
+    return behind
+
+
+def why_invalid(setup: Setup, result: WeightedOptimum) -> str:
+    """Return the reason why an optimum is none or has mirrored patterns; empty if it is valid."""
+    if reason := why_not_reached(setup, result):
+        return reason
+    optimum = result.optimum
+    _, flipped = unflipped(setup.problem, optimum.values, result.weighting, optimum.equations.cost)
+    if flipped.any():
+        keys = ", ".join(setup.dataset.keys[i] for i in np.flatnonzero(flipped)[:5])
+        return f"the pattern is left in its mirrored pose in {np.count_nonzero(flipped)} collections ({keys})"
+    return ""
+
+
+def why_false(setup: Setup, result: WeightedOptimum, linear: Values) -> str:
+    """Return the reason why an optimum is invalid, or worse than the one from the linear start; empty if it is not."""
+    if reason := why_invalid(setup, result):
+        return reason
+    best = minimise(setup.problem, linear, result.weighting)
+    if best.reached and best.cost < result.optimum.cost * (1 - 1e-6) - 1e-6:
+        return f"a false minimum: cost {result.optimum.cost:.6g}, while {best.cost:.6g} can be reached"
+    return ""

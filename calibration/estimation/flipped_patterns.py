@@ -1,0 +1,94 @@
+"""Patterns that an optimum has in their mirrored pose, which a camera sees nearly as well as the right one."""
+
+import numpy as np
+
+from calibration.estimation.blocks import Values
+from calibration.estimation.least_squares import choose, settle
+from calibration.estimation.median import median
+from calibration.estimation.normal_equations import Weighting
+from calibration.estimation.planar_pose import mirrored_poses
+from calibration.estimation.problem import Problem
+from calibration.estimation.residuals import CornerTerm
+from calibration.estimation.views import ViewGroup
+from calibration.geometry.transforms import inverse
+from calibration.geometry.types import Array, BoolArray
+
+SUSPICIOUS = 1.5
+"""Collections whose cost per residual exceeds this multiple of the median are tried with the pattern flipped."""
+AMBIGUOUS = 4.0
+"""So are collections whose labels, for every camera, would have residuals below this on average (squared, in
+standard deviations) if the pattern were mirrored for that camera: few and distant ones."""
+BETTER = 0.1
+"""Minimum decrease of its collection's cost by a flipped pose (and 1 %): less is rounding error."""
+
+
+def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Array) -> tuple[Values, BoolArray]:
+    """Correct moving patterns, or bases, that are in the mirrored pose, with the shared blocks fixed.
+
+    A planar pattern has nearly the same image in two poses; a solver that starts near the wrong one
+    stays there, and distorts the other collections. So collections that fit badly, or in which both poses
+    are possible, are solved again from the mirrored pose of their pattern in each camera, by the block that
+    moves in its chain.
+
+    Args:
+        problem: the problem.
+        values: an optimum.
+        weighting: its weights.
+        cost: (N,), the cost of each collection there.
+
+    Returns:
+        The values with the better poses, and a mask (N,) of the collections that had been flipped.
+    """
+    expected = np.zeros(problem.collections)
+    for group in problem.groups:
+        for term in group.terms:
+            np.add.at(expected, group.collections, term.counts * term.dimension)
+    ratio = cost / np.maximum(expected, 1)
+    suspicious = ratio > SUSPICIOUS * median(ratio[expected > 0])
+    suspicious |= _ambiguous(problem, values, weighting)
+    flipped = np.zeros(problem.collections, bool)
+    if not problem.local or not suspicious.any():
+        return values, flipped
+    part = problem.seen_in(suspicious)
+    for group in part.groups:
+        if isinstance(group.terms[0], CornerTerm):
+            mirrored = _mirrored(problem, group, values)
+            if mirrored is not None:
+                settled, settled_cost = settle(part, mirrored, weighting, suspicious)
+                better = suspicious & (settled_cost < 0.99 * cost - BETTER)
+                values = choose(problem, better, settled, values)
+                cost = np.where(better, settled_cost, cost)
+                flipped |= better
+    return values, flipped
+
+
+def _ambiguous(problem: Problem, values: Values, weighting: Weighting) -> BoolArray:
+    """Return a mask (N,) of collections where every camera sees nearly the same if the pattern is mirrored for it."""
+    worst = np.zeros(problem.collections)
+    seen = np.zeros(problem.collections, bool)
+    for group in problem.groups:
+        term = problem.terms(group, values)[0]
+        mirrored = _mirrored(problem, group, values) if isinstance(term, CornerTerm) else None
+        if mirrored is not None:
+            magnitudes = term.magnitudes(problem.poses(group, mirrored)) / weighting.scales[term.kind]
+            cost = np.nansum(magnitudes**2, -1) / (term.counts * term.dimension)
+            worst[group.collections] = np.maximum(worst[group.collections], cost)
+            seen[group.collections] = True
+    ambiguous: BoolArray = seen & (worst < AMBIGUOUS)
+    return ambiguous
+
+
+def _mirrored(problem: Problem, group: ViewGroup, values: Values) -> Values | None:
+    """Set the moving block in a group's chain such that the pattern is mirrored in each of its views."""
+    moving = [k for k, link in enumerate(group.chain.links) if link.block in problem.local]
+    if len(moving) != 1:
+        return None
+    (k,) = moving
+    links = group.chain.links
+    mirrored = mirrored_poses(problem.poses(group, values), np.zeros(3))
+    parts = (group.chain.part(-1, k), group.chain.part(k, len(links)))
+    before, after = (part.poses(problem.transforms(values), group.collections) for part in parts)
+    moved = inverse(before) @ mirrored @ inverse(after)
+    poses = values[links[k].block].copy()
+    poses[group.collections] = inverse(moved) if links[k].inverted else moved
+    return tuple(poses if i == links[k].block else value for i, value in enumerate(values))
