@@ -29,8 +29,10 @@ from calibration.importing.bag import open_bag
 from calibration.importing.messages import image_of
 from calibration.pipeline.beginning import begin
 from calibration.pipeline.configuration import read_configuration
-from calibration.pipeline.matrix.cell import Cell, LoadedSystem, calibrate_cell
+from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import load
+from calibration.pipeline.matrix.running_cell import calibrate_cell
 from tests.importing.bags import BEGIN, SECOND, BagFile
 from tests.importing.conftest import BOARD
 

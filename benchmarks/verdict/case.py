@@ -25,8 +25,11 @@ from calibration.evaluation.truth import truth_error
 from calibration.geometry.transforms import inverse, local
 from calibration.introspection.judge import judge
 from calibration.introspection.table import read_table
-from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, calibrate_cell, nothing_yet, table_of
+from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.matrix.cell_result import CellResult, nothing_yet
 from calibration.pipeline.matrix.judgement import judge_cells
+from calibration.pipeline.matrix.loaded_system import LoadedSystem
+from calibration.pipeline.matrix.running_cell import calibrate_cell, table_of
 
 BY_NAME: dict[str, Kind] = {kind.name: kind for kind in (CLEAN, *KINDS)}
 AS_WELL = 10.0

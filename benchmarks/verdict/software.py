@@ -21,7 +21,9 @@ from calibration.estimation.starting_noise import StartingNoise, with_starting_n
 from calibration.evaluation.specification import Evaluation, parse_evaluation
 from calibration.execution.outcome import ArtifactFile, JobOutcome
 from calibration.geometry.transforms import translation
-from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem
+from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.matrix.cell_result import CellResult
+from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.matrix.software_cell import judged, software_result
 

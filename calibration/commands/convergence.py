@@ -34,7 +34,7 @@ from calibration.pipeline.convergence.convergence_map import maps_of
 from calibration.pipeline.convergence.report import ALL_FILES, TITLE, report
 from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
-from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.system import System
 from calibration.report import count_of, publish, remove_results
 from calibration.workflow import Runner

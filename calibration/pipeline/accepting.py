@@ -12,7 +12,7 @@ from calibration.evaluation.table import AVERAGES
 from calibration.introspection.numbers import parse_number
 from calibration.introspection.selection import KeyedTable, LabelledRow
 from calibration.introspection.table import read_table
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
+from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.software_cell import start_of
 from calibration.pipeline.results import Results, own_details
 from calibration.workflow.text import did_you_mean, shorten

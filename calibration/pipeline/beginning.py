@@ -19,8 +19,10 @@ from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.measured_poses import COLUMNS
 from calibration.files import temporary_folder
 from calibration.importing.document import ESTIMATED, ROUGH
-from calibration.pipeline.matrix.cell import Cell, CellResult, run_cell
+from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import load
+from calibration.pipeline.matrix.running_cell import run_cell
 from calibration.pipeline.system import System
 
 SHARED = 3

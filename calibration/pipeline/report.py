@@ -12,15 +12,8 @@ from calibration.diagnosis.finding import Severity
 from calibration.execution.embedded import cores
 from calibration.execution.tasks import Task, run_tasks
 from calibration.files import write_atomically
-from calibration.pipeline.matrix.cell import (
-    OUR_METHOD,
-    REPROJECTION,
-    CellResult,
-    Details,
-    Deviation,
-    Transform,
-    noise_text,
-)
+from calibration.pipeline.matrix.cell import REPROJECTION, noise_text
+from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, Details, Deviation, Transform
 from calibration.pipeline.results import CELLS_FILE, Analysed, Collected, ImageResult, Results, own_file
 from calibration.report import Lines, Outcome, Report, Table, Text, count_of, results_text, shown
 from calibration.report.badge import FILE as BADGE

@@ -9,7 +9,7 @@ from pathlib import Path
 from calibration.baseline.update import BaselineUpdate
 from calibration.errors import ExitCode, InputError, exit_code_of
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult, Details
+from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, Details
 from calibration.records import computed, field, result
 from calibration.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
 from calibration.report.badge import FILE as BADGE

@@ -49,7 +49,9 @@ from calibration.importing.target_files import pattern_configuration
 from calibration.introspection import judge, parse_rules, read_table
 from calibration.introspection.rulesfile import read_rules
 from calibration.pipeline.configuration import read_configuration
-from calibration.pipeline.matrix.cell import Cell, LoadedSystem, calibrate_cell
+from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.matrix.loaded_system import LoadedSystem
+from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.results import read_results
 from calibration.report.brief import read_brief
 from calibration.rigel.conversion import convert

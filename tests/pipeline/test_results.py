@@ -11,7 +11,7 @@ import pytest
 
 from calibration.diagnosis.finding import Finding
 from calibration.errors import ExitCode, InputError
-from calibration.pipeline.matrix.cell import CellResult, Details, Deviation, Parameter
+from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, Parameter
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import (
     CELLS_A_PROCESS,

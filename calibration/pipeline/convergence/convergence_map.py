@@ -5,7 +5,7 @@ from functools import cached_property
 from itertools import product, takewhile
 
 from calibration.errors import ExitCode
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
+from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.system import NoiseGrid
 from calibration.records import computed, field, result
 from calibration.report.outcome import ErrorCode

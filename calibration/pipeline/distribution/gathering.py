@@ -10,7 +10,8 @@ from calibration.pipeline.distribution.cost import Cost, jobs_table, money
 from calibration.pipeline.distribution.jobs import SUCCESS, Needs
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, Plan
 from calibration.pipeline.distribution.plan_outputs import plan_of_outputs
-from calibration.pipeline.matrix.cell import OUR_METHOD, Cell, CellResult, nothing_yet
+from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, nothing_yet
 from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.report import report
 from calibration.pipeline.results import CELLS_FILE, Collected, Results, own_details, own_file, read_results

@@ -14,7 +14,8 @@ from calibration.introspection.judge import judge
 from calibration.introspection.rule_set import RuleSet
 from calibration.introspection.selection import EveryRow
 from calibration.introspection.table import parse_table, read_table
-from calibration.pipeline.matrix.cell import CellResult, LoadedSystem
+from calibration.pipeline.matrix.cell_result import CellResult
+from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.system import System
 from calibration.report import at_most
 

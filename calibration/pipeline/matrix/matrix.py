@@ -21,17 +21,11 @@ from calibration.execution.backends import ExecutionTarget
 from calibration.execution.tasks import Task, run_tasks
 from calibration.files import temporary_folder
 from calibration.frozen import frozen
-from calibration.pipeline.matrix.cell import (
-    OUR_METHOD,
-    Cell,
-    CellResult,
-    Comparison,
-    LoadedSystem,
-    noise_folder,
-    run_cell,
-    run_comparison,
-)
+from calibration.pipeline.matrix.cell import Cell, Comparison, noise_folder
+from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.judgement import check_rules
+from calibration.pipeline.matrix.loaded_system import LoadedSystem
+from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
 from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.matrix.software_cell import software_task
 from calibration.pipeline.system import NoiseGrid, System

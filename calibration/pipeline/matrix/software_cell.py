@@ -27,7 +27,10 @@ from calibration.execution.tasks import Task
 from calibration.introspection.numbers import number_text, parse_number
 from calibration.introspection.selection import KeyedTable, LabelledRow
 from calibration.introspection.table import read_table
-from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem, distance_from_truth, nothing_yet
+from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.matrix.cell_result import CellResult, nothing_yet
+from calibration.pipeline.matrix.loaded_system import LoadedSystem
+from calibration.pipeline.matrix.running_cell import distance_from_truth
 from calibration.pipeline.matrix.software import DATASET, NO_DATASET, SOFTWARE, START, Software, job_of
 
 RMS = "RMS (pix)"

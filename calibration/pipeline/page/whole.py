@@ -17,7 +17,7 @@ from calibration.pages.html import Html, element, join
 from calibration.pages.page import bullets, figure, folded, page, section, verdict_line
 from calibration.pages.tables import table
 from calibration.pages.trend import trend
-from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
 from calibration.pipeline.page.label_residuals import label_residuals

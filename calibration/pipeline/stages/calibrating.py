@@ -3,7 +3,7 @@
 import os
 from dataclasses import replace
 
-from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.matrix.matrix import run_matrix
 from calibration.pipeline.results import results_of, without_verdicts

@@ -10,7 +10,7 @@ from calibration.dataset.reading import read_dataset
 from calibration.errors import CalibrationError
 from calibration.exports.files import exported
 from calibration.files import write_atomically
-from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.results import Exported, own_details
 from calibration.pipeline.stages.running import Run
 from calibration.pipeline.system import Exports, System

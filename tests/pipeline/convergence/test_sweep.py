@@ -10,7 +10,7 @@ from calibration.errors import InfrastructureError, InputError
 from calibration.introspection.rule_set import parse_rules
 from calibration.pipeline.convergence import sweep
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
-from calibration.pipeline.matrix.cell import OUR_METHOD, CellResult
+from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import SOFTWARE, Software, software_from
 from calibration.pipeline.system import NoiseGrid, System

@@ -13,7 +13,7 @@ from calibration.pipeline.distribution.gathering import NO_RESULT, gather
 from calibration.pipeline.distribution.jobs import Needs
 from calibration.pipeline.distribution.plan import JobCell, Plan
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
-from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import write_results
 from calibration.pipeline.results import Collected, ImageResult, Results

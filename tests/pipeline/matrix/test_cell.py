@@ -22,9 +22,13 @@ from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.geometry.rotations import from_rpy, to_rpy
 from calibration.geometry.transforms import retract, translation
-from calibration.pipeline.matrix import cell as cells
-from calibration.pipeline.matrix.cell import CellResult, Comparison, Details, LoadedSystem, Parameter, run_comparison
+from calibration.pipeline.matrix import running_cell
+from calibration.pipeline.matrix.cell import Cell, Comparison
+from calibration.pipeline.matrix.cell_details import described
+from calibration.pipeline.matrix.cell_result import CellResult, Details, Parameter
+from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
+from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
 from calibration.pipeline.report import parameters_table, report, transforms_table
 from calibration.pipeline.results import Results
 from calibration.pipeline.system import NoiseGrid
@@ -45,7 +49,7 @@ def told(results: Results) -> Report:
 def test_joints_are_reported_with_their_sigmas() -> None:
     scene = jointed_arm(free={"j2": ("position_bias",), "j3": ("origin_yaw",)}, pixel_noise=0.2)
     calibration = calibrate(scene.dataset())
-    found = cells._described(CELL, calibration, scene.dataset(), Limits()).details.joints
+    found = described(CELL, calibration, scene.dataset(), Limits()).details.joints
     told = [(each.name, each.parameter, each.unit) for each in found]
     asked = [(joint.name, parameter) for joint in calibration.joints.values() for parameter in joint.parameters]
     assert [each[:2] for each in told] == asked
@@ -58,9 +62,7 @@ def test_joints_are_reported_with_their_sigmas() -> None:
 
 def test_a_cell_reports_the_largest_standard_deviations(tmp_path: Path) -> None:
     dataset = read_dataset(DATASETS / "spjbot")
-    result = cells.run_cell(
-        cells.Cell("spjbot", StartingNoise()), LoadedSystem("spjbot", dataset, None, None), tmp_path
-    )
+    result = run_cell(Cell("spjbot", StartingNoise()), LoadedSystem("spjbot", dataset, None, None), tmp_path)
     stated = calibrate(dataset)
 
     assert result.sigma is not None
@@ -220,7 +222,7 @@ def test_transforms_are_shown_with_their_error_bars() -> None:
     wrong = stereo(20, seed=1, pixel_noise=0.2).dataset(1)
     edge = next(edge for edge in calibration.covariances if edge[1] in ("left", "right"))
     shifted = wrong.with_transforms({edge: wrong.transforms[edge] @ translation((0.01, 0.0, 0.0))})
-    found = {(t.parent, t.child): t for t in cells._described(CELL, calibration, shifted, Limits()).details.transforms}
+    found = {(t.parent, t.child): t for t in described(CELL, calibration, shifted, Limits()).details.transforms}
     free, [held] = found[edge], [t for each, t in found.items() if each != edge]
     T = calibration.transforms[edge]
     np.testing.assert_allclose(from_rpy(free.rpy), T[:3, :3], atol=1e-12)
@@ -260,7 +262,7 @@ def test_what_most_labels_do_not_fit_is_no_pass(tmp_path: Path, monkeypatch: pyt
     count = sum(int(np.isfinite(view.magnitudes).sum()) for view in found.residuals)
     few, more = (replace(found, rejected=found.rejected[:1] * n) for n in (count // 21, count // 2 + 1))
     for calibration, verdict in ((few, "pass"), (more, "fail")):
-        monkeypatch.setattr(cells, "calibrate", lambda *_, calibration=calibration: calibration)
+        monkeypatch.setattr(running_cell, "calibrate", lambda *_, calibration=calibration: calibration)
         results = run_matrix(Matrix((T2RGB,), NOISES), tmp_path / verdict, 1)
         assert results.cells[0].verdict == verdict
     assert results.cells[0].reasons[0].startswith(f"{count // 2 + 1} of {count} labels do not fit the result")
@@ -272,7 +274,7 @@ def test_views_that_contradict_the_others_are_red_and_named_and_in_no_table(tmp_
     system = LoadedSystem(
         "riwbot", dataset, truth_of(dataset), parse_evaluation("inter-collection-rgb-to-rgb:rgb_world:rgb_world")
     )
-    result = cells.run_cell(cells.Cell("riwbot", StartingNoise()), system, tmp_path)
+    result = run_cell(Cell("riwbot", StartingNoise()), system, tmp_path)
     [reason] = result.reasons
     assert reason.startswith("rgb_world: views of collections 003, 008, 011 contradict the others, by up to")
     assert result.rms_px is not None

@@ -8,7 +8,7 @@ import pytest
 from calibration.diagnosis.limits import Limits
 from calibration.errors import ExitCode, InputError
 from calibration.introspection.rule_set import parse_rules
-from calibration.pipeline.matrix.cell import CellResult, Deviation
+from calibration.pipeline.matrix.cell_result import CellResult, Deviation
 from calibration.pipeline.matrix.judgement import judge_cells
 from calibration.pipeline.system import System
 

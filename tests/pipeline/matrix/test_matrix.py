@@ -13,8 +13,8 @@ from calibration.dataset.reading import read_dataset
 from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.introspection.rule_set import parse_rules
-from calibration.pipeline.matrix import cell as cell_module
-from calibration.pipeline.matrix.cell import CellResult
+from calibration.pipeline.matrix import running_cell
+from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.judgement import check_rules
 from calibration.pipeline.matrix.matrix import Matrix, load, run_matrix
 from calibration.pipeline.report import write_results
@@ -162,14 +162,14 @@ def test_a_method_that_does_not_apply_has_a_reason(tmp_path: Path) -> None:
 def test_a_cell_that_fails_does_not_stop_the_others_unless_asked(
     matrix: Matrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    calibrate = cell_module.calibrate
+    calibrate = running_cell.calibrate
 
     def failing_from_far(dataset, options, noise):  # type: ignore[no-untyped-def]
         if noise.translation > 0:
             raise InputError("planted")
         return calibrate(dataset, options, noise)
 
-    monkeypatch.setattr(cell_module, "calibrate", failing_from_far)
+    monkeypatch.setattr(running_cell, "calibrate", failing_from_far)
 
     everything = run_matrix(matrix, tmp_path, 1)
     first_only = run_matrix(matrix, tmp_path, 1, fail_fast=True)
@@ -192,7 +192,7 @@ def test_each_job_is_reported_once(matrix: Matrix, tmp_path: Path) -> None:
 
 
 def test_a_dead_worker_is_reported(matrix: Matrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cell_module, "calibrate", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+    monkeypatch.setattr(running_cell, "calibrate", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
 
     with pytest.raises(InfrastructureError, match="worker process died"):
         run_matrix(matrix, tmp_path, 2)

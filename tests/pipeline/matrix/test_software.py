@@ -25,7 +25,9 @@ from calibration.evaluation.specification import parse_evaluation
 from calibration.execution.job import OUTPUT, Artifact
 from calibration.execution.outcome import ArtifactFile, JobOutcome
 from calibration.geometry.transforms import translation
-from calibration.pipeline.matrix.cell import Cell, CellResult, LoadedSystem
+from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.matrix.cell_result import CellResult
+from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.software import (
     DATASET,

@@ -1,0 +1,126 @@
+"""Statistics that a calibration states of itself, for the result of its cell."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.dataset.model import Dataset, Edge
+from calibration.diagnosis.limits import Limits
+from calibration.diagnosis.precision import worst_false_accept
+from calibration.estimation.intrinsics import CalibratedIntrinsics
+from calibration.estimation.result import CalibratedJoint, Calibration
+from calibration.geometry.rotations import rpy_rates, to_quaternion, to_rpy
+from calibration.geometry.transforms import distance
+from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, Parameter, Transform, Worth
+
+MOST_CAUSES = 5
+"""Limit of the reported contributions to the uncertainty."""
+
+
+def described(result: CellResult, calibration: Calibration, description: Dataset, limits: Limits) -> CellResult:
+    """Return the result with the calibration's own statistics."""
+    details = Details(
+        transforms=tuple(_transform(calibration, description, edge) for edge in calibration.transforms),
+        joints=tuple(row for joint in calibration.joints.values() for row in _parameters(joint.name, joint)),
+        intrinsics=tuple(row for name, camera in calibration.intrinsics.items() for row in _parameters(name, camera)),
+        iterations=calibration.iterations,
+        cost=calibration.cost,
+        degrees_of_freedom=calibration.degrees_of_freedom,
+        noise_levels=calibration.noise_levels,
+        held=calibration.gauge,
+        weak_directions=tuple(calibration.weak_directions),
+        rejected_labels=tuple(calibration.rejected),
+        dropped_views=calibration.dropped_views,
+        effective_collections=round(bars.effective_collections, 2) if (bars := calibration.error_bars) else None,
+        hangs_on=_hangs_on(bars.worth) if bars else (),
+    )
+    return replace(
+        result,
+        converged=calibration.converged,
+        sigma=_sigma(calibration) if calibration.converged else None,
+        label_sigma=_sigma(calibration, labels_only=True) if calibration.converged else None,
+        false_accept=worst_false_accept(calibration, limits) if calibration.converged else None,
+        reasons=(calibration.reason,) if calibration.reason else (),
+        details=details,
+    )
+
+
+def _transform(calibration: Calibration, description: Dataset, edge: Edge) -> Transform:
+    """Return a calibrated transform with its standard deviations, and its distance from the robot's description.
+
+    A twist in the child frame changes the translation by ``R`` times its own, and roll, pitch and yaw by `rpy_rates`.
+    """
+    T, C, described = calibration.transforms[edge], calibration.covariances.get(edge), description.transforms.get(edge)
+    rpy = to_rpy(T[:3, :3])
+    known = C is not None and calibration.converged
+    of_trans = of_rpy = None
+    if C is not None and known:
+        J = np.zeros((6, 6))
+        J[:3, :3], J[3:, 3:] = T[:3, :3], rpy_rates(rpy)
+        sigmas = np.sqrt(np.diagonal(J @ C @ J.T))
+        of_trans = tuple(sigmas[:3].tolist())
+        of_rpy = tuple(sigmas[3:].tolist()) if np.isfinite(sigmas).all() else None
+    moved = None
+    if described is not None and np.isfinite(described[0]).all() and not np.array_equal(described[0], np.eye(4)):
+        moved = distance(described[0], T)
+    return Transform(
+        *edge,
+        tuple(T[:3, 3].tolist()),
+        tuple(to_quaternion(T[:3, :3]).tolist()),
+        calibration.sigma_mm(edge) if C is not None else None,
+        calibration.sigma_mrad(edge) if C is not None else None,
+        tuple(rpy.tolist()),
+        of_trans,
+        of_rpy,
+        None if moved is None else round(1e3 * float(moved[0]), 6),
+        None if moved is None else round(float(np.degrees(moved[1])), 8),
+    )
+
+
+def _hangs_on(worth: Mapping[str, float]) -> tuple[Worth, ...]:
+    """Return the contributions to the uncertainty that matter, largest first."""
+    largest = sorted(worth.items(), key=lambda each: -each[1])[:MOST_CAUSES]
+    return tuple(Worth(name, round(1e3 * metres, 4)) for name, metres in largest if metres > 0)
+
+
+def _sigma(calibration: Calibration, labels_only: bool = False) -> Deviation | None:
+    """Return the largest standard deviations of sensors, as norms of three axes, and of joints' parameters."""
+    edges = {sensor.edge for sensor in calibration.dataset.sensors.values()} & calibration.covariances.keys()
+    if not edges:
+        return None
+    mm, mrad = calibration.sigma_mm, calibration.sigma_mrad
+    if labels_only:
+        mm, mrad = calibration.label_sigma_mm, calibration.label_sigma_mrad
+    joints = [] if labels_only else list(calibration.joints.values())
+    sigmas = [each for joint in joints for each in zip(joint.units, joint.sigmas.tolist(), strict=True)]
+    return rounded_deviation(
+        max(map(mm, edges)),
+        float(np.degrees(max(map(mrad, edges)) / 1e3)),
+        max((1e3 * sigma for unit, sigma in sigmas if unit == "m"), default=None),
+        max((float(np.degrees(sigma)) for unit, sigma in sigmas if unit == "rad"), default=None),
+    )
+
+
+def rounded_deviation(
+    translation_mm: float, rotation_deg: float, joint_mm: float | None, joint_deg: float | None
+) -> Deviation:
+    """Round to a nanometre and a similarly small angle."""
+    return Deviation(
+        round(translation_mm, 6),
+        round(rotation_deg, 8),
+        None if joint_mm is None else round(joint_mm, 6),
+        None if joint_deg is None else round(joint_deg, 8),
+    )
+
+
+def _parameters(name: str, calibrated: CalibratedJoint | CalibratedIntrinsics) -> list[Parameter]:
+    """Return the parameters of a joint or a camera, one by one."""
+    each = zip(
+        calibrated.parameters, calibrated.values.tolist(), calibrated.units, calibrated.sigmas.tolist(), strict=True
+    )
+    return [
+        Parameter(name, parameter, value, unit, sigma if math.isfinite(sigma) else None)
+        for parameter, value, unit, sigma in each
+    ]

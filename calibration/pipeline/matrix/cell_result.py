@@ -1,0 +1,206 @@
+"""Result of a cell, as it stands in results.json."""
+
+from dataclasses import replace
+from typing import Literal
+
+from calibration.baseline.comparison import Change
+from calibration.baseline.snapshot import Snapshot
+from calibration.comparison.methods import METHODS
+from calibration.diagnosis.finding import Finding
+from calibration.estimation.noise_levels import NoiseLevels
+from calibration.estimation.result import DroppedView, RejectedLabel
+from calibration.pipeline.matrix.cell import Cell, Comparison, noise_text
+from calibration.records import computed, field, record, result
+from calibration.report import Verdict
+from calibration.report.outcome import ErrorCode
+
+OUR_METHOD = "calibration-ci"
+
+
+@record(case="snake", unknown="ignore")
+class Deviation:
+    """Largest errors of sensors and joints: against the truth, gauge removed, or by the calibration's covariance."""
+
+    translation_mm: float = field("The worst of the sensors, the norm of three axes.")
+    rotation_deg: float = field("The worst of the sensors, the norm of three axes.")
+    joint_mm: float | None = field("The worst of the joints' parameters that are lengths.", default=None)
+    joint_deg: float | None = field("The worst of the joints' parameters that are angles.", default=None)
+
+
+@result
+class Parameter:
+    """Calibrated parameter of a joint or a camera."""
+
+    name: str = field("The joint or the camera.")
+    parameter: str = field("Name of the parameter.")
+    value: float = field("The calibrated value.")
+    unit: Literal["m", "rad", "px", "1"] = field("Of value and sigma.")
+    sigma: float | None = field("Standard deviation; null if it did not converge.")
+
+
+@result
+class Transform:
+    """Calibrated transform."""
+
+    parent: str = field("The parent frame.")
+    child: str = field("The child frame.")
+    trans: tuple[float, ...] = field("Translation.", unit="m")
+    quat: tuple[float, ...] = field("Rotation, a quaternion xyzw.")
+    sigma_mm: float | None = field("Standard deviation of the translation, the norm of three axes.", unit="mm")
+    sigma_mrad: float | None = field("Standard deviation of the rotation, the norm of three axes.", unit="mrad")
+    rpy: tuple[float, ...] = field("The rotation as roll, pitch and yaw, as a URDF has it.", unit="rad", default=())
+    sigma_trans: tuple[float, ...] | None = field(
+        "Standard deviation of each coordinate of the translation; null if it was fixed.", unit="m", default=None
+    )
+    sigma_rpy: tuple[float, ...] | None = field("Standard deviation of roll, pitch and yaw.", unit="rad", default=None)
+    moved_mm: float | None = field(
+        "Distance of the translation from the dataset's own; null if that carries no information.",
+        unit="mm",
+        default=None,
+    )
+    moved_deg: float | None = field("The angle to the dataset's own rotation.", unit="degrees", default=None)
+
+
+@result
+class Worth:
+    """Contribution of a fixed parameter's usual uncertainty to the result."""
+
+    cause: str = field("What is held.")
+    mm: float = field("Largest displacement of a transform.", unit="mm")
+
+
+@result(kw_only=True)
+class Details:
+    """Details of a calibration, in a cell's own results but not in those of the matrix."""
+
+    transforms: tuple[Transform, ...] = field("In the cell's own results: the transforms.", default=())
+    joints: tuple[Parameter, ...] = field("In the cell's own results: those of joints.", default=())
+    intrinsics: tuple[Parameter, ...] = field("In the cell's own results: those of cameras.", default=())
+    iterations: int | None = field("Of the solver.", default=None)
+    cost: float | None = field("Half the weighted sum of squares.", default=None)
+    degrees_of_freedom: int | None = field("Residuals less parameters.", default=None)
+    noise_levels: NoiseLevels | None = field("Standard deviations of the labels.", default=None)
+    held: str | None = field("Sensor that is fixed because only relative poses are known.", default=None)
+    weak_directions: tuple[str, ...] = field("Directions that the data hardly determine.", default=())
+    rejected_labels: tuple[RejectedLabel, ...] = field("Labels that do not fit.", default=())
+    dropped_views: tuple[DroppedView, ...] = field("Views that contradict the others and were left out.", default=())
+    effective_collections: float | None = field(
+        "Number of independent collections of equal weight with the same information.", default=None
+    )
+    hangs_on: tuple[Worth, ...] = field("Contributions to the uncertainty of the result, largest first.", default=())
+    snapshot: Snapshot | None = field("The result as `calibration accept` keeps it.", default=None)
+    changes: tuple[Change, ...] = field("Differences from the accepted calibration.", default=())
+
+
+@result(kw_only=True)
+class CellResult:
+    """Result of a cell, or of a comparison method on a system's data."""
+
+    system: str = field("The system that was calibrated.")
+    method: str = field("calibration-ci, software (the team's own), or another method.")
+    translation_noise: float | None = field("None for another method that takes no start.", unit="m")
+    rotation_noise: float | None = field("Of the start.", unit="rad")
+    seed: int | None = field("Of the noise.")
+    start: str | None = field("linear or given.")
+    loss: str | None = field("huber or linear.", default=None)
+    converged: bool = field("Whether an optimum was found.")
+    rms_px: float | None = field("Averages of the table, or of the reprojected corners.", unit="px")
+    poses: Deviation | None = field(
+        "Averages of the table of measured poses: how far they are from those of the result.", default=None
+    )
+    table: str | None = field("The CSV, relative to the output folder.")
+    dataset: str | None = field("The calibrated dataset, relative to the output folder.")
+    truth: Deviation | None = field("Distance of the calibration from the truth, if that is known.")
+    seconds: float = field("Duration.")
+    reasons: tuple[str, ...] = field("Reasons of a fail verdict.", default=())
+    error: ErrorCode | None = field("Exit code of a cell that could not be calibrated.", default=None)
+    warnings: tuple[str, ...] = field("Warnings.", default=())
+    findings: tuple[Finding, ...] = field(
+        "What speaks for and against the calibration. The red ones are among the reasons, the warnings among the "
+        "warnings.",
+        default=(),
+    )
+    details: Details | None = field(flat=True, default=None)
+    sigma: Deviation | None = field("Standard deviations that our engine states, in all.", default=None)
+    label_sigma: Deviation | None = field("Largest standard deviations by the noise of the labels alone.", default=None)
+    false_accept: float | None = field(
+        "Probability that a sensor is off by more than the limits, by the standard deviations in all.", default=None
+    )
+    detail: str | None = field("Implementation of another method, and the data that it uses.", default=None)
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Pass, if there is no reason to fail."""
+        return "pass" if self.converged and not self.reasons else "fail"
+
+    @property
+    def by_other_method(self) -> bool:
+        """Whether it is from a comparison method; it is not judged."""
+        return self.method in METHODS
+
+    @property
+    def start_of_cell(self) -> tuple[str, float | None, float | None, int | None]:
+        """Key of the initial guess, equal for all results from it."""
+        return (self.system, self.translation_noise, self.rotation_noise, self.seed)
+
+    @property
+    def name(self) -> str:
+        """Name in messages."""
+        if self.translation_noise is None or self.rotation_noise is None:
+            return f"{self.system}, {self.method}"
+        who = f"{self.system}, {self.method}" if self.by_other_method else self.system
+        return f"{who}, {noise_text(self.translation_noise, self.rotation_noise)}, seed {self.seed}"
+
+    def failing(self, *reasons: str) -> "CellResult":
+        """Return the result with additional reasons to fail."""
+        return replace(self, reasons=(*self.reasons, *reasons))
+
+    def found(self, findings: tuple[Finding, ...]) -> "CellResult":
+        """Return the result with additional findings, and their reasons and warnings."""
+        texts = {severity: [f.text for f in findings if f.severity == severity] for severity in ("red", "warning")}
+        return replace(
+            self,
+            findings=(*self.findings, *findings),
+            reasons=(*self.reasons, *texts["red"]),
+            warnings=(*self.warnings, *texts["warning"]),
+        )
+
+
+def nothing_yet(cell: Cell, method: str = OUR_METHOD, start: str | None = None) -> CellResult:
+    """Empty result, for a cell that has not run."""
+    return CellResult(
+        system=cell.system,
+        method=method,
+        translation_noise=cell.noise.translation,
+        rotation_noise=cell.noise.rotation,
+        seed=cell.noise.seed,
+        start=start or cell.start,
+        loss=cell.loss if method == OUR_METHOD else None,
+        converged=False,
+        rms_px=None,
+        table=None,
+        dataset=None,
+        truth=None,
+        seconds=0.0,
+    )
+
+
+def nothing_by_other_method(comparison: Comparison) -> CellResult:
+    """Empty result, for a comparison method that has not run."""
+    noise = comparison.noise
+    return CellResult(
+        system=comparison.system,
+        method=comparison.method,
+        translation_noise=noise.translation if noise else None,
+        rotation_noise=noise.rotation if noise else None,
+        seed=noise.seed if noise else None,
+        start="given" if noise else None,
+        loss=None,
+        converged=False,
+        rms_px=None,
+        table=None,
+        dataset=None,
+        truth=None,
+        seconds=0.0,
+    )

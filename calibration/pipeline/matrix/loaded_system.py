@@ -1,0 +1,57 @@
+"""System with its data in memory, shared by all of its cells."""
+
+from dataclasses import field as dataclass_field
+from functools import cached_property
+
+from calibration.baseline.verdict import Accepted
+from calibration.dataset.model import Dataset
+from calibration.dataset.truth import Truth
+from calibration.dataset.writing import DatasetWriter
+from calibration.diagnosis.against_optimum import OurOptimum, find_optimum
+from calibration.diagnosis.check_data import check_data
+from calibration.diagnosis.limits import Limits
+from calibration.estimation.options import Options
+from calibration.evaluation.specification import Evaluation
+from calibration.frozen import frozen
+
+
+@frozen(eq=False)
+class LoadedSystem:
+    """System with its data in memory."""
+
+    name: str
+    dataset: Dataset
+    truth: Truth | None
+    evaluation: Evaluation | None
+    options: Options = dataclass_field(default_factory=Options)
+    """Options of our engine."""
+    limits: Limits = dataclass_field(default_factory=Limits)
+    """Limits of its result's errors."""
+    accepted: Accepted | None = None
+    """Accepted calibration to compare with; None if there is none."""
+
+    def check(self) -> None:
+        """Refuse data that would calibrate to nonsense; checked once, however many cells there are.
+
+        Raises:
+            InputError: there is a fault.
+        """
+        return self._sound
+
+    @cached_property
+    def _sound(self) -> None:
+        check_data(self.dataset)
+
+    @cached_property
+    def writer(self) -> DatasetWriter:
+        """Writer of its cells' calibrated datasets."""
+        return DatasetWriter(self.dataset)
+
+    @cached_property
+    def optimum(self) -> OurOptimum:
+        """Optimum of our engine, which does not depend on an initial guess.
+
+        Raises:
+            InputError: there is none.
+        """
+        return find_optimum(self.dataset, self.options)
