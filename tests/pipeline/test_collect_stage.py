@@ -11,7 +11,8 @@ import pytest
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.report import collections_table, report
+from calibration.pipeline.report import report
+from calibration.pipeline.result_tables import collections_table
 from calibration.pipeline.results import SCHEMA, Collected, Results, read_results
 from calibration.pipeline.stages import Run, run_stages
 from calibration.report import Report

@@ -13,17 +13,9 @@ from calibration.diagnosis.finding import Finding
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, Parameter
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
-from calibration.pipeline.report import (
-    CELLS_A_PROCESS,
-    failures,
-    grid,
-    parameters_table,
-    precision_table,
-    report,
-    truth_table,
-    write_cells,
-    write_results,
-)
+from calibration.pipeline.report import CELLS_A_PROCESS, report, write_cells, write_results
+from calibration.pipeline.result_messages import failures
+from calibration.pipeline.result_tables import grid, parameters_table, precision_table, truth_table
 from calibration.pipeline.results import (
     SCHEMA,
     ImageResult,

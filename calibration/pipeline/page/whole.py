@@ -21,7 +21,7 @@ from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
 from calibration.pipeline.page.label_residuals import label_residuals
-from calibration.pipeline.report import (
+from calibration.pipeline.result_tables import (
     changes_table,
     collections_table,
     grid,

@@ -29,7 +29,8 @@ from calibration.pipeline.matrix.cell_result import CellResult, Details, Paramet
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
-from calibration.pipeline.report import parameters_table, report, transforms_table
+from calibration.pipeline.report import report
+from calibration.pipeline.result_tables import parameters_table, transforms_table
 from calibration.pipeline.results import Results
 from calibration.pipeline.system import NoiseGrid
 from calibration.report import Report
