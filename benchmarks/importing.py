@@ -27,8 +27,8 @@ from calibration.geometry.transforms import apply, inverse, translation
 from calibration.geometry.types import Array
 from calibration.importing.bag import open_bag
 from calibration.importing.messages import image_of
-from calibration.pipeline.beginning import begin
 from calibration.pipeline.configuration import read_configuration
+from calibration.pipeline.first_configuration import first_configuration
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import load
@@ -142,9 +142,9 @@ def _init(name: str, source: Path) -> Iterator[Row]:
         for file in source.iterdir():
             if file.is_file() and file.suffix not in (".jpg", ".png"):
                 copy(file, root / name)
-        beginning = begin(root / name, root)
-        yield Row(f"importing/init, {name}", float(not beginning.reasons), "", Bar(low=1), "; ".join(beginning.reasons))
-        (root / "calibration.yml").write_text(beginning.text)
+        first = first_configuration(root / name, root)
+        yield Row(f"importing/init, {name}", float(not first.reasons), "", Bar(low=1), "; ".join(first.reasons))
+        (root / "calibration.yml").write_text(first.text)
         (system,) = read_configuration(root / "calibration.yml").systems
         yield from _moved(name, replace(load(system), truth=None))
 

@@ -8,8 +8,8 @@ import click
 from calibration.commands.parameters import boolean_option, path
 from calibration.errors import ExitCode, InputError
 from calibration.files import write_atomically
-from calibration.pipeline.beginning import begin
 from calibration.pipeline.configuration import read_configuration
+from calibration.pipeline.first_configuration import first_configuration
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.text import one_line
 
@@ -56,15 +56,15 @@ def init(dataset: Path, output: Path, suite: str, runner: Runner, *, overwrite: 
     for file in (configuration, workflow):
         if file.exists() and not overwrite:
             raise InputError(f"{file}: there is such a file already: move it, or add --overwrite")
-    beginning = begin(dataset, output)
-    write_atomically(configuration, beginning.text)
+    first = first_configuration(dataset, output)
+    write_atomically(configuration, first.text)
     write_atomically(workflow, _WORKFLOW.format(suite=repository, version=version))
     read_configuration(configuration)
     with stop_commands(runner):
-        for each in (*beginning.missing, *beginning.reasons):
-            runner.log(one_line(f"{beginning.name}: {each}"))
-        word = "fails as it is" if beginning.reasons else "passes"
-        runner.log(one_line(f"{configuration}, {workflow}: written; {beginning.name} {word}"))
-        if not beginning.reasons:
+        for each in (*first.missing, *first.reasons):
+            runner.log(one_line(f"{first.name}: {each}"))
+        word = "fails as it is" if first.reasons else "passes"
+        runner.log(one_line(f"{configuration}, {workflow}: written; {first.name} {word}"))
+        if not first.reasons:
             runner.log("next: calibration run, calibration accept, and commit these with calibration-baseline.json")
-    return ExitCode.FAIL if beginning.reasons else ExitCode.PASS
+    return ExitCode.FAIL if first.reasons else ExitCode.PASS

@@ -3,8 +3,9 @@
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +40,15 @@ still holds. Between halves of recordings of an arm they differ by up to a facto
 """
 STEPS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Mantissas of rounded limits."""
+HEAD = """\
+# Written by `calibration init`: the checks of this recording, and of later ones in its place.
+# Change the limits to what your robot needs; `calibration run` checks them.
+"""
 _PLAIN = re.compile(r"[A-Za-z_./][\w./:-]*")
 
 
 @dataclass(frozen=True, eq=False)
-class Beginning:
+class FirstConfiguration:
     """First configuration of a dataset."""
 
     name: str
@@ -55,7 +60,7 @@ class Beginning:
     """Omitted data, because the files are missing."""
 
 
-def begin(path: Path, root: Path) -> Beginning:
+def first_configuration(path: Path, root: Path) -> FirstConfiguration:
     """Calibrate a dataset, and generate its configuration.
 
     Args:
@@ -68,49 +73,55 @@ def begin(path: Path, root: Path) -> Beginning:
     if not path.resolve().is_relative_to(root.resolve()):
         raise InputError(f"{path}: expected a dataset in the folder of calibration.yml, {root}, which is checked out")
     dataset = read_dataset(path)
-    metadata = dataset.document["_metadata"]
-    estimated = [name for name in metadata.get(ESTIMATED) or () if name in dataset.sensors]
-    rough = metadata.get(ROUGH) is True
-    options = Options(
-        description="rough" if rough else "trusted",
-        intrinsics=tuple(estimated),
-    )
     evaluate, why = _table(dataset)
-    system = System(dataset.name, path, evaluate=evaluate, options=options)
+    system = System(dataset.name, path, evaluate=evaluate, options=_options(dataset))
     first = _calibrated(system)
     if first.error is not None or first.sigma is None:
         raise InputError(f"{path}: cannot be calibrated: {'; '.join(first.reasons) or 'no optimum was found'}")
     limits, comments = _limits(first)
     judged = _calibrated(replace(system, limits=limits))
-    place = path.resolve().relative_to(root.resolve()).as_posix()
-    lines = [f"  {_scalar(system.name)}:", _line("dataset", place, _seen(dataset))]
-    if rough:
-        lines.append(
-            _line("description", "rough", "the sensors' true poses are unknown: there is no comparison with a truth")
-        )
-    if estimated:
-        lines.append(_line("intrinsics", estimated, "of these none were given: they are calibrated with the rest"))
-    if evaluate:
-        lines.append(_line("evaluate", evaluate, why))
-    if evaluate and first.rms_px is not None and "-to-rgb:" in evaluate:
-        most = nice(max(ROOM * first.rms_px, LEAST_RMS))
-        rule = f"- {{column: RMS (pix), row: Averages, max: {most:g}}}"
-        lines += [
-            "    rules:",
-            f"      {rule}   # {first.rms_px:.3g} px in this recording, times {ROOM:g}; {_least(LEAST_RMS, 'px')}",
-        ]
-    if first.poses is not None:
-        lines.append("    rules:")
-        for column, value in zip(COLUMNS, (first.poses.translation_mm, first.poses.rotation_deg), strict=True):
-            rule = f"- {{column: {column}, row: Averages, max: {nice(max(ROOM * value, LEAST_POSE)):g}}}"
-            lines.append(f"      {rule}   # {value:.3g} in this recording, times {ROOM:g}")
-    lines += ["    limits:", *(f"      {key}: {value:g}   # {comments[key]}" for key, value in _set(limits).items())]
-    head = (
-        "# Written by `calibration init`: the checks of this recording, and of later ones in its place.\n"
-        "# Change the limits to what your robot needs; `calibration run` checks them.\n"
-    )
+    lines = [
+        f"  {_scalar(system.name)}:",
+        _line("dataset", path.resolve().relative_to(root.resolve()).as_posix(), _seen(dataset)),
+        *_option_lines(system.options),
+        *([_line("evaluate", evaluate, why)] if evaluate else []),
+        *_rule_lines(evaluate, first),
+        "    limits:",
+        *(f"      {key}: {value:g}   # {comments[key]}" for key, value in _set(limits).items()),
+    ]
     missing = tuple(map(dataset.missing_files_of, dataset.missing_files))
-    return Beginning(system.name, f"{head}\nsystems:\n" + "\n".join(lines) + "\n", judged.reasons, missing)
+    return FirstConfiguration(system.name, f"{HEAD}\nsystems:\n" + "\n".join(lines) + "\n", judged.reasons, missing)
+
+
+def _options(dataset: Dataset) -> Options:
+    """Return the options for what an imported dataset says of itself: rough poses, cameras without intrinsics."""
+    metadata = dataset.document["_metadata"]
+    return Options(
+        description="rough" if metadata.get(ROUGH) is True else "trusted",
+        intrinsics=tuple(name for name in metadata.get(ESTIMATED) or () if name in dataset.sensors),
+    )
+
+
+def _option_lines(options: Options) -> Iterator[str]:
+    if options.description == "rough":
+        yield _line("description", "rough", "the sensors' true poses are unknown: there is no comparison with a truth")
+    if options.intrinsics:
+        why = "of these none were given: they are calibrated with the rest"
+        yield _line("intrinsics", list(options.intrinsics), why)
+
+
+def _rule_lines(evaluate: str | None, result: CellResult) -> Iterator[str]:
+    """Yield the rules over a table, with some room above the averages of this recording."""
+    if evaluate and result.rms_px is not None and "-to-rgb:" in evaluate:
+        most = nice(max(ROOM * result.rms_px, LEAST_RMS))
+        why = f"{result.rms_px:.3g} px in this recording, times {ROOM:g}; {_least(LEAST_RMS, 'px')}"
+        yield "    rules:"
+        yield f"      - {{column: RMS (pix), row: Averages, max: {most:g}}}   # {why}"
+    if result.poses is not None:
+        yield "    rules:"
+        for column, value in zip(COLUMNS, (result.poses.translation_mm, result.poses.rotation_deg), strict=True):
+            rule = f"- {{column: {column}, row: Averages, max: {nice(max(ROOM * value, LEAST_POSE)):g}}}"
+            yield f"      {rule}   # {value:.3g} in this recording, times {ROOM:g}"
 
 
 def nice(number: float) -> float:
@@ -126,23 +137,20 @@ def _calibrated(system: System) -> CellResult:
 
 def _table(dataset: Dataset) -> tuple[str | None, str]:
     """Return the table that covers most of the dataset, a description; None if no sensors see a pattern together."""
-    seen = {
-        name: {i for i, each in enumerate(dataset.collections) if any(s == name for _, s in each.labels)}
-        for name in dataset.sensors
-    }
     kinds = {name: sensor.modality.family for name, sensor in dataset.sensors.items()}
     cameras = [name for name, kind in kinds.items() if kind == "camera"]
-    for kind, word in (("camera", "rgb"), ("lidar", "lidar"), ("depth camera", "depth")):
-        pairs = [
-            (len(seen[one] & seen[other]), one, other)
-            for i, other in enumerate(cameras)
-            for one in (cameras[:i] if kind == "camera" else [name for name, own in kinds.items() if own == kind])
-        ]
-        if pairs and (best := max(pairs, key=lambda pair: pair[0]))[0] >= SHARED:
-            what = f"the corners that {best[1]} sees, in the images of {best[2]}; {best[0]} collections have both"
-            if kind != "camera":
-                what = f"the points of {best[1]} against the images of {best[2]}; {best[0]} collections have both"
-            return f"{word}-to-rgb:{best[1]}:{best[2]}", what
+    pairs_of = {
+        "rgb": combinations(cameras, 2),
+        "lidar": product((name for name, kind in kinds.items() if kind == "lidar"), cameras),
+        "depth": product((name for name, kind in kinds.items() if kind == "depth camera"), cameras),
+    }
+    seen = {name: _collections_of(dataset, name) for name in dataset.sensors}
+    for word, pairs in pairs_of.items():
+        shared = {pair: len(seen[pair[0]] & seen[pair[1]]) for pair in pairs}
+        one, other = best = max(shared, key=shared.__getitem__, default=("", ""))
+        if shared.get(best, 0) >= SHARED:
+            what = f"the corners that {one} sees, in" if word == "rgb" else f"the points of {one} against"
+            return f"{word}-to-rgb:{one}:{other}", f"{what} the images of {other}; {shared[best]} collections have both"
     if len(cameras) == 1 and any(pattern.fixed for pattern in dataset.patterns.values()):
         only = cameras[0]
         return f"inter-collection-rgb-to-rgb:{only}:{only}", "each view of the pattern carried to all others by the arm"
@@ -151,11 +159,13 @@ def _table(dataset: Dataset) -> tuple[str | None, str]:
     return None, ""
 
 
+def _collections_of(dataset: Dataset, sensor: str) -> set[int]:
+    """Return the collections in which a sensor sees a pattern."""
+    return {i for i, each in enumerate(dataset.collections) if any(name == sensor for _, name in each.labels)}
+
+
 def _seen(dataset: Dataset) -> str:
-    counts = [
-        f"{name} sees it in {sum(any(s == name for _, s in each.labels) for each in dataset.collections)}"
-        for name in dataset.sensors
-    ]
+    counts = [f"{name} sees it in {len(_collections_of(dataset, name))}" for name in dataset.sensors]
     return f"{len(dataset.collections)} collections; {', '.join(counts)}"
 
 
