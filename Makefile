@@ -90,7 +90,7 @@ bench: ## what the measurements of benchmarks/ print
 	@$(setup) dev.txt .
 	$(python) -m benchmarks $(ARGS)
 
-bench-table: ## the speed table of the README, beside ceres, mrcal, pyceres and scipy as far as they are installed
+bench-table: ## the speed table of the README, beside ceres, gtsam, mrcal, pyceres and scipy as far as they are installed
 	@$(setup) dev.txt .
 	OPENBLAS_NUM_THREADS=1 $(python) -m benchmarks --only peers --json .peers.json || true
 	$(python) -m benchmarks.speed_table .peers.json README.md

@@ -18,7 +18,7 @@ from benchmarks.rows import HEADER, Bar, Row
 
 MODULES = {
     "speed": "the least squares and the whole solve, in passes over the data",
-    "peers": "against ceres, mrcal, pyceres and scipy from the same start",
+    "peers": "against ceres, gtsam, mrcal, pyceres and scipy from the same start",
     "whole": "a whole calibrate beside a kept commit",
     "growth": "time and memory from 2000 to 20 000 collections",
     "consistency": "errors against their stated covariance",

@@ -16,6 +16,7 @@ PEERS = {
     "ceres": "least squares by ceres 2.1 (C++, a block per view)",
     "mrcal": "by mrcal 2.2 (C)",
     "pyceres": "by pyceres 2.6 (Python, analytic derivatives)",
+    "gtsam": "by gtsam 4.3 (C++, a factor per view, its derivatives from Python)",
     "scipy": "by scipy (trf, sparse 2-point differences, vectorised)",
 }
 

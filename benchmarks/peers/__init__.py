@@ -11,6 +11,7 @@ from benchmarks.peers.peer import Peer as Peer
 from benchmarks.peers.peer import PeerError as PeerError
 from benchmarks.peers.peer import Solution as Solution
 from benchmarks.peers.with_ceres import ceres
+from benchmarks.peers.with_gtsam import gtsam
 from benchmarks.peers.with_mrcal import mrcal as mrcal
 from benchmarks.peers.with_pyceres import pyceres
 from benchmarks.rig_arrays import RigProblem, rig_problem
@@ -39,6 +40,7 @@ PEERS = {
     "ceres": _Against(ceres, {20: Bar(high=1 / 1.5), 200: Bar(high=1.2), 2000: Bar(high=0.6)}),
     "mrcal": _Against(mrcal, {2000: Bar(high=0.15)}),
     "pyceres": _Against(pyceres, {}, rounds=3),
+    "gtsam": _Against(gtsam, {}, rounds=3),
     "scipy": _Against(lambda: _scipy(), {2000: Bar(high=1 / 30)}, rounds=3),
 }
 
