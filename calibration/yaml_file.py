@@ -1,61 +1,13 @@
-"""Safe reading of untrusted YAML."""
+"""Safe reading of untrusted YAML files."""
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import yaml
-
-from calibration.errors import CalibrationError, InputError
+from calibration.errors import CalibrationError
 from calibration.files import read_bytes
-from calibration.workflow.text import shorten
 
 MAX_BYTES = 1024 * 1024
 """Size limit of a YAML file; parsing a larger one would take minutes."""
-
-
-MAX_ALIASED = 100_000
-"""Limit of values that aliases add, because a few nested aliases can expand to billions."""
-
-
-class _Loader(yaml.SafeLoader):
-    """Safe loader that refuses repeated keys in a mapping, and reads ``!!python/tuple`` as a list."""
-
-    def construct_document(self, node: yaml.Node) -> Any:
-        sizes: dict[int, int] = {}
-        if _unfolded(node, sizes) > len(sizes) + MAX_ALIASED:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"its aliases expand to more than {MAX_ALIASED} values", node.start_mark
-            )
-        return super().construct_document(node)
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode):
-                if key.value in seen:
-                    problem = f"the key {shorten(repr(key.value))} occurs twice"
-                    raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
-                seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-    def construct_tuple(self, node: yaml.SequenceNode) -> list[Any]:
-        return self.construct_sequence(node, deep=True)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:python/tuple", _Loader.construct_tuple)
-
-
-def _unfolded(node: yaml.Node, sizes: dict[int, int]) -> int:
-    """Count the values of a node with all aliases expanded."""
-    if (known := sizes.get(id(node))) is not None:
-        return known
-    sizes[id(node)] = 2 * MAX_ALIASED  # during the count, so that a node that contains itself exceeds the limit
-    children = node.value if isinstance(node, yaml.SequenceNode) else ()
-    if isinstance(node, yaml.MappingNode):
-        children = [part for pair in node.value for part in pair]
-    sizes[id(node)] = 1 + sum(_unfolded(child, sizes) for child in children)
-    return sizes[id(node)]
 
 
 def read_yaml(path: Path | str, what: str) -> object:
@@ -70,15 +22,9 @@ def read_yaml(path: Path | str, what: str) -> object:
     """
     path = Path(path)
     data = read_bytes(path, MAX_BYTES, what)
-    try:
-        return yaml.load(data, _Loader)  # noqa: S506 (a safe loader)
-    except yaml.MarkedYAMLError as error:
-        line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise InputError(f"{path}{line}: this is not valid YAML: {error.problem or error.context}") from None
-    except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
-        raise InputError(f"{path}: this is not valid YAML: {error}") from None
-    except RecursionError:
-        raise InputError(f"{path}: the YAML is nested too deeply") from None
+    from calibration.yaml_loading import parse_yaml  # slow to import
+
+    return parse_yaml(data, path)
 
 
 def line_of(path: Path | str, keys: Sequence[str], value: str | None = None) -> int | None:
@@ -89,30 +35,10 @@ def line_of(path: Path | str, keys: Sequence[str], value: str | None = None) -> 
         keys: path of keys from the top.
         value: a string below the key; if it is found, its line is returned.
     """
+    from calibration.yaml_loading import line_in  # slow to import
+
     try:
-        node = yaml.compose(read_bytes(path, MAX_BYTES, "YAML"), yaml.SafeLoader)
-    except (yaml.YAMLError, CalibrationError, RecursionError):
+        data = read_bytes(path, MAX_BYTES, "YAML")
+    except CalibrationError:
         return None
-    line = None
-    for key in keys:
-        pairs = node.value if isinstance(node, yaml.MappingNode) else ()
-        found = next(((name, below) for name, below in pairs if name.value == key), None)
-        if found is None:
-            return line
-        line, node = found[0].start_mark.line + 1, found[1]
-    texts = (each for each in _below(node, set()) if isinstance(each, yaml.ScalarNode) and each.value == value)
-    text = next(texts, None)
-    return line if text is None else text.start_mark.line + 1
-
-
-def _below(node: yaml.Node | None, seen: set[int]) -> Iterator[yaml.Node]:
-    """Yield a node and all nodes below it, each once."""
-    if node is None or id(node) in seen:
-        return
-    seen.add(id(node))
-    yield node
-    children = node.value if isinstance(node, yaml.SequenceNode) else ()
-    if isinstance(node, yaml.MappingNode):
-        children = [part for pair in node.value for part in pair]
-    for child in children:
-        yield from _below(child, seen)
+    return line_in(data, keys, value)

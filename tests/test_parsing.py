@@ -8,7 +8,8 @@ import pytest
 from calibration.dataset.document import read_json
 from calibration.errors import InputError
 from calibration.json_file import parse_json
-from calibration.yaml_file import MAX_ALIASED, read_yaml
+from calibration.yaml_file import read_yaml
+from calibration.yaml_loading import MAX_ALIASED
 
 
 def written(path: Path, text: str) -> Path:
@@ -37,7 +38,7 @@ def test_aliases_that_a_person_writes_are_read(tmp_path: Path) -> None:
 
 
 def test_a_long_list_without_aliases_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.yaml_file.MAX_ALIASED", 50)
+    monkeypatch.setattr("calibration.yaml_loading.MAX_ALIASED", 50)
     path = written(tmp_path / "a.yml", json.dumps([1] * 100))
     assert read_yaml(path, "a list") == [1] * 100
     path.write_text("a: &a [1]\nb: [" + ", ".join(["*a"] * 100) + "]")

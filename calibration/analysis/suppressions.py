@@ -11,6 +11,7 @@ from typing import Annotated
 from calibration.analysis.finding import Finding
 from calibration.errors import InputError
 from calibration.records import Converted, field, length, read, record
+from calibration.yaml_file import read_yaml
 
 
 def parse_date(value: str, place: object) -> date:
@@ -66,8 +67,6 @@ def read_suppressions(path: Path) -> tuple[Suppression, ...]:
     Raises:
         InputError: it cannot be read, or something in it is wrong.
     """
-    from calibration.yaml_file import read_yaml  # YAML is slow to import
-
     document = read_yaml(path, "a file of suppressions")
     entries = document.get("suppressions") if isinstance(document, dict) else None
     for entry in entries if isinstance(entries, list) else ():

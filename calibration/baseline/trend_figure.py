@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.baseline.history import History, Trend
 from calibration.errors import InputError
+from calibration.optional import optional
 from calibration.workflow.text import one_line, shorten
 
 if TYPE_CHECKING:
@@ -35,15 +36,12 @@ def figure(found: History) -> bytes:
     """Draw the trends as SVG; the same history gives the same bytes with the same matplotlib.
 
     Raises:
-        InputError: matplotlib is not installed, or there are too many trends.
+        InputError: there are too many trends.
+        InfrastructureError: matplotlib is not installed.
     """
     if len(found.trends) > MOST_PANELS:
         raise InputError(f"no figure: found {len(found.trends)} trends, at most {MOST_PANELS} can be drawn: --systems")
-    try:
-        from matplotlib import figure as figures
-        from matplotlib import rc_context
-    except ImportError as error:
-        raise InputError("the figure needs matplotlib: pip install matplotlib") from error
+    figures, rc_context = optional("matplotlib.figure", "the figure"), optional("matplotlib", "the figure").rc_context
     with rc_context(_STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font lacks
         columns = min(COLUMNS, len(found.trends))

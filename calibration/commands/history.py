@@ -9,7 +9,7 @@ import click
 from calibration.baseline.history import History, Step, Trend, history_of
 from calibration.baseline.trend_figure import figure
 from calibration.commands.parameters import TEXT_LIST, path, text
-from calibration.errors import ExitCode, InputError
+from calibration.errors import CalibrationError, ExitCode
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.report import Lines, Report, Table, count_of, publish
 from calibration.workflow import Runner
@@ -34,7 +34,7 @@ def command(config: Path, systems: tuple[str, ...] | None, since: str | None, ou
     found = history_of(file, systems or (), since, MOST_COMMITS)
     try:
         drawing = figure(found)
-    except InputError as error:
+    except CalibrationError as error:
         drawing = None
         runner.log(str(error))
     publish(report(found, drawing), runner, output)

@@ -15,6 +15,7 @@ from calibration.frozen import frozen
 from calibration.introspection.judge import judge
 from calibration.introspection.report import report
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked
+from calibration.introspection.rulesfile import read_rules
 from calibration.introspection.table import parse_delimiter, read_table
 from calibration.records import flat_fields, read
 from calibration.report import FILES, publish, remove_results
@@ -114,6 +115,4 @@ def _rules(given: dict[str, Any]) -> RuleSet:
         options = replace(options, rules=read(RuleEntry, rule, "options").rules)
     if "rules" not in given:
         return checked(options, "options")
-    from calibration.introspection.rulesfile import read_rules  # slow to import
-
     return checked(read_rules(given["rules"]).overridden_by(options), f"{given['rules']} and options")

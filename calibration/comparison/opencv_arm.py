@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from calibration.errors import UndeterminedError
+from calibration.errors import InfrastructureError, UndeterminedError
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
+from calibration.optional import optional
 
 HAND_EYE, ROBOT_WORLD = "calibrateHandEye", "calibrateRobotWorldHandEye"
 
@@ -14,8 +15,8 @@ HAND_EYE, ROBOT_WORLD = "calibrateHandEye", "calibrateRobotWorldHandEye"
 def opencv_with(function: str) -> Any:
     """Import cv2 on demand; None if it is not installed or lacks the function."""
     try:
-        import cv2
-    except ImportError:
+        cv2 = optional("cv2", function)
+    except InfrastructureError:
         return None
     return cv2 if hasattr(cv2, function) else None
 

@@ -10,17 +10,17 @@ and intrinsics further from those of the dataset. With enough iterations 4 conve
 100 iterations, 0.287 px at the end, 0.290 px with OpenCV 5).
 """
 
-from typing import Any
-
 import numpy as np
 
 from calibration.comparison.sensor_pair import CAMERAS, pair_of, why_not_pair, with_pair
 from calibration.dataset.model import CornerLabels, Dataset, Sensor
-from calibration.errors import InfrastructureError, InputError, UndeterminedError
+from calibration.errors import InputError, UndeterminedError
 from calibration.geometry.distortion import Equidistant, Rational
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
+from calibration.optional import optional
 
+USER = "OpenCV's stereo calibration"
 MINIMUM_CORNERS = 6
 """Minimum of corners of a view. OpenCV starts from a homography, which four corners determine without redundancy."""
 MINIMUM_VIEWS = 3
@@ -48,7 +48,7 @@ def opencv_stereo_fixed(dataset: Dataset) -> Dataset:
 
 def opencv_version(_: Dataset) -> str:
     """Return the implementation used."""
-    return f"OpenCV {_opencv().__version__}"
+    return f"OpenCV {optional('cv2', USER).__version__}"
 
 
 def why_not_stereo(dataset: Dataset) -> str | None:
@@ -98,7 +98,7 @@ def _stereo(dataset: Dataset, *, fixed: bool) -> Dataset:
 
 def _relative_pose(dataset: Dataset, first: Sensor, second: Sensor, *, fixed: bool) -> Array:
     """Estimate ``T_second_first`` (4, 4) by OpenCV."""
-    cv2 = _opencv()
+    cv2 = optional("cv2", USER)
     corners, *pixels = (
         [np.float32(array) for array in arrays] for arrays in zip(*_views(dataset, first, second), strict=True)
     )
@@ -119,14 +119,3 @@ def _relative_pose(dataset: Dataset, first: Sensor, second: Sensor, *, fixed: bo
     if not np.isfinite(T).all():
         raise UndeterminedError(f"{dataset.path}: OpenCV's stereo calibration finds no finite pose")
     return T
-
-
-def _opencv() -> Any:
-    """Import cv2 on demand."""
-    try:
-        import cv2
-    except ImportError:
-        raise InfrastructureError(
-            "OpenCV's stereo calibration needs OpenCV: pip install opencv-python-headless"
-        ) from None
-    return cv2

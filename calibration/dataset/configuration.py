@@ -20,6 +20,7 @@ from calibration.dataset.pattern import (
     tag_outline,
 )
 from calibration.frozen import frozen
+from calibration.yaml_file import read_yaml
 
 MAX_CORNERS = 1000
 """Limit of the number of corners along one side of a pattern."""
@@ -151,8 +152,6 @@ def read_configuration(path: Path | str) -> Configuration:
     Raises:
         InputError: the file cannot be read, or something in it is missing or wrong.
     """
-    from calibration.yaml_file import read_yaml  # imported here, so that reading a dataset does not load it
-
     path = Path(path)
     return parse_configuration(Node(path, (), read_yaml(path, "a calibration configuration")))
 

@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset.document import shown
-from calibration.errors import InfrastructureError, InputError
+from calibration.errors import InputError
 from calibration.files import read_bytes
 from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
+from calibration.optional import optional
 
 UNIT = 1e-4
 """m: the unit of a depth image."""
@@ -117,10 +118,7 @@ def _check_chunks(data: bytes) -> None:
 
 
 def _decode(data: bytes, shape: tuple[int, int]) -> NDArray[np.uint16]:
-    try:
-        import cv2
-    except ImportError as error:
-        raise InfrastructureError("reading depth images needs OpenCV: pip install opencv-python-headless") from error
+    cv2 = optional("cv2", "reading depth images")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:

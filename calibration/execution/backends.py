@@ -20,6 +20,7 @@ from calibration.records import field, flat_fields, read, record
 from calibration.variables import with_variables
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
+from calibration.yaml_file import read_yaml
 
 if TYPE_CHECKING:
     from calibration.execution.docker.labels import Owner
@@ -182,8 +183,6 @@ def read_sections(backend: str, path: Path) -> Sections:
     Raises:
         InputError: the file or the section is missing or wrong; the message names file and key.
     """
-    from calibration.yaml_file import read_yaml  # YAML is slow to import
-
     kind = KINDS[backend].settings
     document = read_yaml(path, f"a file with a section {backend}")
     if not isinstance(document, dict) or backend not in document:

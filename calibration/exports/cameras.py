@@ -9,6 +9,7 @@ from calibration.exports.calibrated import Calibrated
 from calibration.exports.yaml_text import yaml_text
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import inverse
+from calibration.optional import optional
 
 
 def camera_info(camera: Camera, name: str) -> str:
@@ -66,8 +67,7 @@ def opencv_storage(of: Calibrated) -> str:
 
     A point X in the first camera's frame is ``R X + T`` in the other's, as in cv2.stereoCalibrate.
     """
-    import cv2  # imported here: it is slow, and listing the formats does not need it
-
+    cv2 = optional("cv2", "the export opencv")
     storage = cv2.FileStorage(".yml", cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY)
     for i, (name, camera) in enumerate(of.cameras.items()):
         storage.write(f"name_{i}", name)

@@ -13,7 +13,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.errors import CalibrationError, InfrastructureError, InputError
+from calibration.errors import CalibrationError, InputError
+from calibration.optional import optional
 
 if TYPE_CHECKING:
     from rosbags.rosbag1 import Reader as Reader1
@@ -108,12 +109,11 @@ class Bag:
 
     @cached_property
     def _types(self) -> "Typestore":
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        store = get_typestore(Stores.ROS1_NOETIC if self._ros == 1 else Stores.ROS2_HUMBLE)
+        types = optional("rosbags.typesys", "reading bags")
+        store: Typestore = types.get_typestore(types.Stores.ROS1_NOETIC if self._ros == 1 else types.Stores.ROS2_HUMBLE)
         for kind, definition in MORE_TYPES.items():
             if kind not in store.fielddefs:
-                store.register(get_types_from_msg(definition, kind))
+                store.register(types.get_types_from_msg(definition, kind))
         return store
 
     def stamp(self, message: RawMessage) -> int:
@@ -145,16 +145,12 @@ def open_bag(paths: Sequence[Path]) -> Iterator[Bag]:
     if len(kinds) != 1:
         raise InputError(f"{paths[0]}: found bags of ROS 1 and of ROS 2, expected one kind")
     ros = kinds.pop()
-    try:
-        from rosbags.rosbag1 import Reader as Reader1
-        from rosbags.rosbag2 import Reader as Reader2
-    except ModuleNotFoundError:
-        raise InfrastructureError("bags need the package rosbags: pip install 'calibration-ci[bags]'") from None
+    reader_of = optional(f"rosbags.rosbag{ros}", "reading bags").Reader
     with ExitStack() as stack:
         parts = []
         for path in paths:
             with _readable(path):
-                reader: Any = Reader1(path) if ros == 1 else Reader2(path)
+                reader = reader_of(path)
                 stack.enter_context(reader)
                 parts.append(_Part(path, reader))
         yield Bag(parts, ros)

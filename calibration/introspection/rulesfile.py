@@ -4,6 +4,7 @@ from pathlib import Path
 
 from calibration.introspection.rigelfile import find_columns, translate
 from calibration.introspection.rule_set import RuleSet, parse_rules
+from calibration.yaml_file import read_yaml
 
 
 def read_rules(path: str | Path) -> RuleSet:
@@ -11,8 +12,6 @@ def read_rules(path: str | Path) -> RuleSet:
 
     Raises :class:`InputError` that names the file and the error.
     """
-    from calibration.yaml_file import read_yaml  # YAML is slow to import
-
     document = read_yaml(path, "a file of rules")
     settings = find_columns(document, str(path))
     return parse_rules(document if settings is None else translate(settings, str(path)), str(path))

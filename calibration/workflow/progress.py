@@ -56,13 +56,14 @@ def _lines(runner: Runner) -> Iterator[Advance]:
 
 @contextmanager
 def _bar(runner: Runner, title: str) -> Iterator[Advance]:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich import console as consoles  # slow to import
+    from rich import progress as bars
 
-    console = Console(file=runner.stdout)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = consoles.Console(file=runner.stdout)
+    text = bars.TextColumn("{task.description}")
+    columns = (text, bars.BarColumn(), bars.MofNCompleteColumn(), bars.TimeRemainingColumn())
     # no monitor thread, so that the steps may fork
-    with Progress(*columns, console=console, transient=True, auto_refresh=False) as bar:
+    with bars.Progress(*columns, console=console, transient=True, auto_refresh=False) as bar:
         task = bar.add_task(title, total=None)
 
         def advance(done: int, total: int, line: str, *, important: bool = False) -> None:

@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from calibration.errors import InputError
+from calibration.errors import InfrastructureError
 from calibration.pipeline.collection.report import TITLE
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.report import FILES, Block, Code, Lines, Outcome, Report, Table, Text, count_of, shown
@@ -47,7 +47,7 @@ def report(results: ScenarioResults, output: Path) -> Report:
     try:
         drawn = figure(statistics, results.title, checks.max_translation_mm, checks.max_rotation_deg)
         pictures = {FIGURE_FILE: drawn}
-    except InputError as error:  # matplotlib is not installed
+    except InfrastructureError as error:  # matplotlib is not installed
         notes = (str(error),)
     worst = [result.id for result in statistics.worst(WORST_SHOWN)]
     passed = len(statistics.results) - len(results.failed)

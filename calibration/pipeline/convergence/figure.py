@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from calibration.errors import InputError
 from calibration.introspection.numbers import number_text
+from calibration.optional import optional
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap
 from calibration.pipeline.convergence.results import ConvergenceResults
 from calibration.workflow.text import one_line, shorten
@@ -39,15 +40,13 @@ def figures(results: ConvergenceResults) -> tuple[bytes, bytes]:
     """Draw the maps as PNG and SVG; the same results give the same bytes with the same matplotlib.
 
     Raises:
-        InputError: matplotlib is not installed, or there are too many maps.
+        InputError: there are too many maps.
+        InfrastructureError: matplotlib is not installed.
     """
     if len(results.maps) > MOST_MAPS:
         raise InputError(f"no figure: found {len(results.maps)} maps, at most {MOST_MAPS} can be drawn")
-    try:
-        from matplotlib import figure, patches, rc_context
-    except ImportError as error:
-        message = "the figure needs matplotlib: pip install matplotlib"
-        raise InputError(message) from error
+    figure, patches = (optional(f"matplotlib.{name}", "the figure") for name in ("figure", "patches"))
+    rc_context = optional("matplotlib", "the figure").rc_context
     with rc_context(_STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font lacks
         columns = min(COLUMNS, len(results.maps))

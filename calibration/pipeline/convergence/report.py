@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from calibration.errors import InputError
+from calibration.errors import CalibrationError
 from calibration.introspection.numbers import number_text
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap
 from calibration.pipeline.convergence.figure import figures
@@ -35,7 +35,7 @@ def report(results: ConvergenceResults, output: Path, source: str = "--config ca
     pictures: dict[str, str | bytes] = {}
     try:
         pictures = dict(zip((PNG_FILE, SVG_FILE), figures(results), strict=True))
-    except InputError as error:  # matplotlib is not installed, or there are too many maps
+    except CalibrationError as error:  # matplotlib is not installed, or there are too many maps
         notes = (str(error),)
     lost = tuple(line for each in results.maps if (line := first_lost(each, source)))
     largest = results.largest

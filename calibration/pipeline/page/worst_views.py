@@ -11,6 +11,7 @@ from calibration.dataset.payload import locate
 from calibration.errors import CalibrationError
 from calibration.evaluation.residuals import Residuals
 from calibration.geometry.types import Array
+from calibration.optional import optional
 from calibration.pages.html import Html, element
 from calibration.pages.overlay import overlay
 from calibration.pages.page import figure
@@ -62,12 +63,11 @@ def _jpeg(given: Dataset | None, name: str, key: str) -> bytes | None:
             return None
         if path.stat().st_size <= SMALL and (data := path.read_bytes()).startswith(JPEG):
             return data
-        import cv2  # slower to import than a small dataset to calibrate
-
-        from calibration.importing.looking import read_image  # imports OpenCV too
+        cv2 = optional("cv2", "a smaller image")
+        from calibration.importing.looking import read_image  # imports OpenCV
 
         image: Any = read_image(path)
-    except (ImportError, OSError, CalibrationError):
+    except (OSError, CalibrationError):
         return None
     scale = min(1.0, PIXELS / image.shape[1])
     size = max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0]))

@@ -22,6 +22,7 @@ from calibration.report import Report, publish
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import did_you_mean
+from calibration.yaml_file import line_of
 
 if TYPE_CHECKING:
     from calibration.image.specification import ImageSpecification
@@ -139,8 +140,6 @@ def _places(reasons: Sequence[str], run: Run) -> dict[str, tuple[Path, int]]:
     """Return the lines of the rules or limits in the reasons, for a runner that annotates them."""
     if run.config is None or not run.runner.github:
         return {}
-    from calibration.yaml_file import line_of  # YAML is slow to import
-
     found = {}
     for reason in reasons:
         names = (system for system in run.matrix.systems if reason.startswith((f"{system.name},", f"{system.name}:")))

@@ -3,7 +3,7 @@
 import io
 from typing import TYPE_CHECKING, Any
 
-from calibration.errors import InputError
+from calibration.optional import optional
 from calibration.simulation.scenarios.drivers import Driver
 from calibration.simulation.scenarios.statistics import Statistics, why_unknown
 
@@ -36,15 +36,11 @@ def figure(
         rotation_limit: limit of the rotation error, deg.
 
     Raises:
-        InputError: matplotlib is not installed.
+        InfrastructureError: matplotlib is not installed.
     """
-    try:
-        import matplotlib.figure
-    except ImportError as error:
-        message = "the figure needs matplotlib: pip install matplotlib"
-        raise InputError(message) from error
-    with matplotlib.rc_context(_STYLE):
-        drawing = matplotlib.figure.Figure(figsize=(_WIDTH, _HEIGHT), dpi=_DPI, layout="constrained")
+    figures, rc_context = optional("matplotlib.figure", "the figure"), optional("matplotlib", "the figure").rc_context
+    with rc_context(_STYLE):
+        drawing = figures.Figure(figsize=(_WIDTH, _HEIGHT), dpi=_DPI, layout="constrained")
         drawing.suptitle(f"{_plain(title)}: {len(report.calibrated)} of {len(report.results)} calibrate", fontsize=12)
         drivers = report.drivers[:DRIVERS_SHOWN]
         halves = drawing.add_gridspec(2, 1)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
+from calibration.errors import InfrastructureError
 from calibration.pipeline.convergence.figure import MOST_MAPS, figures
 from calibration.pipeline.convergence.report import report
 from calibration.pipeline.convergence.results import ConvergenceResults
@@ -70,5 +70,5 @@ def test_too_many_maps_are_a_note_not_a_failure(tmp_path: Path) -> None:
 
 def test_without_matplotlib_the_error_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(InputError, match=r"pip install matplotlib"):
+    with pytest.raises(InfrastructureError, match=r"pip install matplotlib"):
         figures(results())

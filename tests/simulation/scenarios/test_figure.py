@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.errors import InputError
+from calibration.errors import InfrastructureError
 from calibration.simulation.scenarios.figure import figure
 from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.statistics import Statistics
@@ -44,5 +44,5 @@ def test_the_same_report_gives_the_same_picture() -> None:
 
 def test_without_matplotlib_the_error_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(InputError, match=r"pip install matplotlib"):
+    with pytest.raises(InfrastructureError, match=r"pip install matplotlib"):
         figure(report(3), "3 scenarios")
