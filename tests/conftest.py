@@ -2,6 +2,7 @@
 
 import os
 import signal
+import tempfile
 from collections.abc import Generator
 from contextlib import suppress
 from pathlib import Path
@@ -13,6 +14,13 @@ from tests.properties import register_profiles
 # As the commands do, before anything imports numpy: the tests' processes are the parallelism.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
+
+# Environments and checkouts that come and go: ext4 takes its time for a file where others have just been removed.
+MEMORY, ENOUGH = Path("/dev/shm"), 8 << 30  # noqa: S108
+if "TMPDIR" not in os.environ and MEMORY.is_dir():
+    _memory = os.statvfs(MEMORY)
+    if _memory.f_bavail * _memory.f_frsize > ENOUGH and not _memory.f_flag & os.ST_NOEXEC:
+        os.environ["TMPDIR"], tempfile.tempdir = str(MEMORY), None
 
 # A shell has what it starts in the background ignore it, which all that is started from there inherits: tests send it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

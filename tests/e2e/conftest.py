@@ -11,7 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -201,11 +201,23 @@ def commit(folder: Path) -> None:
 @pytest.fixture(scope="session")
 def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a checkout of this repository as it is now, tagged v1, without what no action reads."""
-    folder = tmp_path_factory.mktemp("github") / "suite"
-    for name in (".github", "actions", "calibration", "datasets", "requirements"):
+    return checkout(tmp_path_factory.mktemp("github") / "suite", (".github", "actions", "calibration", "requirements"))
+
+
+@pytest.fixture
+def suite_with_robots(tmp_path: Path) -> Path:
+    """Return the same with the systems that ship, and the calibration.yml that names them."""
+    folder = checkout(tmp_path / "suite", (".github", "actions", "calibration", "datasets", "requirements"))
+    shutil.copy(PROJECT / "calibration.yml", folder)
+    commit(folder)
+    return folder
+
+
+def checkout(folder: Path, names: Sequence[str]) -> Path:
+    """Make a repository with folders of this one."""
+    for name in names:
         shutil.copytree(PROJECT / name, folder / name, ignore=LARGE)
-    for name in ("action.yml", "calibration.yml"):
-        shutil.copy(PROJECT / name, folder)
+    shutil.copy(PROJECT / "action.yml", folder)
     commit(folder)
     git(folder, "tag", "v1")
     git(folder, "gc", "--quiet")  # one file in the place of several hundred to copy

@@ -325,9 +325,9 @@ def test_inputs_are_data(repository: Repository) -> None:
         assert came.outputs["verdict"] == ""
 
 
-def test_the_repositorys_own_pipeline(suite: Path, cache: Path) -> None:
+def test_the_repositorys_own_pipeline(suite_with_robots: Path, cache: Path) -> None:
     """The job of push.yml that runs the root action, on the systems that ship."""
-    run = Repository(suite, suite, cache).act("push", "--job", "action")
+    run = Repository(suite_with_robots, suite_with_robots, cache).act("push", "--job", "action")
     assert run.code == 0, run.log
     assert run.installations == ["run"]
     assert run.outputs == declared("")

@@ -3,7 +3,6 @@
 import json
 import math
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -205,10 +204,11 @@ def test_a_pull_request_from_a_fork_by_commit_without_secrets(caller: Caller, sm
     assert not list((caller.artifacts / "calibration~fresh").glob("*/collected"))  # it is in the other artifact
 
 
-def test_this_repositorys_own_pipeline_runs_what_is_checked_out(caller: Caller, tmp_path: Path) -> None:
+def test_this_repositorys_own_pipeline_runs_what_is_checked_out(
+    suite_with_robots: Path, cache: Path, tmp_path: Path
+) -> None:
     """Under act it is not fetched: a pull request tests its own code."""
-    folder = tmp_path / "own"
-    shutil.copytree(caller.repository.suite, folder)
+    folder = suite_with_robots
     module = folder / "calibration" / "commands" / "plan_matrix.py"
     module.write_text(f"{module.read_text()}\nprint('the code of this checkout')\n")
     workflow = yaml.safe_load((folder / ".github/workflows/push.yml").read_text())
@@ -219,7 +219,7 @@ def test_this_repositorys_own_pipeline_runs_what_is_checked_out(caller: Caller, 
         yaml.safe_dump({"on": "push", "permissions": {}, "jobs": {"robots": called}})
     )
     commit(folder)
-    own = Caller(Repository(folder, folder, caller.repository.cache), tmp_path / "own-artifacts")
+    own = Caller(Repository(folder, folder, cache), tmp_path / "own-artifacts")
     run = own.run("push", "--job", "robots")
     assert run.code == 0, run.log
     assert "the code of this checkout" in run.printed

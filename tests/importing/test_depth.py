@@ -107,6 +107,12 @@ def test_they_calibrate_to_the_truth(recorded: Path, tmp_path: Path, kind: Kind,
     assert np.degrees(rad) < 0.3
 
 
+@pytest.fixture(scope="module")
+def raw(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """The same recording without compression."""
+    return imported(record(recorded, tmp_path_factory.mktemp("raw"), "mcap", "32FC1"))
+
+
 @pytest.mark.parametrize(
     ("encoding", "transport", "off"),
     [
@@ -116,13 +122,13 @@ def test_they_calibrate_to_the_truth(recorded: Path, tmp_path: Path, kind: Kind,
         ("16UC1; png compressed", "compressed", 0.0006),
     ],
 )
-def test_compressed_topics(recorded: Path, tmp_path: Path, encoding: str, transport: str, off: float) -> None:
+def test_compressed_topics(
+    recorded: Path, raw: Dataset, tmp_path: Path, encoding: str, transport: str, off: float
+) -> None:
     path = record(recorded, tmp_path, "mcap", encoding, transport=transport)
     topic = f"/range/depth/image_raw/{transport}"
     ours = imported(path, {**SENSORS, "range": {"topic": topic}})
     assert ours.sensors["range"].modality.name == "depth"
-    (tmp_path / "raw").mkdir()
-    raw = imported(record(recorded, tmp_path / "raw", "mcap", "32FC1"))
     counted = 0
     for one, other in zip(ours.collections, raw.collections, strict=True):
         images = [

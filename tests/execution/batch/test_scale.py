@@ -9,7 +9,7 @@ from pathlib import Path
 from tests.aws.fixtures import Aws
 from tests.execution.batch.client import Did, Tasks
 
-JOBS = 800
+JOBS = 300
 PROGRAM = """
 import json, sys, time
 from pathlib import Path
