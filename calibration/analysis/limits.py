@@ -1,6 +1,7 @@
 """Limits of the number of findings: ``error=0``, ``security=3``, ``all=100``."""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,8 @@ from calibration.report import Check, at_most
 from calibration.workflow.text import did_you_mean, shorten
 
 EVERY = "all"
+MOST_FILES = 20
+"""Limit of the files that are named for a limit of each file."""
 _LIMIT = re.compile(r"([a-z -]+)=([0-9]{1,9})")
 _KINDS = (EVERY, *SEVERITIES, *CATEGORIES)
 
@@ -24,9 +27,23 @@ class Limit:
 
     def check(self, findings: Sequence[Finding], what: str) -> Check:
         """Check the number of findings; ``what`` describes them in the message: new, all."""
-        count = sum(self.kind in (EVERY, finding.severity, finding.category) for finding in findings)
-        kind = "" if self.kind == EVERY else f" ({self.kind})"
-        return at_most(f"{what} findings{kind}", count, self.most)
+        return at_most(f"{what} findings{self._shown}", sum(map(self._concerns, findings)), self.most)
+
+    def check_files(self, findings: Sequence[Finding]) -> list[Check]:
+        """Check the number of findings of each file: those with too many, the worst first, or else the worst one."""
+        counts = Counter(finding.path for finding in findings if self._concerns(finding)).most_common(MOST_FILES)
+        broken = [each for each in counts if each[1] > self.most]
+        return [
+            at_most(f"findings{self._shown} of {shorten(path)}", count, self.most)
+            for path, count in broken or counts[:1]
+        ]
+
+    def _concerns(self, finding: Finding) -> bool:
+        return self.kind in (EVERY, finding.severity, finding.category)
+
+    @property
+    def _shown(self) -> str:
+        return "" if self.kind == EVERY else f" ({self.kind})"
 
 
 def parse_limits(texts: Sequence[str], option: str) -> list[Limit]:

@@ -80,6 +80,7 @@ def analysed(settings: AnalysisSettings, folder: Path, output: Path | None, runn
         remove_results(output, (*FILES, SARIF_FILE, JSON_FILE, PICTURE_FILE, BADGE_FILE))
     new_limits = parse_limits(settings.max_new, "max-new")
     total_limits = parse_limits(settings.max_total, "max-total")
+    file_limits = parse_limits(settings.max_file, "max-file")
     seconds = parse_seconds(settings.timeout, "timeout")
     repository = Repository.around(folder)
     accepted = _suppressions(settings, repository)
@@ -92,6 +93,7 @@ def analysed(settings: AnalysisSettings, folder: Path, output: Path | None, runn
     name = base if settings.base_sarif is None else str(settings.base_sarif)
     checks = [limit.check(new, "new") for limit in new_limits] if name is not None else []
     checks += [limit.check(sifted.kept, "all") for limit in total_limits]
+    checks += [check for limit in file_limits for check in limit.check_files(sifted.kept)]
     results = Results(
         tools=state.tools,
         files=state.files,

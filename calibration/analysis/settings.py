@@ -25,6 +25,7 @@ class AnalysisSettings:
         "Most new findings of a severity, a category or all (error=0 security=0).", default=("error=0", "security=0")
     )
     max_total: tuple[str, ...] = field("Most findings, new or not, in the same form (no limit).", default=())
+    max_file: tuple[str, ...] = field("Most findings of any one file, in the same form (no limit).", default=())
     suppressions: Path | None = field(f"File of what is accepted ({SUPPRESSIONS}, if there is one).", default=None)
     metrics: bool = field(
         "Measure complexity and duplication, and grade the code; 10 s for 100 000 lines.", default=False

@@ -137,6 +137,17 @@ def test_without_a_base_all_findings_are_reported_and_none_is_new(root: Path) ->
     assert run(root, "--max-total", "security=0")[0] == 1
 
 
+def test_files_with_too_many_findings_are_named_the_worst_first(root: Path) -> None:
+    commit(root, {"two.py": GOOD + BAD + BAD, "three.py": GOOD + BAD * 3, "one.py": GOOD + BAD})
+    code, found = run(root, "--max-file", "security=1, error=0")
+    assert code == 1
+    assert found["problems"] == [
+        "findings (security) of three.py: found 3, expected at most 1",
+        "findings (security) of two.py: found 2, expected at most 1",
+    ]
+    assert run(root, "--max-file", "all=5")[0] == 0
+
+
 def test_accepted_findings_are_counted_and_do_not_fail(root: Path) -> None:
     text = "suppressions:\n- {rule: ruff/S307, reason: only our own texts}\n"
     write(root, {"naming.py": GOOD + BAD, ".static-analysis.yml": text})
