@@ -3,7 +3,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yourdfpy
 from scipy.spatial.transform import Rotation
 
 from calibration.errors import InputError
@@ -58,6 +57,8 @@ def test_another_library_finds_every_frame_at_the_same_place(source: str, tmp_pa
         path = tmp_path / "robot.urdf"
         path.write_text(random_chain(random))
     robot = read_robot(path)
+    import yourdfpy  # slow to import, for every worker that collects the tests
+
     other = yourdfpy.URDF.load(path, load_meshes=False, build_scene_graph=True)
     assert set(other.actuated_joint_names) == set(robot.movable)
     for _ in range(5):

@@ -1,8 +1,9 @@
+from types import ModuleType
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import rankdata, spearmanr
 
 from calibration.simulation.scenarios.drivers import LEAST_SCENARIOS, Driver, centred_ranks, find_drivers
 
@@ -12,23 +13,30 @@ def scenarios(count: int, parameters: int, seed: int = 0) -> list[dict[str, floa
     return [{f"p{k:02d}": float(value) for k, value in enumerate(row)} for row in values]
 
 
+@pytest.fixture(scope="module")
+def stats() -> ModuleType:
+    import scipy.stats  # slow to import, for every worker that collects the tests
+
+    return scipy.stats
+
+
 def noise(count: int, seed: int = 1) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(count)
 
 
 @given(st.lists(st.one_of(st.integers(-3, 3).map(float), st.floats(allow_nan=False)), min_size=1, max_size=30))
-def test_ranks_are_those_of_scipy(values: list[float]) -> None:
+def test_ranks_are_those_of_scipy(stats: ModuleType, values: list[float]) -> None:
     ranks = centred_ranks(np.array(values))
-    np.testing.assert_array_equal(ranks, (2 * rankdata(values) - len(values) - 1).astype(int))
+    np.testing.assert_array_equal(ranks, (2 * stats.rankdata(values) - len(values) - 1).astype(int))
     assert ranks.sum() == 0
 
 
-def test_a_planted_driver_is_found_and_nothing_else() -> None:
+def test_a_planted_driver_is_found_and_nothing_else(stats: ModuleType) -> None:
     values = scenarios(60, 30)
     errors = [0.5 + np.exp(scenario["p07"]) + 0.3 * abs(n) for scenario, n in zip(values, noise(60), strict=True)]
     found = find_drivers(values, errors)
     assert found[0].parameter == "p07"
-    expected = spearmanr([scenario["p07"] for scenario in values], errors).statistic
+    expected = stats.spearmanr([scenario["p07"] for scenario in values], errors).statistic
     assert found[0].correlation == pytest.approx(expected, abs=1e-4)
     assert [driver.parameter for driver in found if driver.stands_out] == ["p07"]
 
@@ -52,12 +60,12 @@ def test_chance_is_rarely_significant() -> None:
     assert wrong <= 4
 
 
-def test_the_p_value_of_a_single_parameter_is_that_of_scipy() -> None:
+def test_the_p_value_of_a_single_parameter_is_that_of_scipy(stats: ModuleType) -> None:
     values = [{"a": abs(scenario["p00"])} for scenario in scenarios(50, 1)]
     errors = [0.4 * scenario["a"] + n for scenario, n in zip(values, 0.8 * noise(50), strict=True)]
     (found,) = find_drivers(values, errors)
     assert 0.001 < found.p < 0.5
-    assert found.p == pytest.approx(spearmanr([scenario["a"] for scenario in values], errors).pvalue, rel=0.2)
+    assert found.p == pytest.approx(stats.spearmanr([scenario["a"] for scenario in values], errors).pvalue, rel=0.2)
 
 
 def test_many_parameters_make_one_less_sure() -> None:
