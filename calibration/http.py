@@ -48,7 +48,7 @@ class Answer:
 
     status: int
     headers: Mapping[str, str]
-    """By name, in any case."""
+    """Headers by name, in any case."""
     body: bytes
 
     @property

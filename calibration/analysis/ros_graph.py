@@ -15,12 +15,12 @@ class RosGraph:
 
     nodes: int
     connections: frozenset[str]
-    """One line each, such as ``/scan: scanner -> follower``."""
+    """Connections of nodes, one line each: ``/scan: scanner -> follower``."""
     unresolved: tuple[str, ...]
     document: str
-    """All of it as JSON."""
+    """The whole graph as JSON."""
     picture: str
-    """As SVG."""
+    """Picture of the graph as SVG."""
 
     def since(self, earlier: "RosGraph | None") -> Graph:
         """Return what the graph has, and what has changed since an earlier state."""

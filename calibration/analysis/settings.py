@@ -10,7 +10,7 @@ SUPPRESSIONS = ".static-analysis.yml"
 
 @record
 class AnalysisSettings:
-    """What is analysed, and how many findings pass."""
+    """Settings of the static analysis: the files, the tools, and the limits of findings."""
 
     paths: tuple[str, ...] = field("Folders and files of the repository to analyse (all in git).", default=())
     exclude: tuple[str, ...] = field("Patterns of git for files that are not analysed.", default=())

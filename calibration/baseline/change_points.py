@@ -19,7 +19,7 @@ NORMAL = 1.4826
 FEWEST = 4
 """Minimum number of values for a trend."""
 MANY = 12
-"""From this number of values on, the noise is estimated from their differences."""
+"""Least number of values for which the noise is estimated from their differences."""
 LEAST = 0.02
 """Lower limit of the noise, as a fraction of the stated one."""
 

@@ -34,7 +34,7 @@ class Accepted:
 
     settings: BaselineSettings
     snapshot: Snapshot | None
-    """None if no calibration of the system has been accepted."""
+    """The accepted calibration; None if none of the system has been accepted."""
     since: str = ""
     """The file and its last commit, for messages: "calibration-baseline.json of 2026-11-02 (1a2b3c4)"."""
 

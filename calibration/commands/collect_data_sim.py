@@ -31,7 +31,7 @@ from calibration.pipeline.collection.request import (
 )
 from calibration.pipeline.collection.scenario_report import scenario_line
 from calibration.pipeline.collection.scenarios import ScenarioFolder
-from calibration.pipeline.page.of_collection import collection_page
+from calibration.pipeline.page.collection_page import collection_page
 from calibration.pipeline.results import PAGE_FILE
 from calibration.report import publish, show
 from calibration.simulation.collection.record import Record

@@ -14,7 +14,7 @@ from calibration.errors import ExitCode
 from calibration.pipeline.distribution.cost import cost_of_run
 from calibration.pipeline.distribution.gathering import gather, report_of_run
 from calibration.pipeline.distribution.jobs import parse_needs, parse_seconds
-from calibration.pipeline.page.whole import report_page
+from calibration.pipeline.page.run_page import report_page
 from calibration.pipeline.results import PAGE_FILE, clear_results
 from calibration.report import publish
 from calibration.workflow import Runner

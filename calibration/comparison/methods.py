@@ -68,7 +68,7 @@ METHODS: Mapping[str, Method] = {
         _icp("icp-best", "ICP, best collection", icp_best),
     )
 }
-"""All methods."""
+"""All comparison methods, by name."""
 
 
 def method_of(name: str) -> Method:

@@ -24,7 +24,7 @@ USER = "OpenCV's stereo calibration"
 MINIMUM_CORNERS = 6
 """Minimum of corners of a view. OpenCV starts from a homography, which four corners determine without redundancy."""
 MINIMUM_VIEWS = 3
-"""With fewer views of a plane the intrinsics cannot be estimated (Z. Zhang, 2000)."""
+"""Minimum of views: from fewer of a plane the intrinsics cannot be estimated (Z. Zhang, 2000)."""
 
 
 def opencv_stereo(dataset: Dataset) -> Dataset:

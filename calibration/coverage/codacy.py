@@ -20,11 +20,11 @@ class Upload:
 
     commit: str
     files: Mapping[str, FileCoverage]
-    """By path in the repository."""
+    """Coverage of each file, by path in the repository."""
     partial: bool = False
-    """Other jobs send coverage of this commit too."""
+    """Whether other jobs send coverage of this commit too."""
     final: bool = False
-    """This is the last upload for this commit."""
+    """Whether this is the last upload for this commit."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Request:
 API_URL = "https://api.codacy.com"
 PROVIDERS = ("gh", "ghe", "gl", "gle", "bb", "bbe", "manual")
 MOST_HITS = 2**31 - 1
-"""Whether a line number is in the range that Codacy accepts."""
+"""Largest number of hits of a line that is sent; larger ones are cut to it."""
 _NAME = re.compile(r"[A-Za-z0-9._~-]+")
 
 

@@ -21,7 +21,7 @@ class Command:
     """A program to run."""
 
     text: str
-    """As the user wrote it."""
+    """The command as the user wrote it."""
     arguments: tuple[str, ...]
     junit: Path | None = None
     """File that the program writes its results to as JUnit XML; None if it writes none."""

@@ -26,7 +26,7 @@ class Mapped:
     """Coverage from reports, mapped to files of the repository."""
 
     files: Mapping[str, FileCoverage]
-    """By path in the repository."""
+    """Coverage of each file, by path in the repository."""
     unmatched: tuple[str, ...] = ()
     """Names that match no file of the repository."""
     ambiguous: Mapping[str, tuple[str, ...]] = field(default_factory=dict)

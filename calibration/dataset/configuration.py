@@ -40,7 +40,7 @@ class SensorConfiguration:
 
     name: str
     modality: str
-    """As in the document: "rgb", "lidar3d", "depth" ..."""
+    """Name of the modality, as in the document: "rgb", "lidar3d", "depth" ..."""
     link: str
     parent_link: str
     child_link: str

@@ -126,7 +126,7 @@ class Collection:
 
     key: str
     labels: Mapping[tuple[str, str], Labels]
-    """By (pattern, sensor)."""
+    """Labels by (pattern, sensor)."""
 
 
 @frozen(eq=False)

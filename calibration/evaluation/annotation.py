@@ -19,7 +19,7 @@ from calibration.geometry.transforms import apply
 from calibration.geometry.types import Array
 
 Annotation = Mapping[str, Array]
-"""By the key of a collection: line segments (S, 2, 2), each from pixel (x, y) to pixel (x, y)."""
+"""Line segments (S, 2, 2) by the key of a collection, each from pixel (x, y) to pixel (x, y)."""
 
 _SIDES = ("top", "right", "bottom", "left")
 _PIECES = 32  # per side, because distortion bends it

@@ -37,7 +37,7 @@ class Kind:
     """Function of the dataset, the truth if there is one, and the names."""
 
     def sensors(self, names: Names) -> Names:
-        """Those of the names that are sensors."""
+        """Return the names that must be sensors."""
         return tuple(name for name, what in zip(names, self.needs + self.may, strict=False) if what in _SENSORS)
 
 
@@ -102,7 +102,7 @@ class Evaluation:
     """Specification of a table."""
 
     kind: str
-    """One of `KINDS`."""
+    """Kind of the table, a key of `KINDS`."""
     names: Names
     """Names of sensors, frames and patterns, as its kind requires."""
 

@@ -1,11 +1,12 @@
 """Execution of tasks, independent of calibration.
 
 - ``tasks``: tasks, and the loop that runs them; ``workspace``: results that survive an interruption;
-- ``backends``: registry of backends: ``embedded`` (functions in processes), ``docker`` and ``batch`` (jobs of
-  containers);
-- ``job``, ``outcome``: a job of containers, and its result; ``document``, ``placeholders``, ``ros``,
-  ``job_check``: parsing and validation of a job's description;
+- ``backends``: registry of backends: ``embedded`` (functions in the ``processes`` of this machine), ``docker`` and
+  ``batch`` (jobs of containers);
+- ``job``, ``outcome``: a job of containers, and its result; ``placeholders``, ``ros``, ``sizes``, ``job_check``:
+  parsing and validation of a job's description;
 - ``supervision``, ``judging``: a job's containers from the first start to the verdict; ``copying_out``,
-  ``extraction``, ``globs``: copying their artifacts; ``log_file``, ``redaction``: their logs;
+  ``extraction``, ``globs``: copying their artifacts; ``log_file``, ``redaction``: their logs; ``job_folder``: the
+  folder with both;
 - ``admission``: starting jobs within the resources of the machine.
 """

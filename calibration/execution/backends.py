@@ -146,7 +146,7 @@ class ExecutionTarget:
     """Backend, settings and run to execute jobs of containers."""
 
     backend: str = DOCKER
-    """One of `KINDS`."""
+    """Name of the backend, a key of `KINDS`."""
     sections: Sections = dataclass_field(default_factory=Sections)
     """Sections of calibration.yml, including that of the backend."""
     run: str | None = None

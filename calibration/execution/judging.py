@@ -19,7 +19,7 @@ class Watched(Protocol):
 
     @property
     def container(self) -> Container:
-        """Its definition."""
+        """Definition of the container."""
 
     @property
     def started(self) -> float | None:
@@ -35,7 +35,7 @@ class Watched(Protocol):
 
     @property
     def end(self) -> End:
-        """How it ended, once known."""
+        """Way in which it ended, once known."""
 
     @property
     def exit_code(self) -> int | None:

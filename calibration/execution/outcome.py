@@ -9,18 +9,18 @@ from calibration.frozen import frozen
 
 
 class End(enum.StrEnum):
-    """How a container ended."""
+    """Way in which a container ended."""
 
     EXITED = "exited"
-    """It exited by itself."""
+    """Exited by itself."""
     SIGNALLED = "killed by a signal"
     """Killed by a signal, not by us."""
     OUT_OF_MEMORY = "out of memory"
-    """It, or one of its processes, exceeded its memory, whatever the exit code."""
+    """Exceeded its memory, itself or one of its processes, whatever the exit code."""
     TIMED_OUT = "timed out"
     """Stopped at its time limit, or that of the job."""
     NOT_READY = "not ready"
-    """It was not ready in time, or ended before."""
+    """Not ready in time, or ended before it was ready."""
     STOPPED = "stopped"
     """Stopped because the job was over."""
     NOT_STARTED = "not started"
@@ -30,7 +30,7 @@ class End(enum.StrEnum):
 
 @frozen
 class ContainerOutcome:
-    """How a container ended."""
+    """Outcome of one container: its end, exit code, duration and log."""
 
     name: str
     end: End

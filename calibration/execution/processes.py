@@ -23,7 +23,7 @@ PR_SET_PDEATHSIG = 1
 THREADS = 64 << 20
 """Bytes of address space: the stacks of the pool's two threads (8 MB each), their heaps, and some more."""
 _work: Sequence[Callable[[], Any]] = ()
-"""In a worker: the functions, inherited from the parent with the data that they reference."""
+"""The functions to call, set in a worker only: inherited from the parent with the data that they reference."""
 
 
 def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generator[tuple[int, Result]]:

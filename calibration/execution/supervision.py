@@ -74,7 +74,7 @@ class Supervisor(ABC, Generic[C]):
         """
         self.job = job
         self.containers: list[C] = []
-        """In the order of their start."""
+        """Containers of the job, in the order of their start."""
         self.judge = Judge(job, clean)
         self.artifacts: list[ArtifactFile] = []
         self.left_out: list[str] = []

@@ -22,7 +22,7 @@ class Format(NamedTuple):
     """Export format, one or several files."""
 
     what: str
-    """One line of help."""
+    """Description of the format, for help texts."""
     files: Callable[[Calibrated], Mapping[str, str]]
     """Function that returns the texts of the files by name."""
 

@@ -4,6 +4,5 @@
 - ``recipe``: conversion to a Dockerfile;
 - ``context``, ``bases``, ``plan``, ``content_key``: input of the build, and its hash;
 - ``building``: search by the hash, build, and push;
-- ``builders``: the engine's classic builder, and BuildKit;
-- ``registries``: references, login, push, promotion.
+- ``builders``: the engine's classic builder, and BuildKit. Login, push and promotion are in `calibration.registries`.
 """

@@ -35,7 +35,7 @@ class Base:
 
     name: str
     identity: str
-    """Its digest; the engine's image id if it is in no registry."""
+    """Identifier of the content: the digest; the engine's image id if it is in no registry."""
     digest: str | None = None
 
 

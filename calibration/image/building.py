@@ -54,7 +54,7 @@ class BuiltImage:
     """Digest in the registry; None if it is in no registry."""
     found_in: Literal["local", "registry"] | None = None
     tags: tuple[str, ...] = ()
-    """Its other current names: ``name:latest``."""
+    """Other current names of the image: ``name:latest``."""
     seconds: float = 0.0
 
 

@@ -2,7 +2,7 @@
 
 - ``description``: import.yml, which describes the sensors, the files and the frames;
 - ``camera_files``, ``target_files``, ``samples``: intrinsics, patterns and poses in other tools' files;
-- ``pictures``, ``moments``: the image files of each camera, and their association across cameras;
+- ``pictures``: the image files of each camera, and their association across cameras;
 - ``bag``, ``messages``: bags of ROS and their messages; ``survey``: a first pass, without decoding images;
 - ``motion_log``, ``stillness``: motion of frames and joints, moments at standstill; ``recordings``: the second pass;
 - ``range_data``: clouds, scans and depth images, and the detection of the pattern in them;

@@ -45,7 +45,7 @@ class Imported:
     rough: bool
     """Whether the calibrated transforms are only an initial guess."""
     poses: Mapping[tuple[str, str], Array] = field(default_factory=dict)
-    """By sensor and pattern: measured poses ``T_sensor_pattern`` (N, 4, 4) at the moments."""
+    """Measured poses ``T_sensor_pattern`` (N, 4, 4) at the moments, by sensor and pattern."""
 
     @property
     def seen(self) -> list[list[str]]:

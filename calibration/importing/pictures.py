@@ -45,7 +45,7 @@ class Moment:
     name: str
     """Common part of their names, for messages."""
     files: Mapping[str, Path]
-    """By sensor."""
+    """Image file of each sensor."""
     lag: float = 0.0
     """Time between the first and the last of them, s, if their names are stamps."""
 

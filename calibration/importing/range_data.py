@@ -39,7 +39,7 @@ class RangeView:
     """Data of a LiDAR or a depth camera at one moment."""
 
     message: Mapping[str, Any]
-    """In the dataset's form, without the name of its file."""
+    """ROS message in the dataset's form, without the name of its file."""
     file: Path | None
     """File of a cloud or a depth image; the ranges of a scan are in the message."""
 
@@ -57,7 +57,7 @@ class LabelledRange:
 
     view: RangeView
     found: Mapping[str, PatternPoints | NotDetected]
-    """By pattern."""
+    """Detected points of each pattern, or the reason why it is not detected."""
 
 
 def cloud_of(message: Any, where: str) -> Array:

@@ -26,7 +26,7 @@ class Recorded:
 
     configuration: Configuration
     lenses: Mapping[str, KnownLens]
-    """Of the cameras with known intrinsics."""
+    """Intrinsics of the cameras that have known ones, by sensor."""
     moments: Sequence[LabelledMoment]
     transforms: Mapping[Edge, Array]
     """(N, 4, 4): at each moment."""

@@ -56,7 +56,7 @@ class StillMoment:
     """Images of the cameras at one moment."""
 
     frames: Mapping[str, Frame]
-    """By sensor; only those that see a pattern."""
+    """Images by sensor; only of sensors that see a pattern."""
 
     @property
     def time(self) -> float:

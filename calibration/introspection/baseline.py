@@ -12,7 +12,7 @@ class Allowance:
     """Allowed deviation from the baseline, in one direction."""
 
     amount: float
-    """In the column's unit, or in percent of the baseline's absolute value; not negative."""
+    """Allowed change, in the column's unit or in percent of the baseline's absolute value; not negative."""
     relative: bool
 
     def __str__(self) -> str:

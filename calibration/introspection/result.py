@@ -7,7 +7,7 @@ from calibration.report.check import expectation
 
 @result
 class Violation:
-    """One value that violates a rule."""
+    """A value that violates a rule."""
 
     file: str
     line: int | None = field("Line of the file; null where the violation is in no one line.")
@@ -29,7 +29,7 @@ MOST_LISTED = 10_000
 
 @result
 class RuleResult:
-    """One rule applied to one table."""
+    """Result of one rule on one table."""
 
     column: str | None = field("Null where the check is of the table.")
     rows: str = field("Which rows were judged: ``every row``, ``row Averages``, ``p95 of every row``.")
@@ -57,7 +57,7 @@ class RuleResult:
 
 @result
 class TableResult:
-    """All rules applied to one table."""
+    """Results of all rules on one table."""
 
     file: str = field("The path as it was given.")
     rows: int = field("How many rows the table has, those that sum up others included.")

@@ -32,7 +32,7 @@ _BINARY = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
 
 @frozen(slots=True)
 class Row:
-    """One row: as many cells as the header, without surrounding white space."""
+    """Row of a table: as many cells as the header, without surrounding white space."""
 
     line: int
     """Line of the file where the row starts; the first line is 1."""

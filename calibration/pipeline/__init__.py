@@ -1,9 +1,11 @@
 """The pipeline of ``calibration.yml``: its stages, and one verdict.
 
-- ``configuration``: reads the file;
+- ``configuration``, ``system``: the file and its systems; ``first_configuration``: a first one, for ``init``;
 - ``matrix``: systems, noise and seeds as cells, calibrated by our engine or by the team's software, and judged;
 - ``collection``: simulated datasets, collected by our simulation or by the team's software, and judged;
 - ``convergence``: the matrix swept over the noise of the initial guess;
-- ``results``, ``report``: the results and their report;
+- ``results``: what a run has found; ``report``: its report, of ``result_tables`` and ``result_messages``; ``page``: the
+  pages;
+- ``baseline``, ``accepting``: the accepted calibration that results are compared with, and its update;
 - ``stages``: the stages in order; ``distribution``: spread over the jobs of a workflow, and gathered again.
 """

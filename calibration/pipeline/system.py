@@ -85,7 +85,7 @@ class System:
         default=None,
         option="The table: rgb-to-rgb:SOURCE:TARGET, lidar-to-rgb:LIDAR:CAMERA, ...",
     )
-    """None for reprojection errors."""
+    """Text of `calibration.evaluation.specification.parse_evaluation`; None for the table of reprojection errors."""
     truth: Truth | None = field(
         "What the result is compared with: a file, 'dataset' for the transforms in it, 'none'. By default "
         "ground_truth.json beside the dataset, where there is one.",

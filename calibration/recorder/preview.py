@@ -47,7 +47,7 @@ class Preview:
     """Previews of all sensors, and the verdict."""
 
     views: Mapping[str, View]
-    """By sensor, in the order of the configuration; empty if the pose is invalid."""
+    """Views by sensor, in the order of the configuration; empty if the pose is invalid."""
     reasons: tuple[str, ...]
     """Reasons why a collection would be rejected; empty if it would be kept."""
 

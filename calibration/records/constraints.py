@@ -17,11 +17,11 @@ class Constraint:
 
     holds: Callable[[Any], bool]
     expected: str
-    """For messages, after "expected": ``a number of at least 0``; for numbers and lists what follows their type."""
+    """Text after "expected" in messages: ``a number of at least 0``; for numbers and lists without the type."""
     schema: Mapping[str, Any] = field(default_factory=dict)
     """The condition as keywords of JSON Schema."""
     whole: bool = False
-    """Whether ``expected`` names the type itself."""
+    """Whether ``expected`` names the type too, so that messages do not."""
     secret: bool = False
     """Whether a wrong value may be a secret and must not be repeated in a message."""
 

@@ -14,7 +14,7 @@ _TOGETHER = "username and password-variable go together: found one of them"
 
 @record(rules=(needs("username", "password-variable", _TOGETHER), needs("password-variable", "username", _TOGETHER)))
 class RegistrySettings:
-    """How to log in to a registry. It never contains a password."""
+    """Login to a registry: the user, and the variable with the password, which is never in the settings."""
 
     username: Annotated[str, length(1)] | None = declared("The user.", default=None)
     password_variable: VariableName | None = declared(
@@ -37,7 +37,7 @@ class Credentials:
     identity_token: str = field(default="", repr=False)
     """Token instead of a password, if a credential helper provides one."""
     insecure: bool = False
-    """As in the settings: HTTP without TLS."""
+    """Whether HTTP is used without TLS."""
 
     @property
     def secrets(self) -> tuple[str, ...]:

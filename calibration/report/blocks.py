@@ -19,13 +19,13 @@ def cut(lines: Sequence[str], most: int, rest: str) -> tuple[str, ...]:
 
 @frozen(kw_only=True)
 class Block(ABC):
-    """One block of a report."""
+    """Part of a report, shown in the log, the summary, or both."""
 
     title: str = ""
     folded: bool = False
     """Whether the summary shows only the title until a reader opens it."""
     only: Literal["log", "summary"] | None = None
-    """Where it is shown; None for both."""
+    """The only place that shows it; None for both."""
     brief: bool = False
     """Whether a comment on a pull request shows it too; tables only."""
 

@@ -7,7 +7,7 @@ from calibration.records import field, result
 
 @result(kw_only=True)
 class Check:
-    """One comparison; :func:`at_most` and :func:`at_least` make those of numbers, which results.json contains."""
+    """Result of one comparison; :func:`at_most` and :func:`at_least` compare numbers, as stored in results.json."""
 
     subject: str = field("Compared quantity: ``RMS``, ``detection rate of left``.", key="name")
     value: float | None = field("Value found, if it is a number.", default=None)

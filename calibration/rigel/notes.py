@@ -21,7 +21,7 @@ class Kind(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Note:
-    """One note."""
+    """Note for the user about one part of the Rigelfile."""
 
     kind: Kind
     where: str

@@ -16,7 +16,7 @@ from calibration.simulation.robot import Joint, Robot
 MAX_ERROR = 1.0
 """m and rad: limit of a parameter's error."""
 JointErrors = Mapping[str, Mapping[JointParameter, Annotated[float, between(-MAX_ERROR, MAX_ERROR)]]]
-"""By the name of a joint: errors of its parameters, to be added to the description's values, m and rad."""
+"""Errors of joint parameters by the joint's name, to be added to the description's values, m and rad."""
 
 
 def joint_model(joint: Joint) -> JointModel:

@@ -83,7 +83,7 @@ class Robot:
     """File that it was read from."""
     name: str
     joints: tuple[Joint, ...]
-    """In the order of the file."""
+    """Joints in the order of the file."""
 
     @cached_property
     def tree(self) -> FrameTree:

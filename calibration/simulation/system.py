@@ -137,7 +137,7 @@ class System:
     """Robot as designed: the transforms of a dataset before its calibration."""
     patterns: Mapping[str, Pattern]
     sensors: Mapping[str, SimulatedSensor]
-    """In the order of the configuration."""
+    """Sensors by name, in the order of the configuration."""
     scene: Scene
     T_model_pattern: Array
     """(4, 4): pose of the moved pattern on the model that a motion sequence moves."""

@@ -26,7 +26,7 @@ class Level(enum.StrEnum):
 
 @frozen
 class Annotation:
-    """One message, with its file and line if it has them."""
+    """Message of an annotation, with its file and line if it has them."""
 
     message: str
     level: Level = Level.ERROR

@@ -1,4 +1,4 @@
-"""All checks of ROS packages."""
+"""Run all checks of ROS packages."""
 
 from collections.abc import Callable, Iterator
 

@@ -43,7 +43,7 @@ class Command:
     """Command, with its arguments after the expansion of variables."""
 
     name: str
-    """In lower case."""
+    """Name of the command in lower case."""
     arguments: tuple[Argument, ...]
     path: str
     line: int

@@ -24,18 +24,18 @@ class Call:
 
     kind: Kind
     name: str | None
-    """As it is written; None if it is no constant."""
+    """Name as written in the code; None if it is not a constant."""
     type: str | None
     """``package/Type``; None if it is not known. None for parameters."""
     path: str
     line: int
     quality: Quality | None = None
-    """None if it is not known, and for ROS 1."""
+    """Quality of service; None if it is unknown, and for ROS 1."""
 
 
 @dataclass(frozen=True)
 class Code:
-    """What one file says."""
+    """Uses of the ROS client library in one source file."""
 
     calls: tuple[Call, ...] = ()
     node_names: tuple[str, ...] = ()

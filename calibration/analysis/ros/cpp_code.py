@@ -27,7 +27,7 @@ _CALLS: dict[str, tuple[Kind, int]] = {
     "getParam": ("parameter", 0),
     "hasParam": ("parameter", 0),
 }
-"""By the name that is called: kind, and place of the name among the arguments."""
+"""Called functions: kind of the call, and index of the argument with the name."""
 _QUALITY = {"create_publisher": 1, "create_subscription": 1}
 _ANY_PARAMETER = ("allow_undeclared_parameters", "automatically_declare_parameters_from_overrides")
 _POINTERS = ("ConstPtr", "Ptr", "SharedPtr", "ConstSharedPtr", "UniquePtr", "Request", "Response")
@@ -39,7 +39,7 @@ _PARSER = Parser(Language(tree_sitter_cpp.language()))
 
 @dataclass
 class _File:
-    """What names of a file stand for."""
+    """Meaning of the names in a C++ file, collected before its calls are read."""
 
     path: str
     aliases: dict[str, list[str]] = field(default_factory=dict)
@@ -50,7 +50,7 @@ class _File:
     private: set[str] = field(default_factory=set)
     """Node handles of ROS 1 that are made with ``~``."""
     elsewhere: set[str] = field(default_factory=set)
-    """Those that are made with another namespace."""
+    """Node handles of ROS 1 that are made with another namespace."""
     initial: dict[str, str] = field(default_factory=dict)
     """Source of the initial value of each variable."""
 

@@ -13,7 +13,7 @@ class Rule:
     category: Category
     severity: Severity
     meaning: str
-    """What is wrong, for the documentation."""
+    """Description of the fault, for the documentation."""
 
 
 RULES: dict[str, Rule] = {

@@ -28,7 +28,7 @@ class Endpoint:
     """Full name, after remappings."""
     call: Call
     path: str
-    """Where it gets its name: in the code, or in the launch file that remaps it."""
+    """File that sets its name: the code, or the launch file that remaps it."""
     line: int
 
 
@@ -41,7 +41,7 @@ class GraphNode:
     package: str
     executable: str
     start: Start | None
-    """None for a node that no launch file starts."""
+    """Its entry in a launch file; None for a node that no launch file starts."""
     calls: tuple[Call, ...] = ()
     takes_any_parameter: bool = False
     namespace: str | None = ""
@@ -61,7 +61,7 @@ class Graph:
     nodes: tuple[GraphNode, ...]
     endpoints: tuple[Endpoint, ...]
     unresolved: tuple[str, ...]
-    """What could not be read, for a person."""
+    """Messages about what could not be read."""
 
     def of(self, *kinds: Kind) -> list[Endpoint]:
         """Return the endpoints of some kinds."""

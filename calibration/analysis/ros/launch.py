@@ -1,4 +1,4 @@
-"""What launch files start, include and set, read without running them."""
+"""Launch files: the nodes they start, the files they include and the parameters they set, read without running them."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ class Remapping:
 
     old: str | None
     new: str | None
-    """None if it is not known, as the old one."""
+    """The new name; like the old one None if it is unknown."""
     line: int
 
 
@@ -36,11 +36,11 @@ class Start:
     package: str | None
     executable: str | None
     name: str | None
-    """None if it is not given, or not known."""
+    """Name of the node; None if it is not given, or unknown."""
     path: str
     line: int
     namespace: str | None = ""
-    """None if it is not known."""
+    """Namespace of the node; None if it is unknown."""
     is_named: bool = True
     """Whether the launch file gives a name."""
     conditional: bool = False
@@ -72,7 +72,7 @@ class Launch:
     starts: tuple[Start, ...] = ()
     includes: tuple[Include, ...] = ()
     arguments: Mapping[str, bool] = field(default_factory=dict)
-    """By declared argument, whether it has a value."""
+    """Declared arguments, and whether each has a value."""
     used: tuple[tuple[str, int], ...] = ()
     """Arguments that are used, with their lines."""
     files: tuple[tuple[str, int], ...] = ()
@@ -80,7 +80,7 @@ class Launch:
     parameters: tuple[Parameter, ...] = ()
     """Parameters of no node."""
     unresolved: Sequence[str] = ()
-    """What could not be read."""
+    """Messages about parts that could not be read."""
 
 
 def with_packages(text: str, path: str) -> str:

@@ -21,7 +21,7 @@ _NAMESPACES = ("push-ros-namespace", "push_ros_namespace")
 
 @dataclass
 class _Found:
-    """What is read of a file."""
+    """Content of a launch file, collected while its elements are read."""
 
     path: str
     starts: list[Start] = field(default_factory=list)
@@ -34,7 +34,7 @@ class _Found:
 
 @dataclass(frozen=True)
 class _Scope:
-    """What the elements around one say."""
+    """Settings that an element inherits from the elements around it."""
 
     namespace: str | None = ""
     conditional: bool = False

@@ -26,14 +26,15 @@ _CALLS: dict[str, tuple[Kind, int, str, int | None]] = {
     "rospy.get_param": ("parameter", 0, "param_name", None),
     "rospy.has_param": ("parameter", 0, "param_name", None),
 }
-"""By the end of a called name: kind, place and keyword of the name, place of the type."""
+"""Called functions, by the end of their name: kind of the call, index and keyword of the argument with the name,
+index of the type."""
 _QUALITY = {"create_publisher": (2, "qos_profile"), "create_subscription": (3, "qos_profile")}
 _ANY_PARAMETER = ("allow_undeclared_parameters", "automatically_declare_parameters_from_overrides")
 
 
 @dataclass
 class _Names:
-    """What names of a file stand for."""
+    """Meaning of the names in a Python file, collected before its calls are read."""
 
     imported: dict[str, list[str]] = field(default_factory=dict)
     texts: dict[str, str | None] = field(default_factory=dict)

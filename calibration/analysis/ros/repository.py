@@ -1,4 +1,4 @@
-"""What is read of a repository, once for all checks."""
+"""The packages, code and launch files of a repository, each read once for all checks."""
 
 from functools import cached_property
 
@@ -15,7 +15,7 @@ from calibration.analysis.ros.tree import Tree, join
 
 
 class Repository:
-    """Packages of a repository, and what their files say."""
+    """Packages of a repository, with their code, executables and launch files."""
 
     def __init__(self, tree: Tree) -> None:
         """Take the tracked files."""

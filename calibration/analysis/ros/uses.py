@@ -26,7 +26,7 @@ class Use:
     path: str
     line: int
     how: str
-    """What uses it, for messages."""
+    """Description of the use, for messages."""
     accepted: frozenset[str] = frozenset()
     """Names of other packages that satisfy it too."""
 

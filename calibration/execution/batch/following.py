@@ -57,7 +57,7 @@ class Attempt:
 
     status_reason: str
     started: int | None
-    """In milliseconds; None if it never started."""
+    """Start time, milliseconds since 1970; None if it never started."""
     stopped: int | None
     containers: tuple[ContainerEnd, ...]
 

@@ -52,7 +52,7 @@ class OldRevision:
 
     @property
     def row(self) -> tuple[str, ...]:
-        """Its ARN."""
+        """Cells of its row in the table: its ARN."""
         return (self.arn,)
 
 

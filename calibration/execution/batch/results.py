@@ -186,7 +186,7 @@ class ResultLocation:
     location: Location
     index: int
     description: Description | None
-    """None for the result of an earlier run."""
+    """Batch's description of the job's end; None for the result of an earlier run."""
     attempt: int | None = None
     """Attempt that is known to have a result."""
     given_up: str = ""

@@ -99,7 +99,7 @@ class CloudLeftover:
     jobs: int
     """Number of children of an array; 1 for a single job."""
     owner: Owner | None
-    """None if the tags do not contain it."""
+    """Owner by the tags; None if the tags do not contain one."""
 
     @property
     def row(self) -> tuple[str, ...]:

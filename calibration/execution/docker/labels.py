@@ -55,7 +55,7 @@ class Owner:
 
     @property
     def where(self) -> str:
-        """Where the process is active, or may be, as no proof of its end is known: for messages."""
+        """Description of where the process runs, or may run if its end is not proven; for messages."""
         here = type(self).this_process()
         if self.host != here.host:
             return f"may be active on {self.host}"

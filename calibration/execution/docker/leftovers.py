@@ -29,7 +29,7 @@ class Leftover:
     container: str
     state: str
     owner: Owner | None
-    """None if the labels do not contain it."""
+    """Owner by the labels; None if the labels do not contain one."""
 
     @property
     def row(self) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ class Program:
 
     path: str
     buildx: bool
-    """Whether by its plugin buildx; otherwise built in, in versions 18.09 to 22."""
+    """Whether BuildKit is available by the plugin buildx; otherwise it is built in (versions 18.09 to 22)."""
 
 
 @cache

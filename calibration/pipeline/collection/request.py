@@ -55,7 +55,7 @@ class CollectionRequest:
     """Limit of a pattern's motion while the sensors measure, m; None for the default."""
     checks: CollectionChecks = dataclasses.field(default_factory=CollectionChecks)
     scenario: ScenarioOfSet | None = None
-    """None for the system as described."""
+    """Scenario that changes the system; None for the system as described."""
 
 
 @frozen
@@ -73,7 +73,7 @@ class ContainerRequest:
     seed: int = 1
     checks: CollectionChecks = dataclasses.field(default_factory=CollectionChecks)
     truth: str | None = None
-    """See `calibration.dataset.truth.choose_truth`; None for the system's, if there is one."""
+    """Choice of the truth, see `calibration.dataset.truth.choose_truth`; None for the system's, if there is one."""
     scenario: int = 0
     """Number of the collection among those of the seed."""
 
@@ -101,4 +101,4 @@ class ScenarioRequest:
     applications: tuple[str, ...] = ()
     """Options of the command that describe the team's applications."""
     image: ScenarioImage | None = None
-    """None to run our own simulation's scenarios in local processes."""
+    """Image that runs the scenarios in containers; None to run them with our own simulation in local processes."""

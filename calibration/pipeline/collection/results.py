@@ -109,14 +109,14 @@ class CollectionResults:
     """Modality of each sensor."""
     records: tuple[Record, ...]
     proof: Proof | None
-    """None if no collection was kept."""
+    """Calibration of the dataset that proves it usable; None if no collection was kept."""
     limits: CollectionChecks = dataclass_field(default_factory=CollectionChecks)
     failures: tuple[str, ...] = ()
     """Failures of a team's applications."""
     error: ExitCode | None = None
     """Set if the applications are not the cause: a wrong image (2), the engine or the time (3)."""
     contact_sheet: bool = True
-    """Whether there is one: without a system's description the images are unknown."""
+    """Whether there is a contact sheet; without a system's description the images are unknown."""
 
     @property
     def kept(self) -> list[Record]:

@@ -25,7 +25,7 @@ class LostStart:
 
 @result
 class Pair:
-    """All initial guesses, one per seed, of one pair of noises."""
+    """Cells of one pair of noises, one per seed."""
 
     translation_noise: float = field("Of the starts.", unit="m")
     rotation_noise: float = field("Of the starts.", unit="rad")
@@ -69,7 +69,7 @@ class Pair:
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """Their seeds."""
+        """Seeds of the initial guesses that do not converge."""
         return tuple(each.seed for each in self.lost_starts if each.seed is not None)
 
     @property

@@ -18,7 +18,7 @@ TITLE = "convergence"
 TABLE_FILE, LARGEST_FILE = "convergence.csv", "largest-noise.csv"
 PNG_FILE, SVG_FILE = "convergence.png", "convergence.svg"
 ALL_FILES = (*FILES, TABLE_FILE, LARGEST_FILE, PNG_FILE, SVG_FILE)
-"""All output files of a sweep, except for those of the team's software."""
+"""Names of all output files of a sweep, except for those of the team's software."""
 LOST_SHOWN = 10
 """Limit of the maps with a named initial guess that does not converge."""
 

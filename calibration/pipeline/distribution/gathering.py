@@ -34,7 +34,7 @@ class RunResults(Results):
 
 @dataclass(frozen=True)
 class Gathered:
-    """All results of a workflow run."""
+    """Results of all jobs of a workflow run."""
 
     results: Results
     jobs: Mapping[str, str]

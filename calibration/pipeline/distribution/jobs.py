@@ -25,7 +25,7 @@ class Needs:
     """Results of the previous jobs, as in GitHub's ``toJSON(needs)``."""
 
     results: Mapping[str, str] = field(default_factory=dict)
-    """For each job success, failure, cancelled or skipped."""
+    """Result of each job: success, failure, cancelled or skipped."""
     plan: Mapping[str, Any] = field(default_factory=dict)
     """Outputs of plan-matrix; empty if it failed."""
     seconds: Mapping[str, int] = field(default_factory=dict)

@@ -96,7 +96,7 @@ class Plan:
 
     @property
     def jobs(self) -> Mapping[str, bool]:
-        """For each job of the workflow that the verdict waits for, whether it runs."""
+        """Jobs of the workflow that the verdict waits for, and whether each runs."""
         return {
             "image": self.image,
             "calibrate": bool(self.at_once),
@@ -114,7 +114,7 @@ class Wishes:
     jobs: tuple[str, ...] = ()
     """Empty for all that the configuration and the inputs describe."""
     noise_inside_cells: bool | None = None
-    """None to decide by the duration of a system's cells."""
+    """Whether one job calibrates a system from all its noises; None to decide by the duration of its cells."""
     image: bool = False
     """Whether an image is given."""
     command: bool = False

@@ -1,1 +1,5 @@
-"""The page ``report.html``: `whole` composes it, the other modules are its parts about one system."""
+"""Pages that open offline.
+
+- ``run_page``: ``report.html`` of a run; ``in_space``, ``label_residuals``, ``worst_views``: its parts on one system;
+- ``collection_page``: the page of a simulated dataset.
+"""

@@ -15,7 +15,7 @@ from calibration.errors import InputError
 from calibration.execution.backends import ExecutionTarget, imported
 from calibration.frozen import frozen
 from calibration.pipeline.matrix.matrix import Matrix, load
-from calibration.pipeline.page.whole import accepted_history, report_page
+from calibration.pipeline.page.run_page import accepted_history, report_page
 from calibration.pipeline.report import report, write_cells, write_results
 from calibration.pipeline.results import PAGE_FILE, Results, clear_results
 from calibration.report import Report, publish
@@ -72,12 +72,12 @@ class Run:
 
 @frozen
 class Stage:
-    """Stage of the pipeline."""
+    """Entry of a stage in `STAGES`: its function, and when it applies."""
 
     target: str
     """``module:function`` from `Run` to `Run`; imported when it runs, as it may need packages that others do not."""
     applies: Callable[[Run], bool] = lambda _: True
-    """Whether it has something to do."""
+    """Returns whether the stage has something to do in a run."""
 
 
 STAGES: Mapping[str, Stage] = {

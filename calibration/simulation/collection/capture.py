@@ -32,7 +32,7 @@ class Capture:
     boards: Mapping[str, Sequence[Board]]
     """Patterns as each sensor saw them, in the order of the configuration; a swaying one differs between them."""
     data: Mapping[str, Data]
-    """By sensor: the result of `SimulatedSensor.render`."""
+    """Results of `SimulatedSensor.render` by sensor."""
     labels: Mapping[Key, Found]
     """Labels of every pattern and sensor."""
     estimates: Mapping[Key, Array]

@@ -49,15 +49,15 @@ class Record:
     labels: Mapping[str, int]
     """Number of corners or points that each sensor labelled, on all patterns together; 0 without a detection."""
     complete: Mapping[str, bool]
-    """By camera, whether it sees every corner of a pattern that it detects."""
+    """Whether a camera that detects a pattern sees all its corners, by camera."""
     errors: Mapping[str, CornerErrors]
-    """By camera that detects a pattern."""
+    """Errors of the detected corners, by camera."""
     cells: Mapping[str, tuple[int, ...]]
-    """By camera, the cells of a grid over its image with a corner (`COLUMNS` x `ROWS`, row by row)."""
+    """Cells with a corner of a grid over the image (`COLUMNS` x `ROWS`, row by row), by camera."""
     collection: Mapping[str, Any]
     """The entry of ``collections`` in the dataset."""
     initial: Mapping[str, Mapping[str, Any]]
-    """By pattern: the entry of its ``transforms_initial``."""
+    """Entry of ``transforms_initial`` of each pattern."""
     truth: tuple[Mapping[str, Any], ...]
     """True poses of the patterns in the world, and the transforms that differ between collections."""
     named: str | None = None

@@ -49,7 +49,7 @@ class PatternView:
     border: BoolArray
     """Mask of the pixels that the pattern covers partially."""
     radiance: NDArray[np.uint16]
-    """In steps of a grey level, as if the pattern filled every pixel."""
+    """Radiance in steps of a grey level, as if the pattern filled every pixel."""
 
 
 def pattern_view(camera: Camera, T_world_camera: Array, board: Board, light: Light) -> PatternView | None:

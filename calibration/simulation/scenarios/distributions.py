@@ -44,7 +44,7 @@ class Choice:
     """Discrete distribution of equally likely values. A constant is a choice of one."""
 
     values: tuple[float, ...]
-    """In ascending order."""
+    """Values in ascending order."""
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -205,7 +205,7 @@ class Drawn(Converted):
     """Field of a record whose value is drawn from the distribution in the document."""
 
     axes: str = ""
-    """Such as "xyz", if there is a value for each axis."""
+    """Names of the axes, such as "xyz", if there is a value for each."""
 
 
 def drawn(low: float, high: float, *, axes: str = "", whole: bool = False) -> Drawn:

@@ -126,7 +126,7 @@ class Assembly:
 
 @record(case="snake")
 class OneSensor:
-    """One sensor."""
+    """Parameters of the scenarios that can be set for a single sensor."""
 
     cameras: Cameras = field(flat=True)
     lidars: Lidars = field(flat=True)
@@ -164,7 +164,7 @@ class Parameters:
     """Varying parameters of a system's scenarios."""
 
     distributions: Mapping[str, Distribution]
-    """By the name of the parameter."""
+    """Distributions by the name of their parameter."""
     groups: Mapping[str, tuple[str, ...]]
     """Names of the parameters of each group, such as ``cameras.exposure``."""
 

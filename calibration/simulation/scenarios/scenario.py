@@ -33,7 +33,7 @@ class Scenario:
     index: int
     """Index, from 0."""
     values: Mapping[str, float]
-    """By the parameter's name (`calibration.simulation.scenarios.parameters`)."""
+    """Values by the parameter's name (`calibration.simulation.scenarios.parameters`)."""
     attempt: int = 0
     """Number of previous draws that broke a constraint."""
 

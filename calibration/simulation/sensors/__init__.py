@@ -11,4 +11,4 @@ __all__ = ["KINDS", "SimulatedCamera", "SimulatedDepthCamera", "SimulatedLidar",
 KINDS: dict[str, type[SimulatedSensor]] = {
     kind.modality.name: kind for kind in (SimulatedCamera, SimulatedLidar, SimulatedLidar2d, SimulatedDepthCamera)
 }
-"""By the name of the modality, in the order of labels in datasets."""
+"""Simulated sensors by the name of their modality, in the order of labels in datasets."""
