@@ -110,27 +110,27 @@ def _answered(where: str, service: str, error: aws.ClientError) -> CalibrationEr
     """Return the error to raise for an answer of AWS."""
     code = error_code(error)
     action = _ACTIONS.get(error.operation_name, f"{service}:{error.operation_name}")
-    said = f"{where}: AWS: {action}: {one_line(code)}"
+    failure = f"{where}: AWS: {action}: {one_line(code)}"
     status = error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 500)
     if code in _EXPIRED:
-        return InputError(f"{said}: the credentials are expired: get new ones")
+        return InputError(f"{failure}: the credentials are expired: get new ones")
     if code in _UNKNOWN:
-        return InputError(f"{said}: AWS does not know these credentials: check key, secret and token")
+        return InputError(f"{failure}: AWS does not know these credentials: check key, secret and token")
     if code in _CLOCK:
-        return InfrastructureError(f"{said}: the clock of this machine is wrong")
+        return InfrastructureError(f"{failure}: the clock of this machine is wrong")
     if code in _DENIED:
         policy = " (calibration aws-policy prints a policy)" if service == "batch" else ""
-        return InputError(f"{said}: the role or user needs this permission{policy}")
+        return InputError(f"{failure}: the role or user needs this permission{policy}")
     if code in THROTTLED:
-        return AwsLostError(f"{said}: too many requests, also after several tries: try again later")
+        return AwsLostError(f"{failure}: too many requests, also after several tries: try again later")
     if code in _ELSEWHERE or status == 301:
         headers = error.response.get("ResponseMetadata", {}).get("HTTPHeaders", {})
         region = headers.get("x-amz-bucket-region")
         there = f": it is in {one_line(shorten(region))}" if region else ""
-        return InputError(f"{said}: the bucket is in another region{there}")
+        return InputError(f"{failure}: the bucket is in another region{there}")
     if code in ("NoSuchBucket", "404") and error.operation_name in ("HeadBucket", "PutObject", "ListObjectsV2"):
-        return InputError(f"{said}: there is no such bucket")
-    line = f"{said}: {_short(error.response.get('Error', {}).get('Message', ''))}"
+        return InputError(f"{failure}: there is no such bucket")
+    line = f"{failure}: {_short(error.response.get('Error', {}).get('Message', ''))}"
     if status >= 500 or code in ("RequestTimeout", "InternalError", "ServerException", "ServiceUnavailable"):
         return AwsLostError(line)
     return InputError(line)

@@ -58,8 +58,8 @@ def matching(patterns: Iterable[str]) -> list[str]:
         if not found:
             folder = Path(*takewhile(lambda part: not has_magic(part), parts))
             closed = os.path.isdir(folder) and not os.access(folder, os.R_OK | os.X_OK)  # noqa: PTH112
-            said = f"the folder {folder} cannot be read" if closed else "no file matches this pattern"
-            raise InputError(f"{pattern}: {said}")
+            problem = f"the folder {folder} cannot be read" if closed else "no file matches this pattern"
+            raise InputError(f"{pattern}: {problem}")
         files.update(dict.fromkeys(found))
     return list(files)
 

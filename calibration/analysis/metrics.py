@@ -9,7 +9,7 @@ from calibration.analysis.analysers.analyser import arguments
 from calibration.analysis.analysers.cpp import SUFFIXES
 from calibration.analysis.copies import Copy
 from calibration.analysis.finding import Finding
-from calibration.analysis.programs import module, say
+from calibration.analysis.programs import module, run_program
 from calibration.analysis.results import Metrics
 from calibration.errors import InfrastructureError
 from calibration.report.badge import BAD, FAIR, GOOD, drawn_badge
@@ -59,7 +59,7 @@ def measure(copy: Copy, paths: Sequence[str], seconds: float) -> CodeMetrics:
     if not code:
         return CodeMetrics()
     command = [*module("lizard"), "-Eduplicate", *arguments(code)]
-    output = say("lizard", command, copy.root, seconds, (0, 1)).output  # 1: there are complex functions
+    output = run_program("lizard", command, copy.root, seconds, (0, 1)).output  # 1: there are complex functions
     totals, share = _TOTALS.search(output), _DUPLICATE.search(output)
     if totals is None or share is None:
         raise InfrastructureError("lizard: its totals were expected at the end of its output, found none")

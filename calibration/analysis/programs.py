@@ -19,8 +19,8 @@ MAX_OUTPUT = 200_000_000
 
 
 @dataclass(frozen=True)
-class Said:
-    """Output of a program."""
+class ProgramResult:
+    """Exit code and output of a program."""
 
     code: int
     output: str
@@ -45,7 +45,9 @@ def module(name: str) -> list[str]:
     return [sys.executable, "-I", "-m", name]
 
 
-def say(name: str, command: Sequence[str], folder: Path, seconds: float, codes: Collection[int]) -> Said:
+def run_program(
+    name: str, command: Sequence[str], folder: Path, seconds: float, codes: Collection[int]
+) -> ProgramResult:
     """Run a program in a folder, and return its output.
 
     Args:
@@ -89,7 +91,7 @@ def say(name: str, command: Sequence[str], folder: Path, seconds: float, codes: 
         if size > MAX_OUTPUT:
             raise InfrastructureError(f"{name}: found {size} bytes of findings, expected at most {MAX_OUTPUT}")
         output.seek(0)
-        return Said(process.returncode, output.read().decode("utf-8", "replace"), errors)
+        return ProgramResult(process.returncode, output.read().decode("utf-8", "replace"), errors)
 
 
 def _last(errors: str) -> str:

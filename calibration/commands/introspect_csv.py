@@ -105,9 +105,9 @@ def introspect(settings: IntrospectionSettings, runner: Runner) -> ExitCode:
 
 def _rules(given: dict[str, Any]) -> RuleSet:
     """Return the rules of the file, followed by those of the options (one column)."""
-    said = {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
-    rule = {key: said[key] for key in flat_fields(RuleEntry) if said.get(key, False) is not False}
-    table = {key: said[key] for key in flat_fields(RuleSet) if key in said and key not in ("rules", "file")}
+    document = {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
+    rule = {key: document[key] for key in flat_fields(RuleEntry) if document.get(key, False) is not False}
+    table = {key: document[key] for key in flat_fields(RuleSet) if key in document and key not in ("rules", "file")}
     if rule and "column" not in rule:
         raise InputError(f"{next(iter(rule))} is given without the column that it is for")
     options = read(RuleSet, table, "options")

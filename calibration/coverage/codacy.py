@@ -228,9 +228,9 @@ def _document(body: bytes) -> object:
         return None
 
 
-def _refused(answered: str, status: int, said: str) -> NoReturn:
-    if status in (401, 403) or status == 404 or "not found" in said.lower():
+def _refused(answered: str, status: int, explanation: str) -> NoReturn:
+    if status in (401, 403) or status == 404 or "not found" in explanation.lower():
         advice = "check the token, whether it is of this repository, and provider, organisation and repository"
     else:
         advice = "check the commit and the language, and whether Codacy knows the repository"
-    raise InfrastructureError(f"{answered}{said}: {advice}")
+    raise InfrastructureError(f"{answered}{explanation}: {advice}")

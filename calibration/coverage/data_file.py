@@ -99,8 +99,8 @@ def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Pat
     except (OSError, subprocess.TimeoutExpired) as error:
         raise InfrastructureError(f"{name}: {executable} cannot write a report of it: {one_line(str(error))}") from None
     if done.returncode:
-        said = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
-        raise InfrastructureError(f"{name}: coverage.py cannot report on it: {shorten(one_line(said), 300)}")
+        last_line = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
+        raise InfrastructureError(f"{name}: coverage.py cannot report on it: {shorten(one_line(last_line), 300)}")
     report = parse_cobertura(read_bytes(output, MAX_BYTES, "coverage.py's report"), name)
     return Report(name, report.files, (str(directory),))
 

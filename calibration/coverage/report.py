@@ -78,30 +78,30 @@ def _sentence(results: Results) -> str:
 
 def remarks(results: Results) -> list[str]:
     """Return remarks that explain the numbers, a line for each."""
-    said = []
+    lines = []
     if results.tests is not None and results.lines.total and not results.lines.covered:
-        said.append("not a line is run: tests that measure themselves (pytest-cov) name their report (reports)")
+        lines.append("not a line is run: tests that measure themselves (pytest-cov) name their report (reports)")
     if results.change is not None:
-        said.append(f"change since {results.change.base[:12]}: {results.change.rate} of its lines are run")
+        lines.append(f"change since {results.change.base[:12]}: {results.change.rate} of its lines are run")
     elif results.no_change:
-        said.append(f"no coverage of the change: {results.no_change}")
-    return said + what_is_left_out(results.found)
+        lines.append(f"no coverage of the change: {results.no_change}")
+    return lines + what_is_left_out(results.found)
 
 
 def what_is_left_out(found: Found) -> list[str]:
     """Return a line for each part of the reports that is not counted, and for languages without a report."""
-    said = []
+    lines = []
     if found.mapped.unmatched:
-        said.append(f"in reports, but no file that git tracks: {_names(found.mapped.unmatched)}")
+        lines.append(f"in reports, but no file that git tracks: {_names(found.mapped.unmatched)}")
     for name, paths in list(found.mapped.ambiguous.items())[:MOST_NAMES]:
-        said.append(f"left out, because it may be several files: {shorten(one_line(name), 200)} ({_names(paths)})")
+        lines.append(f"left out, because it may be several files: {shorten(one_line(name), 200)} ({_names(paths)})")
     for path, line in list(found.mapped.ill_fitting.items())[:MOST_NAMES]:
-        said.append(f"left out, because a report contains line {line}, which the file lacks: {one_line(path)}")
+        lines.append(f"left out, because a report contains line {line}, which the file lacks: {one_line(path)}")
     if found.unreadable:
-        said.append(f"left out, because coverage.py cannot read or parse them: {_names(found.unreadable)}")
+        lines.append(f"left out, because coverage.py cannot read or parse them: {_names(found.unreadable)}")
     for language, count in sorted(found.without_report.items()):
-        said.append(f"{count} {language} file{'' if count == 1 else 's'} not counted: no report contains any")
-    return said
+        lines.append(f"{count} {language} file{'' if count == 1 else 's'} not counted: no report contains any")
+    return lines
 
 
 def _annotations(results: Results, directory: Path) -> Iterable[Annotation]:

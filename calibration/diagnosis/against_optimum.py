@@ -131,8 +131,8 @@ def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, limits:
     numbers = Finding(KIND, "note", "", value=away, unit="1", moves_mm=mm, moves_deg=deg)
     cost = _cost(away, excess)
     if not far:
-        told = f"{max(mm, 0.01):.2g} mm and {max(deg, 0.001):.2g} deg"
-        text = f"the software's calibration is within {told} of our optimum on the same labels"
+        distance = f"{max(mm, 0.01):.2g} mm and {max(deg, 0.001):.2g} deg"
+        text = f"the software's calibration is within {distance} of our optimum on the same labels"
         return (replace(numbers, text=f"{text}; {cost}" if excess > optimum.noticeable else text),)
     what = "; ".join(text for _, text, _ in far[:NAMED])
     more = f"; and {len(far) - NAMED} more" if len(far) > NAMED else ""

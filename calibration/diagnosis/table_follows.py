@@ -24,26 +24,26 @@ NO_NOISE = 0.1
 """No calibration has a smaller RMS than this fraction of the optimum's on the same labels."""
 
 
-def table_follows(said: Csv, made: Table) -> tuple[Finding, ...]:
+def table_follows(theirs: Csv, made: Table) -> tuple[Finding, ...]:
     """Report a failure for the first value of a table that differs from our evaluation of the same dataset.
 
     Columns and rows that both have are compared, and the averages: software may leave out a collection, but then
     the averages reveal it.
 
     Args:
-        said: the table that the software left.
+        theirs: the table that the software left.
         made: the table of its calibrated dataset.
     """
-    columns = [column for column in made.columns if said.header.count(column) == 1]
+    columns = [column for column in made.columns if theirs.header.count(column) == 1]
     if not columns:
         text = (
             f"the table is not verified: it has no column of the one that evaluate asks for ({', '.join(made.columns)})"
         )
         return (Finding(KIND, "note", text),)
-    keyed = KeyedTable.of(said, None, ())
+    keyed = KeyedTable.of(theirs, None, ())
     of_label = {_label(label): values for label, values in zip(made.labels, _values(made), strict=True)}
     of_label[AVERAGES] = made.averages
-    if not any(_label(keyed.label(row)) in of_label for row in said.rows):
+    if not any(_label(keyed.label(row)) in of_label for row in theirs.rows):
         text = f"the table has no row of the collections of its dataset ({', '.join(made.labels[:3])}, ...)"
         return (Finding(KIND, "red", text),)
     wrong = list(_wrong(keyed, columns, made, of_label))

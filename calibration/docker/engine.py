@@ -154,8 +154,8 @@ def engine_message(error: APIError) -> str:
 
 def is_our_fault(error: APIError) -> bool:
     """Return whether the engine refused an invalid request, as opposed to a failure of its own."""
-    said = engine_message(error).lower()
-    return error.is_client_error() or any(sentence in said for sentence in _OUR_FAULT)
+    message = engine_message(error).lower()
+    return error.is_client_error() or any(sentence in message for sentence in _OUR_FAULT)
 
 
 def _client(version: str | None, seconds: int) -> DockerClient:

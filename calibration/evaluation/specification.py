@@ -27,7 +27,7 @@ Names = tuple[str, ...]
 
 @frozen
 class Kind:
-    """A kind of table."""
+    """Kind of table: the names in its text, and the function that computes it."""
 
     needs: Names
     """Names required in the text."""
@@ -99,7 +99,7 @@ KINDS: Mapping[str, Kind] = {
 
 @frozen
 class Evaluation:
-    """Specification of a table."""
+    """Table to compute: its kind, and the names of sensors, frames and patterns."""
 
     kind: str
     """Kind of the table, a key of `KINDS`."""
@@ -107,7 +107,7 @@ class Evaluation:
     """Names of sensors, frames and patterns, as its kind requires."""
 
     def __str__(self) -> str:
-        """Text that `parse_evaluation` reads."""
+        """Return the text that `parse_evaluation` reads."""
         return ":".join((self.kind, *self.names))
 
     @property

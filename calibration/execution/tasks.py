@@ -22,7 +22,7 @@ Other = TypeVar("Other")
 
 @frozen(eq=False)
 class Task(Generic[Result]):
-    """A unit of work."""
+    """Named work: a function or a job of containers, and the function that judges its outcome."""
 
     name: str
     """Unique among the tasks of a run."""

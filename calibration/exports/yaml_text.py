@@ -1,4 +1,4 @@
-"""YAML of the exports."""
+"""YAML text of the exported files."""
 
 from typing import Any
 

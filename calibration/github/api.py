@@ -72,16 +72,16 @@ class GitHubApi:
         answer = self.http.send(method, self.url + path, headers, content)
         if 200 <= answer.status < 300:
             return self._json(answer)
-        said = f"{urlsplit(self.url).netloc}: answered {answer.status}{self.http.quote(answer.body)}"
+        fault = f"{urlsplit(self.url).netloc}: answered {answer.status}{self.http.quote(answer.body)}"
         if answer.status in (404, 410):
-            raise MissingError(said)
+            raise MissingError(fault)
         if answer.status == 401:
-            raise InputError(f"{said}: the token is wrong or has expired")
+            raise InputError(f"{fault}: the token is wrong or has expired")
         if answer.status == 403 and _has_had_too_many(answer):
-            raise InfrastructureError(f"{said}: the rate limit of this token is exceeded: run it again later")
+            raise InfrastructureError(f"{fault}: the rate limit of this token is exceeded: run it again later")
         if answer.status == 403:
-            raise InputError(f"{said}: the token lacks a permission: the job needs permissions: pull-requests: write")
-        raise InfrastructureError(f"{said}: unexpected answer to {method} {path}")
+            raise InputError(f"{fault}: the token lacks a permission: the job needs permissions: pull-requests: write")
+        raise InfrastructureError(f"{fault}: unexpected answer to {method} {path}")
 
     def pages(self, path: str) -> Iterator[dict[str, Any]]:
         """Yield the entries of a paginated list, whose path ends in its query (``?...&``) or in ``?``.

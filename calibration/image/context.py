@@ -33,9 +33,9 @@ class Entry:
     """644 or 755, as in git."""
     size: int = 0
     source: Path | None = None
-    """Path of the file with the content, or"""
+    """Path of the file with the content; None if `content` has it."""
     content: bytes | None = None
-    """the content itself."""
+    """Content of a generated file."""
     link: str | None = None
     """Target of a symbolic link."""
 

@@ -217,7 +217,7 @@ def _from_bags(
         found = survey(bag, described)
     where = str(bags.files[0])
     mounted = mounting(described, patterns, found, where)
-    told = {
+    bag_lenses = {
         name: KnownLens(bags.files[0], camera.camera, has_size=True)
         for name, camera in found.sensors.items()
         if camera.camera is not None
@@ -234,7 +234,7 @@ def _from_bags(
             """Return the cameras' data of some moments, without image files."""
             return Recorded(
                 mounted.configuration,
-                {**told, **lenses},
+                {**bag_lenses, **lenses},
                 [LabelledMoment({name: frame.view for name, frame in moment.frames.items()}) for moment in some],
                 with_baselines(
                     mounted.transforms(found.log, [moment.time for moment in some]),

@@ -16,9 +16,9 @@ from calibration.simulation.robot import Joint, Robot, parse_robot
 NEAR = 0.5
 """s: limit of the time between a pose's record and a moment that uses it."""
 AROUND = 0.15
-"""s: time before and after a moment at standstill in which nothing moves,"""
+"""s: time before and after a moment at standstill in which nothing moves more than `STILL_M` or `STILL_RAD`."""
 STILL_M, STILL_RAD = 1e-3, 2e-3
-"""by more than this."""
+"""m and rad: largest motion at standstill."""
 SECOND = 1e9
 
 

@@ -122,9 +122,9 @@ def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
     known = bag.of_type(*MODALITIES)
     if sensor.topic not in known:
         kind = bag.topics.get(sensor.topic or "")
-        said = f"found '{sensor.topic}' as {kind}" if kind else f"found no topic '{sensor.topic}'"
+        problem = f"found '{sensor.topic}' as {kind}" if kind else f"found no topic '{sensor.topic}'"
         raise InputError(
-            f"{bag.path}: {said}, expected the data of '{sensor.name}'; topics of cameras and LiDARs: "
+            f"{bag.path}: {problem}, expected the data of '{sensor.name}'; topics of cameras and LiDARs: "
             f"{', '.join(known) or 'none'}"
         )
 

@@ -199,8 +199,8 @@ class RuleSet:
     def overridden_by(self, other: "RuleSet") -> "RuleSet":
         """Return these rules followed by the other's; the other's set values take precedence."""
         names = [field.name for field in fields(other) if field.name != "rules"]
-        said = {name: value for name in names if (value := getattr(other, name)) is not None}
-        return replace(self, rules=self.rules + other.rules, **said)
+        given = {name: value for name in names if (value := getattr(other, name)) is not None}
+        return replace(self, rules=self.rules + other.rules, **given)
 
 
 def parse_rules(document: object, where: str) -> RuleSet:

@@ -35,8 +35,8 @@ def trend(name: str, labels: Sequence[str], values: Sequence[float], sigmas: Seq
     )
     parts += [element("path", d=bars, class_="vector"), element("path", d=path(points), class_="stated")]
     for (px, py), label, value in zip(points.tolist(), labels, values, strict=True):
-        said = element("title", f"{label}: {value:.3g} {unit}")
-        parts.append(element("circle", said, cx=px, cy=py, r=3.5, class_="bar"))
+        tooltip = element("title", f"{label}: {value:.3g} {unit}")
+        parts.append(element("circle", tooltip, cx=px, cy=py, r=3.5, class_="bar"))
     ends = [text(LEFT + 4, HEIGHT - 8, labels[0][:LONGEST], "start", "small")]
     ends += [text(WIDTH - 4, HEIGHT - 8, labels[-1][:LONGEST], "end", "small")]
     title = f"{name}, {unit}, over {len(values)} accepted calibrations: last {values[-1]:.3g} {unit}"

@@ -80,8 +80,8 @@ def _first(reasons: Sequence[str]) -> str:
 
 def findings_of(results: Results, severity: Severity) -> tuple[str, ...]:
     """Return the findings of one severity, once per system."""
-    said = (f"{c.system}: {found.text}" for c in results.cells for found in c.findings if found.severity == severity)
-    return tuple(dict.fromkeys(said))
+    texts = (f"{c.system}: {found.text}" for c in results.cells for found in c.findings if found.severity == severity)
+    return tuple(dict.fromkeys(texts))
 
 
 def cells_without_table(results: Results) -> str:

@@ -199,8 +199,8 @@ def read_results(folder: Path) -> Results:
         raise InputError(f"{path}: this is not a results file of {_COMMAND}: it has no list of cells")
     for key in ("cells", "comparisons", "collections"):
         for each, entry in zip(getattr(results, key), written.get(key, ()), strict=True):
-            if each.verdict != (said := entry.get("verdict")):
-                raise InputError(f"{path}: {each.name}: found {said}, which its own numbers and reasons contradict")
+            if each.verdict != (stored := entry.get("verdict")):
+                raise InputError(f"{path}: {each.name}: found {stored}, which its own numbers and reasons contradict")
     return results
 
 

@@ -155,8 +155,8 @@ def _push_once(
     for event in _events(client, image, credentials):  # read to the end, to free the connection
         detail = event.get("errorDetail")
         if detail is not None or "error" in event:
-            said = (detail.get("message") if isinstance(detail, Mapping) else None) or event.get("error")
-            problem = problem or str(said or "no reason")
+            reason = (detail.get("message") if isinstance(detail, Mapping) else None) or event.get("error")
+            problem = problem or str(reason or "no reason")
         shown.event(event)
         aux = event.get("aux")
         if isinstance(aux, Mapping) and is_digest(str(aux.get("Digest", ""))):

@@ -106,8 +106,7 @@ class RegistryClient:
             found = shorten(one_line(media_type)) or "nothing"
             raise InputError(f"{reference}: the registry answers with {found}, an image's manifest was expected")
         digest = f"sha256:{hashlib.sha256(answer.body).hexdigest()}"
-        said = [reference.digest, answer.headers.get("Docker-Content-Digest")]
-        for other in said:
+        for other in (reference.digest, answer.headers.get("Docker-Content-Digest")):
             if other is not None and other.startswith("sha256:") and other.strip() != digest:
                 raise InfrastructureError(
                     f"{reference}: the registry's answer has the digest {digest}, not {one_line(other)}"
@@ -211,13 +210,13 @@ class RegistryClient:
         return denied(reference, self._credentials, f"{answer.status}{self._http.quote(answer.body)}")
 
 
-def denied(reference: Reference, credentials: Credentials | None, said: str) -> InputError:
-    """Return the error for denied access; ``said`` is the registry's message, without secrets."""
+def denied(reference: Reference, credentials: Credentials | None, message: str) -> InputError:
+    """Return the error for denied access; ``message`` is the registry's message, without secrets."""
     if credentials is None or credentials.anonymous or credentials.registry != reference.registry:
         who = "not logged in: set registry.username and registry.password-variable, or run docker login"
     else:
         who = f"check the password of {credentials.username or 'the token'}, and what it may do to this name"
-    return InputError(f"{reference}: {reference.registry} denies access ({said}); {who}")
+    return InputError(f"{reference}: {reference.registry} denies access ({message}); {who}")
 
 
 def _errors(body: bytes) -> str:

@@ -7,7 +7,7 @@ import pytest
 from calibration.analysis.analysers import ANALYSERS
 from calibration.analysis.copies import Copy
 from calibration.analysis.finding import Finding
-from calibration.analysis.programs import module, say
+from calibration.analysis.programs import module, run_program
 from calibration.errors import InfrastructureError
 from tests.coverage.projects import write
 
@@ -129,17 +129,17 @@ def test_a_package_of_the_repository_does_not_take_an_analysers_place(tmp_path: 
 
 def test_a_program_that_takes_too_long_is_ended(tmp_path: Path) -> None:
     with pytest.raises(InfrastructureError, match=r"sleeper took longer than 0\.2 s"):
-        say("sleeper", ["sleep", "60"], tmp_path, 0.2, (0,))
+        run_program("sleeper", ["sleep", "60"], tmp_path, 0.2, (0,))
 
 
 def test_a_program_that_fails_is_no_program_without_findings(tmp_path: Path) -> None:
     with pytest.raises(InfrastructureError, match=r"failed with exit code 1: .*No module named nothing"):
-        say("nothing", module("nothing"), tmp_path, 60, (0,))
+        run_program("nothing", module("nothing"), tmp_path, 60, (0,))
     with pytest.raises(InfrastructureError, match="cannot be started"):
-        say("nothing", ["./nothing"], tmp_path, 60, (0,))
+        run_program("nothing", ["./nothing"], tmp_path, 60, (0,))
 
 
 def test_programs_see_no_variables_of_the_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("INPUT_TOKEN", "secret")
     monkeypatch.setenv("GITHUB_TOKEN", "secret")
-    assert "secret" not in say("env", ["env"], tmp_path, 60, (0,)).output
+    assert "secret" not in run_program("env", ["env"], tmp_path, 60, (0,)).output

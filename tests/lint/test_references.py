@@ -1,8 +1,12 @@
-"""Docstrings of `calibration/`: the modules, classes and functions that they name exist."""
+"""Names in docstrings of `calibration/` exist, and every table of `evaluate` is described where users look for it."""
 
 import ast
 import re
 from pathlib import Path
+
+from calibration.evaluation.specification import KINDS
+from calibration.pipeline.system import System
+from calibration.records import flat_fields
 
 from .yaml_lines import PROJECT
 
@@ -32,6 +36,13 @@ def test_dotted_names_lead_to_what_is_defined() -> None:
     found = [(file, name) for file in PACKAGE.rglob("*.py") for name in DOTTED.findall(file.read_text())]
     assert len(found) > 50
     assert [f"{file}: {name}" for file, name in found if not defined(name.split("."))] == []
+
+
+def test_every_table_is_in_the_help_and_on_the_page() -> None:
+    texts = [flat_fields(System)["evaluate"].help, (PROJECT / "docs" / "calibration-yml.md").read_text()]
+    for name, kind in KINDS.items():
+        form = ":".join((name, *kind.needs))
+        assert name.startswith("inter-collection-") or all(form in text for text in texts), form
 
 
 def defined(parts: list[str]) -> bool:

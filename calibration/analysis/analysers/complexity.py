@@ -9,7 +9,7 @@ from calibration.analysis.analysers.analyser import Analyser, arguments, in_repo
 from calibration.analysis.analysers.cpp import SUFFIXES
 from calibration.analysis.copies import Copy
 from calibration.analysis.finding import Finding
-from calibration.analysis.programs import module, say
+from calibration.analysis.programs import module, run_program
 
 MOST_PATHS = 15
 """Limit of a function's cyclomatic complexity, lizard's default."""
@@ -26,9 +26,9 @@ class Lizard(Analyser):
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
         """Run lizard and parse its output."""
-        said = say(self.name, [*module("lizard"), "--csv", *arguments(files)], copy.root, seconds, (0,))
+        result = run_program(self.name, [*module("lizard"), "--csv", *arguments(files)], copy.root, seconds, (0,))
         found = []
-        for row in csv.reader(io.StringIO(said.output)):
+        for row in csv.reader(io.StringIO(result.output)):
             if len(row) >= 10 and row[1].isdigit() and int(row[1]) > MOST_PATHS:
                 message = f"{row[7]} has a cyclomatic complexity of {row[1]}, at most {MOST_PATHS} was expected"
                 path = in_repository(row[6], copy)

@@ -6,7 +6,7 @@ from pathlib import PurePosixPath
 from calibration.analysis.analysers.analyser import Analyser, arguments, in_repository
 from calibration.analysis.copies import Copy
 from calibration.analysis.finding import Category, Finding, Severity
-from calibration.analysis.programs import program, say
+from calibration.analysis.programs import program, run_program
 
 SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx")
 _UNRESOLVED = ("unknownMacro", "syntaxError", "internalAstError", "preprocessorErrorDirective")
@@ -29,8 +29,8 @@ class Cppcheck(Analyser):
         """Run cppcheck and parse its standard error, one finding per line."""
         command = [program("cppcheck"), "--quiet", "--enable=warning,performance,portability", "--inline-suppr"]
         command += ["--max-configs=2", r"--template={file}\t{line}\t{severity}\t{id}\t{message}"]
-        said = say(self.name, [*command, *arguments(files)], copy.root, seconds, (0,))
-        parts = [line.split("\t", 4) for line in said.errors.splitlines()]
+        result = run_program(self.name, [*command, *arguments(files)], copy.root, seconds, (0,))
+        parts = [line.split("\t", 4) for line in result.errors.splitlines()]
         return [_finding(each, copy) for each in parts if len(each) == 5 and each[0] and each[1].isdigit()]
 
 

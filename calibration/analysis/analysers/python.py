@@ -7,7 +7,7 @@ from pathlib import PurePosixPath
 from calibration.analysis.analysers.analyser import Analyser, arguments, in_repository
 from calibration.analysis.copies import Copy
 from calibration.analysis.finding import Category, Finding, Severity
-from calibration.analysis.programs import module, say
+from calibration.analysis.programs import module, run_program
 
 _RULES = "E,W,F,B,S,PERF,C4,ARG,UP"
 _NOT = "S101,E501"
@@ -44,8 +44,8 @@ class Ruff(Analyser):
         command += ["--output-format", "json"]
         if not _has_settings(copy):
             command += ["--select", _RULES, "--ignore", _NOT]
-        said = say(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
-        return [_finding(entry, copy) for entry in json.loads(said.output or "[]")]
+        result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
+        return [_finding(entry, copy) for entry in json.loads(result.output or "[]")]
 
 
 def _has_settings(copy: Copy) -> bool:

@@ -11,7 +11,7 @@ import calibration
 from calibration.analysis.analysers.analyser import Analyser
 from calibration.analysis.copies import MAX_FILES, Copy
 from calibration.analysis.finding import Finding
-from calibration.analysis.programs import say
+from calibration.analysis.programs import run_program
 from calibration.files import temporary_folder
 
 _FILES = re.compile(
@@ -58,5 +58,5 @@ def run_in_process(what: str, copy: Copy, seconds: float) -> Any:
         task = folder / "task.json"
         task.write_text(json.dumps([what, str(copy.root), copy.present, copy.opaque]), encoding="ascii")
         home = str(Path(calibration.__file__).parents[1])
-        said = say(Ros.name, [sys.executable, "-I", "-c", _START, home, str(task)], copy.root, seconds, (0,))
-    return json.loads(said.output)
+        result = run_program(Ros.name, [sys.executable, "-I", "-c", _START, home, str(task)], copy.root, seconds, (0,))
+    return json.loads(result.output)

@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 from calibration.analysis.analysers.analyser import Analyser, arguments, in_repository
 from calibration.analysis.copies import Copy
 from calibration.analysis.finding import Category, Finding, Severity
-from calibration.analysis.programs import program, say
+from calibration.analysis.programs import program, run_program
 
 _SHELL = re.compile(r"#!.*\b(sh|bash|dash|ksh)\b")
 _SEVERITIES: dict[str, Severity] = {"error": "error", "warning": "warning"}
@@ -32,8 +32,8 @@ class Shellcheck(Analyser):
         for options, group in (([], named), (["--shell=bash"], [file for file in files if file not in named])):
             if group:
                 command = [program("shellcheck"), "--format=json1", *options, "--", *arguments(group)]
-                said = say(self.name, command, copy.root, seconds, (0, 1))
-                found += [_finding(entry, copy) for entry in json.loads(said.output)["comments"]]
+                result = run_program(self.name, command, copy.root, seconds, (0, 1))
+                found += [_finding(entry, copy) for entry in json.loads(result.output)["comments"]]
         return found
 
 

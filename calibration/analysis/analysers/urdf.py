@@ -66,12 +66,12 @@ def _tree_faults(root: Element, links: Sequence[str], joints: Sequence[Element])
             ends.append(name)
             if name not in links:
                 where = joint if place is None else place
-                said = f"there is no link {shorten(name)!r}{did_you_mean(name, links)}"
-                yield where, "no-such-link", "error", f"the {end} of joint {shorten(joint.get('name', ''))!r}: {said}"
+                fault = f"there is no link {shorten(name)!r}{did_you_mean(name, links)}"
+                yield where, "no-such-link", "error", f"the {end} of joint {shorten(joint.get('name', ''))!r}: {fault}"
         parent, child = ends
         if child in parents:
-            said = f"{shorten(child)!r} is the child of two joints: found a second parent {shorten(parent)!r}"
-            yield joint, "two-parents", "error", said
+            fault = f"{shorten(child)!r} is the child of two joints: found a second parent {shorten(parent)!r}"
+            yield joint, "two-parents", "error", fault
         elif child:
             parents[child] = parent
     roots = [name for name in dict.fromkeys(links) if name not in parents]
@@ -90,8 +90,8 @@ def _limit_faults(joint: Element) -> Iterator[_Found]:
         return
     lower, upper = _number(limit.get("lower", "0")), _number(limit.get("upper", "0"))
     if lower is None or upper is None or lower > upper:
-        said = f"found {shorten(limit.get('lower', '0'))} to {shorten(limit.get('upper', '0'))}"
-        yield limit, "limits", "error", f"limits of joint {name!r}: {said}, expected two numbers in their order"
+        fault = f"found {shorten(limit.get('lower', '0'))} to {shorten(limit.get('upper', '0'))}"
+        yield limit, "limits", "error", f"limits of joint {name!r}: {fault}, expected two numbers in their order"
     elif lower == upper:
         yield limit, "limits", "warning", f"limits of joint {name!r}: found {lower:g} twice, so that it cannot move"
 
@@ -105,8 +105,8 @@ def _inertia_faults(inertial: Element, link: str) -> Iterator[_Found]:
         return
     values = [_number(inertia.get(name, "0")) for name in _INERTIA]
     if not _is_positive_definite(values):
-        said = "is not positive definite, which that of a body is"
-        yield inertia, "inertia", "error", f"the inertia of link {link!r} {said}"
+        fault = "is not positive definite, which that of a body is"
+        yield inertia, "inertia", "error", f"the inertia of link {link!r} {fault}"
 
 
 def _is_positive_definite(values: Sequence[float | None]) -> bool:

@@ -10,7 +10,7 @@ import yaml
 from calibration.analysis.analysers.analyser import Analyser, arguments, in_repository
 from calibration.analysis.copies import Copy
 from calibration.analysis.finding import Finding, Severity
-from calibration.analysis.programs import program, say
+from calibration.analysis.programs import program, run_program
 
 _FILES = re.compile(r"\.github/workflows/[^/]+\.ya?ml|(.*/)?action\.ya?ml")
 _SEVERITIES: dict[str, Severity] = {"High": "error", "Medium": "warning"}
@@ -29,8 +29,8 @@ class Zizmor(Analyser):
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
         """Run zizmor and parse its output."""
         command = [program("zizmor"), "--offline", "--no-exit-codes", "--no-progress", "--quiet", "--format", "json-v1"]
-        said = say(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
-        return [_finding(entry, copy) for entry in json.loads(said.output or "[]") if not entry.get("ignored")]
+        result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
+        return [_finding(entry, copy) for entry in json.loads(result.output or "[]") if not entry.get("ignored")]
 
 
 def _is_mapping(text: str) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from calibration.analysis.analysers.analyser import Analyser, arguments, in_repository
 from calibration.analysis.copies import Copy
 from calibration.analysis.finding import Category, Finding, Severity
-from calibration.analysis.programs import module, say
+from calibration.analysis.programs import module, run_program
 
 _LINE = re.compile(r"(.+?):(\d+):(\d+): \[(error|warning)\] (.*?)(?: \(([a-z-]+)\))?")
 _RULES = "{extends: relaxed, rules: {line-length: disable, new-line-at-end-of-file: disable}}"
@@ -29,10 +29,10 @@ class Yamllint(Analyser):
         own = any((copy.root / name).is_file() for name in self.settings)
         command = [*module("yamllint"), "--format", "parsable", *([] if own else ["--config-data", _RULES])]
         # 1 is also the exit code of a Python program that crashes: then there is a traceback
-        said = say(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0, 1))
-        if "Traceback" in said.errors:
-            say(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
-        found = (_LINE.fullmatch(line) for line in said.output.splitlines())
+        result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0, 1))
+        if "Traceback" in result.errors:
+            run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
+        found = (_LINE.fullmatch(line) for line in result.output.splitlines())
         return [_finding(match, copy) for match in found if match]
 
 

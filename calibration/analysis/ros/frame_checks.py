@@ -35,7 +35,7 @@ class _Description:
 
 @dataclass(frozen=True)
 class _Named:
-    """Value of a configuration."""
+    """A key that names a frame in a configuration, and its value."""
 
     key: str
     value: str

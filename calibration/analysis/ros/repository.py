@@ -18,7 +18,7 @@ class Repository:
     """Packages of a repository, with their code, executables and launch files."""
 
     def __init__(self, tree: Tree) -> None:
-        """Take the tracked files."""
+        """Create it from the tracked files."""
         self.tree = tree
         self._codes: dict[str, Code] = {}
         self._executables: dict[str, Executables] = {}
@@ -55,8 +55,8 @@ class Repository:
     def image_text(self) -> str:
         """The text of all files that say what images contain."""
         names = ((path, path.rpartition("/")[2]) for path in self.tree.files)
-        said = (path for path, name in names if name.startswith("Dockerfile") or name == "calibration.yml")
-        return "\n".join(map(self.tree.text, said))
+        paths = (path for path, name in names if name.startswith("Dockerfile") or name == "calibration.yml")
+        return "\n".join(map(self.tree.text, paths))
 
     def place(self, text: str | None) -> str | None:
         """Return the path in the repository of ``package://name/path``; None if it is of no package here."""

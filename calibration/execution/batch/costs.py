@@ -49,12 +49,12 @@ class Estimate:
 
     def text(self, settings: BatchSettings) -> str:
         """Format for messages, including what is not covered."""
-        said = f"at most {self.usage.text(settings.prices)}, if no host is lost"
+        text = f"at most {self.usage.text(settings.prices)}, if no host is lost"
         if settings.platform == "ec2":
-            said += " and instances are filled"
+            text += " and instances are filled"
         if self.unlimited:
-            said += f"; not including {self.unlimited} job{'s' * (self.unlimited != 1)} without a time limit"
-        return said
+            text += f"; not including {self.unlimited} job{'s' * (self.unlimited != 1)} without a time limit"
+        return text
 
 
 def estimate(jobs: Sequence[tuple[Job, Shape]], settings: BatchSettings) -> Estimate:

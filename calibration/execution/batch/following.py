@@ -168,7 +168,7 @@ class Following:
                 end = array.end_of(description)
                 if description.ended:
                     ended.append(end)
-                    array.told(end.index - array.of.first)
+                    array.reported(end.index - array.of.first)
                 elif description.status in _RUNNING:
                     running.append(end)
             if not array.open:
@@ -244,7 +244,7 @@ class _Array:
         elif self._unclear_since is None:
             self.wait_on()
 
-    def told(self, child: int) -> None:
+    def reported(self, child: int) -> None:
         """Record that the end of a child was reported."""
         self.open.pop(child, None)
 

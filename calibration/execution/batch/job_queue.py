@@ -164,8 +164,8 @@ def likely_reasons(aws: Aws, settings: BatchSettings, waiting: Sequence[str]) ->
     reasons: list[str] = []
     try:
         jobs = records(aws, waiting)
-        said = [_clean(job["statusReason"]) for job in jobs if job.get("statusReason")]
-        reasons += [f"AWS Batch reports: {line}" for line in dict.fromkeys(said)]
+        status_reasons = [_clean(job["statusReason"]) for job in jobs if job.get("statusReason")]
+        reasons += [f"AWS Batch reports: {line}" for line in dict.fromkeys(status_reasons)]
         reasons += _of_the_queue(aws, settings)
     except CalibrationError as error:
         reasons.append(f"the cause is unknown: {error}")

@@ -58,14 +58,14 @@ def why_no_outcome(job: Job, description: Description, given_up: str, last_lines
     if given_up and (description.terminated or not attempts or given_up[:100] in description.status_reason):
         return Why(given_up)
     containers = attempts[-1].containers if attempts else description.running
-    said = description.status_reason or "it gives no reason"
+    status = description.status_reason or "it gives no reason"
     if description.terminated:
-        return Why(f"it was terminated by another process: {said}")
+        return Why(f"it was terminated by another process: {status}")
     if (lost := sum(map(host_lost, attempts))) and host_lost(attempts[-1]):
         times = "once" if lost == 1 else f"{lost} times"
         return Why(f"its host was lost {times}, in {len(attempts)} attempts: {attempts[-1].status_reason}")
     reasons = [(container.name, container.reason) for container in containers]
-    for name, reason in [*reasons, ("", said)]:
+    for name, reason in [*reasons, ("", status)]:
         if reason.startswith(_CANNOT_PULL):
             image = next((c.image for c in job.containers if c.name == name), "")
             missing = any(sign in reason.lower() for sign in _NO_SUCH_IMAGE)
@@ -76,7 +76,7 @@ def why_no_outcome(job: Job, description: Description, given_up: str, last_lines
         if reason.startswith(_NO_RESOURCE):
             return Why(f"its task could not be set up: check roles, secrets and network: {reason}")
     if description.status_reason.startswith(_TIMEOUT):
-        return Why(f"AWS Batch has terminated it before our own limit of {job.seconds or 0:g} s did: {said}")
+        return Why(f"AWS Batch has terminated it before our own limit of {job.seconds or 0:g} s did: {status}")
     for container in containers:
         if container.name in _OURS and container.exit_code:
             last = f": {last_lines[container.name]}" if last_lines.get(container.name) else ""
@@ -85,7 +85,7 @@ def why_no_outcome(job: Job, description: Description, given_up: str, last_lines
     if description.status == "SUCCEEDED":
         return Why("AWS Batch reports success, but its task has left no outcome in S3")
     ends = [f"{c.name}: {c.reason or f'exit code {c.exit_code}'}" for c in containers if c.exit_code or c.reason]
-    return Why(f"AWS Batch reports a failure: {'; '.join([said, *ends])}")
+    return Why(f"AWS Batch reports a failure: {'; '.join([status, *ends])}")
 
 
 _OUT_OF_MEMORY = "OutOfMemory"

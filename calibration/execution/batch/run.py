@@ -305,7 +305,7 @@ class BatchRun:
             self._say(f"run {self._name}: {line}")
 
     def _say_end(self) -> None:
-        said = f"{self._counts['done']} done, {self._counts['failed']} failed"
+        progress = f"{self._counts['done']} done, {self._counts['failed']} failed"
         if self.usage.seconds:
-            said += f"; billed: {self.usage.seconds:g} s, {self.usage.text(self._settings.prices)}"
-        self._say(f"run {self._name}: {said}; {sum(self._aws.calls.values())} calls to AWS")
+            progress += f"; billed: {self.usage.seconds:g} s, {self.usage.text(self._settings.prices)}"
+        self._say(f"run {self._name}: {progress}; {sum(self._aws.calls.values())} calls to AWS")

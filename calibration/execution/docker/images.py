@@ -61,11 +61,11 @@ def _pull(api: APIClient, image: str) -> str:
     return found
 
 
-def _not_pulled(image: str, said: str) -> InputError | InfrastructureError:
-    said = shorten(one_line(said), 300)
-    if any(sentence in said.lower() for sentence in _NOT_THERE):
+def _not_pulled(image: str, message: str) -> InputError | InfrastructureError:
+    message = shorten(one_line(message), 300)
+    if any(sentence in message.lower() for sentence in _NOT_THERE):
         return InputError(
-            f"image '{image}' is not on the engine, and cannot be pulled: {said}; "
+            f"image '{image}' is not on the engine, and cannot be pulled: {message}; "
             "build it, log in to its registry, or correct its name"
         )
-    return InfrastructureError(f"image '{image}' is not on the engine, and its registry cannot be reached: {said}")
+    return InfrastructureError(f"image '{image}' is not on the engine, and its registry cannot be reached: {message}")

@@ -12,11 +12,11 @@ from calibration.docker.engine import Engine, EngineLostError, engine_errors
 from calibration.errors import CalibrationError, InfrastructureError
 from calibration.execution.copying_out import Opener
 from calibration.execution.docker.container_run import GRACE, ContainerRun
+from calibration.execution.docker.container_settings import DEFAULT_BRIDGE, container_settings
 from calibration.execution.docker.copying import copy_in, open_output, opener_of
 from calibration.execution.docker.labels import CONTAINER, JOB, new_run
 from calibration.execution.docker.leftovers import Leftover, remove
 from calibration.execution.docker.networks import Network, Networks
-from calibration.execution.docker.settings import DEFAULT_BRIDGE, container_settings
 from calibration.execution.job import Job
 from calibration.execution.job_check import start_order
 from calibration.execution.job_folder import ARTIFACTS, LOGS, make_job_folder, write_manifest

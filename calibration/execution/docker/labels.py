@@ -40,7 +40,7 @@ class Owner:
 
     @property
     def labels(self) -> dict[str, str]:
-        """Labels that encode it."""
+        """Labels of the engine's objects that encode it."""
         return {_OWNER + name: getattr(self, name) for name in self.__dataclass_fields__}
 
     @property

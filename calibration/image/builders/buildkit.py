@@ -208,7 +208,7 @@ def _administer(program: Program, environment: Mapping[str, str], image: str, *a
             check=True,
         )
     except subprocess.CalledProcessError as error:
-        said = " ".join(error.stderr.decode(errors="replace").split())[-200:]
-        raise InfrastructureError(f"image {image}: `docker buildx {arguments[0]}` failed: {said}") from None
+        stderr = " ".join(error.stderr.decode(errors="replace").split())[-200:]
+        raise InfrastructureError(f"image {image}: `docker buildx {arguments[0]}` failed: {stderr}") from None
     except (OSError, subprocess.TimeoutExpired) as error:
         raise InfrastructureError(f"image {image}: `docker buildx {arguments[0]}` failed: {error}") from None

@@ -253,16 +253,16 @@ class SimulatedScenarios(Scenarios):
         try:
             if not (brought / FILE).exists():
                 raise InputError(f"the image left no {FILE} (it needs calibration-ci){_last_line(outcome)}")
-            said = read_scenario(brought, known, self.stillness)
+            stored = read_scenario(brought, known, self.stillness)
         except InputError as error:
             return Judged(replace(known, reasons=(str(error),)), complete=False)
         brought.rename(new)
         result = replace(
-            known, poses=said.poses, lost=said.lost, detection=said.detection, corner_rms_px=said.corner_rms_px
+            known, poses=stored.poses, lost=stored.lost, detection=stored.detection, corner_rms_px=stored.corner_rms_px
         )
-        if said.kept > 0:
+        if stored.kept > 0:
             return Judged(calibrated_result(result, prove(new)))
-        return Judged(replace(result, reasons=said.reasons or ("no pose gave a collection",)))
+        return Judged(replace(result, reasons=stored.reasons or ("no pose gave a collection",)))
 
 
 def _decoded(text: bytes) -> ScenarioResult:

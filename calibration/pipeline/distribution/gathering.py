@@ -105,13 +105,13 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
         title: of the report and its annotations.
     """
     found = report(gathered.results, output, title)
-    told = [f"{job} {result}" for job, result in gathered.jobs.items()]
+    results_of_jobs = [f"{job} {result}" for job, result in gathered.jobs.items()]
     verdict = verdict_of(gathered.exit_code == ExitCode.PASS)
     return replace(
         found,
         verdict=verdict,
         error=gathered.exit_code,
-        sentence="; ".join((*([found.sentence] if gathered.results.judged else []), ", ".join(told))),
+        sentence="; ".join((*([found.sentence] if gathered.results.judged else []), ", ".join(results_of_jobs))),
         reasons=(*gathered.problems, *found.reasons),
         blocks=(*found.blocks, jobs_table(gathered.jobs, cost), Text(cost.sentence)),
         results=RunResults(**vars(found.results), cost=cost),

@@ -51,8 +51,8 @@ def parse_needs(text: str) -> Needs:
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise InputError("needs: ${{ toJSON(needs) }} of a job that waits for the job plan was expected") from None
     plan.pop(SECONDS, None)
-    told = {name: parse_seconds(found.get(SECONDS)) for name, found in outputs.items()}
-    return Needs(results, plan, {name: seconds for name, seconds in told.items() if seconds is not None})
+    seconds_by_job = {name: parse_seconds(found.get(SECONDS)) for name, found in outputs.items()}
+    return Needs(results, plan, {name: seconds for name, seconds in seconds_by_job.items() if seconds is not None})
 
 
 def parse_seconds(value: object) -> int | None:
