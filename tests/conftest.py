@@ -41,7 +41,9 @@ NO_SHARED_DATA = "needs ../shared/data beside the project"
 NEEDS_ROOT = "needs root"
 
 WAITING = ("e2e", "integration", "recorder")
-"""Folders of tests that are run first."""
+"""Folders of tests that mostly wait, for an engine or a browser."""
+BEGUN = 0.8
+"""Share of the other tests, of each worker, among which these are spread: the longest begins in time."""
 
 # Set by .ci/run, which installs what the tests need: a skipped test is a hole there, so it fails.
 # Only what cannot be installed may be missing: the data, and the rights of root.
@@ -58,8 +60,28 @@ def shared_data() -> Path:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what takes long, and mostly waits for an engine or a browser: meanwhile the cores do all else."""
-    items.sort(key=lambda item: item.path.relative_to(PROJECT).parts[1] not in WAITING)
+    """Spread the files of tests that wait evenly over the workers, so that the cores always have something else to do.
+
+    A worker begins with a part of the list; those with little left take from the ends of the others.
+    """
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    waiting: list[pytest.Item] = []
+    others: list[pytest.Item] = []
+    for item in items:
+        (waiting if item.path.relative_to(PROJECT).parts[1] in WAITING else others).append(item)
+    files = list(dict.fromkeys(item.path for item in waiting))
+    each_file = {file: [item for item in waiting if item.path == file] for file in files}
+    ordered: list[pytest.Item] = []
+    for worker in range(workers):
+        own = others[len(others) * worker // workers : len(others) * (worker + 1) // workers]
+        places = files[worker::workers]
+        begun = 0
+        for number, file in enumerate(places):
+            until = round(BEGUN * len(own) * number / len(places))
+            ordered += own[begun:until] + each_file[file]
+            begun = until
+        ordered += own[begun:]
+    items[:] = ordered
 
 
 def fail_if_skipped(report: pytest.TestReport | pytest.CollectReport) -> None:
