@@ -5,9 +5,9 @@
 >>> result.converged
 True
 
-The packages, from the bottom up (imports only point downwards): ``geometry``, ``dataset``,
-``estimation``, ``evaluation``, ``comparison``, ``simulation``; beside them, independent of
-calibration, ``introspection`` and ``workflow``; on top ``pipeline`` and ``commands``.
+The engine is ``dataset``, ``estimation`` and ``evaluation``; ``simulation`` makes datasets; ``pipeline`` runs a
+``calibration.yml``, ``commands`` has one module for each command. CONTRIBUTING.md lists all packages, each below those
+that it imports.
 """
 
 from importlib import import_module

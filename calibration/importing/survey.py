@@ -16,7 +16,10 @@ from calibration.robot_description import read_robot_description
 
 _SENSOR = "sensor_msgs/msg/"
 IMAGES = (f"{_SENSOR}Image", f"{_SENSOR}CompressedImage")
-MODALITIES = dict.fromkeys(IMAGES, "rgb") | {f"{_SENSOR}PointCloud2": "lidar3d", f"{_SENSOR}LaserScan": "lidar2d"}
+MODALITY_OF_MESSAGE = dict.fromkeys(IMAGES, "rgb") | {
+    f"{_SENSOR}PointCloud2": "lidar3d",
+    f"{_SENSOR}LaserScan": "lidar2d",
+}
 """Modalities by the types of the messages."""
 INFO, JOINTS = f"{_SENSOR}CameraInfo", f"{_SENSOR}JointState"
 TF, TEXT = tuple(MORE_TYPES), "std_msgs/msg/String"
@@ -119,7 +122,7 @@ def _found(bag: Bag) -> tuple[SensorDescription, ...]:
 
 
 def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
-    known = bag.of_type(*MODALITIES)
+    known = bag.of_type(*MODALITY_OF_MESSAGE)
     if sensor.topic not in known:
         kind = bag.topics.get(sensor.topic or "")
         problem = f"found '{sensor.topic}' as {kind}" if kind else f"found no topic '{sensor.topic}'"
@@ -131,7 +134,7 @@ def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
 
 def _modality(bag: Bag, sensor: SensorDescription) -> str:
     """Return the modality by the type of its messages, and for images by the name of the topic."""
-    kind = MODALITIES[bag.topics[sensor.topic or ""]]
+    kind = MODALITY_OF_MESSAGE[bag.topics[sensor.topic or ""]]
     if kind != "rgb":
         return kind
     return sensor.modality or ("depth" if _is_depth(sensor.topic or "") else "rgb")
