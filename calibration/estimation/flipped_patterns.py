@@ -54,8 +54,9 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
         if isinstance(group.terms[0], CornerTerm):
             mirrored = _mirrored(problem, group, values)
             if mirrored is not None:
-                settled, settled_cost = settle(part, mirrored, weighting, suspicious)
-                better = suspicious & (settled_cost < 0.99 * cost - BETTER)
+                enough = 0.99 * cost - BETTER
+                settled, settled_cost = settle(part, mirrored, weighting, suspicious, below=enough)
+                better = suspicious & (settled_cost < enough)
                 values = choose(problem, better, settled, values)
                 cost = np.where(better, settled_cost, cost)
                 flipped |= better

@@ -149,9 +149,23 @@ SETTLING = Termination(decrease=0.01, iterations=20)
 
 
 def settle(
-    problem: Problem, values: Values, weighting: Weighting, which: BoolArray, until: Termination = SETTLING
+    problem: Problem,
+    values: Values,
+    weighting: Weighting,
+    which: BoolArray,
+    until: Termination = SETTLING,
+    below: Array | None = None,
 ) -> tuple[Values, Array]:
     """Minimise over the local blocks of some collections (N,), each by itself, with the shared ones fixed.
+
+    Args:
+        problem: the problem.
+        values: where to start.
+        weighting: what residuals weigh.
+        which: the collections, (N,).
+        until: when to stop.
+        below: (N,), costs at which the minima become of interest: a collection is left where it is once decreases
+            like its last one would not bring it there in the iterations that remain.
 
     Returns:
         The values, and the cost (N,) of each collection.
@@ -159,7 +173,7 @@ def settle(
     equations = assemble(problem, values, weighting)
     damping = np.full(problem.collections, 1e-3)
     active = which.copy()
-    for _ in range(until.iterations):
+    for remaining in reversed(range(until.iterations)):
         trial = problem.moved(values, np.zeros_like(equations.g_shared), equations.local_step(damping))
         trial = choose(problem, active, trial, values)
         trial_equations = assemble(problem, trial, weighting)
@@ -170,6 +184,8 @@ def settle(
         equations = trial_equations if better[active].all() else assemble(problem, values, weighting)
         damping = np.where(better, damping / 5, damping * 10)
         active &= ~(better & (decrease <= enough)) & (damping < 1e6)
+        if below is not None:
+            active &= ~better | (equations.cost - below <= remaining * decrease)
         if not active.any():
             break
     return values, equations.cost

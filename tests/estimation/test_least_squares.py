@@ -154,6 +154,22 @@ def test_settling_finds_each_collections_own_minimum_and_leaves_the_rest():
             np.testing.assert_array_equal(settled[i], value)
 
 
+def test_settling_below_a_cost_gives_up_only_what_would_stay_above_it():
+    setup = build(stereo(8, 2, pixel_noise=0.3).dataset(2))
+    best = minimise(setup.problem, true_values(setup), PLAIN)
+    pattern = setup.block(setup.pattern_edge("board"))
+    moved = retract(best.values[pattern], np.random.default_rng(0).uniform(-0.3, 0.3, (8, 6)))
+    start = tuple(moved if i == pattern else v for i, v in enumerate(best.values))
+    which = np.ones(8, bool)
+    _, minimum = settle(setup.problem, start, PLAIN, which)
+    reachable = np.arange(8) % 2 == 0
+    below = np.where(reachable, minimum + 1, minimum - 1000)
+    _, cost = settle(setup.problem, start, PLAIN, which, below=below)
+    given_up = cost > minimum
+    assert given_up.any()
+    assert not given_up[reachable].any()
+
+
 def test_choosing_takes_local_blocks_collection_by_collection_and_shared_ones_from_the_first():
     setup = build(stereo(4).dataset())
     a = true_values(setup)
