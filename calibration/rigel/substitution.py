@@ -243,11 +243,6 @@ def argument(text: str, names: Mapping[str, str], secret: Callable[[str], str], 
     return "".join([*pieces, _braces_doubled(text[at:])])
 
 
-def data_names(text: str) -> list[str]:
-    """Return the names of the data that a text refers to."""
-    return [match[2] for match in _MARKS.finditer(text) if match[1] == "D"]
-
-
 def secret_names(text: str) -> list[str]:
     """Return the names of the variables of the secrets in a text."""
     return [match[2] for match in _MARKS.finditer(text) if match[1] == "S"]
