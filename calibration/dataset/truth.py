@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from calibration.dataset.document import Node, read_json
-from calibration.dataset.edges import read_transform
+from calibration.dataset.edges import read_transform, transform_documents
 from calibration.dataset.model import Dataset, Edge
+from calibration.dataset.writing import write_document
 from calibration.frozen import frozen
 from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.types import Array
@@ -142,3 +143,31 @@ def truth_of(dataset: Dataset) -> Truth:
         for name, joint in dataset.joints.items()
     }
     return Truth(dataset.path, sensors, constant, patterns, joints=joints)
+
+
+def write_truth(truth: Truth, path: Path | str) -> None:
+    """Write the truth in the form that `read_truth` reads.
+
+    Raises:
+        InfrastructureError: the file cannot be written.
+    """
+    of_sensors = set(truth.sensors.values())
+    write_document(
+        {
+            **truth.notes,
+            "sensors": {name: _pose_document(edge, truth.transforms[edge]) for name, edge in truth.sensors.items()},
+            "transforms": [_pose_document(edge, T) for edge, T in truth.transforms.items() if edge not in of_sensors],
+            "patterns": {key: _pose_documents(poses) for key, poses in truth.patterns.items()},
+            **({"joints": truth.joints} if truth.joints else {}),
+        },
+        path,
+    )
+
+
+def _pose_document(edge: Edge, T: Array) -> dict[str, Any]:
+    return transform_documents(edge, T[None])[0]
+
+
+def _pose_documents(poses: Mapping[Edge, Array]) -> dict[str, Any] | list[dict[str, Any]]:
+    documents = [_pose_document(edge, T) for edge, T in poses.items()]
+    return documents[0] if len(documents) == 1 else documents

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.dataset.reading import read_dataset
-from calibration.dataset.truth import Truth, find_truth, read_truth, truth_of
+from calibration.dataset.truth import Truth, find_truth, read_truth, truth_of, write_truth
 from calibration.errors import ExitCode, InputError
 from calibration.geometry.transforms import from_quaternion
 from tests.dataset import documents
@@ -49,6 +49,19 @@ def test_a_truth(tmp_path):
     assert truth.patterns["002"][BOARD][0, 3] == 4
     assert truth.patterns["002"]["hand", "cube"][0, 3] == 5
     assert truth.notes == {"seed": 100, "px_sigma": 0.3}
+
+
+def test_what_is_written_reads_back_equal(tmp_path):
+    truth = read(tmp_path, DOCUMENT)
+    write_truth(truth, tmp_path / "again.json")
+    again = read_truth(tmp_path / "again.json")
+    assert again.sensors == truth.sensors
+    assert again.notes == truth.notes
+    assert set(again.transforms) == set(truth.transforms)
+    for key, T in truth.transforms.items():
+        np.testing.assert_array_equal(again.transforms[key], T)
+    assert {k: set(v) for k, v in again.patterns.items()} == {k: set(v) for k, v in truth.patterns.items()}
+    np.testing.assert_array_equal(again.patterns["002"][BOARD], truth.patterns["002"][BOARD])
 
 
 def test_a_truth_beside_the_dataset_is_found(dataset, tmp_path):
@@ -129,11 +142,15 @@ def test_the_synthetic_datasets_hold_their_truth(shared_data, name):
 JOINTS = {"elbow": {"origin_z": 0.105, "position_bias": -0.02}, "wrist": {"origin_yaw": 0.01}}
 
 
-def test_joints(tmp_path):
+def test_joints_read_back_equal(tmp_path):
     truth = read(tmp_path, {**DOCUMENT, "joints": JOINTS})
     assert truth.joints == JOINTS
     assert truth.notes == {"seed": 100, "px_sigma": 0.3}
+    write_truth(truth, tmp_path / "again.json")
+    assert read_truth(tmp_path / "again.json").joints == JOINTS
     assert read(tmp_path, DOCUMENT).joints == {}
+    write_truth(read(tmp_path, DOCUMENT), tmp_path / "none.json")
+    assert "joints" not in json.loads((tmp_path / "none.json").read_text())
 
 
 @pytest.mark.parametrize(
