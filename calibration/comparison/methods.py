@@ -80,3 +80,8 @@ def method_of(name: str) -> Method:
     if name not in METHODS:
         raise InputError(f"no comparison method '{name}' (methods: {', '.join(METHODS)})")
     return METHODS[name]
+
+
+def applicable(dataset: Dataset) -> list[Method]:
+    """Return the methods that apply to a dataset."""
+    return [] if dataset.joints else [method for method in METHODS.values() if method.why_not(dataset) is None]

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from calibration.comparison.methods import METHODS, method_of
+from calibration.comparison.methods import METHODS, applicable, method_of
 from calibration.errors import InputError
 from tests.evaluation.scene import arm, lidar_and_camera, range_pair, two_cameras
 
@@ -25,9 +25,6 @@ def test_an_unknown_name_is_told_with_the_known_ones():
 
 
 def test_each_system_has_its_methods():
-    def applicable(dataset):
-        return [method for method in METHODS.values() if method.why_not(dataset) is None]
-
     assert [m.name for m in applicable(two_cameras(n=4)[0])] == ["opencv-stereo", "opencv-stereo-fixed"]
     arms = ["shah", "li", "tsai", "park", "horaud", "andreff", "daniilidis"]
     assert [m.name for m in applicable(arm(n=4))] == arms
