@@ -13,6 +13,7 @@ from calibration.pipeline.first_configuration import first_configuration
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.text import one_line
 
+SUITE = "OWNER/calibration-ci@v1"
 CONFIGURATION, WORKFLOW = Path("calibration.yml"), Path(".github", "workflows", "calibration.yml")
 _WORKFLOW = """# Written by `calibration init`: calibrates what calibration.yml names, on every push and pull request.
 name: Calibration
@@ -32,7 +33,7 @@ jobs:
 @click.command("init")
 @click.option("--dataset", type=path, required=True, help="Dataset: its folder in the repository.")
 @click.option("--output", type=path, default=".", show_default=True, help="Folder of the repository.")
-@click.option("--suite", default="OWNER/calibration-ci@v1", show_default=True, help="Where the workflow comes from.")
+@click.option("--suite", default=SUITE, show_default=True, help="Where the workflow comes from.")
 @boolean_option("--overwrite", help="Replace files that are there.")
 def command(dataset: Path, output: Path, suite: str, overwrite: bool) -> ExitCode:
     """Write a first calibration.yml for a dataset, and the workflow that runs it on every push."""
@@ -65,6 +66,9 @@ def init(dataset: Path, output: Path, suite: str, runner: Runner, *, overwrite: 
             runner.log(one_line(f"{first.name}: {each}"))
         word = "fails as it is" if first.reasons else "passes"
         runner.log(one_line(f"{configuration}, {workflow}: written; {first.name} {word}"))
+        if suite == SUITE:
+            runner.log(one_line(f"{workflow}: put the owner of your copy of the suite in the place of OWNER"))
         if not first.reasons:
-            runner.log("next: calibration run, calibration accept, and commit these with calibration-baseline.json")
+            commit = f"commit these, {dataset} and calibration-baseline.json"
+            runner.log(one_line(f"next: calibration run, calibration accept; then {commit}"))
     return ExitCode.FAIL if first.reasons else ExitCode.PASS

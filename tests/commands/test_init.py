@@ -74,9 +74,18 @@ def test_every_limit_has_a_reason(repository: Path) -> None:
     assert 4 * cell["sigma"]["translation_mm"] <= limit["translation-mm"] <= 6 * cell["sigma"]["translation_mm"] + 1
 
 
-def test_the_workflow_runs_the_suite_that_is_named(repository: Path) -> None:
+def test_what_is_left_to_do_is_said(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bring(repository, "t2rgb")
+    assert main(["init", "--dataset", "data/t2rgb"]) == 0
+    said = capsys.readouterr().out
+    assert "calibration.yml: put the owner of your copy of the suite in the place of OWNER" in said
+    assert "then commit these, data/t2rgb and calibration-baseline.json" in said
+
+
+def test_the_workflow_runs_the_suite_that_is_named(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bring(repository, "t2rgb")
     assert main(["init", "--dataset", "data/t2rgb", "--suite", "team/suite@v2"]) == 0
+    assert "OWNER" not in capsys.readouterr().out
     workflow = yaml.safe_load((repository / ".github/workflows/calibration.yml").read_text())
     assert workflow["jobs"]["robot"]["uses"] == "team/suite/.github/workflows/pipeline.yml@v2"
 

@@ -101,7 +101,7 @@ def test_from_the_samples_to_a_verdict(
     assert main(["run", "--jobs", "1"]) == 0
     shown = capsys.readouterr().out
     assert [line.split()[0] for line in shown.splitlines() if "poses off by 1." in line] == ["0", "shah", "tsai"]
-    assert "camera: where patterns come out less where they were measured" in Path("output/report.html").read_text()
+    assert "camera: from where patterns were measured to where they come out" in Path("output/report.html").read_text()
     assert main(["accept"]) == 0
     assert main(["label", "--dataset", "data/robot", "--output", "data/labelled"]) == 2
     assert "found no camera among the sensors (camera), expected one with images to label" in capsys.readouterr().err

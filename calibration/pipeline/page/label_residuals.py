@@ -16,7 +16,7 @@ from calibration.pages.residual_plane import residual_plane
 from calibration.pipeline.page.worst_views import worst_views
 
 _PLANE = (
-    "where its corners come out less where they were seen, enlarged. Red ones are longer than three times the RMS. "
+    "from where its corners were seen to where they come out, enlarged. Red ones are longer than three times the RMS. "
     "Where the image is empty, the lens is not known."
 )
 
@@ -56,7 +56,7 @@ def _figures(sensor: Sensor, found: Residuals, levels: NoiseLevels | None) -> It
     elif sensor.modality.has_poses:
         sigma = levels.pose_translation if levels else None
         drawn = histogram(f"{sensor.name}, x, y and z", 1e3 * found.values.ravel(), 1e3 * (sigma or 0.0), "mm")
-        yield figure(drawn, f"{sensor.name}: where patterns come out less where they were measured {stated}")
+        yield figure(drawn, f"{sensor.name}: from where patterns were measured to where they come out {stated}")
     else:
         sigma = levels.range if levels else None
         drawn = histogram(sensor.name, 1e3 * found.values.ravel(), 1e3 * (sigma or 0.0), "mm")
