@@ -6,7 +6,7 @@ from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
 from benchmarks.timing import seconds
 from calibration.execution.tasks import run_tasks
-from calibration.simulation.collection.collecting import single_threaded_opencv
+from calibration.simulation.collection.poses import single_threaded_opencv
 from calibration.simulation.scenarios.run import scenario_task
 from calibration.simulation.scenarios.scenario import ScenarioResult
 from calibration.simulation.scenarios.scenario_set import read_scenario_set

@@ -23,11 +23,11 @@ from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.evaluation.truth import truth_error
 from calibration.geometry.transforms import inverse, local
-from calibration.introspection.judge import judge
 from calibration.introspection.table import read_table
+from calibration.introspection.table_verdict import judge
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult, nothing_yet
-from calibration.pipeline.matrix.judgement import judge_cells
+from calibration.pipeline.matrix.cell_verdict import judge_cells
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import calibrate_cell, table_of
 

@@ -24,8 +24,8 @@ from calibration.geometry.types import Array
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.system import System as Entry
 from calibration.simulation.collection.capture import Requirements
-from calibration.simulation.collection.collecting import collect_pose, kept, single_threaded_opencv
 from calibration.simulation.collection.document import dataset_document, truth_document
+from calibration.simulation.collection.poses import collect_pose, kept, single_threaded_opencv
 from calibration.simulation.joints import joint_values
 from calibration.simulation.motion.expected import expected_dataset
 from calibration.simulation.motion.generation import generate_motion

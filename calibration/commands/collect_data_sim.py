@@ -21,7 +21,7 @@ from calibration.errors import ExitCode, InputError
 from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, ExecutionTarget, check_backend
 from calibration.files import write_atomically
 from calibration.pipeline.collection import report, scenario_report
-from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
+from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.report import TITLE, pose_line
 from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,

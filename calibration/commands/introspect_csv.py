@@ -12,11 +12,11 @@ from calibration.commands.record_options import record_options
 from calibration.errors import ExitCode, InputError
 from calibration.files import matching
 from calibration.frozen import frozen
-from calibration.introspection.judge import judge
 from calibration.introspection.report import report
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked
 from calibration.introspection.rulesfile import read_rules
 from calibration.introspection.table import parse_delimiter, read_table
+from calibration.introspection.table_verdict import judge
 from calibration.records import flat_fields, read
 from calibration.report import FILES, publish, remove_results
 from calibration.workflow import Runner

@@ -5,7 +5,7 @@
   ``batch`` (jobs of containers);
 - ``job``, ``outcome``: a job of containers, and its result; ``placeholders``, ``ros``, ``sizes``, ``job_check``:
   parsing and validation of a job's description;
-- ``supervision``, ``judging``: a job's containers from the first start to the verdict; ``copying_out``,
+- ``supervision``, ``job_verdict``: a job's containers from the first start to the verdict; ``copying_out``,
   ``extraction``, ``globs``: copying their artifacts; ``log_file``, ``redaction``: their logs; ``job_folder``: the
   folder with both;
 - ``admission``: starting jobs within the resources of the machine.

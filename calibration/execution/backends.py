@@ -116,7 +116,7 @@ KINDS: Mapping[str, BackendKind] = {
 CONTAINERS = tuple(KINDS)
 BACKENDS = (EMBEDDED, *CONTAINERS)
 ContainerBackend = Literal["docker", "aws-batch"]
-BackendName = Literal["embedded", "docker", "aws-batch"]
+BackendName = Literal["embedded", ContainerBackend]
 
 
 @record

@@ -10,7 +10,7 @@ from calibration.errors import ExitCode
 from calibration.execution.copying_out import ArtifactCopier, Opener, complete_or_not_at_all
 from calibration.execution.extraction import Budget
 from calibration.execution.job import Container, Job
-from calibration.execution.judging import Judge, is_running
+from calibration.execution.job_verdict import Judge, is_running
 from calibration.execution.outcome import ArtifactFile, ContainerOutcome, End
 
 _POLL_SECONDS = 0.2
@@ -18,7 +18,7 @@ _POLL_SECONDS = 0.2
 
 
 class Supervised(ABC):
-    """One container of a job; a :class:`calibration.execution.judging.Watched`."""
+    """One container of a job; a :class:`calibration.execution.job_verdict.Watched`."""
 
     image = ""
     log: Path | None = None

@@ -54,8 +54,8 @@ from calibration.labelling.corner_detector import corner_detector
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
 from calibration.records import read, text_of
-from calibration.simulation.collection.collecting import single_threaded_opencv
 from calibration.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
+from calibration.simulation.collection.poses import single_threaded_opencv
 from calibration.yaml_file import read_yaml
 
 Done = Callable[[int, int, LabelledMoment | SeenImages], None]

@@ -29,8 +29,8 @@ from calibration.importing.results import LabelledSensor, LabelResults, Rejected
 from calibration.labelling.corner_detector import corner_detector
 from calibration.labelling.detection import Image
 from calibration.records import read, text_of
-from calibration.simulation.collection.collecting import single_threaded_opencv
 from calibration.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
+from calibration.simulation.collection.poses import single_threaded_opencv
 
 Done = Callable[[int, int, LabelledMoment], None]
 

@@ -8,10 +8,10 @@ Rule files are read by :mod:`calibration.introspection.rulesfile`, which needs Y
 Independent of calibration: any table with a header can be judged.
 """
 
-from calibration.introspection.judge import judge
 from calibration.introspection.result import RuleResult, TableResult, Violation
 from calibration.introspection.rule_set import RuleSet, parse_rules
 from calibration.introspection.table import Table, read_table
+from calibration.introspection.table_verdict import judge
 
 __all__ = [
     "RuleResult",

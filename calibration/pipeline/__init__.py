@@ -6,6 +6,6 @@
 - ``convergence``: the matrix swept over the noise of the initial guess;
 - ``results``: what a run has found; ``report``: its report, of ``result_tables`` and ``result_messages``; ``page``: the
   pages;
-- ``baseline``, ``accepting``: the accepted calibration that results are compared with, and its update;
+- ``matrix_baselines``, ``accepting``: the accepted calibration that results are compared with, and its update;
 - ``stages``: the stages in order; ``distribution``: spread over the jobs of a workflow, and gathered again.
 """

@@ -11,7 +11,7 @@ import pytest
 from calibration.errors import ExitCode, InfrastructureError
 from calibration.execution.copying_out import Archive, NothingThereError, Opener
 from calibration.execution.job import Artifact, Container, Job, Readiness
-from calibration.execution.judging import how_it_ended
+from calibration.execution.job_verdict import how_it_ended
 from calibration.execution.outcome import End
 from calibration.execution.supervision import Supervised, Supervisor
 

@@ -17,7 +17,7 @@ from calibration.estimation.calibrate import Options, calibrate
 from calibration.geometry.transforms import distance, translation
 from calibration.importing.importing import import_data
 from calibration.importing.messages import depth_of
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from tests.importing.bags import BEGIN, SECOND, BagFile, Kind, compressed_depth
 from tests.importing.conftest import BOARD, CAMERAS, DATASETS

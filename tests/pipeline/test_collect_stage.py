@@ -18,7 +18,7 @@ from calibration.pipeline.stages import Run, run_stages
 from calibration.report import Report
 from calibration.workflow import Runner
 from tests.pipeline.conftest import DATASETS
-from tests.pipeline.matrix.test_judgement import CELL
+from tests.pipeline.matrix.test_cell_verdict import CELL
 from tests.small import first_poses
 
 CONFIGURATION = """

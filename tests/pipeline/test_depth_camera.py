@@ -13,7 +13,7 @@ from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.geometry import rotations
 from calibration.geometry.transforms import inverse
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from tests.pipeline.conftest import DATASETS

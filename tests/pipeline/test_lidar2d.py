@@ -16,7 +16,7 @@ from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.geometry.transforms import inverse
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA, report
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults

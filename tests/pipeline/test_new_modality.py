@@ -15,7 +15,7 @@ from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import find_truth
 from calibration.estimation.calibrate import calibrate
 from calibration.evaluation.specification import parse_evaluation
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.recorder.preview import preview
 from calibration.records import record

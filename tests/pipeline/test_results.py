@@ -28,7 +28,7 @@ from calibration.pipeline.results import (
 from calibration.pipeline.system import NoiseGrid
 from calibration.report import Report
 from tests.pipeline.conftest import RIWBOT
-from tests.pipeline.matrix.test_judgement import CELL
+from tests.pipeline.matrix.test_cell_verdict import CELL
 
 FAILED = replace(CELL, rotation_noise=0.5, converged=False, reasons=("a false minimum",), rms_px=None, truth=None)
 BROKEN = replace(FAILED, seed=2, reasons=("no labels | <b>",), error=ExitCode.BAD_INPUT)

@@ -17,7 +17,7 @@ from calibration.geometry import transforms
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import apply, inverse
 from calibration.labelling.corner_detector import corner_detector
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.simulation.motion.generation import generate_motion
 from calibration.simulation.motion.sequence import read_motion

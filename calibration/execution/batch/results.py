@@ -18,7 +18,7 @@ from calibration.execution.batch.wire import FILES_FOLDER, OUTCOME_FILE, PREPARE
 from calibration.execution.copying_out import complete_or_not_at_all
 from calibration.execution.job import Container, Job
 from calibration.execution.job_folder import ARTIFACTS, LOGS, make_job_folder, write_manifest
-from calibration.execution.judging import failure_of, how_it_ended
+from calibration.execution.job_verdict import failure_of, how_it_ended
 from calibration.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
 from calibration.files import write_atomically
 from calibration.workflow.masks import redact
@@ -94,7 +94,7 @@ _LAST_CODE = 255
 
 @dataclass(frozen=True)
 class _Ended:
-    """An ended container, in the form that the judging needs."""
+    """An ended container, in the form that the verdict needs."""
 
     container: Container
     end: End

@@ -18,7 +18,7 @@ from calibration.errors import CalibrationError
 from calibration.execution.docker.labels import new_run
 from calibration.execution.docker.readiness import Probe
 from calibration.execution.job import Container
-from calibration.execution.judging import how_it_ended
+from calibration.execution.job_verdict import how_it_ended
 from calibration.execution.log_file import LogFile
 from calibration.execution.outcome import End
 from calibration.execution.supervision import Supervised

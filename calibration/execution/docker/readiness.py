@@ -13,7 +13,7 @@ from docker import APIClient
 
 from calibration.execution.docker.copying import exists
 from calibration.execution.job import Readiness
-from calibration.execution.judging import unmet
+from calibration.execution.job_verdict import unmet
 
 _CONNECTING = 0.5
 """Seconds; local containers answer much faster."""

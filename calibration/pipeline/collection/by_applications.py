@@ -78,7 +78,7 @@ class Plan:
 def collect_by_applications(
     request: ContainerRequest, output: Path, target: ExecutionTarget | None = None, overwrite: bool = False
 ) -> CollectionResults:
-    """Collect a dataset, like `calibration.pipeline.collection.collecting.collect_dataset`.
+    """Collect a dataset, like `calibration.pipeline.collection.dispatch.collect_dataset`.
 
     Raises:
         InputError: an input is missing or wrong, or the folder has a dataset that must not be overwritten.

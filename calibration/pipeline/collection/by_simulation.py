@@ -28,9 +28,9 @@ from calibration.pipeline.collection.scenario_file import FILE, read_scenario, w
 from calibration.pipeline.collection.scenarios import Judged, ScenarioDone, Scenarios
 from calibration.records import read, text_of
 from calibration.simulation.collection.capture import Requirements
-from calibration.simulation.collection.collecting import collect, kept, single_threaded_opencv
 from calibration.simulation.collection.contact_sheet import write_contact_sheet
 from calibration.simulation.collection.dataset_folder import replacing_dataset, write_dataset
+from calibration.simulation.collection.poses import collect, kept, single_threaded_opencv
 from calibration.simulation.collection.proof import prove
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.generation import named_motion
@@ -71,7 +71,7 @@ def collect_by_simulation(
     begin: Begin = lambda *_: None,
     done: PoseDone = lambda *_: None,
 ) -> CollectionResults:
-    """Collect a dataset, like `calibration.pipeline.collection.collecting.collect_dataset`.
+    """Collect a dataset, like `calibration.pipeline.collection.dispatch.collect_dataset`.
 
     Raises:
         InputError: an input is wrong, or the folder has a dataset that must not be overwritten.

@@ -25,7 +25,7 @@ from calibration.execution.tasks import run_tasks
 from calibration.execution.workspace import identity, workspace
 from calibration.files import temporary_folder
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
-from calibration.pipeline.matrix.judgement import judge_cells
+from calibration.pipeline.matrix.cell_verdict import judge_cells
 from calibration.pipeline.matrix.matrix import Done, Matrix, matrix_tasks
 from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.system import System

@@ -23,7 +23,7 @@ from calibration.files import temporary_folder
 from calibration.frozen import frozen
 from calibration.pipeline.matrix.cell import Cell, Comparison, noise_folder
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
-from calibration.pipeline.matrix.judgement import check_rules
+from calibration.pipeline.matrix.cell_verdict import check_rules
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
 from calibration.pipeline.matrix.software import Software

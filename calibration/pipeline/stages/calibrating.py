@@ -4,7 +4,7 @@ import os
 from dataclasses import replace
 
 from calibration.pipeline.matrix.cell_result import CellResult
-from calibration.pipeline.matrix.judgement import judge_cells
+from calibration.pipeline.matrix.cell_verdict import judge_cells
 from calibration.pipeline.matrix.matrix import run_matrix
 from calibration.pipeline.results import results_of, without_verdicts
 from calibration.pipeline.stages.running import Run
@@ -24,7 +24,7 @@ def calibrate_stage(run: Run) -> Run:
     """
     matrix, update = run.matrix, None
     if run.baseline is not None:
-        from calibration.pipeline.baseline import with_accepted  # brings git
+        from calibration.pipeline.matrix_baselines import with_accepted  # brings git
 
         matrix, update = with_accepted(run.matrix, run.baseline, os.environ)
     with progress(run.runner, run.title, bar=not run.matrix.software) as advance:

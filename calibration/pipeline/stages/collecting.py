@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from calibration.errors import CalibrationError
 from calibration.execution.backends import EMBEDDED
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import pose_line
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.results import Collected

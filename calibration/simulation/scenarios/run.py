@@ -12,8 +12,8 @@ from calibration.errors import InputError
 from calibration.execution.tasks import Task
 from calibration.files import temporary_folder
 from calibration.simulation.collection.capture import Requirements
-from calibration.simulation.collection.collecting import collect_pose, kept
 from calibration.simulation.collection.document import dataset_document, truth_document
+from calibration.simulation.collection.poses import collect_pose, kept
 from calibration.simulation.collection.proof import Proof, prove
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import Motion

@@ -10,8 +10,8 @@ from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_document
 from calibration.simulation.collection.capture import Requirements
-from calibration.simulation.collection.collecting import collect_pose, kept
 from calibration.simulation.collection.document import dataset_document
+from calibration.simulation.collection.poses import collect_pose, kept
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import read_motion
 from calibration.simulation.placement import Play, play

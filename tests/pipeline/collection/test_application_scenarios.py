@@ -14,7 +14,7 @@ from calibration.errors import ExitCode, InputError
 from calibration.execution.job import OUTPUT, Job
 from calibration.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import applications_from
-from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
+from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.request import (
     CollectionChecks,
     CollectionRequest,

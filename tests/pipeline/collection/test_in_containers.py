@@ -19,7 +19,7 @@ from calibration.pipeline.collection.applications import (
     applications_from,
     collection_job,
 )
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
 from calibration.pipeline.collection.results import CollectionResults
 from tests.pipeline.targets import at

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.pipeline.collection.collecting import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.dispatch import CollectionRequest, collect_dataset
 from tests.pipeline.systems import with_depth_camera, with_scanner
 from tests.processors import on_a_lesser_processor, on_linux
 

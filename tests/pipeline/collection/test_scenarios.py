@@ -10,7 +10,7 @@ import pytest
 
 from calibration.commands.collect_data_sim import command
 from calibration.errors import ExitCode
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,
     CollectionChecks,

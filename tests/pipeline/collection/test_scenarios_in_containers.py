@@ -18,7 +18,7 @@ from calibration.execution.job import OUTPUT, Job
 from calibration.execution.job_check import check_jobs
 from calibration.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import INPUTS
-from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
+from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioOfSet, ScenarioRequest
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_file import FILE, ScenarioFile

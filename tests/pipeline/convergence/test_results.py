@@ -11,9 +11,9 @@ import jsonschema
 import pytest
 
 from calibration.errors import ExitCode
-from calibration.introspection.judge import judge
 from calibration.introspection.rule_set import parse_rules
 from calibration.introspection.table import read_table
+from calibration.introspection.table_verdict import judge
 from calibration.pipeline.convergence.convergence_map import Largest, least
 from calibration.pipeline.convergence.report import (
     ALL_FILES,

@@ -19,7 +19,7 @@ from calibration.pipeline.report import write_results
 from calibration.pipeline.results import Collected, ImageResult, Results
 from calibration.pipeline.system import NoiseGrid
 from tests.pipeline.conftest import RIWBOT
-from tests.pipeline.matrix.test_judgement import CELL
+from tests.pipeline.matrix.test_cell_verdict import CELL
 
 ONE = JobCell("robot, 0.5 m, 0.3 rad", "one", "robot", (0.5,), (0.3,))
 TWO = JobCell("robot, 0 m, 0.3 rad", "two", "robot", (0.0,), (0.3,))

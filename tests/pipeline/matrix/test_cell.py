@@ -38,7 +38,7 @@ from tests.estimation.systems import jointed_arm, stereo
 from tests.estimation.test_wrong_views import exchanged
 from tests.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
 from tests.pipeline.conftest import DATASETS, T2RGB
-from tests.pipeline.matrix.test_judgement import CELL
+from tests.pipeline.matrix.test_cell_verdict import CELL
 
 NOISES = NoiseGrid()
 

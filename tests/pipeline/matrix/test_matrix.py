@@ -15,7 +15,7 @@ from calibration.geometry.transforms import from_xyz_rpy
 from calibration.introspection.rule_set import parse_rules
 from calibration.pipeline.matrix import running_cell
 from calibration.pipeline.matrix.cell_result import CellResult
-from calibration.pipeline.matrix.judgement import check_rules
+from calibration.pipeline.matrix.cell_verdict import check_rules
 from calibration.pipeline.matrix.matrix import Matrix, load, run_matrix
 from calibration.pipeline.report import write_results
 from calibration.pipeline.results import Results

@@ -5,7 +5,7 @@ import pytest
 
 from calibration.execution.workspace import Workspace
 from calibration.simulation.collection.capture import Requirements
-from calibration.simulation.collection.collecting import collect
+from calibration.simulation.collection.poses import collect
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import Motion, moving_model, read_motion
 from calibration.simulation.placement import Play, play

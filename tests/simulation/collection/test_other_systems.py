@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from tests.simulation.conftest import DATASETS

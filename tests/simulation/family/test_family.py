@@ -13,7 +13,7 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.truth import truth_error
 from calibration.geometry.transforms import distance
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.simulation.motion.expected import expected_dataset
 from calibration.simulation.motion.generation import generate_motion

@@ -9,7 +9,7 @@ import pytest
 from calibration.errors import InputError
 from calibration.execution.tasks import run_tasks
 from calibration.simulation.collection.capture import Requirements
-from calibration.simulation.collection.collecting import single_threaded_opencv
+from calibration.simulation.collection.poses import single_threaded_opencv
 from calibration.simulation.motion.sequence import Motion, read_motion
 from calibration.simulation.scenarios.run import run_scenario, scenario_task
 from calibration.simulation.scenarios.scenario import ScenarioResult, content_hash, parse_id

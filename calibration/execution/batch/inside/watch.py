@@ -18,7 +18,7 @@ from calibration.execution.batch.wire import ARRIVAL_SECONDS
 from calibration.execution.copying_out import Opener
 from calibration.execution.job import Container, Job
 from calibration.execution.job_check import start_order
-from calibration.execution.judging import how_it_ended, is_running, unmet
+from calibration.execution.job_verdict import how_it_ended, is_running, unmet
 from calibration.execution.log_file import LONGEST_LINE, MOST_BYTES
 from calibration.execution.outcome import End
 from calibration.execution.supervision import Supervised, Supervisor

@@ -15,7 +15,7 @@ _HINTS = {126: "its command is not executable", 127: "its command was not found"
 
 
 class Watched(Protocol):
-    """A container before, during or after its run, as the judging sees it."""
+    """A container before, during or after its run, as the verdict sees it."""
 
     @property
     def container(self) -> Container:

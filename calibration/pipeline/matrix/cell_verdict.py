@@ -10,10 +10,10 @@ from calibration.diagnosis.limits import Limits
 from calibration.errors import InputError
 from calibration.evaluation.reprojection import COLUMNS, KEY
 from calibration.evaluation.table import Table
-from calibration.introspection.judge import judge
 from calibration.introspection.rule_set import RuleSet
 from calibration.introspection.selection import EveryRow
 from calibration.introspection.table import parse_table, read_table
+from calibration.introspection.table_verdict import judge
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.system import System

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from calibration.simulation.collection import collecting
+from calibration.simulation.collection import poses
 from calibration.simulation.collection.capture import Requirements
-from calibration.simulation.collection.collecting import collect, kept
+from calibration.simulation.collection.poses import collect, kept
 from calibration.simulation.collection.record import Record
 from calibration.simulation.placement import Play
 
@@ -31,14 +31,14 @@ def test_the_same_bytes_with_several_processes(
 def test_an_interrupted_one_goes_on(
     rlbot_play: Play, rlbot_records: list[Record], rlbot_files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pose = collecting.collect_pose
+    pose = poses.collect_pose
 
     def interrupted(play: Play, number: int, requirements: Requirements) -> tuple[Record, dict[str, bytes]]:
         if number == 1:
             raise KeyboardInterrupt
         return pose(play, number, requirements)
 
-    monkeypatch.setattr(collecting, "collect_pose", interrupted)
+    monkeypatch.setattr(poses, "collect_pose", interrupted)
     with pytest.raises(KeyboardInterrupt):
         collect(rlbot_play, Requirements(), record_workspace(tmp_path), 1)
     assert [record_workspace(tmp_path).find(name) is None for name in "012"] == [False, True, True]
@@ -49,7 +49,7 @@ def test_an_interrupted_one_goes_on(
         made.append(number)
         return pose(play, number, requirements)
 
-    monkeypatch.setattr(collecting, "collect_pose", watched)
+    monkeypatch.setattr(poses, "collect_pose", watched)
     seen: list[int] = []
     records = collect(
         rlbot_play, Requirements(), record_workspace(tmp_path), 1, lambda done, _, record: seen.append(done)
@@ -67,6 +67,6 @@ def test_files_of_rejected_poses_are_kept(rlbot_records: list[Record], rlbot_fil
 
 
 def test_without_images(rlbot_play: Play, rlbot_records: list[Record]) -> None:
-    record, files = collecting.collect_pose(rlbot_play, 0, Requirements(), images=False)
+    record, files = poses.collect_pose(rlbot_play, 0, Requirements(), images=False)
     assert record == rlbot_records[0]
     assert list(files) == ["lidar_right_000.pcd"]

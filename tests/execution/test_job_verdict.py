@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from calibration.errors import ExitCode
 from calibration.execution.job import Container, Job, Limits, Readiness
-from calibration.execution.judging import Judge, failure_of, how_it_ended, signal_of, unmet
+from calibration.execution.job_verdict import Judge, failure_of, how_it_ended, signal_of, unmet
 from calibration.execution.outcome import End
 from calibration.workflow.text import one_line
 

@@ -9,7 +9,7 @@ from calibration.diagnosis.limits import Limits
 from calibration.errors import ExitCode, InputError
 from calibration.introspection.rule_set import parse_rules
 from calibration.pipeline.matrix.cell_result import CellResult, Deviation
-from calibration.pipeline.matrix.judgement import judge_cells
+from calibration.pipeline.matrix.cell_verdict import judge_cells
 from calibration.pipeline.system import System
 
 TABLE = "Collection #,RMS (pix)\n000,0.5000\n001,0.7000\nAverages,0.6000\n"

@@ -13,11 +13,11 @@ import pytest
 
 from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.files import write_atomically
-from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA, report
 from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
-from calibration.simulation.collection import collecting
+from calibration.simulation.collection import poses
 from calibration.simulation.collection.proof import JointProof, Proof
 from calibration.workflow.summary import escape_markdown
 from tests.pipeline.conftest import DATASETS
@@ -121,8 +121,8 @@ def test_an_interrupted_one_leaves_no_dataset_and_goes_on(
         collect_dataset(request_, tmp_path, jobs=1, done=interrupt)
     assert all(name.startswith(".unfinished/") for name in snapshot(tmp_path))
     made = []
-    pose = collecting.collect_pose
-    monkeypatch.setattr(collecting, "collect_pose", lambda *a, **k: made.append(a[1]) or pose(*a, **k))  # type: ignore[func-returns-value]
+    pose = poses.collect_pose
+    monkeypatch.setattr(poses, "collect_pose", lambda *a, **k: made.append(a[1]) or pose(*a, **k))  # type: ignore[func-returns-value]
     assert collect_dataset(request_, tmp_path, jobs=1) == results
     assert made == [3, 4]
     assert snapshot(tmp_path) == snapshot(output)

@@ -12,8 +12,8 @@ from calibration.__main__ import main
 from calibration.baseline.document import Baseline, write_baseline
 from calibration.baseline.settings import BaselineSettings
 from calibration.baseline.snapshot import Snapshot
-from calibration.pipeline.baseline import with_accepted
 from calibration.pipeline.matrix.matrix import Matrix
+from calibration.pipeline.matrix_baselines import with_accepted
 from calibration.pipeline.system import NoiseGrid, System
 from tests.baseline.scenes import stereo, taken
 from tests.coverage.projects import git
