@@ -7,8 +7,6 @@ chain behind the pose. Free intrinsics of a camera are further columns of the sa
 Points are stored as structure of arrays, and processed in chunks of views that fit into the processor's cache.
 """
 
-import math
-import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -32,21 +30,9 @@ ROUGH_STEP = 1e-3
 Linearised = tuple[Array, Array, Array]
 
 
-class _Scratch(threading.local):
-    """Memory for the rows of one chunk, reused by each thread: allocating fresh pages costs more than filling them."""
-
-    def __init__(self) -> None:
-        self._numbers = np.empty(0)
-
-    def rows(self, *shape: int) -> Array:
-        """Return an array with arbitrary content, valid until the next call."""
-        size = math.prod(shape)
-        if len(self._numbers) < size:
-            self._numbers = np.empty(size)
-        return self._numbers[:size].reshape(shape)
-
-
-_SCRATCH = _Scratch()
+# glibc maps fresh pages for every array above a threshold, and mapping them costs more than filling them. The threshold
+# rises to the size of an array that is freed (M_MMAP_THRESHOLD in mallopt(3)): arrays up to 16 MB now reuse pages.
+np.empty(16 << 20, np.uint8)
 
 
 @frozen(eq=False)
@@ -115,7 +101,7 @@ class CornerTerm:
         cost, H, g = np.empty(len(T)), np.empty((len(T), size, size)), np.empty((len(T), size))
         K = self.pixels.shape[-1]
         for part in chunks(len(T), K):
-            rows = _SCRATCH.rows(len(T[part]), size + 1, 2, K)
+            rows = np.empty((len(T[part]), size + 1, 2, K))
             into = None if squares is None else squares[part]
             cost[part] = self._fill(rows, T[part], part, scale, huber, into)
             H[part], g[part] = _squeezed(rows.reshape(len(rows), size + 1, -1))
@@ -595,11 +581,11 @@ def _in_pattern(T: Array, points: Array) -> Array:
 
 
 def _range_rows(meeting: _Meeting, present: BoolArray, scale: float, huber: float | None) -> tuple[Array, Array]:
-    """Return cost (v,) and weighted rows (v, 7, L) of ranges; the rows are valid until the next call.
+    """Return cost (v,) and weighted rows (v, 7, L) of ranges.
 
     The plane's height under a point p changes by ``-n . (dt + dw x p)``, the cosine by ``(n x ray) . dw``.
     """
-    rows = _SCRATCH.rows(len(meeting.rays), 7, meeting.rays.shape[-1])
+    rows = np.empty((len(meeting.rays), 7, meeting.rays.shape[-1]))
     slope = meeting.slope / scale
     rows[:, :3] = -meeting.n * slope[:, None]
     turns = slope * (meeting.ranges - meeting.height * meeting.cosine * meeting.slope * meeting.slope)
@@ -618,7 +604,7 @@ def _range_products(meeting: _Meeting, present: BoolArray, scale: float, huber: 
     r = np.where(present, meeting.height * slope, 0.0)
     cost, of_loss = robust(r * r, huber)
     weight = present.astype(float) if of_loss is None else present * of_loss
-    numbers = _SCRATCH.rows(len(r), 5, r.shape[-1])
+    numbers = np.empty((len(r), 5, r.shape[-1]))
     np.multiply(slope, weight, out=numbers[:, 0])
     turns = numbers[:, 0] * (meeting.ranges - meeting.height * meeting.cosine * meeting.slope * meeting.slope)
     np.multiply(turns[:, None], meeting.rays, out=numbers[:, 1:4])
