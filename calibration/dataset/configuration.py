@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from calibration.dataset.document import Node
+from calibration.dataset.modalities import MODALITIES
 from calibration.dataset.model import Edge
 from calibration.dataset.pattern import (
     Pattern,
@@ -46,6 +47,11 @@ class SensorConfiguration:
     child_link: str
     topic_name: str = ""
     throttle: float | None = None
+
+    @property
+    def has_corners(self) -> bool:
+        """Whether its labels are corners in images; False for an unknown modality."""
+        return self.modality in MODALITIES and MODALITIES[self.modality].has_corners
 
 
 @frozen

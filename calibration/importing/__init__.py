@@ -5,7 +5,7 @@
 - ``pictures``: the image files of each camera, and their association across cameras;
 - ``bag``, ``messages``: bags of ROS and their messages; ``survey``: a first pass, without decoding images;
 - ``motion_log``, ``stillness``: motion of frames and joints, moments at standstill; ``recordings``: the second pass;
-- ``range_data``: clouds, scans and depth images, and the detection of the pattern in them;
+- ``range_views``: clouds, scans and depth images, by modality; ``range_data``: the detection of the patterns in them;
 - ``looking``: detection of the pattern in images; ``near_miss``: causes of missing detections;
 - ``starting_intrinsics``: initial guess of unknown intrinsics, from the corners;
 - ``relabelling``: labelling of a dataset's images; ``contact_sheet``: a picture of the detections;

@@ -64,7 +64,7 @@ def _chosen(recorded: Recorded, most: int) -> list[int]:
 def _of_cameras(recorded: Recorded) -> Recorded:
     """Return the recording without LiDARs and depth cameras."""
     known = recorded.configuration
-    cameras = {name: sensor for name, sensor in known.sensors.items() if sensor.modality == "rgb"}
+    cameras = {name: sensor for name, sensor in known.sensors.items() if sensor.has_corners}
     anchored = known.anchored_sensor
     if anchored is not None and anchored not in cameras:
         anchored = next(iter(cameras))

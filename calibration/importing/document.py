@@ -17,7 +17,8 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
 from calibration.importing.looking import FoundCorners, LabelledMoment
-from calibration.importing.range_data import LabelledRange, RangeView
+from calibration.importing.range_data import LabelledRange
+from calibration.importing.range_views import RangeView
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
 

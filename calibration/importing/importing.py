@@ -12,6 +12,7 @@ import numpy as np
 
 from calibration import __version__
 from calibration.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
+from calibration.dataset.modalities import POSE, RGB, Modality
 from calibration.dataset.model import Edge
 from calibration.dataset.reading import FILE_NAME, read_dataset
 from calibration.dataset.writing import write_document
@@ -147,7 +148,7 @@ def _import_poses(
         )
     if sensor.intrinsics is not None:
         raise InputError(f"{samples[0].where}: found poses, no images: leave out 'intrinsics' of '{sensor.name}'")
-    configuration = _configuration(described, patterns, "pose")
+    configuration = _configuration(described, patterns, POSE)
     arm = {(described.samples.base, described.samples.tool): np.stack([each.T_base_tool for each in samples])}
     imported = Imported(
         robot=robot,
@@ -280,7 +281,7 @@ def _identity(patterns: Mapping[str, PatternConfiguration], files: Sequence[Path
 
 
 def _configuration(
-    described: ImportDescription, patterns: Mapping[str, PatternConfiguration], modality: str = "rgb"
+    described: ImportDescription, patterns: Mapping[str, PatternConfiguration], modality: Modality = RGB
 ) -> Configuration:
     """Return the calibration configuration: the pose of each sensor on its parent."""
     sensors = {each.name: _sensor(each, described.world, modality) for each in described.sensors}
@@ -297,9 +298,9 @@ def _configuration(
     return Configuration(world_link=described.world, sensors=sensors, patterns=patterns, anchored_sensor=anchored)
 
 
-def _sensor(described: SensorDescription, world: str, modality: str) -> SensorConfiguration:
+def _sensor(described: SensorDescription, world: str, modality: Modality) -> SensorConfiguration:
     parent = described.parent or world
-    return SensorConfiguration(described.name, modality, described.link, parent, described.link)
+    return SensorConfiguration(described.name, modality.name, described.link, parent, described.link)
 
 
 def _moments(
@@ -363,7 +364,7 @@ def _results(imported: Imported, recorded: Recorded) -> ImportResults:
     labelled = recorded.moments
     sensors = {}
     for name, configured in imported.configuration.sensors.items():
-        if configured.modality != "rgb":
+        if not configured.has_corners:
             sensors[name] = _range_result([each[name] for each in imported.ranges if name in each])
             continue
         views = [moment.views[name] for moment in labelled if name in moment.views]

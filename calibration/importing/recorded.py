@@ -14,7 +14,8 @@ from calibration.importing.camera_files import KnownLens
 from calibration.importing.document import Imported
 from calibration.importing.looking import LabelledMoment, View, check_sizes, read_image
 from calibration.importing.near_miss import check_board, never_seen
-from calibration.importing.range_data import LabelledRange, RangeView, labelled_ranges
+from calibration.importing.range_data import LabelledRange, labelled_ranges
+from calibration.importing.range_views import RangeView
 from calibration.importing.starting_intrinsics import starting_intrinsics
 from calibration.labelling.detection import Image, NotDetected
 from calibration.labelling.points import PatternPoints
@@ -66,9 +67,9 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
     cameras: dict[str, Camera] = {}
     configuration, moments = recorded.configuration, recorded.moments
     for name, sensor in configuration.sensors.items():
-        if sensor.modality == "depth":
-            cameras[name] = recorded.lenses[name].camera
-        if sensor.modality != "rgb":
+        if not sensor.has_corners:
+            if name in recorded.lenses:
+                cameras[name] = recorded.lenses[name].camera
             continue
         views = [moment.views[name] for moment in moments if name in moment.views]
         if not views:
@@ -95,7 +96,7 @@ def _ranges(recorded: Recorded, cameras: Mapping[str, Camera]) -> Sequence[Mappi
         InputError: one sees none at any moment.
     """
     configuration = recorded.configuration
-    measuring = [name for name, sensor in configuration.sensors.items() if sensor.modality != "rgb"]
+    measuring = [name for name, sensor in configuration.sensors.items() if not sensor.has_corners]
     if not measuring:
         return [{} for _ in recorded.moments]
     ranges = labelled_ranges(recorded.ranges, recorded.moments, configuration, cameras, recorded.transforms)

@@ -12,7 +12,6 @@ import numpy as np
 
 from calibration.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
 from calibration.dataset.model import Edge
-from calibration.dataset.pointcloud import write_points
 from calibration.errors import InputError
 from calibration.execution.tasks import Task, run_tasks
 from calibration.files import read_bytes, write_atomically
@@ -22,10 +21,10 @@ from calibration.importing.bag import SECOND, Bag, RawMessage, open_bag
 from calibration.importing.contact_sheet import thumbnail, thumbnail_of
 from calibration.importing.description import Bags, ImportDescription, SensorDescription
 from calibration.importing.looking import LabelledMoment, View, look_at
-from calibration.importing.messages import depth_of, image_of
+from calibration.importing.messages import image_of
 from calibration.importing.motion_log import MotionLog
 from calibration.importing.png import encoded
-from calibration.importing.range_data import RangeView, cloud_message, cloud_of, scan_message
+from calibration.importing.range_views import RANGE_MODALITIES, RangeView
 from calibration.importing.stillness import Frame, StillMoment, evenly, moments_at, still_moments
 from calibration.importing.survey import SensorTopic, Survey
 from calibration.labelling.detection import CornerDetector, DepthImage, Image
@@ -206,23 +205,8 @@ def ranges_taken_out(
 
 def _range_view(bag: Bag, name: str, lidar: SensorTopic, recorded: int, folder: Path) -> RangeView:
     for message in bag.messages({lidar.topic}, recorded, recorded + 1):
-        content, where = bag.decode(message), _where(bag, message)
-        if lidar.modality == "lidar2d":
-            return RangeView(scan_message(content, where), None)
-        if lidar.modality == "depth":
-            depth, file = depth_of(content, where), folder / f"{name.replace('/', '_')}_{recorded}.png"
-            height, width = depth.shape
-            if (known := lidar.camera) is not None and (known.width, known.height) != (width, height):
-                raise InputError(
-                    f"{where}: found a depth image of {width} x {height} pixels, expected {known.width} x "
-                    f"{known.height} as camera_info has for '{name}'"
-                )
-            _write_png(depth, file)
-            size = {"height": height, "width": width, "step": 2 * width}
-            return RangeView({**size, "encoding": "16UC1", "is_bigendian": 0}, file)
-        points, path = cloud_of(content, where), folder / f"{name.replace('/', '_')}_{recorded}.pcd"
-        write_points(path, points)
-        return RangeView(cloud_message(points), path)
+        stem = folder / f"{name.replace('/', '_')}_{recorded}"
+        return RANGE_MODALITIES[lidar.modality.name].view(bag.decode(message), _where(bag, message), lidar, stem)
     raise InputError(f"{bag.path}: {lidar.topic}: the message at {recorded / SECOND:.3f} is gone")
 
 
@@ -327,7 +311,7 @@ def _sensor(
         if child not in parent_of:
             raise InputError(f"{where}: '{described.parent}' is not above '{frame}', the frame of '{name}'")
         parent = described.parent
-    return SensorConfiguration(name, camera.modality, frame, parent, child, camera.topic)
+    return SensorConfiguration(name, camera.modality.name, frame, parent, child, camera.topic)
 
 
 def _above_optical(frame: str, parent_of: Mapping[str, str], log: MotionLog) -> Edge:

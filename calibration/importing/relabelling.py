@@ -63,7 +63,7 @@ def label_dataset(
     root = read_json(path / FILE_NAME)
     configuration = parse_configuration(root["calibration_config"])
     patterns = configuration.patterns
-    cameras = [name for name, sensor in configuration.sensors.items() if sensor.modality == "rgb"]
+    cameras = [name for name, sensor in configuration.sensors.items() if sensor.has_corners]
     if not cameras:
         names = ", ".join(configuration.sensors)
         raise InputError(f"{path}: found no camera among the sensors ({names}), expected one with images to label")

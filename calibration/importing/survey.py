@@ -6,6 +6,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from calibration.dataset.modalities import DEPTH, MODALITIES, RGB, Modality
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.importing.bag import MORE_TYPES, SECOND, Bag, RawMessage
@@ -16,11 +17,10 @@ from calibration.robot_description import read_robot_description
 
 _SENSOR = "sensor_msgs/msg/"
 IMAGES = (f"{_SENSOR}Image", f"{_SENSOR}CompressedImage")
-MODALITY_OF_MESSAGE = dict.fromkeys(IMAGES, "rgb") | {
-    f"{_SENSOR}PointCloud2": "lidar3d",
-    f"{_SENSOR}LaserScan": "lidar2d",
+MODALITY_OF_MESSAGE = dict.fromkeys(IMAGES, RGB) | {
+    f"{_SENSOR}{each.message}": each for each in MODALITIES.values() if each.points and each.message != RGB.message
 }
-"""Modalities by the types of the messages."""
+"""Modalities by the types of the messages; images may be a depth camera's."""
 INFO, JOINTS = f"{_SENSOR}CameraInfo", f"{_SENSOR}JointState"
 TF, TEXT = tuple(MORE_TYPES), "std_msgs/msg/String"
 JUMP = 0.001
@@ -33,7 +33,7 @@ class SensorTopic:
 
     described: SensorDescription
     topic: str
-    modality: str
+    modality: Modality
     frame: str
     """Frame of its data, by their headers."""
     stamps: Mapping[int, int]
@@ -52,12 +52,12 @@ class Survey:
     @property
     def cameras(self) -> Mapping[str, SensorTopic]:
         """Sensors with images."""
-        return {name: each for name, each in self.sensors.items() if each.modality == "rgb"}
+        return {name: each for name, each in self.sensors.items() if each.modality.has_corners}
 
     @property
     def range_sensors(self) -> Mapping[str, SensorTopic]:
         """Sensors with clouds, scans or depth images."""
-        return {name: each for name, each in self.sensors.items() if each.modality != "rgb"}
+        return {name: each for name, each in self.sensors.items() if each.modality.points}
 
 
 def survey(bag: Bag, described: ImportDescription) -> Survey:
@@ -71,9 +71,9 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
     for sensor in sensors:
         _check_topic(bag, sensor)
     kinds = {sensor.name: _modality(bag, sensor) for sensor in sensors}
-    if "rgb" not in kinds.values():
+    if not any(kind.has_corners for kind in kinds.values()):
         raise InputError(f"{bag.path}: found no camera among the sensors, expected one that sees where the pattern is")
-    own = [sensor for sensor in sensors if sensor.intrinsics is None and kinds[sensor.name] in ("rgb", "depth")]
+    own = [sensor for sensor in sensors if sensor.intrinsics is None and kinds[sensor.name].has_intrinsics]
     infos = {sensor.name: _info_topic(bag, sensor) for sensor in own}
     of_topic = {sensor.topic or "": sensor.name for sensor in sensors}
     first: dict[str, RawMessage] = {}
@@ -97,12 +97,13 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
             raise InputError(f"{bag.path}: {topic}: found no message, expected the data of '{sensor.name}'")
         frame = sensor.frame or str(bag.decode(first[topic]).header.frame_id).lstrip("/") or sensor.link
         camera = None if info is None or info not in first else _camera(bag, first[info])
-        if kinds[sensor.name] == "depth" and sensor.intrinsics is None and camera is None:
+        kind = kinds[sensor.name]
+        if kind.points and kind.has_intrinsics and sensor.intrinsics is None and camera is None:
             raise InputError(
                 f"{bag.path}: found no camera_info for the depth images of {topic}, expected one beside them, or "
                 f"'intrinsics' of '{sensor.name}'; topics of that type: {', '.join(bag.of_type(INFO)) or 'none'}"
             )
-        topics[sensor.name] = SensorTopic(sensor, topic, kinds[sensor.name], frame, stamps[sensor.name], camera)
+        topics[sensor.name] = SensorTopic(sensor, topic, kind, frame, stamps[sensor.name], camera)
     _check_overlap(bag, list(topics.values()))
     return Survey(topics, log)
 
@@ -132,12 +133,14 @@ def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
         )
 
 
-def _modality(bag: Bag, sensor: SensorDescription) -> str:
+def _modality(bag: Bag, sensor: SensorDescription) -> Modality:
     """Return the modality by the type of its messages, and for images by the name of the topic."""
     kind = MODALITY_OF_MESSAGE[bag.topics[sensor.topic or ""]]
-    if kind != "rgb":
+    if kind != RGB:
         return kind
-    return sensor.modality or ("depth" if _is_depth(sensor.topic or "") else "rgb")
+    if sensor.modality:
+        return MODALITIES[sensor.modality]
+    return DEPTH if _is_depth(sensor.topic or "") else RGB
 
 
 def _is_depth(topic: str) -> bool:
