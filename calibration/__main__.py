@@ -212,18 +212,18 @@ def _answer(runner: Runner, command: click.Command | str, name: str, arguments: 
         return ExitCode.INFRASTRUCTURE
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] == "calibration":
-            return _report_bug(runner)
+            return _report_bug(runner, error)
         module = error.name.partition(".")[0]
         report_error(runner, f"the package {module} is not installed: pip install {_PACKAGES.get(module, module)}")
         return ExitCode.INFRASTRUCTURE
     except ImportError as error:
         if "failed to map segment" in str(error):  # of a shared library, for which there is not enough memory
             raise MemoryError from None
-        return _report_bug(runner)
+        return _report_bug(runner, error)
     except MemoryError:
         raise  # reported by the caller, where the traceback, and the memory that it references, is freed
-    except Exception:  # unexpected, hence a bug: print the traceback
-        return _report_bug(runner)
+    except Exception as error:  # unexpected, hence a bug: print the traceback
+        return _report_bug(runner, error)
 
 
 def _open_closed_streams() -> None:
@@ -282,11 +282,9 @@ def _failure(error: OSError) -> str:
     return f"{where}: {error.strerror}{advice.get(error.errno or 0, '')}"
 
 
-def _report_bug(runner: Runner) -> int:
-    import traceback
-
+def _report_bug(runner: Runner, error: Exception) -> int:
     with stop_commands(runner, sys.stderr):
-        traceback.print_exc()
+        sys.excepthook(type(error), error, error.__traceback__)
     report_error(runner, "this is a bug in Calibration CI, please report it with the lines above")
     return ExitCode.INFRASTRUCTURE
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from calibration.errors import InputError
 from calibration.execution.backends import KINDS, ExecutionTarget, Sections, read_sections
+from calibration.execution.run_names import new_run
 from calibration.files import read_bytes, write_atomically
 from calibration.workflow import Runner
 
@@ -61,10 +62,6 @@ def name_of_run(output: Path, given: str | None, resume: bool) -> str:
         if not path.exists():
             raise InputError(f"resume: there is no {path}, which names the earlier run; give its name (run)")
         given = read_bytes(path, _MOST_BYTES, "the name of a run").decode("utf-8", "replace").strip()
-    if given is None:
-        from calibration.execution.docker.labels import new_run  # brings sockets, which most runs need not
-
-        given = new_run()
-    name = given
+    name = given if given is not None else new_run()
     write_atomically(path, f"{name}\n")
     return name

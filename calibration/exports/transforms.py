@@ -14,15 +14,6 @@ FRAME = re.compile(r"[\w./:+-]+")
 """Allowed in a launch file's attributes: blanks would separate arguments, ``$(...)`` would be evaluated."""
 
 
-def _quoted(text: str) -> str:
-    """A text as the value of an attribute of XML, with its quotes."""
-    from xml.sax.saxutils import (
-        quoteattr,
-    )  # here, as it imports urllib.request
-
-    return quoteattr(text)
-
-
 def _frame(name: str) -> str:
     """Return a frame's name, checked for use in a launch file's attribute.
 
@@ -46,7 +37,7 @@ def ros1_launch(of: Calibrated) -> str:
         xyz, quat = _parts(T)
         arguments = " ".join([*map(repr, (*xyz, *quat)), _frame(parent), _frame(child)])
         node = f'pkg="tf2_ros" type="static_transform_publisher" name="calibrated_{i}"'
-        lines.append(f"  <node {node} args={_quoted(arguments)}/>")
+        lines.append(f'  <node {node} args="{arguments}"/>')
     return "\n".join([*lines, "</launch>", ""])
 
 
@@ -54,8 +45,8 @@ def ros2_xml(of: Calibrated) -> str:
     """Return a ROS 2 launch file in XML with one ``static_transform_publisher`` per transform."""
     lines = ["<launch>"]
     for arguments in _ros2_arguments(of):
-        text = _quoted(" ".join([*arguments[:-3], _frame(arguments[-3]), arguments[-2], _frame(arguments[-1])]))
-        lines.append(f'  <node pkg="tf2_ros" exec="static_transform_publisher" args={text}/>')
+        text = " ".join([*arguments[:-3], _frame(arguments[-3]), arguments[-2], _frame(arguments[-1])])
+        lines.append(f'  <node pkg="tf2_ros" exec="static_transform_publisher" args="{text}"/>')
     return "\n".join([*lines, "</launch>", ""])
 
 

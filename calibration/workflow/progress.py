@@ -1,7 +1,7 @@
 """Progress of long work: a bar on a terminal, plain lines in a log."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
 
 from calibration.workflow.runner import Runner
@@ -29,7 +29,7 @@ def progress(runner: Runner, title: str, bar: bool = True, kept: str = "") -> It
         kept: plural of the steps ("poses") if an interruption preserves them: then their number is printed.
     """
     finished = 0
-    with _bar(runner, title) if bar and not runner.github and runner.stdout.isatty() else _lines(runner) as show:
+    with _shown(runner, title, bar) as show:
 
         def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
             nonlocal finished
@@ -44,6 +44,14 @@ def progress(runner: Runner, title: str, bar: bool = True, kept: str = "") -> It
             raise
 
 
+def _shown(runner: Runner, title: str, bar: bool) -> AbstractContextManager[Advance]:
+    if not bar or runner.github or not runner.stdout.isatty():
+        return _lines(runner)
+    from calibration.workflow import progress_bar  # imports rich, which is slow
+
+    return progress_bar.bar(runner, title)
+
+
 @contextmanager
 def _lines(runner: Runner) -> Iterator[Advance]:
     def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
@@ -52,23 +60,3 @@ def _lines(runner: Runner) -> Iterator[Advance]:
             runner.log(f"[{done:>{len(str(total))}}/{total}] {one_line(line)}")
 
     yield advance
-
-
-@contextmanager
-def _bar(runner: Runner, title: str) -> Iterator[Advance]:
-    from rich import console as consoles  # slow to import
-    from rich import progress as bars
-
-    console = consoles.Console(file=runner.stdout)
-    text = bars.TextColumn("{task.description}")
-    columns = (text, bars.BarColumn(), bars.MofNCompleteColumn(), bars.TimeRemainingColumn())
-    # no monitor thread, so that the steps may fork
-    with bars.Progress(*columns, console=console, transient=True, auto_refresh=False) as bar:
-        task = bar.add_task(title, total=None)
-
-        def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
-            bar.update(task, completed=done, total=total, refresh=True)
-            if important:
-                console.print(one_line(line), markup=False, highlight=False)
-
-        yield advance

@@ -17,14 +17,14 @@ import os
 import sys
 import zlib
 
+from calibration_coverage import import_coverage
+
 _HERE = os.path.dirname(os.path.abspath(__file__))
 
 
 def _start():
     note = {"python": sys.version.split()[0], "executable": sys.executable}
     try:
-        from calibration_coverage import import_coverage
-
         coverage = import_coverage()
         note["coverage"] = coverage.__version__
         coverage.process_startup()

@@ -18,11 +18,11 @@ from calibration.execution.batch.settings import BatchSettings
 from calibration.execution.batch.store import Store
 from calibration.execution.batch.submitting import find_in_queue, terminate
 from calibration.execution.batch.wire import check_run_name
-from calibration.execution.docker.labels import new_run
 from calibration.execution.job import Job
 from calibration.execution.job_check import check_jobs
 from calibration.execution.outcome import JobOutcome
 from calibration.execution.ros import on_one_address
+from calibration.execution.run_names import new_run
 from calibration.workflow.streams import LogDisplay
 
 

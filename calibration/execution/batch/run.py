@@ -30,9 +30,9 @@ from calibration.execution.batch.submission import attempt_seconds, chunks, run_
 from calibration.execution.batch.submitting import Submitting, ensure, terminate
 from calibration.execution.batch.wire import Location
 from calibration.execution.batch.workers import Workers, in_threads
-from calibration.execution.docker.labels import new_run
 from calibration.execution.job import Job
 from calibration.execution.outcome import JobOutcome
+from calibration.execution.run_names import new_run
 from calibration.workflow.streams import LogDisplay
 
 FEW = 16

@@ -17,12 +17,13 @@ from calibration.execution.admission import Admission, Need
 from calibration.execution.backends import ExecutionTarget
 from calibration.execution.docker.images import find_images
 from calibration.execution.docker.job_run import Interrupted, JobRun, Run, lost_job
-from calibration.execution.docker.labels import RUN, Owner, new_run
+from calibration.execution.docker.labels import RUN, Owner
 from calibration.execution.docker.leftovers import find_leftovers, remove
 from calibration.execution.docker.networks import Networks
 from calibration.execution.job import Job
 from calibration.execution.job_check import check_jobs
 from calibration.execution.outcome import JobOutcome
+from calibration.execution.run_names import new_run
 from calibration.workflow.streams import LogDisplay
 
 _RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")

@@ -15,12 +15,12 @@ from requests import Response
 
 from calibration.docker.engine import Engine, engine_errors, lost
 from calibration.errors import CalibrationError
-from calibration.execution.docker.labels import new_run
 from calibration.execution.docker.readiness import Probe
 from calibration.execution.job import Container
 from calibration.execution.job_verdict import how_it_ended
 from calibration.execution.log_file import LogFile
 from calibration.execution.outcome import End
+from calibration.execution.run_names import new_run
 from calibration.execution.supervision import Supervised
 
 GRACE = 5

@@ -14,7 +14,7 @@ from calibration.execution.copying_out import Opener
 from calibration.execution.docker.container_run import GRACE, ContainerRun
 from calibration.execution.docker.container_settings import DEFAULT_BRIDGE, container_settings
 from calibration.execution.docker.copying import copy_in, open_output, opener_of
-from calibration.execution.docker.labels import CONTAINER, JOB, new_run
+from calibration.execution.docker.labels import CONTAINER, JOB
 from calibration.execution.docker.leftovers import Leftover, remove
 from calibration.execution.docker.networks import Network, Networks
 from calibration.execution.job import Job
@@ -22,6 +22,7 @@ from calibration.execution.job_check import start_order
 from calibration.execution.job_folder import ARTIFACTS, LOGS, make_job_folder, write_manifest
 from calibration.execution.log_file import LogFile
 from calibration.execution.outcome import ContainerOutcome, End, JobOutcome
+from calibration.execution.run_names import new_run
 from calibration.execution.supervision import Supervisor
 from calibration.workflow.masks import redact
 from calibration.workflow.streams import LogDisplay

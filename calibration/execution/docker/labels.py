@@ -1,7 +1,6 @@
 """Labels of all created objects, which identify their run and process, to find and remove those of dead processes."""
 
 import os
-import secrets
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -62,11 +61,6 @@ class Owner:
         if self.namespace != here.namespace:
             return "may be active in another container of this machine"
         return f"active, process {self.process}"
-
-
-def new_run() -> str:
-    """Return a unique name for a run."""
-    return secrets.token_hex(4)
 
 
 def started(process: int) -> str:

@@ -15,7 +15,7 @@ from docker import APIClient
 
 from calibration.docker.engine import EngineLostError, engine_errors
 from calibration.errors import CalibrationError, InfrastructureError
-from calibration.execution.docker.labels import new_run
+from calibration.execution.run_names import new_run
 
 _NO_TALKING = {"com.docker.network.bridge.enable_icc": "false"}
 

@@ -13,10 +13,11 @@ from docker.errors import APIError, NotFound
 from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.execution.docker.backend import DockerBackend
 from calibration.execution.docker.container_run import attach
-from calibration.execution.docker.labels import RUN, new_run
+from calibration.execution.docker.labels import RUN
 from calibration.execution.docker.networks import Networks
 from calibration.execution.job import OUTPUT, Artifact, Container, Job, Limits, Readiness
 from calibration.execution.outcome import End
+from calibration.execution.run_names import new_run
 from tests.engine import PYTHON_IMAGE, only_sleep
 from tests.integration.execution.jobs import left, python, run_job, run_jobs, shell
 

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.execution.docker.backend import DockerBackend
-from calibration.execution.docker.labels import RUN, new_run
+from calibration.execution.docker.labels import RUN
 from calibration.execution.docker.leftovers import find_leftovers, remove
 from calibration.execution.job import Job
+from calibration.execution.run_names import new_run
 from tests.engine import wait_until
 from tests.integration.execution.jobs import left, shell
 

@@ -10,10 +10,11 @@ import pytest
 from calibration.docker.engine import find_engine
 from calibration.execution.docker import backend as backend_module
 from calibration.execution.docker.container_settings import container_settings
-from calibration.execution.docker.labels import RUN, new_run
+from calibration.execution.docker.labels import RUN
 from calibration.execution.docker.leftovers import find_leftovers, remove
 from calibration.execution.docker.networks import Networks
 from calibration.execution.job import OUTPUT, Artifact, Container, Job, Limits, Mount, Network, Readiness, Relaxations
+from calibration.execution.run_names import new_run
 from tests.integration.execution.jobs import python, run_job, run_jobs, shell
 
 if TYPE_CHECKING:
