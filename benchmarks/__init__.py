@@ -1,4 +1,4 @@
-"""What the suite claims about speed and accuracy, measured: ``make bench``, ``python -m benchmarks``.
+"""Measurements of the speed and accuracy that the suite claims: ``make bench``, ``python -m benchmarks``.
 
 Times are compared with what the same machine does at the same moment, so that the bars hold on any
 machine: with one straightforward numpy pass over the data (`benchmarks.floor`), or with other solvers.

@@ -1,4 +1,4 @@
-"""How soon an action begins its work: on a runner that has nothing of it, and for the second action of a job."""
+"""Time until an action begins its work: on a new runner, and as the second action of a job."""
 
 import os
 import statistics
@@ -28,7 +28,7 @@ INPUTS = {
 
 
 def measure(quick: bool) -> Iterator[Row]:
-    """Each action: cold, with the installer uv and with pip alone, and warm."""
+    """Measure each action cold, with uv and with pip alone, and warm."""
     for name, inputs in INPUTS.items():
         cold, warm = [], []
         for _ in range(1 if quick else 3):

@@ -45,7 +45,7 @@ IMAGES = 400
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What the detector says of one image."""
+    """Result of the detector on one image."""
 
     errors: Array
     """(K, 2): found less true, px."""
@@ -55,12 +55,12 @@ class Found:
 
 
 def measure(quick: bool) -> Iterator[Row]:
-    """Some images; more by the command of its own."""
+    """Measure a few images; this module's own command measures more."""
     return rows(IMAGES // 10 if quick else IMAGES, os.cpu_count() or 1)
 
 
 def rows(images: int, jobs: int, first: int = 0) -> Iterator[Row]:
-    """Of so many images from the one of a number on."""
+    """Measure a number of images, from a first index."""
     with ProcessPoolExecutor(jobs) as pool:
         found = list(pool.map(look, range(first, first + images), chunksize=5))
     yield from _rows(found)
@@ -82,7 +82,7 @@ def _rows(found: Sequence[Found]) -> Iterator[Row]:
 
 
 def look(number: int) -> Found:
-    """One image: near or far, tilted up to 70 degrees, turned anyhow, cut off; in every second one a box before it.
+    """Detect in an image: near or far, tilted up to 70 degrees, turned, cut off; a box hides part of every second one.
 
     Blur and noise are those of a simulated camera.
     """

@@ -56,7 +56,7 @@ def _red(comparison: Comparison) -> list[str]:
 
 
 def _still(name: str, robot: int) -> tuple[int, int]:
-    """How many pairs of recordings are red, of how many."""
+    """Number of pairs of recordings that are red, and of all pairs."""
     taken = [_taken(name, robot, seed) for seed in range(RECORDINGS)]
     pairs = list(combinations(taken, 2))
     return sum(bool(_red(compare(*pair))) for pair in pairs), len(pairs)

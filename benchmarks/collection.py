@@ -19,7 +19,7 @@ MOST_MM, MOST_DEG = {"t2rgb": 1.0, "rlbot": 5.0, "riwbot": 1.0}, {"t2rgb": 0.1, 
 
 
 def measure(quick: bool) -> Iterator[Row]:
-    """Each system that ships, from nothing to a calibrated dataset."""
+    """Measure each system that ships, from nothing to a calibrated dataset."""
     with tempfile.TemporaryDirectory() as folder:
         yield _process(Path(folder, "process"), 1 if quick else 3)
         for system, poses in POSES.items():

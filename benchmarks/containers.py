@@ -37,7 +37,7 @@ def measure(quick: bool) -> Iterator[Row]:
 
 
 def missing() -> str:
-    """Why there is nothing to measure; nothing where there is."""
+    """Reason why nothing can be measured; empty if it can."""
     if not engine_available():
         return "needs a Docker Engine"
     client = connect()

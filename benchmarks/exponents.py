@@ -1,4 +1,4 @@
-"""How a whole `calibrate` grows with the collections, with the package of now or of the kept commit.
+"""Growth of a whole `calibrate` with the number of collections, now and at the kept commit.
 
 ``main`` prints CPU times of one thread as JSON: seconds by loss, for each number of collections.
 """

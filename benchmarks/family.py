@@ -39,7 +39,7 @@ Scores = dict[str, tuple[float, int]]
 
 
 def measure(quick: bool) -> Iterator[Row]:
-    """For every system the truth, then the error bars of each of its blocks."""
+    """Measure each system against the truth, and the error bars of each of its blocks."""
     scenes = 30 if quick else 100
     for number, name in enumerate(NAMES, 1):
         print(f"family: {name}, system {number} of {len(NAMES)}, {scenes} scenes", file=sys.stderr, flush=True)
@@ -72,7 +72,7 @@ def _truth(name: str) -> Row:
 
 
 def _scores(of: tuple[str, int]) -> tuple[Scores, Scores]:
-    """Those of one scene without border labels, and with them; none where there are none."""
+    """Scores of a scene without border labels, and with them if it has any."""
     name, seed = of
     system = _system(name)
     exact = exact_labels(system, seed)
@@ -83,7 +83,7 @@ def _scores(of: tuple[str, int]) -> tuple[Scores, Scores]:
 
 
 def _calibrated(labelled: Dataset, exact: Dataset) -> Scores:
-    """By plain least squares."""
+    """Calibrate by plain least squares."""
     found = calibrate(labelled, Options(loss="linear"))
     assert found.converged, found.reason
     return dict(_blocks(exact, found))
@@ -133,7 +133,7 @@ def _with_border(name: str, scenes: list[Scores]) -> Iterator[Row]:
 
 
 def _means(scenes: list[Scores]) -> dict[str, tuple[float, int, float]]:
-    """By block: the mean, the number of scenes that have it, and three standard deviations of such a mean."""
+    """Mean by block, with the number of scenes that have it and three standard deviations of such a mean."""
     means = {}
     for block in dict.fromkeys(block for scene in scenes for block in scene):
         found = [scene[block] for scene in scenes if block in scene]  # some motions never show a pattern

@@ -1,4 +1,4 @@
-"""What ten times as many collections cost."""
+"""Cost of ten times as many collections."""
 
 import math
 import statistics

@@ -45,7 +45,7 @@ def measure(quick: bool) -> Iterator[Row]:
 
 
 def missing() -> str:
-    """Why there is nothing to measure; nothing where there is."""
+    """Reason why nothing can be measured; empty if it can."""
     if not engine_available():
         return "needs a Docker Engine"
     client = connect()
@@ -68,7 +68,7 @@ def _specification(folder: Path, name: str) -> Path:
 
 
 def _build(specification: Path) -> tuple[float, bool]:
-    """How long it took, and whether something was built."""
+    """Build an image; return the time, and whether something was built."""
     output = specification.parent / "output"
     start = time.perf_counter()
     subprocess.run(

@@ -1,4 +1,4 @@
-"""What each command imports before it begins: `python -X importtime`, in units of a process that imports numpy.
+"""Import time of each command before it begins (`python -X importtime`), in units of a process that imports numpy.
 
 Compiled modules lie there already, as after a first start. What a command imports only when it needs it does not count
 here; `benchmarks.process` measures whole processes.
@@ -47,7 +47,7 @@ BARS = {
 
 
 def measure(quick: bool) -> Iterator[Row]:
-    """Every command, each beside numpy."""
+    """Measure every command, each beside numpy."""
     for name in COMMANDS:
         if not find_spec(COMMANDS[name].target.partition(":")[0]):
             continue

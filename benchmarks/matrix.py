@@ -39,7 +39,7 @@ print(json.dumps([code, own, workers, own_mb, worker_mb, unit()]))
 
 @dataclass(frozen=True)
 class Used:
-    """What a matrix took: CPU time in seconds, memory in MB."""
+    """Resources of a matrix: CPU time in seconds, memory in MB."""
 
     code: int
     own: float

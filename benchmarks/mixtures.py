@@ -1,4 +1,4 @@
-"""Every modality together, with gaps, and cameras that only an arm or a LiDAR links: truth and error bars.
+"""Systems of every modality, with gaps, and cameras that only an arm or a LiDAR links: truth and error bars.
 
 The systems are those of the tests.
 """
@@ -63,7 +63,7 @@ def _error_bars(name: str, system: Callable[..., Scene], scenes: int) -> Iterato
 
 
 def _few_cuts(scenes: int) -> Row:
-    """Of scenes with few collections: those whose optimum from a start that says nothing is not that from the truth."""
+    """Share of scenes with few collections whose optimum from an uninformed start differs from that from the truth."""
     failed, refused = 0, 0
     for seed in range(scenes):
         dataset = camera_and_lidar2d(FEWEST, seed, pixel_noise=0.3, range_noise=0.008).dataset(seed)

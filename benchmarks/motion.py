@@ -1,4 +1,4 @@
-"""What generating a motion costs, and how much better its poses determine a calibration than other choices of them."""
+"""Cost of generating a motion, and how well its poses determine a calibration beside other choices."""
 
 from collections.abc import Iterator, Mapping
 from itertools import count
@@ -73,7 +73,7 @@ def _error(system: System, sigmas: Mapping[str, tuple[float, float]], motion: Mo
 
 
 def _spread(system: System, candidates: Candidates) -> list[int]:
-    """Each next pose the farthest from all before it, by where, how far, how tilted and how turned the pattern is."""
+    """Choose poses, each the farthest from all before it by the pattern's place, distance, tilt and turn."""
     T = place(system, candidates.motion).pattern_in(next(iter(system.cameras)), next(iter(system.patterns)))
     features = np.concatenate([T[:, :2, 3] / T[:, 2:3, 3], T[:, 2:3, 3], T[:, :2, 2], T[:, :2, 0]], -1)
     chosen, nearest = [0], np.full(len(features), np.inf)

@@ -1,4 +1,4 @@
-"""What wrong corners do to the result: plain least squares against the robust default."""
+"""Effect of wrong corners on the result: plain least squares against the robust default."""
 
 from collections.abc import Iterator
 from dataclasses import replace

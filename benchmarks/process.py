@@ -50,7 +50,7 @@ class Process:
             self.failure = f"exit {done.returncode}: {' '.join(done.stderr.split())[-200:]}"
 
     def row(self) -> Row:
-        """Its median; none when it failed."""
+        """Row with the median, or without a number if it failed."""
         if self.failure:
             return Row(f"process/{self.name}", unit="s", bar=self.bar, note=self.failure)
         note = f"{self.note}; {statistics.median(self.cpu):.2f} s of CPU time"

@@ -1,4 +1,4 @@
-"""What 'before' is: the package as it was at a kept commit, measured in the same run as what it is now."""
+"""Reference for "before": the package at a kept commit, measured in the same run."""
 
 import atexit
 import subprocess

@@ -1,4 +1,4 @@
-"""What sensors see: images, depth images and rays a second, and where detectors find the corners.
+"""Speed of simulated images, depth images and rays, and accuracy of the corners that detectors find.
 
 Images are rendered as a collection renders them, in processes over the cores, each with one thread of
 OpenCV; the patterns fill the images as those of a calibration do. On two cores the bars are those of
@@ -54,7 +54,7 @@ def _boards(T_camera_pattern: Array) -> list[Board]:
 
 
 def _per_second(work: Callable[[int], object], count: int) -> tuple[float, str]:
-    """How many calls a second the processes do, their start included; the parent has done one before them.
+    """Calls a second of the processes, their start included; the parent has done one before them.
 
     Returns:
         The calls a second, and a note of what one takes of a core.
@@ -86,7 +86,7 @@ def _images(size: Size, distorted: bool, count: int) -> Row:
 
 
 def _moving(size: Size, count: int) -> Row:
-    """As of a camera on an arm: the room is drawn anew for every image."""
+    """Measure a camera on an arm: the room is drawn anew for every image."""
     sensor, views = SimulatedCamera(size.camera()), poses(count)
 
     def work(number: int) -> object:

@@ -94,7 +94,7 @@ def _solve(dataset: Dataset) -> tuple[Problem, Values]:
 
 
 def _ratio(what: str, problems: dict[str, tuple[Problem, Values]], collections: int, rounds: int) -> Row:
-    """How much longer the least squares take with it, from the linear start, each in its own iterations."""
+    """Ratio of the least squares' time with it and without, from the linear start, each in its own iterations."""
     works = {name: (lambda p=p, v=v: minimise(p, v, WEIGHTS)) for name, (p, v) in problems.items()}
     times = interleaved(works, rounds)
     without, with_it = times.values()

@@ -1,4 +1,4 @@
-"""What simulated sensors look at: a room, a pattern, its poses; and cameras of two sizes."""
+"""Scene of the simulated sensors: a room, a pattern, its poses; and cameras of two sizes."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""One line of the table: what was measured, against which bar."""
+"""Rows of the table: a measured number and its bar."""
 
 import math
 from dataclasses import dataclass
@@ -7,14 +7,14 @@ from typing import Any, Self
 
 @dataclass(frozen=True)
 class Bar:
-    """What a number has to keep to, limits included."""
+    """Limits of a number, inclusive."""
 
     low: float = -math.inf
     high: float = math.inf
 
     @classmethod
     def around(cls, value: float, tolerance: float) -> Self:
-        """From ``value - tolerance`` to ``value + tolerance``."""
+        """Bar from ``value - tolerance`` to ``value + tolerance``."""
         return cls(value - tolerance, value + tolerance)
 
     def holds(self, value: float) -> bool:
@@ -46,7 +46,7 @@ class Row:
 
     @property
     def verdict(self) -> str:
-        """One of met, missed, reported, skipped."""
+        """Verdict: met, missed, reported or skipped."""
         if self.skipped:
             return "skipped"
         if self.bar is None:

@@ -44,7 +44,7 @@ def main() -> None:
 
 
 def run() -> str:
-    """What the command prints, in a folder of its own with the datasets of this project.
+    """Output of the command, run in a temporary folder with the datasets of this project.
 
     Raises:
         subprocess.CalledProcessError: the verdict is not pass.
@@ -66,7 +66,7 @@ def run() -> str:
 
 
 def tables(printed: str) -> str:
-    """What stands below the lines of progress."""
+    """Part of the output below the lines of progress."""
     return re.sub(r"^\[ *\d+/\d+\] .*\n", "", printed, flags=re.MULTILINE).strip()
 
 

@@ -13,7 +13,7 @@ NOISE_PAIRS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
 
 
 def missing(name: str) -> str:
-    """Why a dataset cannot be used, or nothing."""
+    """Reason why a dataset cannot be used; empty if it can."""
     found = (FOLDER / name / "dataset.json").is_file()
     return "" if found else f"no ../shared/data/{name}: it is not part of the project"
 

@@ -1,4 +1,4 @@
-"""One dataset from many noisy starts: where each ends."""
+"""Calibrations of one dataset from many noisy starts."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -34,7 +34,7 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """What came out; NaN where nothing did."""
+    """Result from one start; NaN where there is none."""
 
     converged: bool = False
     pose: Array | None = None

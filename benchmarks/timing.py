@@ -30,7 +30,7 @@ def interleaved(works: Mapping[str, Work], rounds: int) -> dict[str, list[float]
 
 
 def in_units_of(unit: Work, works: Mapping[str, Work], rounds: int) -> tuple[float, dict[str, float]]:
-    """How often ``unit`` fits into each work: the median over the rounds of the ratios within a round.
+    """Time of each work in units of ``unit``: the median over the rounds of the ratios within a round.
 
     The unit is timed before and after every work, and what stands beside a work measures it.
 

@@ -9,7 +9,7 @@ from calibration.geometry.types import Array
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where a solver ended, and how long it took."""
+    """Result of a solver, and its time."""
 
     T_camera_world: Array
     T_world_board: Array

@@ -14,7 +14,7 @@ from calibration.geometry.types import Array
 
 
 def solve(rig: RigArrays) -> tuple[Array, Array, float]:
-    """As is usual (and as ATOM does it): trf, differences by groups of columns, x_scale='jac', default tolerances.
+    """Solve as usual (and as ATOM does): trf, differences by groups of columns, x_scale='jac', default tolerances.
 
     Returns:
         ``T_camera_world`` (C, 4, 4), ``T_world_board`` (N, 4, 4), and the seconds.
@@ -41,7 +41,7 @@ def solve(rig: RigArrays) -> tuple[Array, Array, float]:
 
 
 def _sparsity(rig: RigArrays) -> csr_matrix:
-    """Which residuals depend on which parameters: on those of their camera and of their board."""
+    """Sparsity of the Jacobian: residuals depend on the parameters of their camera and of their board."""
     C, N, residuals = len(rig.T_camera_world), len(rig.T_world_board), 2 * len(rig.corners)
     camera, board = np.divmod(np.arange(C * N), N)
     blocks = np.stack([camera - 1, C - 1 + board], -1)  # the first camera stays: block -1

@@ -29,7 +29,7 @@ def found_in(files: Files) -> list[Finding]:
 
 
 def measure(quick: bool) -> Iterator[Row]:
-    """Every kind of defect, workspaces without one, and real packages."""
+    """Measure every kind of defect, workspaces without one, and real packages."""
     seeds = 2 if quick else SEEDS
     missed: list[str] = []
     others = 0

@@ -13,7 +13,7 @@ from benchmarks.rows import Row
 
 
 def measure(quick: bool) -> Iterator[Row]:
-    """For ``python -m benchmarks``: every kind once, quick, or in all sizes and systems."""
+    """Measure every kind of defect: once if quick, else in all sizes and systems."""
     from benchmarks.verdict.rows import rows  # the lighter commands need none of it
 
     yield from rows(quick)

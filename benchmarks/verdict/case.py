@@ -1,4 +1,4 @@
-"""One case: a defect planted, judged as `make run` judges without a truth, and held against the truth."""
+"""Case of the catalogue: a planted defect, judged as `make run` judges without a truth, and compared with the truth."""
 
 import tempfile
 import time
@@ -38,7 +38,7 @@ AS_WELL = 10.0
 
 @dataclass(frozen=True)
 class Case:
-    """What is planted where."""
+    """Defect, system and size of a case."""
 
     kind: str
     stratum: Stratum
@@ -62,7 +62,7 @@ class Case:
 
     @property
     def allowed(self) -> Limits:
-        """How far off a result may be."""
+        """Largest allowed error of a result."""
         limits = clean(self.stratum, self.system, self.seed).system.limits
         return limits if self.limits else _where_none_is_set(self.stratum, self.system, self.seed)
 
@@ -89,7 +89,7 @@ class Harm:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was found."""
+    """Verdict on a case."""
 
     case: Case
     harm: Harm | None
@@ -214,7 +214,7 @@ TABLE = "table.csv"
 
 
 def harm_of(calibrated: Dataset, scene: Scene) -> Harm | None:
-    """How far a calibrated dataset is from the world of a scene; None where that cannot be told."""
+    """Error of a calibrated dataset against the world of a scene; None if it cannot be measured."""
     try:
         error = truth_error(calibrated, scene.truth())
     except InputError:
@@ -265,7 +265,7 @@ def _run_clean(case: Case) -> Outcome:
 
 @cache
 def _where_none_is_set(stratum: Stratum, system: str, seed: int) -> Limits:
-    """What `calibration.diagnosis.limits` allows the worst of the sensors of the scene without a defect."""
+    """Limits of `calibration.diagnosis.limits` for the worst sensor of the scene without a defect."""
     scene = _nothing_set(clean(stratum, system, seed))
     found = calibrate(scene.told, scene.system.options)
     each = [allowed(found, Limits(), sensor) for sensor in scene.told.sensors]
@@ -279,7 +279,7 @@ def _where_none_is_set(stratum: Stratum, system: str, seed: int) -> Limits:
 
 
 def _named(result: CellResult, kind: Kind) -> int:
-    """Which of the reasons has one of the words, or is a finding of such a kind."""
+    """Number from 1 of the first reason that has one of the words, or is such a finding; 0 without any."""
     kinds = {finding.text: finding.kind for finding in result.findings}
     for number, reason in enumerate(result.reasons, 1):
         said = f"{reason} {kinds.get(reason, '')}".lower()

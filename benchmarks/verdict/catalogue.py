@@ -1,4 +1,4 @@
-"""Which cases there are, and all of them run."""
+"""Catalogue of the cases, and their run."""
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -34,7 +34,7 @@ def _one(name: str, seed: int, systems: list[str], strata: list[Stratum]) -> tup
 
 
 def outcomes(of: list[Case], jobs: int) -> Iterator[Outcome]:
-    """What comes of each, in order."""
+    """Outcomes of the cases, in their order."""
     if jobs == 1:
         yield from map(run, of)
         return

@@ -104,7 +104,7 @@ def rows(quick: bool) -> Iterator[Row]:
 
 
 def _half_samples(name: str, told: Dataset, draws: int) -> Iterator[Row]:
-    """How far half of the collections moves the result, in standard deviations stated for all of them.
+    """Distance of the result from half of the collections, in standard deviations stated for all of them.
 
     Half of the data has twice the variance, and half of that it shares with the whole: the difference has the
     variance of the whole.
@@ -182,7 +182,7 @@ def _wrong_views(draws: int) -> Iterator[Row]:
 
 
 def _silent(name: str, scene: Scene, share: float, draws: int) -> tuple[int, int, int]:
-    """How many draws are wrong and green, good and green, red without one of the collections named."""
+    """Numbers of draws that are wrong and green, good and green, and red without one of the collections named."""
     counts = [0, 0, 0]
     for draw in range(draws):
         broken = labels.of_another_collection(scene, share, generator(name, share, draw))

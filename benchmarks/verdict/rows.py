@@ -17,7 +17,7 @@ CLEAN_SEEDS = 200
 
 
 def rows(quick: bool) -> Iterator[Row]:
-    """Every kind once, quick, or in all sizes and systems with three seeds."""
+    """Rows of every kind: once if quick, else in all sizes and systems with three seeds."""
     names = [kind.name for kind in KINDS]
     planted = list(cases(names, ALL, STRATA, range(1 if quick else SEEDS), quick))
     clean = list(cases([CLEAN.name], ALL, STRATA, range(5 if quick else CLEAN_SEEDS), False))

@@ -20,7 +20,7 @@ LabelChange = Callable[[int, str, Labels], Labels | None]
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What the user has, and the world as it is."""
+    """Data of a user, and the true world."""
 
     system: System
     """The entry of calibration.yml, with rules and limits."""
@@ -67,7 +67,7 @@ class Scene:
         return heights
 
     def expected(self, i: int, sensor: str, ids: IntArray) -> Array:
-        """Where corners (K,) would be seen in collection ``i`` without noise, px (K, 2)."""
+        """Pixels (K, 2) at which corners (K,) would be seen in collection ``i`` without noise."""
         camera = self.world.sensors[sensor].camera
         assert camera
         corners = next(iter(self.world.patterns.values())).corners[ids].copy()
@@ -106,7 +106,7 @@ class Scene:
         return replace(world.labelled(moved), seen=world.seen)
 
     def truth(self) -> Truth:
-        """What a calibration should find, as the world is in the last collection.
+        """Correct result of a calibration, by the world in the last collection.
 
         A sensor's true transform is the one that puts its data frame where it is, with the description's transforms
         from the calibrated one to the data frame.

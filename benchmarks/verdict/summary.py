@@ -1,4 +1,4 @@
-"""What the outcomes of a catalogue say: by kind, by size, on clean data; as lines and as Markdown."""
+"""Summary of the outcomes of a catalogue by kind, by size and on clean data; as lines and as Markdown."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
@@ -14,7 +14,7 @@ Test = Callable[[Outcome], bool]
 
 
 def share(rows: Iterable[Outcome], of: Test) -> float:
-    """Of the rows; NaN of none."""
+    """Share of the rows; NaN without any."""
     found = [of(row) for row in rows]
     return sum(found) / len(found) if found else float("nan")
 
@@ -35,12 +35,12 @@ def is_named(row: Outcome) -> bool:
 
 
 def planted(rows: Rows) -> list[Outcome]:
-    """Those with a defect that the data can tell of."""
+    """Outcomes with a defect that shows in the data."""
     return [row for row in rows if row.case.kind != CLEAN.name and not row.memory]
 
 
 def demanded(rows: Rows) -> list[Outcome]:
-    """Those of `planted` that have to be red: harmful ones, and mistakes that a user has to correct."""
+    """Outcomes of `planted` that have to be red: harmful ones, and mistakes that a user has to correct."""
     return [row for row in planted(rows) if row.must_be_red]
 
 
@@ -117,7 +117,7 @@ def _clean(rows: Rows) -> Iterable[str]:
 
 
 def failures(rows: Rows) -> list[tuple[str, str, list[Outcome]]]:
-    """What went wrong, most frequent first: (what, kind, the cases)."""
+    """Failures, most frequent first: (what, kind, the cases)."""
     found: list[tuple[str, str, list[Outcome]]] = []
     for name in dict.fromkeys(row.case.kind for row in rows):
         of = [row for row in rows if row.case.kind == name]
@@ -149,7 +149,7 @@ def failure_lines(rows: Rows) -> Iterable[str]:
 
 
 def readme_table(rows: Rows) -> str:
-    """What the verdict finds, as Markdown: a row for what belongs together."""
+    """Markdown table of what the verdict finds, one row for each group of defects."""
     out = [
         "| what is wrong | cases | smallest size found | red | named | RMS limits |",
         "| --- | --- | --- | --- | --- | --- |",
@@ -179,7 +179,7 @@ def _size(size: float, unit: str) -> str:
 
 
 def record(row: Outcome) -> dict[str, Any]:
-    """For JSON: the case, what was planted, what was found."""
+    """JSON record: the case, what was planted, what was found."""
     kind = BY_NAME[row.case.kind]
     more = {"size": kind.sizes[row.case.size], "unit": kind.unit, "harmful": row.harmful, "memory": row.memory}
     return {**asdict(row), **more, "must_be_red": row.must_be_red}

@@ -75,7 +75,7 @@ class Results:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """All findings that are not accepted, the new ones first."""
+        """Findings that are not accepted, the new ones first."""
         return self.new + self.unchanged
 
     @property

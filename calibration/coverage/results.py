@@ -118,7 +118,7 @@ class Results:
     @property
     @computed("files")
     def file_results(self) -> tuple[FileResult, ...]:
-        """Every file that counts."""
+        """Results of the files that count."""
         return tuple(
             FileResult(path, each.line_rate, each.branch_rate, tuple(each.ranges(each.missing)))
             for path, each in sorted(self.files.items())

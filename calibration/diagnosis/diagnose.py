@@ -1,4 +1,4 @@
-"""All checks of a calibration that need no ground truth, in the order of the report."""
+"""Checks of a calibration that need no ground truth, in the order of the report."""
 
 from calibration.dataset.model import Dataset
 from calibration.diagnosis.description import FAR_AWAY, far_from_description

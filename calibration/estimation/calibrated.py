@@ -1,4 +1,4 @@
-"""What a calibration gives, at the values of an optimum: transforms, joints, intrinsics, residuals of all labels."""
+"""Transforms, joints, intrinsics and residuals of all labels at the values of an optimum."""
 
 from collections.abc import Mapping, Sequence
 

@@ -89,7 +89,7 @@ def estimate_scales(
 def scales_of(
     problem: Problem, squares: Squares, parameters: Mapping[NoiseKind, float], robust: bool
 ) -> dict[NoiseKind, float]:
-    """As `estimate_scales`, from the squared residuals of all labels."""
+    """Estimate the standard deviations as `estimate_scales` does, from the squared residuals of all labels."""
     dimensions = {term.kind: term.dimension for group in problem.groups for term in group.terms}
     return {
         kind: max(FLOORS[kind], _scale(_finite(parts), dimensions[kind], parameters.get(kind, 0.0), robust))

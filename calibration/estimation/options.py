@@ -31,7 +31,7 @@ KnownIntrinsics = Path | Mapping[str, CalibratedIntrinsics]
 
 @record
 class PoseNoise:
-    """How exactly poses of patterns were measured."""
+    """Standard deviations of measured poses of patterns."""
 
     mm: Annotated[float, above(0)] = field("Of each coordinate.", unit="mm")
     deg: Annotated[float, above(0)] = field("About each axis.", unit="deg")
@@ -39,7 +39,7 @@ class PoseNoise:
 
 @record
 class Options:
-    """How to calibrate."""
+    """Options of a calibration."""
 
     start: Start = field(
         "linear: our own solution, which needs no guess. given: the noisy guess, as software under test must.",

@@ -60,7 +60,7 @@ class Problem:
 
     @cached_property
     def batches(self) -> tuple[Batch, ...]:
-        """All views, in the batches of their evaluation."""
+        """Batches in which all views are evaluated."""
         return batches(self.blocks, self.groups, self.collections, self.shared_parameters, self.local_parameters)
 
     @property

@@ -174,11 +174,11 @@ class Calibration:
         return 1e3 * self._sigma(self.covariances, edge, slice(3, 6))
 
     def label_sigma_mm(self, edge: Edge) -> float:
-        """Like `sigma_mm`, from the noise of the labels alone."""
+        """Standard deviation as `sigma_mm`, from the noise of the labels alone."""
         return 1e3 * self._sigma(self.label_covariances, edge, slice(0, 3))
 
     def label_sigma_mrad(self, edge: Edge) -> float:
-        """Like `sigma_mrad`, from the noise of the labels alone."""
+        """Standard deviation as `sigma_mrad`, from the noise of the labels alone."""
         return 1e3 * self._sigma(self.label_covariances, edge, slice(3, 6))
 
     def _sigma(self, covariances: Mapping[Edge, Array], edge: Edge, part: slice) -> float:

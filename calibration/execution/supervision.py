@@ -18,7 +18,7 @@ _POLL_SECONDS = 0.2
 
 
 class Supervised(ABC):
-    """One container of a job; a :class:`calibration.execution.job_verdict.Watched`."""
+    """Container of a job; a :class:`calibration.execution.job_verdict.Watched`."""
 
     image = ""
     log: Path | None = None

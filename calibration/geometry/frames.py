@@ -8,7 +8,7 @@ from calibration.frozen import frozen
 
 @frozen
 class Step:
-    """One edge of a path: the transform ``T_parent_child``, or its inverse if ``inverted``."""
+    """Edge of a path: the transform ``T_parent_child``, or its inverse if ``inverted``."""
 
     parent: str
     child: str
@@ -35,7 +35,7 @@ class FrameTree:
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Every frame, in order of appearance."""
+        """Frames, in order of appearance."""
         return tuple(self._frames)
 
     def __contains__(self, frame: str) -> bool:

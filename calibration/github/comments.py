@@ -1,4 +1,4 @@
-"""One comment on a pull request, identified by a hidden marker, and updated by every run."""
+"""Comment on a pull request, identified by a hidden marker, and updated by every run."""
 
 import re
 from collections.abc import Iterator

@@ -17,7 +17,7 @@ KEY_COLUMNS = ("Collection #", "Collection")
 
 @frozen
 class EveryRow:
-    """Every row, individually."""
+    """Selection of every row, individually."""
 
     def __str__(self) -> str:
         return "every row"

@@ -1,1 +1,1 @@
-"""What can be wrong, planted in a scene: functions of a scene, a size and random numbers, by what they spoil."""
+"""Defects to plant in a scene: functions of a scene, a size and random numbers, by what they spoil."""

@@ -20,7 +20,7 @@ def _moved(scene: Scene, edge: Edge, T: Array) -> Scene:
 
 
 def _link(scene: Scene, rng: np.random.Generator) -> Edge:
-    """One of the moving links but the first and the last, whose errors the mounts of arm and sensor make up for."""
+    """Choose a moving link; not the first or last, whose errors the mounts of arm and sensor compensate."""
     edges = moving_edges(scene)
     inner = edges[1:-1]
     return inner[int(rng.integers(len(inner)))]
@@ -49,7 +49,7 @@ def origin_turn(axis: int) -> Plant:
 
 
 def _axis(T: Array) -> tuple[Array, Array, bool]:
-    """Of a joint with the poses (N, 4, 4): the axis in its child frame, the positions (N,), whether it slides."""
+    """Axis of a joint with poses (N, 4, 4), in its child frame; its positions (N,), and whether it slides."""
     relative = inverse(T[:1]) @ T
     turns = rotations.log(relative[:, :3, :3])
     slides = bool(np.abs(turns).max() < 1e-6)
@@ -65,7 +65,7 @@ def _motion(axis: Array, by: Array, slides: bool) -> Array:
 
 
 def _turning(scene: Scene, rng: np.random.Generator) -> tuple[Edge, Array, Array]:
-    """One of the joints that turn, inner ones first: its edge, its axis, its positions."""
+    """Choose a revolute joint, inner ones first: its edge, its axis, its positions."""
     edges = moving_edges(scene)
     turning = [e for e in edges[1:-1] if not _axis(scene.world.transforms[e])[2]]
     edge = turning[int(rng.integers(len(turning)))]

@@ -13,7 +13,7 @@ from calibration.geometry.types import Array
 
 
 def one_of(names: list[str], rng: np.random.Generator) -> str:
-    """One of the names, drawn."""
+    """Random one of the names."""
     return names[int(rng.integers(len(names)))]
 
 
@@ -36,7 +36,7 @@ def focal(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
 
 
 def aspect(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
-    """Only fy."""
+    """Change fy alone."""
     name = one_of(scene.cameras, rng)
     camera = camera_of(scene, name)
     return _told(scene, name, replace(camera, fy=camera.fy * (1 + size)))

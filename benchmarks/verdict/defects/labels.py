@@ -16,7 +16,7 @@ def _with(scene: Scene, collections: list[Collection]) -> Scene:
 
 
 def _some(scene: Scene, share: float, rng: np.random.Generator) -> set[int]:
-    """Some collections, at least one."""
+    """Random collections, at least one."""
     n = len(scene.told.collections)
     return set(rng.permutation(n)[: max(1, round(share * n))].tolist())
 
@@ -63,7 +63,7 @@ def of_another_collection(scene: Scene, size: float, rng: np.random.Generator) -
 
 
 def copied(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
-    """One collection so many times more."""
+    """Copy one collection a number of times."""
     return _copied(scene, int(size), rng, 0.0)
 
 
@@ -139,7 +139,7 @@ def shifted_labels(scene: Scene, size: float, rng: np.random.Generator) -> Scene
 
 
 def in_a_corner(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
-    """Only labels in a part of the images, so much of their width and height, are left."""
+    """Keep only labels in a corner of the images, a share of their width and height."""
     place = rng.uniform(0, 1 - size, 2)
 
     def kept(_: int, sensor: str, labels: Labels) -> Labels | None:
@@ -154,7 +154,7 @@ def in_a_corner(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
 
 
 def few_views(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
-    """One sensor has seen the pattern only so many times."""
+    """Keep only a number of views of one sensor."""
     sensor = one_of([name for name in scene.told.sensors if name != scene.told.anchored], rng)
     has = [i for i, c in enumerate(scene.told.collections) if any(s == sensor for _, s in c.labels)]
     kept = set(rng.permutation(has)[: int(size)].tolist())

@@ -24,12 +24,12 @@ def _mapped(scene: Scene, sensor: str, change: Change) -> Scene:
 
 
 def range_bias(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
-    """All ranges too long, m."""
+    """Lengthen all ranges by a distance, m."""
     return _mapped(scene, one_of(scene.lidars, rng), lambda p, _: p * (1 + size / _ranges(p)))
 
 
 def range_scale(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
-    """All ranges too long by a share."""
+    """Lengthen all ranges by a share."""
     return _mapped(scene, one_of(scene.lidars, rng), lambda p, _: p * (1 + size))
 
 

@@ -19,7 +19,7 @@ def kept(scene: Scene, order: list[int]) -> Scene:
 
 
 def few(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
-    """So many collections."""
+    """Keep a number of collections."""
     return kept(scene, sorted(rng.permutation(len(scene.told.collections))[: int(size)].tolist()))
 
 
@@ -43,7 +43,7 @@ def far(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
 
 
 def alike(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
-    """So many collections, all from one neighbourhood: those most alike."""
+    """Keep a number of collections, those most alike."""
     edge_free = [scene.pose(name) for name in scene.told.sensors]
     first = edge_free[0]
     centre = int(rng.integers(len(first)))

@@ -67,7 +67,7 @@ def pattern_moved(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
 
 
 def lag(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
-    """What a sensor saw is older than the rest: it saw the pattern so far (m) back on the way from the last pose."""
+    """Delay a sensor's data: it saw the pattern a distance (m) back on the way from the last pose."""
     sensor = one_of(list(scene.told.sensors), rng)
     T = scene.pose(sensor)
     back = local(T[1:], T[:-1])

@@ -55,7 +55,7 @@ class Package:
 
     @cached_property
     def dependencies(self) -> tuple[Dependency, ...]:
-        """All declared dependencies, in their order."""
+        """Declared dependencies of all kinds, in their order."""
         return tuple(
             Dependency((each.text or "").strip(), each.tag, line_of(each), each.get("condition", ""))
             for each in self.xml

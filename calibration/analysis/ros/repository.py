@@ -25,7 +25,7 @@ class Repository:
 
     @cached_property
     def packages(self) -> list[Package]:
-        """All packages, by folder."""
+        """Packages of the repository, by folder."""
         return find_packages(self.tree)
 
     @cached_property

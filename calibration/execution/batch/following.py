@@ -53,7 +53,7 @@ class ContainerEnd:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One attempt at a job."""
+    """Attempt at a job."""
 
     status_reason: str
     started: int | None

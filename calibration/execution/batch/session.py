@@ -166,7 +166,7 @@ class Aws:
 
 
 def _take_role_by_tokens_of_github(session: Any, region: str) -> None:
-    """In a GitHub job with a role, assume it with a new OIDC token whenever its credentials expire."""
+    """Assume the role of a GitHub job with a new OIDC token whenever its credentials expire."""
     url, secret = os.environ.get(_TOKEN_URL), os.environ.get(_TOKEN)
     scoped = session.get_scoped_config()
     by_file = scoped.get("role_arn") if "web_identity_token_file" in scoped else None

@@ -31,7 +31,7 @@ class CollectionChecks:
 
 @frozen
 class ScenarioOfSet:
-    """One scenario of a scenario set."""
+    """Scenario of a scenario set."""
 
     scenario_set: Path
     id: str

@@ -141,7 +141,7 @@ class CollectionResults:
 
     @cached_property
     def checks(self) -> list[Check]:
-        """Every limit with its value."""
+        """Checks of the limits, each with its value."""
         limits, proof = self.limits, self.proof
         checks = [at_least("collections", len(self.kept), limits.minimum_collections)]
         for name, numbers in self.sensors.items():

@@ -98,7 +98,7 @@ class Largest:
     @property
     @computed("diagonal")
     def diagonal_pair(self) -> NoisePair | None:
-        """Both at once, in proportion to the largest levels, such that every pair up to them converges."""
+        """Largest noises of both kinds at once, in the ratio of the levels: every pair up to them converges."""
         return None if self.diagonal is None else NoisePair(*self.diagonal)
 
     @classmethod

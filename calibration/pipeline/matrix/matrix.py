@@ -44,7 +44,7 @@ class Matrix:
 
     @property
     def cells(self) -> list[Cell]:
-        """Every combination, system by system."""
+        """Cells of all combinations, system by system."""
         return [
             Cell(system.name, noise, system.options.start, system.options.loss)
             for system in self.systems
@@ -58,7 +58,7 @@ class Matrix:
 
     @property
     def comparisons(self) -> list[Comparison]:
-        """Every comparison method on every system; one that uses an initial guess with every one.
+        """Comparisons with each method on each system; of a method that uses an initial guess, one for each guess.
 
         Raises:
             InputError: there is no such method.

@@ -65,7 +65,7 @@ class Integers:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Both ends."""
+        """Lower and upper end."""
         return float(self.low), float(self.high)
 
     def value(self, u: float) -> float:
@@ -82,7 +82,7 @@ class _Interval:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Both ends."""
+        """Lower and upper end."""
         return self.low, self.high
 
 
@@ -115,7 +115,7 @@ class Normal:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Both limits."""
+        """Lower and upper limit."""
         return self.low, self.high
 
     @property

@@ -81,7 +81,7 @@ class Joints:
 
 @record(case="snake")
 class Cameras:
-    """Every camera."""
+    """Parameters of every camera."""
 
     exposure: Annotated[Varied, drawn(0.01, 100)] = _varied("Factor on the light.")
     noise_levels: Annotated[Varied, drawn(0, 100)] = _varied(
@@ -100,14 +100,14 @@ class Cameras:
 
 @record(case="snake")
 class Lidars:
-    """Every LiDAR."""
+    """Parameters of every LiDAR."""
 
     noise_m: Annotated[Varied, drawn(0, 1)] = _varied("Standard deviation of a measured distance, m.")
 
 
 @record(case="snake")
 class DepthCameras:
-    """Every depth camera."""
+    """Parameters of every depth camera."""
 
     noise_m: Annotated[Varied, drawn(0, 1)] = _varied("Standard deviation of a measured distance, m.")
 
