@@ -21,7 +21,8 @@ from calibration.baseline.snapshot import Snapshot
 from calibration.geometry.transforms import local
 
 MODULES = (
-    *("estimation/residuals.py", "estimation/batches.py", "estimation/normal_equations.py", "estimation/views.py"),
+    *("estimation/residuals.py", "estimation/corner_residuals.py", "estimation/ray_residuals.py"),
+    *("estimation/pose_residuals.py", "estimation/batches.py", "estimation/normal_equations.py", "estimation/views.py"),
     *("estimation/noise_levels.py", "estimation/usable_labels.py", "estimation/least_squares.py"),
     *("estimation/depth_border.py", "estimation/wrong_views.py", "estimation/optimisation.py"),
     *("geometry/cameras.py", "geometry/distortion.py", "geometry/transforms.py", "geometry/rotations.py"),

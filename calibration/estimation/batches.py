@@ -12,8 +12,9 @@ from itertools import pairwise
 import numpy as np
 
 from calibration.estimation.blocks import Block, FreeJoint, Pose, Values
+from calibration.estimation.corner_residuals import CornerTerm, side_by_side
 from calibration.estimation.intrinsics import FreeIntrinsics
-from calibration.estimation.residuals import CHUNK, CornerTerm, side_by_side
+from calibration.estimation.residuals import CHUNK
 from calibration.estimation.views import Link, Term, ViewGroup, per_view, times
 from calibration.frozen import frozen
 from calibration.geometry.transforms import inverse
@@ -100,9 +101,9 @@ class Batch:
     def linearise(self, table: Array, values: Values) -> tuple[Array, Array]:
         """Compute the poses of the views, and their Jacobians.
 
-        A block's columns map its parameters to the twist of the pose in the sensor's frame: the adjoint of the
-        chain up to the block; minus that, up to before it, when it is inverted. A joint's are those of the twists
-        by its k free parameters.
+        A block's columns map its parameters to the twist of the pose in the pattern's frame: the adjoint of the block's
+        child frame, seen from the pattern, by the chain after the block; minus that, with the block itself, when it is
+        inverted. A joint's are those of the twists by its k free parameters.
 
         Args:
             table: (R, 4, 4), see `table_of`.
@@ -112,17 +113,16 @@ class Batch:
             ``T_sensor_pattern`` (V, 4, 4) and the Jacobian (V, 6, C), the steps' columns side by side.
         """
         J = np.empty((self.views, 6, self.steps[-1].columns.stop))
-        T = self.before
-        for step in self.steps:
-            X, before = table[step.rows], T
-            T = times(T, inverse(X) if step.inverted else X)
+        T: Array | None = None  # from the frame after a step to the pattern
+        for step in reversed(self.steps):
+            X, after = table[step.rows], times(step.after, T)
+            T = times(inverse(X) if step.inverted else X, after)
             if step.parameters is not None:
-                prefix = before if step.inverted else T
-                prefix = np.eye(4)[None] if prefix is None else prefix.reshape(-1, 4, 4)
-                columns = step.parameters.jacobian(prefix, values[step.block])
+                T_child_pattern = T if step.inverted else after
+                T_pattern_child = np.eye(4) if T_child_pattern is None else inverse(T_child_pattern)
+                columns = step.parameters.jacobian(T_pattern_child.reshape(-1, 4, 4), values[step.block])
                 J[:, :, step.columns] = -columns if step.inverted else columns
-            T = times(T, step.after)
-        return per_view(T, self.views), J
+        return per_view(times(self.before, T), self.views), J
 
     @property
     def collections(self) -> IntArray:

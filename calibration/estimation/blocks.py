@@ -24,9 +24,9 @@ class Pose:
         """Return the transform (..., 4, 4) after a twist (..., 6)."""
         return retract(value, step)
 
-    def jacobian(self, T_sensor_child: Array, value: Array) -> Array:
-        """Jacobian (v, 6, 6) of the twist in the sensor's frame, by the parameters, from the child frame's pose."""
-        return adjoint(T_sensor_child)
+    def jacobian(self, T_pattern_child: Array, value: Array) -> Array:
+        """Jacobian (v, 6, 6) of the twist in the pattern's frame, by the parameters, from the child frame's pose."""
+        return adjoint(T_pattern_child)
 
     def motions(self, size: float) -> list[Motion]:
         """Return the motions of the parameters, in order; ``size`` is the pattern's, m."""
@@ -61,9 +61,9 @@ class FreeJoint:
         out[self.at] += step
         return out
 
-    def jacobian(self, T_sensor_child: Array, value: Array) -> Array:
+    def jacobian(self, T_pattern_child: Array, value: Array) -> Array:
         """Jacobian (v, 6, k), like that of a pose."""
-        return moved_twists(T_sensor_child, self.model.columns(value)[:, self.at])
+        return moved_twists(T_pattern_child, self.model.columns(value)[:, self.at])
 
     def motions(self, size: float) -> list[Motion]:
         """Return the motions of the parameters, like those of a pose."""

@@ -14,8 +14,9 @@ from calibration.estimation.depth_border import depth_border_rays
 from calibration.estimation.gauge import free_gauge
 from calibration.estimation.holding import held_blocks
 from calibration.estimation.intrinsics import CalibratedIntrinsics
+from calibration.estimation.pose_residuals import PoseTerm
 from calibration.estimation.problem import Problem
-from calibration.estimation.residuals import BorderTerm, PoseTerm, RangeTerm
+from calibration.estimation.ray_residuals import BorderTerm, RangeTerm
 from calibration.estimation.scan import border_rays
 from calibration.estimation.single_views import corner_term
 from calibration.estimation.unknown_intrinsics import intrinsics_blocks

@@ -3,12 +3,12 @@
 import numpy as np
 
 from calibration.estimation.blocks import Values
+from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.least_squares import choose, settle
 from calibration.estimation.median import median
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.problem import Problem
-from calibration.estimation.residuals import CornerTerm
 from calibration.estimation.views import ViewGroup
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray

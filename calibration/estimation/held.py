@@ -50,12 +50,17 @@ class SeenGroup:
         """Number of columns, 6 + E."""
         return POSE + len(self.names.names)
 
+    @cached_property
+    def _from_sensor(self) -> Array:
+        """``T_pattern_sensor`` (V, 4, 4)."""
+        return inverse(self.T)
+
     def twist(self, edge: Edge, columns: Array | None = None) -> Array | None:
-        """Map twists (V, 6, k) or (6, k) in an edge's child frame to the pose (V, 6, k); None outside of the chain."""
+        """Map twists (V, 6, k) or (6, k) in an edge's child frame to the pattern's; None outside of the chain."""
         step = next((each for each in self.path if (each.parent, each.child) == edge), None)
         if step is None:
             return None
-        moved = adjoint(self.prefixes[edge])
+        moved = adjoint(self._from_sensor @ self.prefixes[edge])
         moved = moved if columns is None else moved @ columns
         return -moved if step.inverted else moved
 
@@ -274,7 +279,7 @@ def moved_pattern(pattern: Pattern) -> Cause:
     """Cause of a displaced fixed pattern."""
 
     def columns(group: SeenGroup) -> Array | None:
-        return adjoint(group.T) if group.pattern.name == pattern.name else None
+        return np.tile(np.eye(6), (len(group.T), 1, 1)) if group.pattern.name == pattern.name else None
 
     return Cause(PLACE, pattern.name, "m", columns, (0.0,) * 6, counts=False)
 
@@ -284,7 +289,7 @@ def lag(sensor: Sensor, velocities: dict[tuple[str, str], Array]) -> Cause:
 
     Args:
         sensor: the sensor.
-        velocities: by sensor and pattern, the twists (V, 6) of the pose in the sensor's frame, per step.
+        velocities: by sensor and pattern, the twists (V, 6) of the pose in the pattern's frame, per step.
     """
 
     def columns(group: SeenGroup) -> Array | None:
@@ -295,7 +300,7 @@ def lag(sensor: Sensor, velocities: dict[tuple[str, str], Array]) -> Cause:
 
 
 def velocities(seen: SeenGroup) -> Array:
-    """Return the motion (V, 6) of the pose from one collection to the next, as a twist in the sensor's frame.
+    """Return the motion (V, 6) of the pose from one collection to the next, as a twist in the pattern's frame.
 
     By central differences; at the ends by one-sided ones.
     """
@@ -303,8 +308,7 @@ def velocities(seen: SeenGroup) -> Array:
     after = np.concatenate([seen.T[1:], seen.T[-1:]])
     both = np.full(len(seen.T), 2.0)
     both[[0, -1]] = 1.0
-    step = (local(seen.T, after) - local(seen.T, before)) / both[:, None]
-    twists: Array = (adjoint(seen.T) @ step[..., None])[..., 0]
+    twists: Array = (local(seen.T, after) - local(seen.T, before)) / both[:, None]
     return twists
 
 

@@ -110,11 +110,11 @@ class FreeIntrinsics:
         return bool(self._unfolded(self.camera.with_intrinsics(value))[self._sound].all())
 
     @cached_property
-    def _probes(self) -> tuple[Array, Array]:
-        """Points (p,) all over the circle that contains the labels, as normalised coordinates."""
+    def _probes(self) -> Array:
+        """Points (2, p) all over the circle that contains the labels, as normalised coordinates."""
         around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
         r = np.hypot(*self.rays).max(initial=0.0) * np.linspace(0, 1, 9)[1:, None]
-        return (r * np.cos(around)).ravel(), (r * np.sin(around)).ravel()
+        return np.stack([(r * np.cos(around)).ravel(), (r * np.sin(around)).ravel()])
 
     @cached_property
     def _sound(self) -> BoolArray:
@@ -123,8 +123,8 @@ class FreeIntrinsics:
 
     def _unfolded(self, camera: Camera) -> BoolArray:
         with np.errstate(all="ignore"):
-            _, (a, b, c) = camera.distortion.distort_with_jacobian(*self._probes)
-            unfolded: BoolArray = (np.asarray(a) > 0) & (a * c - b * b > 0)
+            _, (a, b, c) = camera.distortion.distort_with_jacobian(self._probes)
+            unfolded: BoolArray = (a > 0) & (a * c - b * b > 0)
         return unfolded
 
     def pull(self, value: Array) -> tuple[float, Array, Array]:

@@ -1,9 +1,9 @@
 """Derivatives of a view's labels: by its pose, its camera's intrinsics, its LiDAR's errors, its pattern's shape.
 
-The derivative of every residual by a displacement d of its point on the pattern, in the sensor's frame, is given by the
-rows of the pose's translation: ``dr = r_t . d`` (`calibration.estimation.residuals`). So the column of anything that
-displaces points is the product of these rows and a field of displacements: ``d = R (0, 0, f(x, y))`` of a bent
-pattern, ``d = b u`` of a LiDAR whose ranges are b too long (the point is moved back along its ray u, which is
+The derivative of every residual by a displacement d of its point on the pattern, along the pattern's axes, is given by
+the rows of the pose's translation: ``dr = r_t . d`` (`calibration.estimation.residuals`). So the column of anything
+that displaces points is the product of these rows and a field of displacements: ``d = (0, 0, f(x, y))`` of a bent
+pattern, ``d = b R^T u`` of a LiDAR whose ranges are b too long (the point is moved back along its ray u, which is
 equivalent to moving the pattern along it). Intrinsics of a camera have rows of their own.
 """
 
@@ -14,14 +14,15 @@ import numpy as np
 
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.normal_equations import Weighting
-from calibration.estimation.residuals import BorderTerm, PoseTerm
+from calibration.estimation.pose_residuals import PoseTerm
+from calibration.estimation.ray_residuals import BorderTerm
 from calibration.estimation.views import Term
 from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array
 
 POSE = 6
-"""Number of the first columns: the twist of the view's pose in the sensor's frame."""
+"""Number of the first columns: the twist of the view's pose in the pattern's frame."""
 SHAPE = ("size_x", "size_y", "bow_x", "bow_y", "twist", "border")
 """Columns of a pattern: its relative length along x and along y; the height of its centre above its ends (m), bent
 about y or about x; the height of opposite corners (m); the outward offset of its border (m)."""
@@ -90,11 +91,11 @@ def _columns(term: Term, camera: Camera | None, pattern: Pattern, T: Array, weig
         rows = term.rows(T, scale, huber, len(LENS) + len(SHAPE))
         of_camera = POSE + len(camera.parameters)
         _fill_lens(rows[:, of_camera : of_camera + len(LENS)], rows[:, POSE:of_camera], camera)
-        _fill_shape(rows[:, of_camera + len(LENS) : -1], term, pattern, rows[:, :3], T)
+        _fill_shape(rows[:, of_camera + len(LENS) : -1], term, pattern, rows[:, :3], term.places(T))
     else:
         rows = term.rows(T, scale, huber, len(RANGING) + len(SHAPE))
         _fill_ranging(rows[:, POSE : POSE + len(RANGING)], term, rows[:, :3], T)
-        _fill_shape(rows[:, POSE + len(RANGING) : -1], term, pattern, rows[:, :3], T)
+        _fill_shape(rows[:, POSE + len(RANGING) : -1], term, pattern, rows[:, :3], term.places(T))
     return rows.reshape(len(T), rows.shape[1], -1)
 
 
@@ -121,6 +122,7 @@ def _fill_ranging(out: Array, term: Term, pull: Array, T: Array) -> None:
     scale, it would explain the noise itself.
     """
     ends = T[:, :3, :3] @ term.places(T) + T[:, :3, 3:]
+    pull = np.einsum("vij,vjdl->vidl", T[:, :3, :3], pull)  # along the sensor's axes
     length = np.maximum(np.linalg.norm(ends, axis=1, keepdims=True), 1e-9)
     x, y, z = (ends[:, i] for i in range(3))
     flat = np.maximum(np.hypot(x, y), 1e-9)
@@ -131,11 +133,8 @@ def _fill_ranging(out: Array, term: Term, pull: Array, T: Array) -> None:
     np.multiply(pull, -turn[:, None, None], out=out[:, 3:])
 
 
-def _fill_shape(out: Array, term: Term, pattern: Pattern, pull: Array, T: Array) -> None:
-    """Fill the columns of `SHAPE` (V, 6, d, L)."""
-    V, _, d, L = pull.shape
-    local = (np.swapaxes(T[:, :3, :3], 1, 2) @ pull.reshape(V, 3, d * L)).reshape(pull.shape)
-    places = term.places(T)
+def _fill_shape(out: Array, term: Term, pattern: Pattern, pull: Array, places: Array) -> None:
+    """Fill the columns of `SHAPE` (V, 6, d, L), of labels at some places (V, 3, L) on the pattern."""
     if places.strides[0] == 0:
         places = places[:1]  # the same in all views
     half = np.ptp(pattern.outline, axis=0) / 2
@@ -144,9 +143,9 @@ def _fill_shape(out: Array, term: Term, pattern: Pattern, pull: Array, T: Array)
     for k, (axis, factor) in enumerate(
         ((0, places[:, 0, None]), (1, places[:, 1, None]), (2, a * a - 1), (2, b * b - 1), (2, a * b))
     ):
-        np.multiply(local[:, axis], factor, out=out[:, k])
+        np.multiply(pull[:, axis], factor, out=out[:, k])
     out[:, 5] = 0.0
     if isinstance(term, BorderTerm):
         nearest = (np.einsum("si,vil->vls", term.normals, places[:, :2]) - term.offsets).argmax(-1)
         outward = np.moveaxis(term.normals[nearest], -1, 1)
-        out[:, 5] = local[:, 0] * outward[:, None, 0] + local[:, 1] * outward[:, None, 1]
+        out[:, 5] = pull[:, 0] * outward[:, None, 0] + pull[:, 1] * outward[:, None, 1]

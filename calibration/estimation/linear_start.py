@@ -26,9 +26,11 @@ import numpy as np
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup
+from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.planar_pose import mean_pose
 from calibration.estimation.plane_alignment import align_planes, fit_planes
-from calibration.estimation.residuals import CornerTerm, PoseTerm, RangeTerm
+from calibration.estimation.pose_residuals import PoseTerm
+from calibration.estimation.ray_residuals import RangeTerm
 from calibration.estimation.robot_world import RobotWorld, solve_robot_world_robustly
 from calibration.estimation.scan_alignment import align_scans, scan_equations
 from calibration.estimation.single_views import robust_poses

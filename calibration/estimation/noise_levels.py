@@ -113,8 +113,10 @@ def _scale(squared: Array, dimension: int, parameters: float, robust: bool) -> f
         return float(np.sqrt(squared.mean() / dimension / freedom))
     variance = median(squared) / _MEDIAN[dimension] / freedom
     for _ in range(10):
-        inside = squared[squared <= INLIERS**2 * variance * freedom]
-        updated = float(inside.mean()) / _TRUNCATED_MEAN[dimension] / freedom if len(inside) else variance
+        limit = INLIERS**2 * variance * freedom
+        inside = int(np.count_nonzero(squared <= limit))
+        total = float(np.minimum(squared, limit).sum()) - (len(squared) - inside) * limit  # of those inside, uncopied
+        updated = total / inside / _TRUNCATED_MEAN[dimension] / freedom if inside else variance
         if abs(updated - variance) <= 1e-6 * variance:
             break
         variance = updated

@@ -11,12 +11,12 @@ import numpy as np
 from calibration.dataset.model import CornerLabels
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.blocks import Block
+from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.least_squares import SETTLING, Termination, settle
 from calibration.estimation.median import median
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.problem import Problem
-from calibration.estimation.residuals import CornerTerm
 from calibration.estimation.views import Chain, Link, ViewGroup
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, BoolArray

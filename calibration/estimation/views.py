@@ -101,7 +101,7 @@ class Term(Protocol):
     def linearise(
         self, T: Array, scale: float, huber: float | None, squares: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """Cost (V,), Hessian (V, 6 + m, 6 + m) and gradient (V, 6 + m) for a twist in the sensor's frame.
+        """Cost (V,), Hessian (V, 6 + m, 6 + m) and gradient (V, 6 + m) for a twist in the pattern's frame.
 
         The m free intrinsics come after the six of the twist. A view that cannot be (a pattern behind its camera)
         costs infinity.

@@ -22,6 +22,7 @@ from calibration.dataset.model import Dataset
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup
+from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.flipped_patterns import unflipped
 from calibration.estimation.gauge import free_gauge
 from calibration.estimation.least_squares import Termination, choose, minimise, settle
@@ -30,8 +31,9 @@ from calibration.estimation.median import median
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.optimisation import HUBER
 from calibration.estimation.plane_alignment import fit_planes
+from calibration.estimation.pose_residuals import PoseTerm
 from calibration.estimation.problem import Problem
-from calibration.estimation.residuals import CornerTerm, PoseTerm, RangeTerm
+from calibration.estimation.ray_residuals import RangeTerm
 from calibration.estimation.result import DroppedView
 from calibration.estimation.single_views import robust_poses
 from calibration.estimation.views import Term, ViewGroup

@@ -17,7 +17,6 @@ from calibration.geometry.types import Array
 LAST_STEP = 1e-8
 """Of `Distortion.undistort`, in normalised coordinates: what remains is below rounding."""
 Distorted = tuple[Array, Array]
-DistortionJacobian = tuple[Array, Array, Array]
 
 
 class Distortion(ABC):
@@ -53,8 +52,8 @@ class Distortion(ABC):
         """Distort normalised coordinates of any shape."""
 
     @abstractmethod
-    def distort_with_jacobian(self, x: Array, y: Array) -> tuple[Distorted, DistortionJacobian]:
-        """Distort coordinates, and return the derivatives (dx'/dx, dx'/dy = dy'/dx, dy'/dy)."""
+    def distort_with_jacobian(self, points: Array) -> tuple[Array, Array]:
+        """Distort coordinates (2, ...), and return the derivatives (3, ...): dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
 
     @abstractmethod
     def derivatives(self, x: Array, y: Array) -> list[Distorted]:
@@ -101,21 +100,33 @@ class _RadialTangential(Distortion):
             y * radial + 2 * self.p2 * xy + self.p1 * (r2 + 2 * yy),
         )
 
-    def distort_with_jacobian(self, x: Array, y: Array) -> tuple[Distorted, DistortionJacobian]:
+    def distort_with_jacobian(self, points: Array) -> tuple[Array, Array]:
         """See `Distortion`."""
-        xx, yy, xy = x * x, y * y, x * y
-        r2 = xx + yy
-        radial, slope = self._radial_and_slope(r2)
-        p1x, p1y, p2x, p2y = 2 * self.p1 * x, 2 * self.p1 * y, 2 * self.p2 * x, 2 * self.p2 * y
-        distorted = (
-            x * radial + self.p1 * 2 * xy + self.p2 * (r2 + 2 * xx),
-            y * radial + self.p2 * 2 * xy + self.p1 * (r2 + 2 * yy),
-        )
-        jacobian = (
-            radial + slope * xx + p1y + 3 * p2x,
-            slope * xy + p1x + p2y,
-            radial + slope * yy + p2x + 3 * p1y,
-        )
+        x, y = points
+        jacobian = np.empty((3, *x.shape))
+        if self.is_identity:
+            jacobian[::2], jacobian[1] = 1.0, 0.0
+            return points, jacobian
+        squares = points * points
+        r2 = squares[0] + squares[1]
+        scale, slope = self._radial_and_slope(r2)
+        tilt, distorted = np.empty_like(points), np.empty_like(points)
+        np.multiply(x, 2 * self.p2, out=tilt[0])
+        np.multiply(y, 2 * self.p1, out=tilt[1])
+        scale += tilt[0]
+        scale += tilt[1]
+        # x' = x scale + p2 r2, and likewise y': few operations, as all corners pass here in each iteration
+        np.multiply(r2, self.p2, out=distorted[0])
+        np.multiply(r2, self.p1, out=distorted[1])
+        distorted += points * scale
+        np.multiply(squares, slope, out=jacobian[::2])
+        jacobian[::2] += scale
+        jacobian[::2] += tilt
+        jacobian[::2] += tilt
+        np.multiply(x, y, out=jacobian[1])
+        jacobian[1] *= slope
+        jacobian[1] += 2 * self.p1 * x
+        jacobian[1] += 2 * self.p2 * y
         return distorted, jacobian
 
     def undistort(self, x: Array, y: Array, step: float = LAST_STEP) -> Distorted:
@@ -125,7 +136,7 @@ class _RadialTangential(Distortion):
         u, v = self._inverse_start(x, y)
         with np.errstate(all="ignore"):  # Newton's method may diverge where no inverse exists
             for _ in range(20):
-                (du, dv), (a, b, c) = self.distort_with_jacobian(u, v)
+                (du, dv), (a, b, c) = self.distort_with_jacobian(np.stack([u, v]))
                 ex, ey = x - du, y - dv
                 det = a * c - b * b
                 u, v = u + (c * ex - b * ey) / det, v + (a * ey - b * ex) / det
@@ -257,8 +268,9 @@ class Equidistant(Distortion):
         scale = shrink * self._polynomial(t2)
         return x * scale, y * scale
 
-    def distort_with_jacobian(self, x: Array, y: Array) -> tuple[Distorted, DistortionJacobian]:
+    def distort_with_jacobian(self, points: Array) -> tuple[Array, Array]:
         """See `Distortion`."""
+        x, y = points
         r2 = x * x + y * y
         shrink, t2 = _angle_over_radius(r2)
         polynomial = self._polynomial(t2)
@@ -266,7 +278,7 @@ class Equidistant(Distortion):
         # twice the derivative of the scale with respect to r2; that of t2 is shrink / (1 + r2)
         bend = self.k1 + t2 * (2 * self.k2 + t2 * (3 * self.k3 + t2 * (4 * self.k4)))
         slope = 2 * (_shrinking(r2, shrink) * polynomial + shrink * shrink / (1 + r2) * bend)
-        return (x * scale, y * scale), (scale + slope * x * x, slope * x * y, scale + slope * y * y)
+        return points * scale, np.stack([scale + slope * x * x, slope * x * y, scale + slope * y * y])
 
     def derivatives(self, x: Array, y: Array) -> list[Distorted]:
         """See `Distortion`."""

@@ -3,8 +3,9 @@
 import numpy as np
 
 from calibration.estimation.blocks import Block, FreeJoint, Values
+from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.problem import Problem
-from calibration.estimation.residuals import CornerTerm, RangeTerm
+from calibration.estimation.ray_residuals import RangeTerm
 from calibration.estimation.views import Chain, Link, ViewGroup
 from calibration.geometry import rotations
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel

@@ -38,6 +38,10 @@ def cost(dataset: Dataset, sensor: str, T: Array, centre: Array) -> Array:
     """(V,): the sum of squared residuals of each view, at poses about a centre that a changed pattern has elsewhere."""
     moved = T @ translation(dataset.patterns["board"].centre - centre)
     terms = terms_of(dataset, sensor)
+    camera, pattern = dataset.sensors[sensor].camera, dataset.patterns["board"]
+    if camera:  # projected here, as the engine has the corners of every pattern in a plane
+        errors = camera.project(apply(moved, pattern.corners - pattern.centre)).swapaxes(1, 2) - terms[0].pixels
+        return np.asarray((errors**2).sum((1, 2)) / WEIGHTING.scales["pixel"] ** 2)
     return np.sum([term.linearise(moved, WEIGHTING.scales[term.kind], None)[0] for term in terms], axis=0)
 
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from calibration.estimation.batches import table_of
 from calibration.estimation.blocks import Block, FreeJoint, Values
+from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.problem import Problem
-from calibration.estimation.residuals import CornerTerm
 from calibration.estimation.views import Chain, Link, ViewGroup
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import PlumbBob
@@ -49,8 +49,8 @@ def corners(views: int, camera: Camera = PINHOLE, count: int = 6) -> CornerTerm:
 
 
 def twist(before: Array, after: Array) -> Array:
-    """Motion of poses, in the sensor's frame."""
-    return local(np.broadcast_to(np.eye(4), after.shape), after @ inverse(before))
+    """Motion of poses, in the pattern's frame."""
+    return local(before, after)
 
 
 @at_most(25)

@@ -9,8 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.estimation import residuals
+from calibration.estimation.corner_residuals import CornerTerm
+from calibration.estimation.pose_residuals import PoseTerm
 from calibration.estimation.problem import Term
-from calibration.estimation.residuals import BorderTerm, CornerTerm, PoseTerm, RangeTerm, robust
+from calibration.estimation.ray_residuals import BorderTerm, RangeTerm
+from calibration.estimation.residuals import robust
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, retract, transform
@@ -80,8 +83,8 @@ EVERY_TERM = pytest.mark.parametrize("name", TERMS)
 
 
 def moved(T: Array, twist: Array) -> Array:
-    """``exp(twist) T``: a motion in the sensor's frame."""
-    return transform(rotations.exp(twist[..., 3:]), twist[..., :3]) @ T
+    """Motions in the patterns' frames."""
+    return retract(T, twist)
 
 
 def cost(term: Term, T: Array, scale: float, huber: float | None) -> Array:

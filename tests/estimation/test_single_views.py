@@ -5,10 +5,10 @@ import pytest
 
 from calibration.dataset.model import CornerLabels
 from calibration.dataset.pattern import Pattern, grid, outline
+from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.least_squares import Termination
 from calibration.estimation.median import median
 from calibration.estimation.planar_pose import mirrored_poses
-from calibration.estimation.residuals import CornerTerm
 from calibration.estimation.single_views import corner_term, fitted_poses, refined_poses
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera

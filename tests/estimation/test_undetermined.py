@@ -169,7 +169,7 @@ def test_two_transforms_in_a_row_with_nothing_that_moves_between():
 def refusal_named(scene: Scene) -> str:
     """The refusal without the numbers that noise changes."""
     with pytest.raises(UndeterminedError) as error:
-        calibrate(replace(scene, pixel_noise=0.3).dataset())
+        calibrate(replace(scene, pixel_noise=0.3, range_noise=0.005).dataset())
     message = str(error.value)
     assert "\n" not in message
     assert "the labels do not determine" in message

@@ -39,7 +39,7 @@ def test_projection_is_opencvs(lens):
 @pytest.mark.parametrize("lens", LENSES, ids=IDS)
 def test_the_derivatives_are_the_numerical_ones(lens):
     x, y = coordinates()
-    (xd, yd), (xx, xy, yy) = lens.distort_with_jacobian(x, y)
+    (xd, yd), (xx, xy, yy) = lens.distort_with_jacobian(np.stack([x, y]))
     np.testing.assert_allclose((xd, yd), lens.distort(x, y), atol=1e-15)
     h = 1e-6
     by_x = (np.array(lens.distort(x + h, y)) - lens.distort(x - h, y)) / (2 * h)

@@ -1,0 +1,249 @@
+"""Residuals of points on a pattern's plane and at its border, of a LiDAR or a depth camera.
+
+A ray of the sensor has the direction u and the origin o in the pattern's frame, and a measured range l. It meets the
+pattern's plane, z = 0, at ``x = o + (l - f) u``::
+
+    c = u_z,  h = l c + o_z          cosine of incidence, height of the measured point over the plane
+    f = h c s^2                      s^2 = 1 / (c^2 + GRAZING^2), so that f is nearly h / c; see `_Meeting`
+
+A twist (dt, dw) of the pose in the pattern's frame changes, with the measured point ``q = x + f u``::
+
+    dh = -dt_z - (dw x q)_z
+    dc = -(dw x u)_z
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import ClassVar, Self
+
+import numpy as np
+
+from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.residuals import Linearised, chunks, robust, spread, squeezed
+from calibration.frozen import frozen
+from calibration.geometry.cameras import Camera
+from calibration.geometry.types import Array, BoolArray, IntArray
+
+GRAZING = 0.05
+"""Cosine of incidence below which the intersection of a ray and a plane is unreliable (3 degrees)."""
+
+
+@frozen(eq=False)
+class _Rays:
+    """Rays to points on a pattern, one residual each."""
+
+    rays: Array
+    """(V, 3, L): unit directions in the sensor's frame; arbitrary without a point."""
+    ranges: Array
+    """(V, L): measured ranges, m."""
+    present: BoolArray
+    """(V, L)."""
+
+    dimension: ClassVar[int] = 1
+
+    @cached_property
+    def counts(self) -> IntArray:
+        """(V,): number of points in each view."""
+        return np.asarray(np.count_nonzero(self.present, axis=-1))
+
+    @property
+    def length(self) -> int:
+        """L."""
+        return int(self.rays.shape[-1])
+
+    @cached_property
+    def _ends(self) -> IntArray:
+        """(V,): the place after each view's last point; at least 1."""
+        last = self.present.shape[-1] - self.present[:, ::-1].argmax(-1)
+        return np.where(self.present.any(-1), last, 1)
+
+    @property
+    def points(self) -> Array:
+        """(V, 3, L): in the sensor's frame, m; arbitrary without a point."""
+        return self.rays * self.ranges[:, None]
+
+    def take(self, views: IntArray | slice) -> Self:
+        """Return the term of only some of the views."""
+        return replace(self, rays=self.rays[views], ranges=self.ranges[views], present=self.present[views])
+
+    def seen_with(self, camera: Camera, free: Sequence[int]) -> Self:
+        """See `calibration.estimation.views.Term`; a depth camera's data are points, independent of intrinsics."""
+        return self
+
+
+@frozen(eq=False)
+class RangeTerm(_Rays):
+    """Points of a LiDAR or a depth camera on a pattern's plane: measured range minus that of the ray's intersection.
+
+    The difference is along the ray, the direction of these sensors' noise, so that one standard deviation holds at
+    every angle of incidence; for a grazing ray it is bounded (see `_Meeting`).
+
+    The residual is ``h s`` over the standard deviation, which the twist changes by ``s (dh - f dc)``. With dh and dc as
+    above that is ``-s (dt_z + y dw_x - x dw_y)``: the other three elements of the twist move the plane in itself.
+    """
+
+    kind: NoiseKind = "range"
+
+    def linearise(self, T: Array, scale: float, huber: float | None, squares: Array | None = None) -> Linearised:
+        """See `calibration.estimation.views.Term`."""
+        cost, H, g = np.empty(len(T)), np.zeros((len(T), 6, 6)), np.zeros((len(T), 6))
+        for part in chunks(len(T), self.length):
+            there = slice(0, int(self._ends[part].max()))
+            meeting = _Meeting(T[part], self.rays[part, :, there], self.ranges[part, there])
+            present = self.present[part, there]
+            cost[part], rows = self._rows(meeting, present, scale, huber)
+            H[part, 2:5, 2:5], g[part, 2:5] = squeezed(rows)
+            if squares is not None:
+                squares[part, there] = np.where(present, (meeting.height * meeting.slope) ** 2, np.nan)
+                squares[part, there.stop :] = np.nan
+        return cost, H, g
+
+    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
+        """See `calibration.estimation.views.Term`."""
+        out = np.empty((len(T), 7 + spare, 1, self.length))
+        out[:, [0, 1, 5]] = 0.0
+        for part in chunks(len(T), self.length):
+            meeting = _Meeting(T[part], self.rays[part], self.ranges[part])
+            rows = self._rows(meeting, self.present[part], scale, huber)[1]
+            out[part, 2:5, 0], out[part, -1, 0] = rows[:, :3], rows[:, 3]
+        return out
+
+    def places(self, T: Array) -> Array:
+        """See `calibration.estimation.views.Term`."""
+        return _Meeting(T, self.rays, self.ranges).hits
+
+    def magnitudes(self, T: Array) -> Array:
+        """(V, L): absolute range error in m; NaN without a point."""
+        meeting = _Meeting(T, self.rays, self.ranges)
+        return np.where(self.present, np.abs(meeting.height * meeting.slope), np.nan)
+
+    @staticmethod
+    def _rows(meeting: "_Meeting", present: BoolArray, scale: float, huber: float | None) -> tuple[Array, Array]:
+        """Return cost (v,) and weighted rows (v, 4, L): by dt_z, dw_x and dw_y, and the residuals."""
+        slope = meeting.slope / scale
+        residuals = np.where(present, meeting.height * slope, 0.0)
+        cost, of_loss = robust(residuals * residuals, huber)
+        weight = present.astype(float) if of_loss is None else present * of_loss
+        rows = np.empty((len(residuals), 4, residuals.shape[-1]))
+        slope *= weight
+        np.negative(slope, out=rows[:, 0])
+        np.multiply(rows[:, 0], meeting.hits[:, 1], out=rows[:, 1])
+        np.multiply(slope, meeting.hits[:, 0], out=rows[:, 2])
+        np.multiply(residuals, weight, out=rows[:, 3])
+        return cost, rows
+
+
+@frozen(eq=False)
+class BorderTerm(_Rays):
+    """Rays to a pattern's border: distance of their intersections with the plane from the nearest border line.
+
+    The intersection depends on the ray's direction alone, so the range noise has no effect. The
+    rays point to the *expected* position of the border: half a step of a LiDAR's scan, or half a pixel of a
+    depth camera, beyond the last point on the pattern (see `calibration.estimation.scan` and
+    `calibration.estimation.depth_border`). The uncertainty is within the step, an angle: so the in-plane
+    distance is divided by the range, and one standard deviation holds at every range.
+    """
+
+    normals: Array
+    """(4, 2): outward unit normals of the border's lines, in the pattern's plane."""
+    offsets: Array
+    """(4,): the lines are ``normal . (x, y) = offset``, relative to the pattern's centre, m."""
+    kind: NoiseKind = "border"
+
+    def linearise(self, T: Array, scale: float, huber: float | None, squares: Array | None = None) -> Linearised:
+        """See `calibration.estimation.views.Term`.
+
+        The nearest border line has the outward unit normal m in the plane and the distance o from the centre; the
+        residual is the distance ``m . x - o``, over l and the standard deviation. The twist changes it by::
+
+            df = c s^2 dh + h s^2 (1 - 2 c^2 s^2) dc
+            dx = -dt - dw x x - u df
+        """
+        cost, rows = self._weighted_rows(T, scale, huber, squares)
+        return cost, *squeezed(rows)
+
+    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
+        """See `calibration.estimation.views.Term`."""
+        rows = self._weighted_rows(T, scale, huber)[1]
+        return spread(rows, np.empty((len(T), 7 + spare, rows.shape[-1])))[:, :, None]
+
+    def places(self, T: Array) -> Array:
+        """See `calibration.estimation.views.Term`; on the nearest border line."""
+        places = _Meeting(T, self.rays, self.ranges).hits
+        signed, side = self._distances(places)
+        places[:, :2] -= signed[:, None] * np.moveaxis(self.normals[side], -1, 1)
+        return places
+
+    def _weighted_rows(
+        self, T: Array, scale: float, huber: float | None, squares: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Return cost (V,) and rows (V, 7, L), as derived in `linearise`."""
+        meeting = _Meeting(T, self.rays, self.ranges)
+        u, q, x = meeting.directions, meeting.points, meeting.hits
+        signed, side = self._distances(x)
+        mx, my = np.moveaxis(self.normals[side], -1, 0)
+        along = mx * u[:, 0] + my * u[:, 1]
+        square = meeting.slope**2
+        by_height = along * meeting.cosine * square  # -m . dx by dh and by dc
+        by_cosine = along * meeting.height * square * (1 - 2 * meeting.cosine**2 * square)
+        J = np.empty((len(T), 7, signed.shape[-1]))
+        J[:, 0], J[:, 1], J[:, 2] = -mx, -my, by_height
+        J[:, 3] = by_height * q[:, 1] + by_cosine * u[:, 1] + my * x[:, 2]
+        J[:, 4] = -by_height * q[:, 0] - by_cosine * u[:, 0] - mx * x[:, 2]
+        J[:, 5] = mx * x[:, 1] - my * x[:, 0]
+        J[:, 6] = signed
+        J /= (scale * self.ranges)[:, None]
+        if squares is not None:
+            squares[:] = np.where(self.present, (signed / self.ranges) ** 2, np.nan)
+        J[:, 6] = np.where(self.present, J[:, 6], 0.0)
+        cost, weight = robust(J[:, 6] ** 2, huber)
+        J *= (self.present if weight is None else self.present * weight)[:, None]
+        return cost, J
+
+    def magnitudes(self, T: Array) -> Array:
+        """(V, L): distance to the nearest border line over the range, rad; NaN without a ray."""
+        signed, _ = self._distances(_Meeting(T, self.rays, self.ranges).hits)
+        return np.where(self.present, np.abs(signed) / self.ranges, np.nan)
+
+    def _distances(self, places: Array) -> tuple[Array, IntArray]:
+        """Return the signed distance (V, L) of places (V, 3, L) to the nearest border line, positive outside; which."""
+        signed = np.einsum("si,vil->vls", self.normals, places[:, :2]) - self.offsets
+        side = np.abs(signed).argmin(-1)
+        return np.take_along_axis(signed, side[..., None], -1)[..., 0], side
+
+
+class _Meeting:
+    """Intersections of rays with the patterns' planes, in the patterns' frames.
+
+    Exactly, a ray at the height h over the plane, at its measured range, has ``h / cosine`` left to go.
+    That is unbounded for a ray along the plane, as with a bad initial guess; so 1 / cosine
+    is replaced by ``cosine / (cosine^2 + GRAZING^2)``, and where only its magnitude matters by the root of
+    ``1 / (cosine^2 + GRAZING^2)``: nearly equal for all other rays, and smooth and finite for every pose.
+    """
+
+    def __init__(self, T: Array, rays: Array, ranges: Array) -> None:
+        to_pattern = np.swapaxes(T[:, :3, :3], 1, 2)
+        self._origin = -(to_pattern @ T[:, :3, 3:])
+        self._ranges = ranges
+        self.directions = to_pattern @ rays
+        """(v, 3, L): of the rays."""
+        self.cosine = self.directions[:, 2]
+        """(v, L)."""
+        self.height = ranges * self.cosine + self._origin[:, 2]
+        """(v, L): height of the measured point over the plane, m; with the cosine's sign for points behind it."""
+        self.slope = 1.0 / np.sqrt(self.cosine * self.cosine + GRAZING**2)
+        """(v, L): slightly less than 1 / |cosine|."""
+
+    @cached_property
+    def hits(self) -> Array:
+        """(v, 3, L): intersections of the rays with the plane."""
+        reach = self._ranges - self.height * self.cosine * self.slope**2
+        hits: Array = self._origin + reach[:, None] * self.directions
+        return hits
+
+    @property
+    def points(self) -> Array:
+        """(v, 3, L): the measured points."""
+        points: Array = self._origin + self._ranges[:, None] * self.directions
+        return points
