@@ -187,7 +187,7 @@ class CornerTerm:
         residuals -= self._from_centre[:, part]
         residuals *= 1 / scale
         if seen is not None:
-            residuals *= seen
+            residuals = np.where(seen, residuals, 0.0)
         squared = (residuals * residuals).sum(0)
         cost, weight = robust(squared, huber)
         if squares is not None:
@@ -212,7 +212,7 @@ class CornerTerm:
         """Fill the first 6 + m and the last of weighted rows (v, r, 2, K)."""
         X, Y = self.corners[..., 0], self.corners[..., 1]  # rows are asked for of one pattern only
         along = np.moveaxis(rows, 2, 0)  # (2, v, r, K)
-        bx, by, bz = found.pulls(T[:, :3, :3])
+        bx, by, bz = found.by_translation(T[:, :3, :3])
         along[:, :, 0], along[:, :, 1], along[:, :, 2] = bx, by, bz
         np.multiply(bz, Y, out=along[:, :, 3])
         np.multiply(bz, -X, out=along[:, :, 4])
@@ -259,7 +259,7 @@ class _Projected:
     weight: Array | None
     """(v, K): by which residuals and slopes are multiplied; None for 1."""
 
-    def pulls(self, R: Array) -> Array:
+    def by_translation(self, R: Array) -> Array:
         """Return b (3, 2, v, K): the derivatives of both residuals by a translation along each axis of the pattern.
 
         Args:
