@@ -42,13 +42,17 @@ TRIAL = Termination(decrease=1e-3, iterations=300)
 """Enough if the optimum explains all views; wrong views make the convergence slow."""
 
 
-def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingNoise | None = None) -> Calibration:
+def calibrate(
+    dataset: Dataset, options: Options | None = None, noise: StartingNoise | None = None, setup: Setup | None = None
+) -> Calibration:
     """Calibrate the sensors of a dataset.
 
     Args:
         dataset: the labels, and transforms that serve as the initial guess. It is not changed.
         options: options of the calibration.
         noise: noise that is added to the initial guess.
+        setup: that of the dataset and the options (`setup_of`), which does not depend on the noise nor on `start` and
+            `loss`: for calibrations from many initial guesses.
 
     Raises:
         UndeterminedError: the data do not determine the parameters; the message names what is missing.
@@ -56,7 +60,7 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
     """
     with solvable(dataset.path):
         try:
-            return _calibrate_what_is_determined(dataset, options or Options(), noise or StartingNoise())
+            return _calibrate_what_is_determined(dataset, options or Options(), noise or StartingNoise(), setup)
         except UndeterminedError as error:
             if not dataset.missing_files:
                 raise
@@ -64,10 +68,22 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
             raise UndeterminedError(f"{error}; {missing}") from error
 
 
-def _calibrate_what_is_determined(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration:
+def setup_of(dataset: Dataset, options: Options) -> Setup:
+    """Return the problem of a dataset with some options.
+
+    Raises:
+        InputError: as `calibration.estimation.build.build`.
+        UndeterminedError: likewise.
+    """
+    return build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
+
+
+def _calibrate_what_is_determined(
+    dataset: Dataset, options: Options, noise: StartingNoise, setup: Setup | None
+) -> Calibration:
     """Calibrate; if the robot's motion is insufficient for that, calibrate the sensors relative to each other."""
     try:
-        return _calibrate(dataset, options, noise)
+        return _calibrate(dataset, options, noise, setup)
     except UndeterminedError as error:
         if (relative := _relative(dataset, options, noise)) is None:
             raise
@@ -92,15 +108,15 @@ def _relative(dataset: Dataset, options: Options, noise: StartingNoise) -> Calib
     return found if found.converged and found.gauge else None
 
 
-def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise) -> Calibration:
-    started = _started(dataset, options, noise)
+def _calibrate(dataset: Dataset, options: Options, noise: StartingNoise, setup: Setup | None = None) -> Calibration:
+    started = _started(setup or setup_of(dataset, options), noise)
     dropped = wrong_views(started.setup, started.linear.values)
     if not dropped:
         return _solved(dataset, started, options)
     if (whole := _explained(dataset, started, options)) is not None:
         return whole
     try:
-        rest = _started(without(dataset, dropped), options, noise)
+        rest = _started(setup_of(without(dataset, dropped), options), noise)
         return replace(_solved(dataset, rest, options), dropped_views=dropped)
     except UndeterminedError as error:
         views = ", ".join(dict.fromkeys(view.collection for view in dropped))
@@ -134,8 +150,7 @@ class _Started:
     linear: LinearStart
 
 
-def _started(dataset: Dataset, options: Options, noise: StartingNoise) -> _Started:
-    setup = build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
+def _started(setup: Setup, noise: StartingNoise) -> _Started:
     exact = initial_values(setup)
     guess = perturb(setup, exact, noise)
     return _Started(setup, exact, guess, linear_start(setup, guess))
