@@ -45,7 +45,6 @@ from calibration.records.constraints import (
     matching,
 )
 from calibration.records.declaration import (
-    Misfit,
     computed,
     exactly_one,
     excludes,
@@ -57,7 +56,8 @@ from calibration.records.declaration import (
     result,
     unknown_key,
 )
-from calibration.records.reading import Place, changed, read, read_as, shown
+from calibration.records.place import Misfit, Place, shown
+from calibration.records.reading import changed, read, read_as
 from calibration.records.writing import document_of, text_of, value_of
 
 __all__ = [

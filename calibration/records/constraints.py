@@ -3,12 +3,10 @@
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from calibration.frozen import frozen
-
-if TYPE_CHECKING:
-    from calibration.records.reading import Place
+from calibration.records.place import Place
 
 
 @frozen(eq=False)
@@ -34,7 +32,7 @@ class Converted:
     """
 
     accepts: Any
-    make: Callable[[Any, "Place"], Any]
+    make: Callable[[Any, Place], Any]
     described_as: Any = field(default=None, kw_only=True)
     """Additional keywords of the schema, beyond ``accepts``."""
 

@@ -17,14 +17,6 @@ _SETTINGS = "__record__"
 _DECLARED = "record"
 
 
-class Misfit(ValueError):  # noqa: N818 (it becomes an error for users where the place is known)
-    """Error for values that are valid alone and contradict each other; ``key`` is the one to change."""
-
-    def __init__(self, message: str, key: str = "") -> None:
-        super().__init__(message)
-        self.key = key
-
-
 @frozen
 class Rule:
     """Condition on the keys of a document."""

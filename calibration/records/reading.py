@@ -1,6 +1,5 @@
 """Reading of documents as records; an error is one line with file, key, found and expected value."""
 
-import math
 import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, replace
@@ -9,11 +8,9 @@ from types import NoneType, UnionType
 from typing import Any, TypeVar
 
 from calibration.errors import CalibrationError, InputError
-from calibration.frozen import frozen
 from calibration.records.constraints import ByName, Constraint, Converted
 from calibration.records.declaration import (
     Declared,
-    Misfit,
     fields_of,
     flat_fields,
     flat_record,
@@ -21,43 +18,11 @@ from calibration.records.declaration import (
     settings_of,
     unknown_key,
 )
-from calibration.workflow.text import did_you_mean, shorten
+from calibration.records.place import Misfit, Place, is_number, shown
+from calibration.workflow.text import did_you_mean
 
 _Record = TypeVar("_Record")
 _NOUNS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", Path: "a path", dict: "keys"}
-_FEW = 3
-"""Limit of the numbers of a list in a message."""
-
-
-@frozen
-class Place:
-    """Position in a document, for messages, with the context of reading."""
-
-    where: str
-    """The file, and the key in it if the document is a part of one."""
-    keys: tuple[str, ...] = ()
-    folder: Path = Path()
-    """Base folder of relative paths."""
-    error: type[CalibrationError] = InputError
-
-    def __str__(self) -> str:
-        return ": ".join(filter(None, (self.where, ".".join(self.keys))))
-
-    def below(self, key: object) -> "Place":
-        """Return the position of a key or an item in this one."""
-        return replace(self, keys=(*self.keys, str(key)))
-
-    def fault(self, message: str) -> CalibrationError:
-        """Return the error with this message."""
-        return self.error(f"{self}: {message}")
-
-    def unexpected(self, value: object, expected: str) -> CalibrationError:
-        """Return the error with the found and the expected value."""
-        return self.fault(f"found {shown(value)}, expected {expected}")
-
-    def misfit(self, misfit: Misfit) -> CalibrationError:
-        """Return the error about contradicting values."""
-        return (self.below(misfit.key) if misfit.key else self).fault(str(misfit))
 
 
 def read(
@@ -123,17 +88,6 @@ def read_as(kind: Any, value: object, place: Place) -> Any:
         if isinstance(extra, ByName):
             return _by_name(typing.get_args(base)[0], value, extra, place)
     return _checked(_plain(base, value, extras, place), value, base, extras, place)
-
-
-def shown(value: object) -> str:
-    """Format a value for a message, shortened."""
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    if isinstance(value, dict):
-        return f"a mapping of {len(value)} keys" if value else "an empty mapping"
-    if isinstance(value, list) and not (1 < len(value) <= _FEW and all(map(_is_number, value))):
-        return f"a list of {len(value)}" if value else "an empty list"
-    return shorten(repr(value))
 
 
 def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
@@ -230,15 +184,8 @@ def fits(kind: Any, value: object) -> bool:
     if origin is not None:
         return isinstance(value, dict)
     if base in (int, float):
-        return _is_number(value) and (base is float or value == int(typing.cast("float", value)))
+        return is_number(value) and (base is float or value == int(typing.cast("float", value)))
     return value != "" and isinstance(value, str) if base is Path else isinstance(value, base)
-
-
-def _is_number(value: object) -> bool:
-    try:
-        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    except OverflowError:  # integers beyond the range of floats
-        return False
 
 
 def expectation(kind: Any) -> str:
