@@ -68,9 +68,11 @@ class Camera:
 
     def normalise(self, pixels: Array) -> Array:
         """Convert pixels (..., 2) to undistorted normalised coordinates (..., 2): the ray is (x, y, 1)."""
-        x = (pixels[..., 0] - self.cx) / self.fx
-        y = (pixels[..., 1] - self.cy) / self.fy
-        return np.stack(self.distortion.undistort(x, y), -1)
+        return np.stack(self.from_pixels(pixels[..., 0], pixels[..., 1]), -1)
+
+    def from_pixels(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Convert pixels (...) to undistorted normalised coordinates x and y (...)."""
+        return self.distortion.undistort((u - self.cx) / self.fx, (v - self.cy) / self.fy)
 
     def contains(self, pixels: Array) -> BoolArray:
         """Return a mask of the pixels (..., 2) inside the image."""

@@ -5,9 +5,8 @@ which need not be 1: with ``direction = target - origin`` a hit below 1 occludes
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from itertools import combinations, product
-from typing import Annotated, Any
+from collections.abc import Iterator
+from typing import Annotated
 
 import numpy as np
 
@@ -19,8 +18,6 @@ from calibration.simulation.description import Radians, Vector, array, listed
 NOTHING, GROUND = -2, -1
 """Indices of surfaces that are not boxes; boxes count from 0."""
 MAX_LIGHT = 10.0
-_MARGIN = 1e-6
-"""Angle between a box and the rays that surely miss it, rad."""
 
 
 def turned(T_parent_child: Array, directions: Array) -> Array:
@@ -29,12 +26,12 @@ def turned(T_parent_child: Array, directions: Array) -> Array:
     Written out, as a matrix product is rounded differently on different processors.
     """
     x, y, z = directions
-    found = np.empty(directions.shape)
+    found, term = np.empty(directions.shape), np.empty(directions.shape[1:])
     for number, row in enumerate(T_parent_child[:3, :3]):
         part = found[number, ...]
         np.multiply(row[0], x, out=part)
-        part += row[1] * y
-        part += row[2] * z
+        part += np.multiply(row[1], y, out=term)
+        part += np.multiply(row[2], z, out=term)
     return found
 
 
@@ -118,30 +115,8 @@ class Scene:
                 nearest = np.fmin(nearest, distance)
         return nearest
 
-    def near(self, origin: Array, axes: Array, sines: Array) -> BoolArray:
-        """Return a mask (boxes, ...) of the cones of rays that may hit each box; all other cones miss it.
-
-        A cone misses a box if a plane through the origin separates them.
-
-        Args:
-            origin: (3,), apex of the cones, in the world frame.
-            axes: (..., 3), unit vectors.
-            sines: (...), of the largest angle of a ray to the axis; NaN for any angle.
-        """
-        found = np.ones((len(self.boxes), *sines.shape), bool)
-        for box, may in zip(self.boxes, found, strict=True):
-            for normal in _planes_beside(box, origin):
-                x, y, z = normal
-                may &= ~(axes[..., 0] * x + axes[..., 1] * y + axes[..., 2] * z > sines + _MARGIN)
-        return found
-
-    def hit(self, origin: Array, rays: Array, near: Sequence[Any] | None = None) -> tuple[Array, IntArray]:
+    def hit(self, origin: Array, rays: Array) -> tuple[Array, IntArray]:
         """Intersect rays (3, ...) from one point (3,) in the world frame.
-
-        Args:
-            origin: (3,).
-            rays: (3, ...).
-            near: for each box, an index into the batch axes of the rays that may hit it; all rays by default.
 
         Returns:
             The distances (...) as in `cast`, and the surface (...): the index of a box, `GROUND` or `NOTHING`.
@@ -150,24 +125,19 @@ class Scene:
         surface = np.full(rays.shape[1:], NOTHING)
         with np.errstate(divide="ignore", invalid="ignore"):
             if self.ground is not None:
-                distance = _cast_at_ground(self.ground, origin, rays)
+                distance = cast_at_ground(self.ground, origin, rays)
                 np.copyto(surface, GROUND, where=distance < nearest)
                 np.fmin(nearest, distance, out=nearest)
             for index, box in enumerate(self.boxes):
-                where: Any = (...,) if near is None else near[index]
-                before = nearest[where]
-                if not before.size:
-                    continue
-                distance = _cast_at_box(box, origin, rays[:, *where])
-                nearer = distance < before
-                nearest[where] = np.where(nearer, distance, before)
-                surface[where] = np.where(nearer, index, surface[where])
+                distance = _cast_at_box(box, origin, rays)
+                np.copyto(surface, index, where=distance < nearest)
+                np.fmin(nearest, distance, out=nearest)
         return nearest, surface
 
     def _distances(self, origins: Array, rays: Array) -> Iterator[Array]:
         """Yield the distances to the ground, if there is one, and to every box; coordinates are on the first axis."""
         if self.ground is not None:
-            yield _cast_at_ground(self.ground, origins, rays)
+            yield cast_at_ground(self.ground, origins, rays)
         for box in self.boxes:
             yield _cast_at_box(box, origins, rays)
 
@@ -188,23 +158,7 @@ class Scene:
         return inside
 
 
-def _planes_beside(box: Box, origin: Array) -> Iterator[Array]:
-    """Yield unit normals (3,) of planes through a point and two corners of a box, with the whole box behind them."""
-    corners = apply(box.T_world_box, np.array(list(product((-0.5, 0.5), repeat=3))) * box.size) - origin
-    size = np.sqrt((corners * corners).sum(axis=-1)).max()
-    for a, b in combinations(corners, 2):
-        normal = np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-        length = np.sqrt((normal * normal).sum())
-        if length <= _MARGIN * size * size:
-            continue
-        heights = (corners * normal).sum(axis=-1) / length
-        if heights.max() <= _MARGIN**2 * size:
-            yield normal / length
-        elif heights.min() >= -(_MARGIN**2) * size:
-            yield -normal / length
-
-
-def _cast_at_ground(height: float, origins: Array, rays: Array) -> Array:
+def cast_at_ground(height: float, origins: Array, rays: Array) -> Array:
     """Return the distances to the ground, infinite for rays that miss it; coordinates are on the first axis."""
     t = (height - origins[2]) / rays[2]
     return np.where(t > 0, t, np.inf)
@@ -216,14 +170,19 @@ def _cast_at_box(box: Box, origins: Array, rays: Array) -> Array:
     The slab method: a ray is inside the box while it is between all three pairs of faces (T. Kay
     and J. Kajiya, "Ray tracing complex scenes", 1986). From inside the box it sees the far face.
     """
-    R, centre, half = box.T_world_box[:3, :3], box.T_world_box[:3, 3], box.size / 2
     enter: Array | float = -np.inf
     leave: Array | float = np.inf
     for axis in range(3):
-        x, y, z = R[:, axis]
-        o = x * (origins[0] - centre[0]) + y * (origins[1] - centre[1]) + z * (origins[2] - centre[2])
-        slope = 1 / (x * rays[0] + y * rays[1] + z * rays[2])
-        a, b = (-half[axis] - o) * slope, (half[axis] - o) * slope
-        enter, leave = np.maximum(enter, np.minimum(a, b)), np.minimum(leave, np.maximum(a, b))
+        first, second = between_faces(box, axis, origins, rays)
+        enter, leave = np.maximum(enter, first), np.minimum(leave, second)
     hit: Array = np.where((enter <= leave) & (leave > 0), np.where(enter > 0, enter, leave), np.inf)
     return hit
+
+
+def between_faces(box: Box, axis: int, origins: Array, rays: Array) -> tuple[Array, Array]:
+    """Return the distances to the planes of two opposite faces of a box, the nearer first; coordinates as above."""
+    (x, y, z), centre, half = box.T_world_box[:3, axis], box.T_world_box[:3, 3], box.size[axis] / 2
+    o = x * (origins[0] - centre[0]) + y * (origins[1] - centre[1]) + z * (origins[2] - centre[2])
+    slope = 1 / (x * rays[0] + y * rays[1] + z * rays[2])
+    a, b = (-half - o) * slope, (half - o) * slope
+    return np.minimum(a, b), np.maximum(a, b)

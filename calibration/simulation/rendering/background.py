@@ -1,11 +1,11 @@
 """Background of a camera's image, without patterns: ground, boxes and sky.
 
-Colours are blue, green, red, in grey levels before the camera's exposure.
+Cells of the image that see one surface are filled; only in the others every ray is intersected with those that it may
+hit.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
+from functools import cached_property, lru_cache
 from typing import Any
 
 import cv2
@@ -13,59 +13,158 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import apply, inverse
-from calibration.geometry.types import Array, BoolArray, IntArray
-from calibration.simulation.rendering.rays import SAMPLES, TILE, cones, rays, sample_rays
-from calibration.simulation.scene import GROUND, NOTHING, Box, Scene, turned
+from calibration.geometry.types import Array, IntArray
+from calibration.simulation.rendering.colours import colours, face_colours, ground_colours, sky_colours
+from calibration.simulation.rendering.facets import UNDECIDED, Sight, facets
+from calibration.simulation.rendering.rays import CELL, SAMPLES, cells, in_cells, sample_rays
+from calibration.simulation.scene import GROUND, Scene, turned
 
 STEPS = 64
 """Radiance steps per grey level: images have 16 bits until the camera's exposure."""
 
-_TILE = 0.5
-"""Size of the ground's tiles, m."""
-_TILE_CONTRAST = 0.05
-_GROUND = (124.0, 128.0, 130.0)
-_HORIZON, _ZENITH = np.array([196.0, 192.0, 188.0]), np.array([188.0, 170.0, 152.0])
 _EDGE = 6
 """Pixels that differ from a neighbour by more grey levels are supersampled."""
-_PART = 16_000
-"""Number of rays per batch, which fit into the cache."""
+_CELLS = 125
+"""Number of cells per batch, whose rays fit into the cache."""
+_LENS_BATCH = 1000
+"""Number of pixels whose samples' rays are computed at once."""
+_PIXELS = 6 * _LENS_BATCH
+"""Number of pixels that are supersampled at once."""
 
 
-@dataclass(frozen=True, eq=False)
 class Background:
-    """Rendered background."""
+    """Background of a camera's image at a pose. Its images are rendered when they are asked for."""
 
-    radiance: NDArray[np.uint16]
-    """(height, width, 3): blue, green, red, in `STEPS` of a grey level."""
-    depth: Array
-    """(height, width): depth along the optical axis at each pixel's centre, m; infinite for the sky."""
+    def __init__(self, camera: Camera, T_world_camera: Array, scene: Scene) -> None:
+        self._camera, self._T_world_camera, self._scene = camera, T_world_camera, scene
+        self._cells, self._facets = cells(camera), facets(scene, T_world_camera)
+        self._sight = Sight.of(self._facets, self._cells.bounds)
+        (self._mixed,) = np.nonzero(self._sight.only == UNDECIDED)
+        """Cells that see several facets."""
+        self._hit = self._sight.hit(self._cells.rays[:, self._mixed], self._mixed)
+        """(mixed, K): facets of their pixels' centres."""
+
+    def is_beyond(self, part: tuple[slice, slice], depths: Sequence[Array]) -> bool:
+        """Whether the background in rows and columns of the image is surely farther than all finite depths, m."""
+        nearest = self._sight.depth.reshape(self._cells.shape)[self._cells.around(part)].min()
+        return all(each.max(where=np.isfinite(each), initial=-np.inf) < nearest for each in depths)
+
+    @cached_property
+    def depth(self) -> Array:
+        """(height, width): depth along the optical axis at each pixel's centre, m; infinite for the sky."""
+        found = np.full(self._cells.rays.shape[1:], np.inf)
+        for index in range(len(self._facets)):
+            for some in _batches(np.flatnonzero(self._sight.only == index)):
+                found[some] = self._distance(index, self._world(self._cells.rays[:, some]))
+        world, several = self._world(self._cells.rays[:, self._mixed]), np.full(self._hit.shape, np.inf)
+        for index in range(UNDECIDED, len(self._facets)):
+            where = self._hit == index
+            several[where] = self._distance(index, world[:, where])
+        found[self._mixed] = several
+        image = np.empty((self._cells.shape[0] * CELL[0], self._cells.shape[1] * CELL[1]))
+        in_cells(image)[:] = found.reshape(*self._cells.shape, *CELL)
+        image.flags.writeable = False
+        return image[: self._cells.size[0], : self._cells.size[1]]
+
+    @cached_property
+    def radiance(self) -> NDArray[np.uint16]:
+        """(height, width, 3): blue, green, red, in `STEPS` of a grey level."""
+        height, width = self._cells.size
+        uniform = self._uniform.astype(np.float32)[:, self._sight.only.reshape(self._cells.shape)]
+        steps, levels = (_enlarged(made(uniform)) for made in (in_steps, _in_levels))
+        for some, colour in self._varying_cells():
+            where = (slice(None), *np.divmod(some, self._cells.shape[1]))
+            made = colour.astype(np.float32).reshape(3, len(some), *CELL)
+            in_cells(steps)[where], in_cells(levels)[where] = in_steps(made), _in_levels(made)
+        found = np.asarray(cv2.merge(list(steps[:, :height, :width])), np.uint16)
+        rows, columns = np.divmod(_uneven(levels[:, :height, :width]), width)
+        for first in range(0, len(rows), _PIXELS):
+            pixels = rows[first : first + _PIXELS], columns[first : first + _PIXELS]
+            mean = self.colours(self._samples(*pixels), *pixels).sum(axis=1) / SAMPLES
+            found[pixels] = in_steps(mean.astype(np.float32)).T
+        found.flags.writeable = False
+        return found
+
+    def _samples(self, rows: IntArray, columns: IntArray) -> Array:
+        """Return the rays (3, SAMPLES, n) of the samples of pixels.
+
+        A lens is inverted by iterations that end for a batch at once, so the last bits depend on the batches.
+        """
+        found = np.empty((3, SAMPLES, len(rows)))
+        for first in range(0, len(rows), _LENS_BATCH):
+            some = slice(first, first + _LENS_BATCH)
+            found[..., some] = sample_rays(self._camera, rows[some], columns[some])
+        return found
+
+    def colours(self, rays: Array, rows: IntArray, columns: IntArray) -> Array:
+        """Return the colours (3, K, N) along rays (3, K, N), K of each of N pixels; in grey levels."""
+        cell = self._cells.of_pixels(rows, columns)
+        hit = np.repeat(self._sight.only[None, cell], rays.shape[1], axis=0)
+        (mixed,) = np.nonzero(hit[0] == UNDECIDED)
+        hit[:, mixed] = self._sight.hit(rays[:, :, mixed].swapaxes(1, 2), cell[mixed]).T
+        return self._along(rays, hit)
+
+    def _varying_cells(self) -> Iterator[tuple[IntArray, Array]]:
+        """Yield batches of cells (n,) that are not of one colour, and the colours (3, n * K) of their pixels."""
+        for index in self._varying:
+            for some in _batches(np.flatnonzero(self._sight.only == index)):
+                yield some, self._colours_of(index, self._cells.rays[:, some].reshape(3, -1))
+        for some in _batches(np.arange(len(self._mixed))):
+            yield self._mixed[some], self._along(self._cells.rays[:, self._mixed[some]], self._hit[some])
+
+    def _along(self, rays: Array, hit: NDArray[np.integer[Any]]) -> Array:
+        """Return the colours (3, ...) along rays (3, ...) that hit facets (...)."""
+        flat, facet = rays.reshape(3, -1), hit.ravel()
+        found: Array = self._uniform.take(facet, axis=1)
+        for index in (UNDECIDED, *self._varying):
+            where = np.flatnonzero(facet == index)
+            if len(where):
+                found[:, where] = self._colours_of(index, flat.take(where, axis=1))
+        return found.reshape(rays.shape)
+
+    @cached_property
+    def _uniform(self) -> Array:
+        """(3, M + 1): colours of the facets that have one each; 0 for the others and for none of them."""
+        found = np.zeros((3, len(self._facets) + 1))
+        for index, facet in enumerate(self._facets):
+            if facet.surface != GROUND:
+                found[:, index] = face_colours(self._scene, self._scene.boxes[facet.surface])[:, facet.face]
+        return found
+
+    @property
+    def _varying(self) -> list[int]:
+        """The facets that are not of one colour: the ground, and none of them, which is the sky."""
+        return [i for i, facet in enumerate(self._facets) if facet.surface == GROUND] + [len(self._facets)]
+
+    def _colours_of(self, index: int, rays: Array) -> Array:
+        """Return the colours (3, n) along rays (3, n) that hit a facet of `_varying`, or one that is undecided."""
+        scene, origin, world = self._scene, self._T_world_camera[:3, 3], self._world(rays)
+        if index == UNDECIDED:
+            return colours(scene, origin, world, *scene.hit(origin, world))
+        if index == len(self._facets):
+            return sky_colours(scene, world)
+        return ground_colours(scene, origin, world, self._distance(index, world))
+
+    def _distance(self, index: int, world: Array) -> Array:
+        """Return the distances (...) along rays (3, ...) in the world frame that hit a facet."""
+        origin = self._T_world_camera[:3, 3]
+        if index == UNDECIDED:
+            return self._scene.hit(origin, world)[0]
+        return self._facets[index].distance(self._scene, origin, world)
+
+    def _world(self, rays: Array) -> Array:
+        """Return rays (3, ...) in the world frame."""
+        return turned(self._T_world_camera, rays)
 
 
 def background(camera: Camera, T_world_camera: Array, scene: Scene) -> Background:
-    """Render the scene for a camera; cached for a camera at rest."""
+    """Return the background for a camera; cached for a camera at rest."""
     return _background(camera, np.ascontiguousarray(T_world_camera, float).tobytes(), scene)
 
 
 @lru_cache(maxsize=8)
 def _background(camera: Camera, pose: bytes, scene: Scene) -> Background:
-    T_world_camera = np.frombuffer(pose).reshape(4, 4)
-    directions, axes, sines = rays(camera)[:, 1:-1, 1:-1], *cones(camera)
-    near = scene.near(T_world_camera[:3, 3], axes @ T_world_camera[:3, :3].T, sines)
-    colour, depth = np.empty((*directions.shape[1:], 3), np.float32), np.empty(directions.shape[1:])
-    for row, tiles in zip(range(0, camera.height, TILE[0]), near.swapaxes(0, 1), strict=True):
-        part = slice(row, row + TILE[0])
-        colour[part], depth[part] = _seen(scene, T_world_camera, directions[:, part], list(map(_columns, tiles)))
-    rows, columns = np.nonzero(_uneven(colour))
-    step = _PART // SAMPLES
-    for first in range(0, len(rows), step):
-        where = rows[first : first + step], columns[first : first + step]
-        there = [(np.flatnonzero(each),) for each in near[:, where[0] // TILE[0], where[1] // TILE[1]]]
-        colour[where] = _seen(scene, T_world_camera, sample_rays(camera, *where), there)[0].mean(axis=1)
-    radiance = in_steps(colour)
-    for array in (radiance, depth):
-        array.flags.writeable = False
-    return Background(radiance, depth)
+    return Background(camera, np.frombuffer(pose).reshape(4, 4), scene)
 
 
 def in_steps(levels: Array | NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -74,101 +173,24 @@ def in_steps(levels: Array | NDArray[np.float32]) -> NDArray[np.uint16]:
     return steps
 
 
-def _uneven(colour: NDArray[np.float32]) -> BoolArray:
-    """Return a mask (H, W) of the pixels that differ from one of their eight neighbours."""
-    image, square = np.clip(colour, 0, 255).astype(np.uint8), np.ones((3, 3), np.uint8)
-    differences = np.asarray(cv2.morphologyEx(image, cv2.MORPH_GRADIENT, square))
-    blue, green, red = np.moveaxis(differences > _EDGE, -1, 0)
-    return np.asarray(blue | green | red)
+def _in_levels(colour: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Convert grey levels to whole ones of 8 bits."""
+    return np.clip(colour, 0, 255).astype(np.uint8)
 
 
-def _columns(tiles: BoolArray) -> tuple[slice, slice]:
-    """Index of the columns of a row of tiles between the first and the last that are set."""
-    set_ = np.flatnonzero(tiles)
-    return slice(None), slice(set_[0] * TILE[1], (set_[-1] + 1) * TILE[1]) if len(set_) else slice(0)
+def _batches(some: IntArray) -> Iterator[IntArray]:
+    for first in range(0, len(some), _CELLS):
+        yield some[first : first + _CELLS]
 
 
-def _seen(scene: Scene, T_world_camera: Array, directions: Array, near: Sequence[Any]) -> tuple[Array, Array]:
-    origin, world = T_world_camera[:3, 3], turned(T_world_camera, directions)
-    distance, surface = scene.hit(origin, world, near)
-    return colours(scene, origin, world, distance, surface), distance
+def _enlarged(values: NDArray[Any]) -> NDArray[Any]:
+    """Return images (3, R * height, C * width) with the values (3, R, C) of cells."""
+    wide = np.repeat(values, CELL[1], axis=-1)
+    return np.repeat(wide, CELL[0], axis=-2)
 
 
-def colours(scene: Scene, origin: Array, directions: Array, distance: Array, surface: IntArray) -> Array:
-    """Return the colours (..., 3) seen along rays.
-
-    Args:
-        scene: the scene.
-        origin: (3,), origin of the rays, in the world frame.
-        directions: (3, ...), in the world frame; those with NaN are black.
-        distance: (...), and ``surface`` (...): the result of `Scene.hit`.
-        surface: see distance.
-    """
-    flat, rays_, distances = surface.ravel(), directions.reshape(3, -1), distance.ravel()
-    seen = np.empty((len(flat), 3))
-    for index in range(NOTHING, len(scene.boxes)):
-        where = np.flatnonzero(flat == index)
-        if not len(where):
-            continue
-        only = _only_face(scene, scene.boxes[index], origin) if index >= 0 else None
-        if only is not None:
-            seen[where] = only
-            continue
-        there, away = rays_.take(where, axis=1), distances[where]
-        if index == NOTHING:
-            seen[where] = _sky(scene, there)
-        elif index == GROUND:
-            seen[where] = _ground(scene, origin[:, None] + away * there, away)
-        else:
-            seen[where] = _box(scene, scene.boxes[index], origin, away, there)
-    return seen.reshape(*surface.shape, 3)
-
-
-def _sky(scene: Scene, directions: Array) -> Array:
-    """Return the sky's colour: lighter at the horizon, scaled by the light."""
-    x, y, z = directions
-    height = np.clip(z / np.sqrt(x * x + y * y + z * z), 0, 1)[..., None]
-    brightness = (scene.light.ambient + scene.light.intensity / 2) / 0.925  # 1 for the usual light
-    colour: Array = np.nan_to_num((_HORIZON + (_ZENITH - _HORIZON) * height) * brightness)
-    return colour
-
-
-def _ground(scene: Scene, points: Array, distance: Array) -> Array:
-    """Return the ground's colour: tiles of slightly different brightness, uniform at a distance."""
-    column, row = np.floor(np.clip(points[:2] / _TILE, -1e6, 1e6)).astype(np.int64)
-    mixed = ((column * 73856093) ^ (row * 19349663)) * 2654435761  # hash of the tile's indices
-    shade = (mixed >> 20) % 251 / 125 - 1
-    brightness = 1 + _TILE_CONTRAST * shade / (1 + (distance / 10) ** 2)
-    colour: Array = (brightness * scene.light.on(np.array([0.0, 0.0, 1.0])))[..., None] * np.array(_GROUND)
-    return colour
-
-
-def _box(scene: Scene, box: Box, origin: Array, distance: Array, directions: Array) -> Array:
-    """Return a box's colour, one per face. The face that is hit is the one whose plane is closest to the point."""
-    T_box_world = inverse(box.T_world_box)
-    along = turned(T_box_world, directions)
-    points = apply(T_box_world, origin[None]).T + distance * along
-    x, y, z = np.abs(points) / (box.size[:, None] / 2)
-    first, second = (x >= y) & (x >= z), y >= z
-    axis = np.where(first, 0, np.where(second, 1, 2))
-    towards = -np.sign(np.where(first, along[0], np.where(second, along[1], along[2])))  # also inside, to the viewer
-    colour: Array = _faces(scene, box).take(3 * axis + 1 + towards.astype(np.int64), axis=0)
-    return colour
-
-
-def _only_face(scene: Scene, box: Box, origin: Array) -> Array | None:
-    """Return the colour (3,) of the only face of a box that is visible from a point; None if others are too."""
-    place = apply(inverse(box.T_world_box), origin[None])[0]
-    (outside,) = np.nonzero(np.abs(place) > box.size / 2)
-    if len(outside) != 1:
-        return None
-    colour: Array = _faces(scene, box)[3 * outside[0] + 1 + int(np.sign(place[outside[0]]))]
-    return colour
-
-
-def _faces(scene: Scene, box: Box) -> Array:
-    """Return the colours (9, 3) of the faces, for each axis of the box with a normal along -1, 0 and 1."""
-    signs = np.array([-1.0, 0.0, 1.0])
-    light = scene.light.on(box.T_world_box[:3, :3].T[:, None] * signs[:, None])
-    found: Array = light.reshape(-1, 1) * np.array(box.colour[::-1])
-    return found
+def _uneven(levels: NDArray[np.uint8]) -> IntArray:
+    """Return the pixels, counted row by row, that differ from one of their eight neighbours in a colour (3, H, W)."""
+    square = np.ones((3, 3), np.uint8)
+    blue, green, red = (cv2.morphologyEx(each, cv2.MORPH_GRADIENT, square) for each in levels)
+    return np.flatnonzero(cv2.max(cv2.max(blue, green), red) > _EDGE)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
 from calibration.simulation.board import Board
-from calibration.simulation.rendering.background import STEPS, Background, background, colours
+from calibration.simulation.rendering.background import STEPS, Background, background
 from calibration.simulation.rendering.pattern_view import PatternView, pattern_view
 from calibration.simulation.rendering.rays import SAMPLES, rounded, sample_rays
 from calibration.simulation.scene import Scene, turned
@@ -35,53 +35,82 @@ def radiance(camera: Camera, T_world_camera: Array, scene: Scene, boards: Sequen
     pose = rounded(T_world_camera)
     behind = background(camera, pose, scene)
     views = [view for board in boards if (view := pattern_view(camera, pose, board, scene.light))]
-    return _composed(camera, pose, scene, behind, views)
-
-
-def _composed(
-    camera: Camera, T_world_camera: Array, scene: Scene, behind: Background, views: list[PatternView]
-) -> NDArray[np.uint16]:
-    """Combine background and patterns to the radiance (height, width, 3)."""
-    light, nearest = behind.radiance.copy(), behind.depth.copy()
-    owner = np.zeros(nearest.shape, np.uint16)  # 0 for the background
-    several = np.zeros(nearest.shape, bool)
-    for i, view in enumerate(views):
-        nearer = view.depth < nearest[view.part]
-        nearest[view.part][nearer], owner[view.part][nearer] = view.depth[nearer], i + 1
-        several[view.part] |= view.border
-    for i, view in enumerate(views):
-        np.copyto(light[view.part], view.radiance[..., None], where=(owner[view.part] == i + 1)[..., None])
+    light = behind.radiance.copy()
     if views:
-        # a pixel that is crossed by an edge has another owner than one of its four neighbours
-        cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-        several |= cv2.dilate(owner, cross) != cv2.erode(owner, cross)
-        rows, columns = np.nonzero(several)
+        rows, columns = _draw(light, behind, views)
         if len(rows):
-            light[rows, columns] = _mixed(camera, T_world_camera, scene, views, rows, columns)
+            light[rows, columns] = _mixed(camera, pose, scene, behind, views, rows, columns)
     return light
 
 
+def _draw(light: NDArray[np.uint16], behind: Background, views: list[PatternView]) -> tuple[IntArray, IntArray]:
+    """Draw patterns into the radiance (height, width, 3) of the background.
+
+    Returns:
+        The rows and columns of the pixels that see several surfaces.
+    """
+    window = _around(views, light.shape[:2])
+    (top, left), shape = (part.start for part in window), light[window].shape[:2]
+    hidden = behind.is_beyond(window, [view.depth for view in views])
+    nearest = np.full(shape, np.inf) if hidden else behind.depth[window].copy()
+    owner = np.zeros(shape, np.uint16)  # 0 for the background
+    several = np.zeros(shape, bool)
+    parts = [(_moved(view.part[0], -top), _moved(view.part[1], -left)) for view in views]
+    for i, (view, part) in enumerate(zip(views, parts, strict=True)):
+        nearer = view.depth < nearest[part]
+        np.copyto(nearest[part], view.depth, where=nearer)
+        np.copyto(owner[part], i + 1, where=nearer)
+        several[part] |= view.border
+    for i, (view, part) in enumerate(zip(views, parts, strict=True)):
+        np.copyto(light[view.part], view.radiance[..., None], where=(owner[part] == i + 1)[..., None])
+    # a pixel that is crossed by an edge has another owner than one of its four neighbours
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    several |= cv2.dilate(owner, cross) != cv2.erode(owner, cross)
+    rows, columns = np.nonzero(several)
+    return rows + top, columns + left
+
+
+def _around(views: list[PatternView], size: tuple[int, ...]) -> tuple[slice, slice]:
+    """Return the rows and columns of patterns in an image of (height, width), with a margin of one pixel."""
+    rows, columns = (
+        slice(max(0, min(part.start for part in parts) - 1), min(limit, max(part.stop for part in parts) + 1))
+        for parts, limit in zip(zip(*(view.part for view in views), strict=True), size, strict=True)
+    )
+    return rows, columns
+
+
+def _moved(part: slice, by: int) -> slice:
+    return slice(part.start + by, part.stop + by)
+
+
 def _mixed(
-    camera: Camera, T_world_camera: Array, scene: Scene, views: list[PatternView], rows: IntArray, columns: IntArray
+    camera: Camera,
+    T_world_camera: Array,
+    scene: Scene,
+    behind: Background,
+    views: list[PatternView],
+    rows: IntArray,
+    columns: IntArray,
 ) -> NDArray[np.uint16]:
     """Return the radiance (N, 3) of pixels that see several surfaces."""
-    directions, origin = sample_rays(camera, rows, columns), T_world_camera[:3, 3]
-    world = turned(T_world_camera, directions)
-    nearest, surface = scene.hit(origin, world)
+    directions = sample_rays(camera, rows, columns)
+    distances = [view.board.cast_in(view.T_camera_pattern, directions) for view in views]
+    if behind.is_beyond((slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)), distances):
+        nearest = np.full(directions.shape[1:], np.inf)
+    else:
+        nearest, _ = scene.hit(T_world_camera[:3, 3], turned(T_world_camera, directions))
     owner = np.zeros(nearest.shape, np.int64)
-    total = np.zeros((len(rows), 3))
-    for i, view in enumerate(views):
-        distance = view.board.cast_in(view.T_camera_pattern, directions)
+    for i, distance in enumerate(distances):
         nearer = distance < nearest
         nearest[nearer], owner[nearer] = distance[nearer], i + 1
+    seen = behind.colours(directions, rows, columns)
+    seen[:, owner != 0] = 0
+    total = np.zeros((len(rows), 3))
     for i, view in enumerate(views):
-        share = (owner == i + 1).mean(axis=1)
+        share = (owner == i + 1).mean(axis=0)
         seen_by = np.flatnonzero(share)
         (top, left), (height, width) = (part.start for part in view.part), view.radiance.shape
         row, column = np.clip(rows[seen_by] - top, 0, height - 1), np.clip(columns[seen_by] - left, 0, width - 1)
         total[seen_by] += (share[seen_by] * view.radiance[row, column])[:, None]
-    pixel, sample = np.nonzero(owner == 0)
-    seen = colours(scene, origin, world[:, pixel, sample], nearest[pixel, sample], surface[pixel, sample])
-    for channel in range(3):
-        total[:, channel] += np.bincount(pixel, seen[:, channel], len(rows)) * (STEPS / SAMPLES)
+    total += seen.sum(axis=1).T * (STEPS / SAMPLES)
     return np.rint(np.minimum(total, 65535)).astype(np.uint16)

@@ -1,16 +1,21 @@
 """Rays of a camera's pixels, and the samples of a pixel."""
 
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, IntArray
+from calibration.simulation.rendering.facets import Bounds
 
 SAMPLES = 16
 """Number of samples of a pixel that sees several surfaces."""
-TILE = (16, 32)
-"""Height and width of a tile of the image, px."""
+CELL = (8, 16)
+"""Height and width of a cell of the image, px."""
 _OFFSETS = [((i + 0.5) / SAMPLES - 0.5, (int(f"{i:04b}"[::-1], 2) + 0.5) / SAMPLES - 0.5) for i in range(SAMPLES)]
 """(y, x) of the samples from the pixel's centre, px: J. M. Hammersley's points (1960). No two share one of 16 rows
 or columns, so an edge along an axis is found to 1/16 px."""
@@ -29,39 +34,62 @@ def rays(camera: Camera) -> Array:
     return found
 
 
-@lru_cache(maxsize=8)
-def cones(camera: Camera) -> tuple[Array, Array]:
-    """Cones around the rays of the image's tiles, of `TILE` pixels each.
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Cells of a camera's image, `CELL` pixels each, row by row; the last ones may reach beyond the image."""
 
-    Returns:
-        Their axes (R, C, 3), unit vectors in the camera's frame, and the sines (R, C) of the largest angles to them,
-        NaN for a tile in part of which the lens shows nothing.
-    """
-    height, width = TILE
-    found = rays(camera)
-    units = np.moveaxis(found / np.sqrt((found * found).sum(axis=0)), 0, -1)
-    axes = np.empty((-(-camera.height // height), -(-camera.width // width), 3))
-    sines = np.empty(axes.shape[:2])
-    for row, column in np.ndindex(*sines.shape):
-        tile = units[row * height : (row + 1) * height + 2, column * width : (column + 1) * width + 2].reshape(-1, 3)
-        axis = tile.mean(axis=0)
-        axes[row, column] = axis / np.sqrt(axis @ axis)
-        cosine = (tile @ axes[row, column]).min()
-        sines[row, column] = np.sqrt(max(0.0, 1 - cosine * cosine)) if cosine > 0 else np.nan
-    for array in (axes, sines):
-        array.flags.writeable = False
-    return axes, sines
+    size: tuple[int, int]
+    """Height and width of the image, px."""
+    shape: tuple[int, int]
+    """Rows and columns of cells."""
+    rays: Array
+    """(3, N, K), of the pixels' centres; those beyond the image are equal to the nearest in it."""
+    bounds: Bounds
+    """Of all that the cells see."""
+
+    def of_pixels(self, rows: IntArray, columns: IntArray) -> IntArray:
+        """Return the cells (...) that pixels (...) are in."""
+        found: IntArray = rows // CELL[0] * self.shape[1] + columns // CELL[1]
+        return found
+
+    def around(self, part: tuple[slice, slice]) -> tuple[slice, slice]:
+        """Return the rows and columns of the cells of a part of the image."""
+        rows, columns = (slice(each.start // n, -(-each.stop // n)) for each, n in zip(part, CELL, strict=True))
+        return rows, columns
+
+
+@lru_cache(maxsize=8)
+def cells(camera: Camera) -> Cells:
+    """Return the cells of a camera's image."""
+    size = camera.height, camera.width
+    shape = -(-size[0] // CELL[0]), -(-size[1] // CELL[1])
+    beyond = [(0, cells * n - pixels) for cells, n, pixels in zip(shape, CELL, size, strict=True)]
+    wider = np.pad(rays(camera), ((0, 0), *beyond), mode="edge")
+    found = in_cells(wider[:, 1:-1, 1:-1]).reshape(3, shape[0] * shape[1], -1)
+    found.flags.writeable = False
+    # a pixel reaches half of the way to its neighbours
+    with_margin = sliding_window_view(wider, (CELL[0] + 2, CELL[1] + 2), axis=(1, 2))[:, :: CELL[0], :: CELL[1]]
+    return Cells(size, shape, found, Bounds.of(with_margin.reshape(*found.shape[:2], -1)))
+
+
+def in_cells(images: NDArray[Any]) -> NDArray[Any]:
+    """View images (..., R * height, C * width) as cells of `CELL` pixels: (..., R, C, height, width)."""
+    *batch, height, width = images.shape
+    rows, columns = height // CELL[0], width // CELL[1]
+    return images.reshape(*batch, rows, CELL[0], columns, CELL[1]).swapaxes(-3, -2)
 
 
 def sample_rays(camera: Camera, rows: IntArray, columns: IntArray) -> Array:
-    """Return the rays (3, N, SAMPLES) of the samples of N pixels."""
-    dv, du = np.array(_OFFSETS).T
-    return _rays(camera, columns[:, None] + du, rows[:, None] + dv)
+    """Return the rays (3, SAMPLES, N) of the samples of N pixels."""
+    dv, du = np.array(_OFFSETS).T[..., None]
+    return _rays(camera, columns + du, rows + dv)
 
 
 def _rays(camera: Camera, u: Array, v: Array) -> Array:
-    xy = camera.normalise(np.stack([u, v], -1))
-    return np.stack([xy[..., 0], xy[..., 1], np.where(np.isnan(xy[..., 0]), np.nan, 1.0)])
+    found = np.empty((3, *u.shape))
+    found[0], found[1] = camera.from_pixels(u, v)
+    found[2] = np.where(np.isnan(found[0]), np.nan, 1.0)
+    return found
 
 
 def rounded(T: Array) -> Array:

@@ -1,10 +1,13 @@
 import numpy as np
 import pytest
+from numpy.lib.stride_tricks import sliding_window_view
 
 from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import from_xyz_rpy
+from calibration.geometry.types import Array
 from calibration.simulation.rendering.background import STEPS, background
-from calibration.simulation.rendering.rays import rays
+from calibration.simulation.rendering.colours import colours
+from calibration.simulation.rendering.rays import SAMPLES, rays, sample_rays
 from calibration.simulation.scene import Box, Light, Scene, turned
 from tests.simulation.rendering.views import DISTORTION, EVEN, T_WORLD_CAMERA, camera
 
@@ -86,6 +89,45 @@ def test_a_fixed_camera_has_one_cached_read_only_background() -> None:
     assert background(CAMERA, T_WORLD_CAMERA, Scene(ground=0.0)) is not seen
     with pytest.raises(ValueError, match="read-only"):
         seen.radiance[0, 0] = 0
+
+
+def seen_along(rays_: Array, T: Array, scene: Scene) -> Array:
+    """Colours (3, ...) along rays (3, ...), each intersected with the whole scene."""
+    world = turned(T, rays_.reshape(3, -1))
+    return colours(scene, T[:3, 3], world, *scene.hit(T[:3, 3], world)).reshape(rays_.shape)
+
+
+def in_steps(colour: Array) -> np.ndarray:
+    return np.rint(np.clip(colour.astype(np.float32) * STEPS, 0, 65535))
+
+
+@pytest.mark.parametrize("distortion", [None, DISTORTION])
+def test_every_pixel_has_the_colour_that_its_own_rays_see(distortion: PlumbBob | None) -> None:
+    """The same image without cells and facets."""
+    of, random = camera(distortion=distortion), np.random.default_rng(6)
+    for number in range(6):
+        boxes = tuple(
+            Box(from_xyz_rpy(random.normal(scale=3, size=3), random.uniform(-3, 3, 3)), random.uniform(0.05, 4, 3))
+            for _ in range(5)
+        )
+        scene = Scene(ground=-1.0, boxes=boxes, light=Light(0.5, 0.2 * number))
+        T = from_xyz_rpy(random.normal(scale=0.5, size=3), random.uniform(-3, 3, 3))
+        centres = np.moveaxis(seen_along(rays(of)[:, 1:-1, 1:-1], T, scene), 0, -1)
+        levels = np.pad(np.clip(centres.astype(np.float32), 0, 255).astype(int), ((1, 1), (1, 1), (0, 0)), mode="edge")
+        around = sliding_window_view(levels, (3, 3), axis=(0, 1))
+        rows, columns = np.nonzero((np.ptp(around, axis=(-2, -1)) > 6).any(axis=-1))
+        expected = in_steps(centres)
+        expected[rows, columns] = in_steps(seen_along(sample_rays(of, rows, columns), T, scene).sum(axis=1) / SAMPLES).T
+        assert len(rows) > 500
+        np.testing.assert_array_equal(background(of, T, scene).radiance, expected)
+
+
+def test_what_is_surely_beyond() -> None:
+    behind, part = background(CAMERA, T_WORLD_CAMERA, Scene(boxes=(RED_BOX,))), (slice(100, 140), slice(150, 170))
+    assert behind.is_beyond(part, [np.array([1.0, 1.99, np.inf])])
+    assert not behind.is_beyond(part, [np.array([1.0]), np.array([2.01])])
+    assert behind.is_beyond((slice(0, 10), slice(0, 20)), [np.array([99.0])])  # the sky
+    assert behind.is_beyond(part, [np.array([np.inf])])
 
 
 @pytest.mark.parametrize("distortion", [None, DISTORTION])

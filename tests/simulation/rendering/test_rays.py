@@ -1,7 +1,7 @@
 import numpy as np
 
 from calibration.geometry.distortion import Equidistant, PlumbBob, Rational
-from calibration.simulation.rendering.rays import SAMPLES, rays, rounded, sample_rays
+from calibration.simulation.rendering.rays import CELL, SAMPLES, cells, in_cells, rays, rounded, sample_rays
 from tests.simulation.rendering.views import DISTORTION, T_WORLD_CAMERA, camera
 
 
@@ -35,13 +35,37 @@ def test_samples_lie_evenly_in_their_pixel() -> None:
     of = camera(20, 10, 15)
     rows, columns = np.array([3, 7]), np.array([0, 19])
     pixels = of.project(np.moveaxis(sample_rays(of, rows, columns), 0, -1))
-    offset = pixels - np.stack([columns, rows], -1)[:, None]
-    assert offset.shape == (2, SAMPLES, 2)
+    offset = pixels - np.stack([columns, rows], -1)
+    assert offset.shape == (SAMPLES, 2, 2)
     for axis in range(2):
-        np.testing.assert_allclose(np.sort(offset[0, :, axis]), (np.arange(16) - 7.5) / 16, atol=1e-9)
-    fields = np.floor((offset[0] + 0.5) * 4) @ [4, 1]
+        np.testing.assert_allclose(np.sort(offset[:, 0, axis]), (np.arange(16) - 7.5) / 16, atol=1e-9)
+    fields = np.floor((offset[:, 0] + 0.5) * 4) @ [4, 1]
     assert sorted(fields) == list(range(16))
-    np.testing.assert_allclose(np.sort(-offset[0], axis=0), np.sort(offset[0], axis=0), atol=1e-9)
+    np.testing.assert_allclose(np.sort(-offset[:, 0], axis=0), np.sort(offset[:, 0], axis=0), atol=1e-9)
+
+
+def test_cells_cover_the_image_and_the_samples_of_its_pixels() -> None:
+    for distortion in (PlumbBob(), DISTORTION):
+        of = camera(50, 30, 40, distortion)
+        found, (rows, columns) = cells(of), np.mgrid[:30, :50].reshape(2, -1)
+        cell, samples = found.of_pixels(rows, columns), sample_rays(of, rows, columns)
+        assert set(cell.tolist()) == set(range(found.rays.shape[1]))
+        low, high = found.bounds.middle - found.bounds.half, found.bounds.middle + found.bounds.half
+        assert ((samples[:2] >= low[:, None, cell]) & (samples[:2] <= high[:, None, cell])).all()
+        for row, column in ((0, 0), (17, 23), (29, 49)):
+            of_cell = found.rays[:, found.of_pixels(np.array(row), np.array(column))]
+            assert (of_cell == rays(of)[:, row + 1, column + 1, None]).all(axis=0).any()
+            part = found.around((slice(row, row + 1), slice(column, column + 1)))
+            assert np.arange(len(found.bounds.margin)).reshape(found.shape)[part] == [[found.of_pixels(row, column)]]
+
+
+def test_an_image_is_viewed_in_cells() -> None:
+    image = np.arange(2 * CELL[0] * 3 * CELL[1]).reshape(2 * CELL[0], 3 * CELL[1])
+    view = in_cells(image)
+    assert view.shape == (2, 3, *CELL)
+    np.testing.assert_array_equal(view[1, 2], image[CELL[0] :, 2 * CELL[1] :])
+    view[0, 1] = -1
+    assert (image[: CELL[0], CELL[1] : 2 * CELL[1]] == -1).all()
 
 
 def test_a_pose_is_rounded_to_a_picometre() -> None:
