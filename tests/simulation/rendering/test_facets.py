@@ -8,6 +8,7 @@ from calibration.simulation.scene import GROUND, NOTHING, Box, Scene, turned
 from tests.simulation.rendering.views import T_WORLD_CAMERA
 
 CUBE = Box(T_WORLD_CAMERA @ from_xyz_rpy([0, 0, 3], [0, 0, 0]), np.array([1.0, 1.0, 1.0]))
+WALL = Box(T_WORLD_CAMERA @ from_xyz_rpy([0, 0, 5], [0, 0, 0]), np.array([9.0, 9.0, 0.1]))
 
 
 def random_scene(random: np.random.Generator) -> Scene:
@@ -79,8 +80,21 @@ def test_where_only_one_is_seen_every_ray_hits_it_and_none_is_nearer_than_the_bo
 
 
 def test_on_an_edge_nothing_is_decided() -> None:
-    ray = np.array([0.2, 0.1, 1.0]).reshape(3, 1, 1)  # the right side of its front, 2.5 m away
-    assert seen(Scene(boxes=(CUBE,)), T_WORLD_CAMERA, ray)[1].tolist() == [[UNDECIDED]]
+    along, beside = np.linspace(-0.19, 0.19, 9), np.full(9, 0.2)  # its front is 2.5 m away
+    xy = np.concatenate([(along, beside), (along, -beside), (beside, along), (-beside, along)], axis=1)
+    xy = np.concatenate([xy, xy + 1e-12, xy - 1e-12], axis=1)
+    rays = np.concatenate([xy, np.ones((1, xy.shape[1]))])[..., None]
+    for boxes in ((CUBE,), (CUBE, WALL), (WALL, CUBE)):
+        assert (seen(Scene(boxes=boxes), T_WORLD_CAMERA, rays)[1] == UNDECIDED).all()
+
+
+def test_a_face_is_alone_before_what_it_hides() -> None:
+    rays = bundles(np.random.default_rng(6), 40)
+    (front,) = np.nonzero((np.abs(rays[:2]) < 0.199).all(axis=(0, 2)))
+    for boxes in ((CUBE, WALL), (WALL, CUBE)):
+        scene = Scene(boxes=boxes)
+        sight, _, _ = seen(scene, T_WORLD_CAMERA, rays[:, front])
+        assert set(surfaces(scene, T_WORLD_CAMERA, sight.only)) == {boxes.index(CUBE)}
 
 
 def test_equal_depths_are_not_decided() -> None:
@@ -89,9 +103,11 @@ def test_equal_depths_are_not_decided() -> None:
 
 
 @pytest.mark.parametrize("place", [(0.5, 0.0), (0.5, 0.5), (0.5, 0.2)])
-def test_a_camera_on_a_box_decides_nothing_of_it(place: tuple[float, float]) -> None:
+@pytest.mark.parametrize("pitch", [1.5, -1.5])
+def test_a_camera_on_a_box_decides_nothing_of_it(place: tuple[float, float], pitch: float) -> None:
+    """It looks away from the box, and into it."""
     scene = Scene(boxes=(Box(np.eye(4), np.ones(3)),))
-    T = from_xyz_rpy([*place, 0.1], [0.3, 1.0, 0.2])
+    T = from_xyz_rpy([*place, 0.1], [0.1, pitch, 0.2])
     sight, hit, _ = seen(scene, T, bundles(np.random.default_rng(3), 20))
     assert (hit == UNDECIDED).all()
     assert np.isnan(sight.depth).all()
@@ -103,6 +119,7 @@ def test_a_camera_in_the_plane_of_a_face_decides_all_but_what_that_face_may_hide
     _, hit, _ = seen(scene, T, rays)
     known = hit != UNDECIDED
     assert 0.8 < known.mean() < 1
+    assert (surfaces(scene, T, hit)[known] == 0).mean() > 0.01
     np.testing.assert_array_equal(surfaces(scene, T, hit)[known], scene.hit(T[:3, 3], turned(T, rays))[1][known])
 
 
