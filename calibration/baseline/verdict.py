@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from calibration.baseline.comparison import Change, Comparison, compare
-from calibration.baseline.settings import BaselineSettings
+from calibration.baseline.settings import BaselineSettings, SameData
 from calibration.baseline.snapshot import Snapshot, Start
 from calibration.diagnosis.finding import Finding
 from calibration.frozen import frozen
@@ -76,17 +76,21 @@ def _finding(change: Change, comparison: Comparison, settings: BaselineSettings,
 
 
 def _on_the_same_data(change: Change, comparison: Comparison, settings: BaselineSettings, since: str) -> Finding | None:
-    least = settings.same_data
-    over_mm = change.mm > max(least.translation_mm, least.sigmas * change.sigma_mm)
-    over_deg = change.deg > max(least.rotation_deg, least.sigmas * change.sigma_deg)
-    plain = change.kind == "parameter" and change.unit not in ("m", "rad") and change.sigmas > least.sigmas
-    if not (over_mm or over_deg or plain):
+    if not exceeds(change, settings.same_data):
         return None
     text = (
         f"{change.name} differs from {since} on the same data: {_size(change)}, {_sigmas(change.sigmas)}; "
         f"{_why(comparison)}, or {ACCEPT}"
     )
     return _found("red", change, text)
+
+
+def exceeds(change: Change, least: SameData) -> bool:
+    """Whether the difference of a pose or a parameter is larger than the tolerances of a result on the same data."""
+    over_mm = change.mm > max(least.translation_mm, least.sigmas * change.sigma_mm)
+    over_deg = change.deg > max(least.rotation_deg, least.sigmas * change.sigma_deg)
+    plain = change.kind == "parameter" and change.unit not in ("m", "rad") and change.sigmas > least.sigmas
+    return over_mm or over_deg or plain
 
 
 def _on_other_data(change: Change, comparison: Comparison, settings: BaselineSettings, since: str) -> Finding | None:

@@ -84,7 +84,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             parameters_table(results),
             changes_table(results),
             updates_table(results),
-            Text(baseline_line(results.baseline)),
+            Text(baseline_line(results)),
             collections_table(results),
             Lines(findings_of(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),
             Lines(findings_of(results, "note"), NOTES_SHOWN, title="Notes"),

@@ -4,7 +4,8 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from calibration.baseline.update import BaselineUpdate
+from calibration.baseline.settings import SameData
+from calibration.baseline.verdict import MOVED, QUALITY, exceeds
 from calibration.diagnosis.finding import Severity
 from calibration.pipeline.matrix.cell import REPROJECTION
 from calibration.pipeline.matrix.cell_result import CellResult
@@ -93,17 +94,32 @@ def cells_without_table(results: Results) -> str:
     return f"{which}; a table between two sensors is another number: evaluate: rgb-to-rgb:SOURCE:TARGET"
 
 
-def baseline_line(update: BaselineUpdate | None) -> str:
+def baseline_line(results: Results) -> str:
     """Describe the systems compared with the baseline, and remarks on it."""
+    update = results.baseline
     if update is None:
         return ""
-    parts = [f"Compared with {update.since}: {', '.join(update.compared)}"] if update.compared else []
+    compared = "Nothing has changed since" if _unchanged(results) else "Compared with"
+    parts = [f"{compared} {update.since}: {', '.join(update.compared)}"] if update.compared else []
     if update.not_accepted:
         parts.append(f"no calibration accepted yet of {', '.join(update.not_accepted)}: calibration accept")
     parts += [update.problem] if update.problem and not update.reasons else []
     if update.unused:
         parts.append(f"{update.file} has systems that are calibrated no more: {', '.join(update.unused)}")
     return "; ".join(parts)
+
+
+def _unchanged(results: Results) -> bool:
+    """Whether every calibration equals the accepted one within the tolerances of a result on the same data."""
+    compared = results.baseline.compared if results.baseline else ()
+    cells = [cell for cell in results.cells if cell.system in compared]
+    return bool(cells) and all(_equals_accepted(cell) for cell in cells)
+
+
+def _equals_accepted(cell: CellResult) -> bool:
+    changes = cell.details.changes if cell.details else ()
+    differs = any(each.kind in ("added", "removed") or exceeds(each, SameData()) for each in changes)
+    return bool(changes) and not differs and not any(each.kind in (MOVED, QUALITY) for each in cell.findings)
 
 
 def without_result(results: Results) -> list[str]:

@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 
 from calibration.baseline.comparison import Change
+from calibration.baseline.settings import SameData
+from calibration.baseline.verdict import exceeds
 from calibration.pipeline.matrix.cell import noise_text
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, Details, Deviation, Transform
 from calibration.pipeline.results import Collected, Results
@@ -212,12 +214,12 @@ def parameters_table(results: Results) -> Table:
 
 
 def changes_table(results: Results) -> Table:
-    """Return a row for each calibrated transform or parameter: its difference from the accepted one."""
+    """Return a row for each calibrated transform or parameter that differs from the accepted one, beyond rounding."""
     rows = [
         (f"{system}: {each.name}", _change(each), _in_sigmas(each))
         for system, found in _details(results, failed=True).items()
         for each in found.changes
-        if each.kind in ("pose", "parameter") and (each.mm or each.deg or each.value)
+        if exceeds(each, SameData())
     ]
     header = ("Since the baseline", "Difference", "In standard deviations")
     return Table(header, tuple(rows), TRANSFORMS_SHOWN, brief=True)

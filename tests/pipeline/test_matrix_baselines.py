@@ -12,12 +12,19 @@ from calibration.__main__ import main
 from calibration.baseline.document import Baseline, write_baseline
 from calibration.baseline.settings import BaselineSettings
 from calibration.baseline.snapshot import Snapshot
+from calibration.baseline.update import BaselineUpdate
+from calibration.baseline.verdict import Accepted, against_baseline
+from calibration.pipeline.matrix.cell_result import Details
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix_baselines import with_accepted
+from calibration.pipeline.result_messages import baseline_line
+from calibration.pipeline.result_tables import changes_table
+from calibration.pipeline.results import Results
 from calibration.pipeline.system import NoiseGrid, System
 from tests.baseline.scenes import stereo, taken
 from tests.coverage.projects import git
 from tests.displaced import displace
+from tests.pipeline.matrix.test_cell_verdict import CELL
 
 ROOT = Path(__file__).parents[2]
 FILE = "calibration-baseline.json"
@@ -115,6 +122,27 @@ def test_without_git_there_is_the_file_alone(tmp_path: Path, snapshots: tuple[Sn
     assert (update.base, update.problem) == (None, None)
 
 
+def test_differences_of_rounding_are_no_rows_and_no_change(snapshots: tuple[Snapshot, Snapshot]) -> None:
+    def shown(accepted: Snapshot) -> tuple[int, str]:
+        comparison, findings = against_baseline(Accepted(BaselineSettings(), accepted, FILE), snapshots[0])
+        assert comparison is not None
+        details = Details(changes=comparison.changes)
+        cell = replace(CELL, details=details, findings=findings)
+        results = Results((cell,), baseline=BaselineUpdate(file=FILE, since=FILE, compared=("robot",)))
+        return len(changes_table(results).rows), baseline_line(results)
+
+    [pose] = [each for each in snapshots[0].poses if each.sensor == "right"]
+
+    def along_x(mm: float) -> Snapshot:
+        x, *yz = pose.xyz_mm
+        poses = (replace(pose, xyz_mm=(x + mm, *yz)) if each is pose else each for each in snapshots[0].poses)
+        return replace(snapshots[0], poses=tuple(poses))
+
+    assert shown(along_x(1e-6)) == (0, f"Nothing has changed since {FILE}: robot")
+    assert shown(along_x(pose.norm_mm)) == (1, f"Compared with {FILE}: robot")
+    assert shown(replace(snapshots[0], rms_px=0.01)) == (0, f"Compared with {FILE}: robot")
+
+
 def test_a_run_shows_what_the_change_accepts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -128,8 +156,14 @@ def test_a_run_shows_what_the_change_accepts(
     assert main(["run"]) == 0
     assert main(["accept"]) == 0
     base = commit(tmp_path, "accepted")
+    capsys.readouterr()
+    assert main(["run"]) == 0
+    assert re.search(rf"^Nothing has changed since {FILE} of \S+ \(\w{{7}}\): robot$", capsys.readouterr().out, re.M)
     displace(robot, "right_camera", (0.003, 0.0, 0.0, 0.0, 0.0, 0.0))
     assert main(["run"]) == 1
+    out = capsys.readouterr().out
+    assert re.search(rf"^Compared with {FILE} of \S+ \(\w{{7}}\): robot$", out, re.M)
+    assert "robot: right_camera" in out
     assert main(["accept"]) == 0
     commit(tmp_path, "knocked")
     for name, value in event(tmp_path, base).items():
@@ -139,6 +173,7 @@ def test_a_run_shows_what_the_change_accepts(
     assert main(["run"]) == 0
     out = capsys.readouterr().out
     assert "Accepted by this change" in out
-    assert re.search(r"^Compared with calibration-baseline.json of \S+ \(\w{7}\): robot$", out, re.MULTILINE)
+    assert "Since the baseline" not in out
+    assert "Nothing has changed since" in out
     summary = (tmp_path / "step.md").read_text()
     assert "| robot: right\\_camera | " in summary
