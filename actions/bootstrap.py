@@ -33,7 +33,7 @@ import tempfile
 import venv
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import NoReturn
+from typing import IO, NoReturn
 
 # Which entry point and which lock each action uses: the one place that says so.
 ACTIONS = {
@@ -100,8 +100,13 @@ def report(message: str, status: int) -> int:
     """Tell the user in one line, an annotation where the runner reads the log, and return the exit code."""
     for raw, escaped in (("%", "%25"), ("\r", "%0D"), ("\n", "%0A")):
         message = message.replace(raw, escaped)
-    print(("::error::" if os.environ.get("GITHUB_ACTIONS") == "true" else "") + message, flush=True)
+    print(("::error::" if on_github() else "") + message, flush=True)
     return status
+
+
+def on_github() -> bool:
+    """Whether the runner of GitHub, or act, reads what is printed."""
+    return os.environ.get("GITHUB_ACTIONS") == "true"
 
 
 if sys.version_info < (3, 11):  # noqa: UP036  (said here, before what only a newer Python understands)
@@ -184,7 +189,7 @@ def environment(folder: Path, lock: Path, project: list[Path]) -> None:
         os.execv(python, [str(python), "-I", __file__, *sys.argv[1:]])  # noqa: S606
     if provides(folder, pins(lock) | editables(project)):
         return
-    with group(f"{folder.name}: installing {lock.stem}"):
+    with group(f"setting up {folder.name} with requirements/{lock.name} (once)"):
         if not python.exists() or (marked and not provides(folder, set())):  # its Python has gone, or is another now
             shutil.rmtree(folder, ignore_errors=True)
         create(folder, lock, project)
@@ -236,12 +241,19 @@ def covers(present: Iterable[str], wanted: Iterable[str]) -> bool:
 
 
 def install(python: Path, arguments: list[str], *, much: bool = False) -> None:
-    """Install into the environment of `python` with the first installer that succeeds."""
+    """Install into the environment of `python` with the first installer that succeeds.
+
+    What the installers print is shown where the runner folds it, elsewhere only if all of them fail.
+    """
     tried = []
-    for command, variables in installers(python, much):
-        tried.append(Path(command[0]).name)
-        if run([*command, "--no-deps", *arguments], variables):
-            return
+    with tempfile.TemporaryFile() as printed:
+        output = None if on_github() else printed
+        for command, variables in installers(python, output, much=much):
+            tried.append(Path(command[0]).name)
+            if run([*command, "--no-deps", *arguments], variables, output):
+                return
+        printed.seek(0)
+        print(printed.read().decode(errors="replace"), end="", flush=True)
     if not tried:
         raise BootstrapError(
             "neither uv nor pip is here to install Python packages; on Debian, Ubuntu: apt-get install python3-venv"
@@ -252,7 +264,7 @@ def install(python: Path, arguments: list[str], *, much: bool = False) -> None:
     )
 
 
-def installers(python: Path, much: bool) -> Iterator[tuple[list[str], dict[str, str]]]:
+def installers(python: Path, output: IO[bytes] | None, *, much: bool) -> Iterator[tuple[list[str], dict[str, str]]]:
     """Yield the commands that install into the environment of `python`, and the variables to run each with."""
     job = dict(os.environ)
     clean = {name: job[name] for name in job if not re.match("PIP_|UV_|PYTHON|VIRTUAL_ENV$|CONDA_", name)}
@@ -281,7 +293,7 @@ def installers(python: Path, much: bool) -> Iterator[tuple[list[str], dict[str, 
             folder = Path(stack.enter_context(temporary_folder()))
             venv.create(folder, symlinks=True)
             bring = [*pip, "--python", str(folder / "bin" / "python"), "install", *options, "--no-deps", *LOCKED]
-            brought = run([*bring, str(ROOT / "requirements" / "uv.txt")], clean | settings)
+            brought = run([*bring, str(ROOT / "requirements" / "uv.txt")], clean | settings, output)
             if brought and os.access(folder / "bin" / "uv", os.X_OK):
                 same = {UV_NAMES[name]: settings[name] for name in UV_NAMES if name in settings}
                 # As pip: any of the places will do, since the hashes say what is right.
@@ -300,8 +312,11 @@ def pip_settings(listing: str) -> dict[str, str]:
     return kept
 
 
-def run(command: list[str], variables: dict[str, str]) -> bool:
-    """Run an installer; whether it succeeded. It ends with this process, with all that it has started."""
+def run(command: list[str], variables: dict[str, str], output: IO[bytes] | None) -> bool:
+    """Run an installer; whether it succeeded. It ends with this process, with all that it has started.
+
+    What it prints goes to `output`, or to where this process prints.
+    """
     ending = {signal.SIGINT, signal.SIGTERM}
     libc = ctypes.CDLL(None)
 
@@ -318,6 +333,7 @@ def run(command: list[str], variables: dict[str, str]) -> bool:
         env=variables,
         cwd="/",
         stdin=subprocess.DEVNULL,
+        stdout=output,
         stderr=subprocess.STDOUT,
         start_new_session=True,
         preexec_fn=begin,
@@ -326,7 +342,8 @@ def run(command: list[str], variables: dict[str, str]) -> bool:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
             return process.wait(TIMEOUT) == 0
         except subprocess.TimeoutExpired:
-            print(f"stopped after {TIMEOUT} s", flush=True)
+            line = f"stopped after {TIMEOUT} s\n"
+            output.write(line.encode()) if output else print(line, end="", flush=True)
             return False
         finally:
             if process.poll() is None:
@@ -336,12 +353,11 @@ def run(command: list[str], variables: dict[str, str]) -> bool:
 @contextlib.contextmanager
 def group(title: str) -> Iterator[None]:
     """Fold what is printed meanwhile, where the runner reads the log."""
-    on_github = os.environ.get("GITHUB_ACTIONS") == "true"
-    print(f"::group::{title}" if on_github else title, flush=True)
+    print(f"::group::{title}" if on_github() else title, flush=True)
     try:
         yield
     finally:
-        if on_github:
+        if on_github():
             print("::endgroup::", flush=True)
 
 

@@ -373,6 +373,24 @@ def test_the_makefiles_environment_grows_and_is_never_downgraded(suite: Suite, t
     assert suite.run("environment", str(folder), "calibrate.txt").stdout == ""  # there already
 
 
+def test_the_makefiles_environment_takes_one_line_in_a_terminal(suite: Suite, tmp_path: Path) -> None:
+    del suite.variables["GITHUB_ACTIONS"]
+    result = suite.run("environment", str(tmp_path / ".venv"), "introspect.txt")
+    assert result.stdout == "setting up .venv with requirements/introspect.txt (once)\n"
+
+
+def test_a_terminal_shows_what_the_installers_print_if_all_fail(suite: Suite, tmp_path: Path) -> None:
+    del suite.variables["GITHUB_ACTIONS"]
+    suite.lock("introspect.txt", tiny="1.0", absent="1.0")
+    (suite.wheels / "absent-1.0-py3-none-any.whl").unlink()
+    result = suite.run("environment", str(tmp_path / ".venv"), "introspect.txt")
+    first, *printed, last = result.stdout.splitlines()
+    assert result.returncode == 3
+    assert first.startswith("setting up .venv")
+    assert any("absent==1.0" in line for line in printed)
+    assert last.startswith("the Python packages could not be installed with ")
+
+
 def test_the_makefiles_environment_follows_the_lock(suite: Suite, tmp_path: Path) -> None:
     folder = tmp_path / ".venv"
     suite.run("environment", str(folder), "introspect.txt")
