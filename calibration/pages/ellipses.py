@@ -35,6 +35,7 @@ def ellipses(name: str, covariance: Array, limit: float | None) -> Html:
             text(x + SIDE / 2 - 2, y - 5, "xyz"[i], "end", "small"),
             text(x + 5, y - SIDE / 2 + 11, "xyz"[j], "start", "small"),
         ]
-    title = f"{name}: two standard deviations, at most {largest:.3g} mm"
-    title += f"; the circle is the limit, {limit:g} mm" if limit else ""
-    return drawing(3 * SIDE + 2 * GAP, SIDE, title, join(parts))
+    scale_text = f"at most {largest:.3g} mm" + (f"; the circle is the limit, {limit:g} mm" if limit else "")
+    parts.append(text(4, SIDE + 13, scale_text, "start", "small"))
+    title = f"{name}: two standard deviations, {scale_text}"
+    return drawing(3 * SIDE + 2 * GAP, SIDE + 20, title, join(parts))

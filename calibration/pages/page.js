@@ -45,6 +45,24 @@ for (const box of document.querySelectorAll(".turning")) {
     }
     return colours.get(name);
   };
+  const label = (pen, line, place, letter) => {
+    const at = [...Array(line.p.length / 3).keys()].map((i) => place(line.p, i));
+    const size = [pen.measureText(line.t).width, letter];
+    const [x, y] = [0, 1].map((k) => {
+      const [low, high] = [Math.min(...at.map((each) => each[k])), Math.max(...at.map((each) => each[k]))];
+      const beside = line.s[k] > 0 ? high + line.g : low - line.g - size[k];
+      const corner = line.s[k] ? beside : (low + high - size[k]) / 2;
+      return Math.max(0, Math.min([width, height][k] - size[k], corner));
+    });
+    pen.globalAlpha = 1;
+    pen.setLineDash([]);
+    pen.strokeStyle = getComputedStyle(canvas).backgroundColor;
+    pen.lineWidth = letter / 3;
+    pen.lineJoin = "round";
+    pen.strokeText(line.t, x, y + 0.8 * letter);
+    pen.fillStyle = getComputedStyle(document.body).color;
+    pen.fillText(line.t, x, y + 0.8 * letter);
+  };
   const draw = () => {
     const pen = canvas.getContext("2d");
     pen.setTransform(sharp, 0, 0, sharp, 0, 0);
@@ -56,7 +74,8 @@ for (const box of document.querySelectorAll(".turning")) {
       return [width / 2 + scale * (c * x - s * y), height / 2 - scale * (ct * z + st * (s * x + c * y))];
     };
     pen.lineWidth = 1.3;
-    pen.font = "12px system-ui, sans-serif";
+    const letter = Math.max(12, (11 * width) / (canvas.clientWidth || width)); // as large on a narrow screen
+    pen.font = `${letter}px system-ui, sans-serif`;
     for (const line of scene.lines) {
       const [stroke, opacity, dash] = colour(line.c);
       pen.strokeStyle = stroke;
@@ -65,13 +84,8 @@ for (const box of document.querySelectorAll(".turning")) {
       pen.beginPath();
       for (let i = 0; i < line.p.length / 3; i++) pen[i ? "lineTo" : "moveTo"](...place(line.p, i));
       pen.stroke();
-      if (line.t) {
-        const [x, y] = place(line.p, 0);
-        pen.globalAlpha = 1;
-        pen.fillStyle = getComputedStyle(document.body).color;
-        pen.fillText(line.t, x + 4, y - 4);
-      }
     }
+    for (const line of scene.lines) if (line.t) label(pen, line, place, letter);
   };
   const change = (turn, tilt, size) => {
     view.turn += turn;
@@ -106,4 +120,5 @@ for (const box of document.querySelectorAll(".turning")) {
   still.style.display = "";
   draw();
   still.style.display = "none";
+  window.addEventListener("resize", draw);
 }

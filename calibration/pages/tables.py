@@ -5,6 +5,9 @@ from collections.abc import Sequence
 from calibration.pages.html import Html, element, join
 
 MOST_ROWS = 500
+NO_BREAK = "\u00a0"
+LONGEST_VALUE = 40
+"""Characters: what is longer breaks over lines, but not inside one of its values."""
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
@@ -13,9 +16,18 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
         return Html("")
     head = element("tr", *(element("th", name, scope="col") for name in columns))
     body = [
-        element("tr", element("th", row[0], scope="row"), *(element("td", cell) for cell in row[1:]))
+        element("tr", element("th", row[0], scope="row"), *(element("td", _unbroken(text)) for text in row[1:]))
         for row in rows[:MOST_ROWS]
     ]
     more = f"The first {MOST_ROWS} of {len(rows)} rows." if len(rows) > MOST_ROWS else ""
     whole = element("table", element("thead", head), element("tbody", *body), class_="sortable")
     return join([element("div", whole, class_="scroll", tabindex="0", role="group", aria_label=columns[0]), more])
+
+
+def _unbroken(text: str) -> str:
+    """Return a cell's text with no-break spaces inside its values."""
+    if len(text) <= LONGEST_VALUE:
+        return text.replace(" ", NO_BREAK)
+    parts = text.split(", ")
+    whole = (len(part) <= LONGEST_VALUE and any(map(str.isdigit, part)) for part in parts)
+    return ", ".join(part.replace(" ", NO_BREAK) if keep else part for part, keep in zip(parts, whole, strict=True))

@@ -26,9 +26,10 @@ def trend(name: str, labels: Sequence[str], values: Sequence[float], sigmas: Seq
     high = max(v + s for v, s in zip(values, sigmas, strict=True))
     room = 0.08 * (high - low) or 1.0
     x = Axis(0, max(len(values) - 1, 1), LEFT + 10, WIDTH - 14)
-    y = Axis(low - room, high + room, HEIGHT - MARGIN, 8)
-    parts = [element("path", d=f"M{LEFT} {at:.1f}H{WIDTH}", class_="grid") for at, _ in y.marks(4)]
-    parts += [text(LEFT - 5, at + 4, label, "end", "small") for at, label in y.marks(4)]
+    y = Axis(low - room, high + room, HEIGHT - MARGIN, 22)
+    parts = [element("path", d=f"M{LEFT} {at:.1f}H{WIDTH}", class_="grid") for at, _ in y.marks()]
+    parts += [text(LEFT - 5, at + 4, label, "end", "small") for at, label in y.marks()]
+    parts.append(text(LEFT - 5, 11, unit, "end"))
     points = np.array([(x(i), y(value)) for i, value in enumerate(values)])
     bars = "".join(
         f"M{x(i):.1f} {y(v - s):.1f}V{y(v + s):.1f}" for i, (v, s) in enumerate(zip(values, sigmas, strict=True))

@@ -35,6 +35,7 @@ def label_residuals(dataset: Dataset, levels: NoiseLevels | None, given: Dataset
         yield element("h3", "Residuals")
     for name, each in found.items():
         yield element("div", *_figures(dataset.sensors[name], each, levels), class_="figures")
+    pixels: dict[str, Array] = {}
     for unit, factor, widths in (("px", 1.0, (2,)), ("mm", 1e3, (1, 3))):
         rows = [name for name, each in found.items() if each.values.shape[-1] in widths]
         if rows:
@@ -42,7 +43,8 @@ def label_residuals(dataset: Dataset, levels: NoiseLevels | None, given: Dataset
             drawn = heat_map("RMS of each view", rows, dataset.keys, np.array(list(by_view.values())), unit)
             yield figure(drawn, f"RMS of each view, {unit}: the stronger, the larger; empty where nothing was seen.")
             if unit == "px":
-                yield from worst_views(dataset, found, by_view, given)
+                pixels = by_view
+    yield from worst_views(dataset, found, pixels, given)
 
 
 def _figures(sensor: Sensor, found: Residuals, levels: NoiseLevels | None) -> Iterator[Html]:

@@ -147,7 +147,7 @@ def _error_bars(cell: CellResult, limits: Limits | None) -> Iterator[Html]:
     figures = [
         figure(
             ellipses(pose.name, 1e6 * covariance[:3, :3], limits.translation_mm if limits else None),
-            f"{pose.name}: two standard deviations of where it is, along its axes; dashed, the limit.",
+            f"{pose.name}: two standard deviations of where it is, along its axes.",
         )
         for pose in (snapshot.poses if snapshot else ())
         if (covariance := pose.covariance) is not None
