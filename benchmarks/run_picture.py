@@ -40,28 +40,28 @@ text {{{{ font: {SIZE}px ui-monospace, Menlo, Consolas, "DejaVu Sans Mono", mono
 
 def main() -> None:
     """Run the pipeline of calibration.yml, and draw its tables and its verdict."""
-    PICTURE.write_text(drawing("$ calibration run\n" + tables(run())))
+    with tempfile.TemporaryDirectory() as folder:
+        PICTURE.write_text(drawing("$ calibration run\n" + tables(run(Path(folder)))))
 
 
-def run() -> str:
-    """Output of the command, run in a temporary folder with the datasets of this project.
+def run(folder: Path) -> str:
+    """Output of the command, run in an empty folder with the configuration and the datasets of this project.
 
     Raises:
         subprocess.CalledProcessError: the verdict is not pass.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        for name in ("calibration.yml", "datasets"):
-            (Path(folder) / name).symlink_to(ROOT / name)
-        shutil.copy(ROOT / FILE, folder)
-        environment = {name: value for name, value in os.environ.items() if not name.startswith("GITHUB_")}
-        done = subprocess.run(
-            [sys.executable, "-m", "calibration", "run"],
-            cwd=folder,
-            env={**environment, "PYTHONPATH": str(ROOT)},
-            check=True,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
+    for name in ("calibration.yml", "datasets"):
+        (folder / name).symlink_to(ROOT / name)
+    shutil.copy(ROOT / FILE, folder)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("GITHUB_")}
+    done = subprocess.run(
+        [sys.executable, "-m", "calibration", "run"],
+        cwd=folder,
+        env={**environment, "PYTHONPATH": str(ROOT)},
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     return done.stdout
 
 

@@ -25,7 +25,8 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
 
 
 def _unbroken(text: str) -> str:
-    """Return a cell's text with no-break spaces inside its values."""
+    """Return a cell's text with no-break spaces inside its values, and the sign ±, after which no line breaks."""
+    text = text.replace(" +- ", " ± ")
     if len(text) <= LONGEST_VALUE:
         return text.replace(" ", NO_BREAK)
     parts = text.split(", ")

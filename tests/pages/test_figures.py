@@ -45,7 +45,7 @@ def test_a_value_of_a_table_is_not_broken() -> None:
     long = "0.12 +- 0.03 mm (0.10, 0.02, 0.00), 0.5 +- 0.02 deg (0.0, 0.1, 0.5), as nothing has been said about it"
     made = table(("name", "value", "difference"), (("right", "0.12 mm, 0.5 deg", long),))
     assert "<td>0.12_mm,_0.5_deg</td>" in made.replace("\u00a0", "_")
-    assert "<td>0.12_+-_0.03_mm_(0.10, 0.02, 0.00), 0.5_+-_0.02_deg_(0.0" in made.replace("\u00a0", "_")
+    assert "<td>0.12_±_0.03_mm_(0.10, 0.02, 0.00), 0.5_±_0.02_deg_(0.0" in made.replace("\u00a0", "_")
     assert ", as nothing has been said about it</td>" in made
 
 
