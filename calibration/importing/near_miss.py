@@ -11,6 +11,7 @@ import numpy as np
 from calibration.dataset.configuration import TAGS, PatternConfiguration
 from calibration.errors import InputError
 from calibration.importing.looking import View, read_image
+from calibration.labelling.charuco import CharucoDetector
 from calibration.labelling.chessboard import LEAST_CORNERS
 from calibration.labelling.detection import Image, grey
 from calibration.labelling.markers import MarkerFinder, Markers
@@ -23,6 +24,8 @@ _OFF_BY = ((-1, -1), (-1, 0), (0, -1), (1, 1), (1, 0), (0, 1), (-2, -2))
 """Typical errors in counting corners."""
 OF_A_BOARD = 6
 """Minimum of markers that indicate a board, also for a chessboard."""
+IN_PLACE = 0.5
+"""Least share of neighbouring markers that are where the described board has them."""
 GAP_OFF = 0.2
 """Tolerance of the gaps between tags, in sides of a tag: small tags are blurred."""
 
@@ -166,22 +169,25 @@ def _corners(pattern: PatternConfiguration, images: Iterable[Image]) -> str:
 
 
 def check_board(sensor: str, pattern: PatternConfiguration, views: Sequence[View]) -> None:
-    """Refuse a board whose detected markers belong to a larger board than described.
+    """Refuse a board whose detected markers belong to another board than described.
 
-    Markers that the described board lacks, in most of the searched images, are the rest of the larger one.
+    Markers that the described board lacks, in most of the searched images, are the rest of a larger one. Markers that
+    are not where the described board has them are those of a board with other columns and rows.
 
     Raises:
-        InputError: names the highest marker.
+        InputError: names the highest marker, or asks whether columns and rows are exchanged.
     """
     if pattern.kind == "chessboard" or not pattern.dictionary:
         return
     expected = marker_count(pattern)
     finder = (GRID if pattern.kind == "aprilgrid" else Family(pattern.dictionary)).finder()
     labelled = [view for view in views if view.found[pattern.name].ids]
-    others = []
+    charuco = CharucoDetector(pattern) if pattern.kind == "charuco" else None
+    others, misplaced = [], 0
     for view in labelled[:: -(-len(labelled) // LOOKED_AT) or 1]:
-        ids = finder.find_small(grey(read_image(Path(view.file)))).ids
-        others.append(int(np.max(ids[ids >= expected], initial=-1)))
+        markers = finder.find_small(grey(read_image(Path(view.file))))
+        others.append(int(np.max(markers.ids[markers.ids >= expected], initial=-1)))
+        misplaced += charuco is not None and charuco.in_place(markers) < IN_PLACE
     if sum(highest >= 0 for highest in others) > len(others) / 2:
         marker, corners, counted = (
             ("tag", "tags", "tags")
@@ -192,4 +198,10 @@ def check_board(sensor: str, pattern: PatternConfiguration, views: Sequence[View
             f"'{sensor}' sees {marker} {max(others)} of {pattern.dictionary}, expected 0 to {expected - 1}, as pattern "
             f"'{pattern.name}' of {pattern.dimension[0]} x {pattern.dimension[1]} {corners} has: are columns and rows "
             f"those of the printed board ({counted})?"
+        )
+    if misplaced > len(others) / 2:
+        raise InputError(
+            f"'{sensor}' sees markers of {pattern.dictionary}, but not where pattern '{pattern.name}' of "
+            f"{pattern.dimension[0]} x {pattern.dimension[1]} corners has them: are columns and rows those of the "
+            "printed board (corners inside: squares less one), or exchanged?"
         )

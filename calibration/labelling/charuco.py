@@ -16,8 +16,8 @@ from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
 from calibration.labelling.board_corners import enough, find_corners
 from calibration.labelling.detection import Image, NotDetected, grey
-from calibration.labelling.layouts import Reading, board_layouts, readings
-from calibration.labelling.markers import MarkerFinder
+from calibration.labelling.layouts import Reading, board_layouts, neighbours_in_place, readings
+from calibration.labelling.markers import MarkerFinder, Markers
 
 LEAST_MARKERS = 8
 """A detection takes more markers than this, and enough corners (ATOM's rule).
@@ -74,6 +74,11 @@ class CharucoDetector:
         if isinstance(labels, CornerLabels) and len(candidates) > 1 and len(candidates[1][0]) == len(ids):
             return NotDetected("too little is seen to tell in which of OpenCV's two layouts the board is printed")
         return labels
+
+    def in_place(self, markers: Markers) -> float:
+        """Return the share of an image's neighbouring markers that are where the board has them, 0 to 1."""
+        known = markers.ids < len(self._layouts[0].markers)
+        return neighbours_in_place(self._layouts, Markers(markers.ids[known], markers.corners[known]))
 
     def _read(self, image: Image) -> list[Reading]:
         """Read the markers by the likeliest layouts; repeated at a finer scale if many expected ones are missing."""

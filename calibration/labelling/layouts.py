@@ -30,6 +30,9 @@ ROOM, MORE_ROOM = 0.3, 30
 AGREEMENT = 0.3
 """Limit of a marker's misfit of a homography of the board, at its corners (squares)."""
 
+NEIGHBOURS, IN_PLACE = 2.3, 0.7
+"""Largest distance of neighbouring markers, and limit of its error, squares: a small marker tells it roughly."""
+
 
 @dataclass(frozen=True, eq=False)
 class Layout:
@@ -99,6 +102,27 @@ def readings(layouts: Sequence[Layout], markers: Markers) -> list[Reading]:
     found = [reading for layout in layouts if (reading := _read(layout, markers)) is not None]
     most = max((len(reading.markers) for reading in found), default=0)
     return [reading for reading in found if len(reading.markers) == most]
+
+
+def neighbours_in_place(layouts: Sequence[Layout], markers: Markers) -> float:
+    """Return the share of neighbouring markers that are where a layout has them, 0 to 1; 1 without neighbours.
+
+    Each marker by itself tells where its neighbours are on the board, so that distortion has no effect.
+    """
+    return max(_in_place(layout, markers) for layout in layouts)
+
+
+def _in_place(layout: Layout, markers: Markers) -> float:
+    places, centres = layout.markers[markers.ids], markers.corners.mean(axis=1)
+    found = []
+    for i, (place, corners) in enumerate(zip(places, markers.corners, strict=True)):
+        H = cv2.getPerspectiveTransform(corners.astype(np.float32), place.astype(np.float32))
+        seen, _ = project(np.array(H, float), centres)
+        distances = np.linalg.norm(seen - place.mean(axis=0), axis=-1)
+        near = (distances < NEIGHBOURS) & (np.arange(len(places)) != i)
+        found.append((np.linalg.norm(seen - places.mean(axis=1), axis=-1) < IN_PLACE)[near])
+    agree = np.concatenate([*found, np.zeros(0, bool)])
+    return float(agree.mean()) if len(agree) else 1.0
 
 
 def _read(layout: Layout, markers: Markers) -> Reading | None:

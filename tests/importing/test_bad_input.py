@@ -62,6 +62,11 @@ def blank(folder: Path) -> None:
         cv2.imwrite(str(file), np.full((480, 640), 90 + int(file.stem), np.uint8))
 
 
+def exchanged(folder: Path) -> None:
+    change(folder, "patterns", "board", "columns", to=8)
+    change(folder, "patterns", "board", "rows", to=11)
+
+
 def set_to(*keys: str, to: object) -> Callable[[Path], None]:
     return lambda folder: change(folder, *keys, to=to)
 
@@ -93,6 +98,10 @@ def test_libraries_print_nothing_of_a_damaged_image(capfd: pytest.CaptureFixture
         (set_to("patterns", "board", "dictionary", to="DICT_5X5"), "found dictionary 'DICT_5X5'"),
         (set_to("patterns", "board", "columns", to=7), "are columns and rows those of the printed board"),
         (set_to("patterns", "board", "columns", to=12), "columns and rows"),
+        (
+            exchanged,
+            "'left_camera' sees markers of DICT_5X5_100, but not where pattern 'board' of 8 x 11 corners has them",
+        ),
         (set_to("patterns", "board", "columns", to=None), "missing key 'columns' of a charuco board"),
         (set_to("patterns", "board", "marker", to=0.06), "found 0.06, expected less than the square, 0.06"),
         (set_to("patterns", "board", "target", to="april.yaml"), "target"),
