@@ -127,10 +127,10 @@ pictures: ## draw docs/run.svg and docs/report.png, the pictures of the README, 
 aws-example: ## scenarios on an emulated AWS Batch, in real containers, without an account (IMAGE=one with calibration-ci in it)
 	@$(setup) dev.txt .
 	@if [ -z '$(IMAGE)' ]; then \
-	  rm -f examples/aws-batch/*.whl; '$(uv)' build --wheel --quiet --out-dir examples/aws-batch .; \
+	  rm -f examples/aws-batch/*.whl; trap 'rm -f examples/aws-batch/*.whl' EXIT; \
+	  '$(uv)' build --wheel --quiet --out-dir examples/aws-batch .; \
 	  docker build --quiet --tag calibration-tools:example --build-arg EXTRAS=aws,calibrate,opencv \
 	    --build-arg SOURCE=file:///context/$$(cd examples/aws-batch; ls *.whl) examples/aws-batch; \
-	  rm -f examples/aws-batch/*.whl; \
 	fi
 	$(python) -m tests.aws.example --image '$(or $(IMAGE),calibration-tools:example)'
 

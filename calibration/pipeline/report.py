@@ -89,7 +89,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             Lines(findings_of(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),
             Lines(findings_of(results, "note"), NOTES_SHOWN, title="Notes"),
             Lines(tuple(export_lines(results, output)), NOTES_SHOWN, title="For the robot"),
-            Text(f"{image_line(results.image)}." if results.image else ""),
+            Text(image_line(results.image) if results.image else ""),
             Text(f"Static analysis: {output / results.analysis.folder / 'summary.md'}" if results.analysis else ""),
             Lines(left_out, title="Methods without a result", only="summary"),
         ),

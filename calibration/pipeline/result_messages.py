@@ -102,7 +102,8 @@ def baseline_line(results: Results) -> str:
     compared = "Nothing has changed since" if _unchanged(results) else "Compared with"
     parts = [f"{compared} {update.since}: {', '.join(update.compared)}"] if update.compared else []
     if update.not_accepted:
-        parts.append(f"no calibration accepted yet of {', '.join(update.not_accepted)}: calibration accept")
+        none = "no calibration accepted yet of" if parts else "No calibration accepted yet of"
+        parts.append(f"{none} {', '.join(update.not_accepted)}: calibration accept")
     parts += [update.problem] if update.problem and not update.reasons else []
     if update.unused:
         parts.append(f"{update.file} has systems that are calibrated no more: {', '.join(update.unused)}")

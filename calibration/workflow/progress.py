@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
 
+from calibration.errors import InputError
 from calibration.workflow.runner import Runner
 from calibration.workflow.text import one_line
 
@@ -26,7 +27,8 @@ def progress(runner: Runner, title: str, bar: bool = True, kept: str = "") -> It
         runner: runner whose log shows it.
         title: title of the bar.
         bar: whether a bar may be shown on a terminal; False if other lines are printed in between.
-        kept: plural of the steps ("poses") if an interruption preserves them: then their number is printed.
+        kept: plural of the steps ("poses") if an interruption preserves them: then their number is printed, but not
+            after bad input, which the same command would find again.
     """
     finished = 0
     with _shown(runner, title, bar) as show:
@@ -38,6 +40,8 @@ def progress(runner: Runner, title: str, bar: bool = True, kept: str = "") -> It
 
         try:
             yield advance
+        except InputError:
+            raise
         except BaseException:
             if kept and finished:
                 runner.log(f"{finished} {kept} are done: the same command goes on from there")

@@ -38,7 +38,7 @@ def reasons() -> list[str]:
 
 def test_the_life_of_an_accepted_calibration(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run"]) == 0
-    assert "no calibration accepted yet of robot: calibration accept\n" in capsys.readouterr().out
+    assert "No calibration accepted yet of robot: calibration accept\n" in capsys.readouterr().out
     assert main(["accept"]) == 0
     assert capsys.readouterr().out.endswith(f"robot: accepted\n{FILE} is written: commit it\n")
     first = Path(FILE).read_text()

@@ -408,7 +408,7 @@ def test_the_image_is_part_of_the_results(tmp_path: Path) -> None:
     write_results(results, tmp_path)
     jsonschema.validate(json.loads((tmp_path / "results.json").read_text()), json.loads(SCHEMA.read_text()))
     assert read_results(tmp_path).image == image
-    assert "Image team/robot:key-1: unchanged, nothing was built; promoted to stable." in told(results).markdown()
+    assert "Image team/robot:key-1: unchanged, nothing was built; promoted to stable\n" in told(results).markdown()
 
 
 def test_only_an_image_is_a_pass_and_nothing_at_all_is_none() -> None:

@@ -1,7 +1,11 @@
 """Progress: lines in a log, a bar on a terminal."""
 
 import io
+from contextlib import suppress
 
+import pytest
+
+from calibration.errors import InfrastructureError, InputError
 from calibration.workflow import Runner
 from calibration.workflow.progress import LINES, progress
 from tests.workflow.conftest import printed
@@ -67,3 +71,17 @@ def test_what_is_important_commands_no_terminal() -> None:
 
     assert "\\x1b]0;title\\x07b" in terminal.getvalue()
     assert "\x1b]0;" not in terminal.getvalue()
+
+
+@pytest.mark.parametrize(
+    "error", [InfrastructureError("the disk is full"), KeyboardInterrupt(), InputError("no board")]
+)
+def test_what_is_kept_of_stopped_work_is_counted_unless_its_input_is_wrong(
+    laptop: Runner, error: BaseException
+) -> None:
+    with suppress(type(error)), progress(laptop, "calibrating", kept="poses") as advance:
+        advance(2, 3, "fine")
+        raise error
+
+    said = "2 poses are done: the same command goes on from there" in printed(laptop)
+    assert said is not isinstance(error, InputError)
