@@ -183,13 +183,13 @@ def _refuse_flags(values: Numbers, flat: list[Any]) -> Numbers:
     return values
 
 
-def read_json(path: Path, max_bytes: int = MAX_BYTES) -> Node:
-    """Read a JSON file of at most ``max_bytes`` and return its root.
+def read_json(path: Path, max_bytes: int = MAX_BYTES, what: str = "a JSON document") -> Node:
+    """Read a JSON file of at most ``max_bytes`` and return its root; ``what`` describes it in messages.
 
     Raises:
         InputError: the file cannot be read, is not JSON, or its top level is not an object.
     """
-    data = read_bytes(path, max_bytes, "a JSON document")
+    data = read_bytes(path, max_bytes, what)
     root = Node(path, (), None)
     try:
         root.value = parse_json(data, finite=False)

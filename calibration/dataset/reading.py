@@ -60,7 +60,7 @@ def _no_collector() -> Iterator[None]:
 
 
 def _read(path: Path, data: Path | None) -> Dataset:
-    root = read_json(path)
+    root = read_json(path, what="a dataset")
     version = _version(root["_metadata"]["version"])
     configuration = parse_configuration(root["calibration_config"])
     sensors = read_sensors(root["sensors"], configuration.sensors)

@@ -181,7 +181,7 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
     Raises:
         InputError: the file is missing, is not YAML, or a key or a value is wrong; names file and key.
     """
-    document = read_yaml(path, "a pipeline configuration")
+    document = read_yaml(path, "a pipeline configuration (calibration init writes one)")
     if isinstance(document, dict):
         document = {key: with_variables(value, f"{path}: {key}", environment) for key, value in document.items()}
         document = _with_common(document)

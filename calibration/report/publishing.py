@@ -71,6 +71,8 @@ def remove_results(folder: Path, names: Iterable[str]) -> None:
     for name in names:
         try:
             (folder / name).unlink(missing_ok=True)
+        except NotADirectoryError as error:
+            raise InfrastructureError(f"{folder}: found a file, expected a folder for the results") from error
         except OSError as error:
             raise InfrastructureError(
                 f"{folder / name}: an earlier result cannot be removed: {error.strerror}"

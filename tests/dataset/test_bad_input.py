@@ -434,10 +434,7 @@ def test_collections_without_common_transforms_do_not_fill_the_memory(tmp_path):
 
 
 def test_no_such_file(tmp_path):
-    assert (
-        refused(tmp_path / "missing")
-        == "a JSON document was expected, but it cannot be read: No such file or directory"
-    )
+    assert refused(tmp_path / "missing") == "a dataset was expected, but it cannot be read: No such file or directory"
     with pytest.raises(InputError, match=r"dataset\.json: .* cannot be read: No such file"):
         read_dataset(tmp_path)
 
@@ -463,14 +460,14 @@ def test_a_file_that_may_not_be_read(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(os, "open", denied)
-    assert refused(path) == "a JSON document was expected, but it cannot be read: Permission denied"
+    assert refused(path) == "a dataset was expected, but it cannot be read: Permission denied"
 
 
 def test_a_file_of_more_than_a_gibibyte(tmp_path):
     path = tmp_path / "dataset.json"
     with path.open("wb") as file:
         file.truncate(MAX_BYTES + 1)
-    assert refused(path) == "found 1073741825 bytes, a JSON document of at most 1073741824 was expected"
+    assert refused(path) == "found 1073741825 bytes, a dataset of at most 1073741824 was expected"
 
 
 @pytest.mark.parametrize(

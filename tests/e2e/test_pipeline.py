@@ -96,7 +96,7 @@ def test_everything_that_goes_wrong_is_red_and_says_why(caller: Caller, small: P
         "error file=calibration.yml,line=3,title=calibrate-matrix::" + said[1],
         "error title=calibration run::" + said[5],
         "error title=coverage-upload::lines that are run: found 0.0 %25 (0 of 3), expected at least 90 %25 (minimum)",
-        "error::nowhere: a JSON document was expected, but it cannot be read: No such file or directory",
+        "error::nowhere: a dataset was expected, but it cannot be read: No such file or directory",
     ]
     table, collected = run.tables["Start"], run.tables["Collected"]
     assert table[1][1:] == ["0.0542 px, 0.00227 mm, 0.00026 deg, FAIL", *["FAIL"] * 3]

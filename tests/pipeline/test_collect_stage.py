@@ -79,7 +79,7 @@ def test_collected_datasets_are_in_the_results(configured: Configured, tmp_path:
 def test_nothing_is_collected_for_a_dataset_that_is_not_there(configured: Configured, tmp_path: Path) -> None:
     path = configured()
     path.write_text(path.read_text().replace("/riwbot}", "/nowhere}"))
-    with pytest.raises(InputError, match="nowhere: a JSON document was expected"):
+    with pytest.raises(InputError, match="nowhere: a dataset was expected"):
         run(path, tmp_path / "output", "collect", "calibrate", "introspect")
     assert not (tmp_path / "output").exists()
 

@@ -200,5 +200,5 @@ def test_results_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("x")
     remove_results(tmp_path, ("a", "b"))
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
-    with pytest.raises(InfrastructureError, match="mine/a: an earlier result cannot be removed"):
+    with pytest.raises(InfrastructureError, match="mine: found a file, expected a folder for the results"):
         remove_results(tmp_path / "mine", ("a",))

@@ -156,7 +156,9 @@ def _places(reasons: Sequence[str], run: Run) -> dict[str, tuple[Path, int]]:
 def _check(stages: Collection[str]) -> None:
     for stage in stages:
         if stage not in STAGES:
-            raise InputError(f"only: there is no stage '{stage}'{did_you_mean(stage, STAGES)}: {', '.join(STAGES)}")
+            raise InputError(
+                f"only: there is no stage '{stage}'{did_you_mean(stage, STAGES)} (stages: {', '.join(STAGES)})"
+            )
     if "promote" in stages and "introspect" not in stages:
         raise InputError("only: promote needs the verdict of this run: add calibrate and introspect")
 

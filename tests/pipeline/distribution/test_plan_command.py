@@ -96,7 +96,7 @@ def test_an_analysis_needs_no_configuration(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "calibration.yml: a pipeline configuration was expected"),
+        ([], "calibration.yml: a pipeline configuration (calibration init writes one) was expected"),
         (["--config", "a.yml", "--datasets", "b"], "config and datasets exclude each other"),
         (["--seeds", "2", "--seed-list", "1"], "seeds and seed-list exclude each other"),
         (["--datasets", "b", "--systems", "c"], "systems: there is no 'c' (known: b)"),
