@@ -1,6 +1,7 @@
 """Report of a pipeline: its verdict, tables and messages together, and its files."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -40,14 +41,30 @@ CELLS_A_PROCESS = 50
 """Least number of cells whose files a process writes: in less time than one takes to begin."""
 
 
-def write_results(results: Results, output: Path) -> None:
-    """Write the files of a stage's results into the output folder, for the next stage and for people.
+def write_results(results: Results, output: Path, stopped: str | None = None) -> None:
+    """Write the files of some stages' results into the output folder, for a run of the other stages.
+
+    Args:
+        results: the results.
+        output: the folder.
+        stopped: what stopped the run; the verdict is fail then, since a stage that is missing might have failed.
 
     Raises:
         InfrastructureError: a file cannot be written.
     """
     write_cells(results, output, 1)
-    report(results, output, "calibration").write(output)
+    found = report(results, output, "calibration")
+    if stopped is not None:
+        why = f"the run ended early: {stopped}"
+        found = replace(
+            found,
+            verdict="fail",
+            sentence=why,
+            reasons=(why, *found.reasons),
+            suites={**found.suites, "run": [Outcome(name="run", group="run", reasons=(why,))]},
+            files={**found.files, BADGE: verdict_badge("calibration", "fail")},
+        )
+    found.write(output)
 
 
 def report(results: Results, output: Path, title: str) -> Report:

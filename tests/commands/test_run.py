@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
+from calibration.errors import InfrastructureError
 
 ROOT = Path(__file__).parents[2]
 
@@ -50,6 +51,28 @@ def test_a_lowered_limit_is_red_and_names_the_cells(repository: Path, capsys: py
     errors = capsys.readouterr().err
     assert "t2rgb, all 4 starts: translation error against the truth: found" in errors
     assert "riwbot" not in errors
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "why"),
+    [(KeyboardInterrupt(), 130, "it was stopped"), (InfrastructureError("the disk is full"), 3, "the disk is full")],
+)
+def test_a_run_that_ends_early_leaves_no_pass_and_goes_on(
+    repository: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, why: str
+) -> None:
+    def stop(*_: object) -> None:
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr("calibration.pipeline.stages.calibrating.judge_cells", stop)
+        assert main(["run", "--only", "calibrate,introspect"]) == code
+    found = json.loads((repository / "output" / "results.json").read_text())
+    assert (found["verdict"], found["reasons"]) == ("fail", [f"the run ended early: {why}"])
+    for name in ("junit.xml", "summary.md", "badge.svg", "comment.json"):
+        assert "fail" in (repository / "output" / name).read_text(), name
+
+    assert main(["run", "--only", "introspect"]) == 0
+    assert json.loads((repository / "output" / "results.json").read_text())["verdict"] == "pass"
 
 
 def test_stages_run_alone_and_pass_files_on(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:

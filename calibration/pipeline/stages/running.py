@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from calibration.analysis.settings import AnalysisSettings
 from calibration.baseline.settings import BaselineSettings
-from calibration.errors import InputError
+from calibration.errors import CalibrationError, InputError
 from calibration.execution.backends import ExecutionTarget, imported
 from calibration.frozen import frozen
 from calibration.pipeline.matrix.matrix import Matrix, load
@@ -121,10 +121,11 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
         write_cells(run.results, run.output, run.jobs)
         found = report(run.results, run.output, run.title)
         files = {**found.files, PAGE_FILE: _page(found, run)}
-    except BaseException:  # signals too: the results of earlier stages are kept for another run
+    except BaseException as error:  # signals too: the results of earlier stages are kept for another run
         # results of an earlier run are not replaced if only an image was built
         if run.results.judged or run.results.analysis:
-            write_results(run.results, run.output)
+            why = str(error) if isinstance(error, CalibrationError) else "it was stopped"
+            write_results(run.results, run.output, why)
         raise
     outputs = {**found.outputs, "report": run.output / PAGE_FILE}
     publish(replace(found, places=_places(found.reasons, run), files=files, outputs=outputs), run.runner, run.output)
