@@ -103,7 +103,14 @@ def _on_other_data(change: Change, comparison: Comparison, settings: BaselineSet
         allowed = f"{settings.translation_mm:g} mm, {settings.rotation_deg:g} deg"
         return _found("note", change, f"{text}; allowed {allowed}")
     others = f", and at {', '.join(comparison.other_inputs)}, which changed too" if comparison.other_inputs else ""
-    return _found("red", change, f"{text}: look at its mount{others}, or {ACCEPT}")
+    return _found("red", change, f"{text}: look at {_suspected(change)}{others}, or {ACCEPT}")
+
+
+def _suspected(change: Change) -> str:
+    """Return what is likely to have changed on the robot."""
+    if change.kind == "pose":
+        return "its mount"
+    return "the joint" if change.unit in ("m", "rad") else "the lens"
 
 
 def _why(comparison: Comparison) -> str:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from calibration.baseline.settings import BaselineSettings, MaxIncrease, SameData
-from calibration.baseline.snapshot import Snapshot, Start, snapshot
+from calibration.baseline.snapshot import Parameter, Snapshot, Start, snapshot
 from calibration.baseline.verdict import Accepted, against_baseline, software_against_baseline
 from calibration.diagnosis.finding import Finding
 from calibration.estimation.calibrate import calibrate
@@ -52,6 +52,21 @@ def test_a_sensor_that_has_moved_is_red_by_name_size_and_direction(before: Snaps
     assert "about its y; p < 1e-09 that this is chance" in finding.text
     assert finding.sensors == ("right",)
     assert finding.moves_mm == pytest.approx(5, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "advice"),
+    [
+        (Parameter("left", "cx", 320.0, "px", 0.2), "the lens"),
+        (Parameter("j2", "origin_z", 0.1, "m", 1e-4), "the joint"),
+    ],
+)
+def test_a_parameter_that_has_changed_says_where_to_look(before: Snapshot, parameter: Parameter, advice: str) -> None:
+    changed = replace(parameter, value=parameter.value + 20 * parameter.sigma)
+    now = replace(taken(stereo(3)), parameters=(changed,))
+    [text] = red(replace(before, parameters=(parameter,)), now)
+    assert text.startswith(f"{parameter.name} has changed since {SINCE}: by ")
+    assert f"that this is chance: look at {advice}, or accept it" in text
 
 
 def test_a_move_within_the_tolerance_is_a_note(before: Snapshot, moved: Snapshot) -> None:
