@@ -72,7 +72,9 @@ def remove_results(folder: Path, names: Iterable[str]) -> None:
         try:
             (folder / name).unlink(missing_ok=True)
         except NotADirectoryError as error:
-            raise InfrastructureError(f"{folder}: found a file, expected a folder for the results") from error
+            raise InfrastructureError(
+                f"{folder}: the results cannot be written: it, or a folder above it, is a file"
+            ) from error
         except OSError as error:
             raise InfrastructureError(
                 f"{folder / name}: an earlier result cannot be removed: {error.strerror}"

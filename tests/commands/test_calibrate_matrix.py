@@ -150,7 +150,7 @@ def test_an_output_folder_that_cannot_be_written_is_an_infrastructure_error(
     (tmp_path / "file").write_text("")
 
     assert main(["calibrate-matrix", "--dataset", T2RGB, "--output", str(tmp_path / "file" / "output")]) == 3
-    assert "Not a directory" in capsys.readouterr().err
+    assert "is a file" in capsys.readouterr().err
 
 
 def test_the_outputs_of_a_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

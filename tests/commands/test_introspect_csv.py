@@ -245,7 +245,9 @@ def test_an_output_that_cannot_be_written_is_an_infrastructure_error(
 ) -> None:
     (folder / "file").write_text("x")
     assert introspect("--max", "3", "--output", "file") == 3
-    assert capsys.readouterr().err == "error: file: found a file, expected a folder for the results\n"
+    assert (
+        capsys.readouterr().err == "error: file: the results cannot be written: it, or a folder above it, is a file\n"
+    )
 
 
 def test_as_an_action(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -200,5 +200,7 @@ def test_results_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("x")
     remove_results(tmp_path, ("a", "b"))
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
-    with pytest.raises(InfrastructureError, match="mine: found a file, expected a folder for the results"):
+    with pytest.raises(
+        InfrastructureError, match="mine: the results cannot be written: it, or a folder above it, is a file"
+    ):
         remove_results(tmp_path / "mine", ("a",))
