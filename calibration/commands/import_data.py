@@ -8,8 +8,8 @@ import click
 
 from calibration.commands.record_options import chosen, record_options
 from calibration.errors import ExitCode
+from calibration.importing.image_views import LabelledMoment
 from calibration.importing.importing import import_data
-from calibration.importing.looking import LabelledMoment
 from calibration.importing.recordings import SeenImages
 from calibration.importing.report import TITLE, report
 from calibration.records import at_least, field, record

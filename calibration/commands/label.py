@@ -7,7 +7,7 @@ import click
 
 from calibration.commands.parameters import boolean_option, count, path
 from calibration.errors import ExitCode
-from calibration.importing.looking import LabelledMoment
+from calibration.importing.image_views import LabelledMoment
 from calibration.importing.relabelling import label_dataset
 from calibration.importing.report import label_report
 from calibration.report import publish

@@ -20,7 +20,7 @@ from calibration.commands.record_options import given, record_options
 from calibration.errors import ExitCode, InputError
 from calibration.git.event import Event
 from calibration.pipeline.configuration import DEFAULT_FILE, Configuration, read_configuration
-from calibration.pipeline.distribution.plan import Plan, Wishes, datasets_as_configuration, plan_jobs
+from calibration.pipeline.distribution.plan import JobInputs, Plan, datasets_as_configuration, plan_jobs
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
 from calibration.pipeline.system import Noise
 from calibration.records import read
@@ -122,7 +122,7 @@ def plan_of(settings: PlanSettings, event: Event) -> Plan:
     if settings.config is not None and settings.datasets:
         raise InputError("config and datasets exclude each other: a calibration.yml, or the datasets themselves")
     configuration = _configuration(settings)
-    wishes = Wishes(
+    inputs = JobInputs(
         settings.jobs,
         settings.noise_inside_cells,
         image=bool(settings.image),
@@ -135,7 +135,7 @@ def plan_of(settings: PlanSettings, event: Event) -> Plan:
     )
     systems = configuration.only(settings.systems) if configuration else ()
     noise = settings.noise.grid(configuration.noise if configuration else None)
-    return plan_jobs(configuration, systems, noise, wishes, by_path=bool(settings.datasets))
+    return plan_jobs(configuration, systems, noise, inputs, by_path=bool(settings.datasets))
 
 
 def _configuration(settings: PlanSettings) -> Configuration | None:

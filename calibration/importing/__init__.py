@@ -6,9 +6,11 @@
 - ``bag``, ``messages``: bags of ROS and their messages; ``survey``: a first pass, without decoding images;
 - ``motion_log``, ``stillness``: motion of frames and joints, moments at standstill; ``recordings``: the second pass;
 - ``range_views``: clouds, scans and depth images, by modality; ``range_data``: the detection of the patterns in them;
-- ``looking``: detection of the pattern in images; ``near_miss``: causes of missing detections;
-- ``starting_intrinsics``: initial guess of unknown intrinsics, from the corners;
+- ``image_views``: detection of the pattern in images; ``near_miss``: causes of missing detections;
+- ``starting_intrinsics``, ``baselines``: initial guess of unknown intrinsics, from the corners, and of transforms
+  between the cameras of a Kalibr camchain;
 - ``relabelling``: labelling of a dataset's images; ``contact_sheet``: a picture of the detections;
 - ``best_moments``: selection of the best moments;
-- ``recorded``, ``document``: the dataset; ``importing``: the whole import.
+- ``recorded``: the collections of the dataset; ``document``: its ``dataset.json``; ``png``: its image files;
+- ``importing``: the whole import; ``results``, ``report``: what it reports.
 """

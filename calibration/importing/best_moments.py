@@ -17,7 +17,7 @@ from calibration.files import temporary_folder
 from calibration.geometry.types import Array, BoolArray
 from calibration.importing.document import dataset_document
 from calibration.importing.recorded import Recorded, imported_moments
-from calibration.importing.stillness import StillMoment, evenly
+from calibration.importing.stillness import BagMoment, evenly
 from calibration.simulation.collection.record import image_cells
 
 CANDIDATES = 1000
@@ -25,8 +25,8 @@ CANDIDATES = 1000
 
 
 def best_moments(
-    moments: Sequence[StillMoment], most: int, recorded: Callable[[Sequence[StillMoment]], Recorded]
-) -> tuple[list[StillMoment], str | None]:
+    moments: Sequence[BagMoment], most: int, recorded: Callable[[Sequence[BagMoment]], Recorded]
+) -> tuple[list[BagMoment], str | None]:
     """Select moments, in their order; and the reason why they are evenly spaced, if they cannot be calibrated.
 
     All of them are calibrated once, by the cameras alone; the information of each is additive
@@ -54,7 +54,7 @@ def _chosen(recorded: Recorded, most: int) -> list[int]:
         write_document(dataset_document(imported), folder / FILE_NAME)
         dataset = read_dataset(folder)
     solution = calibrate(dataset, Options(description="rough", intrinsics=imported.estimated)).solution
-    once = np.unique(solution.clusters)
+    once = np.unique(solution.clusters)  # the first collection of each pose that is repeated, and all others
     used = [dataset.keys.index(solution.setup.dataset.keys[i]) for i in once]
     each, calibrated = _informations(solution)
     cells, partial = _shown(dataset.with_collections(used))

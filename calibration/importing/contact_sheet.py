@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from calibration.dataset.configuration import PatternConfiguration
-from calibration.importing.looking import View, read_image
+from calibration.importing.image_views import View, read_image
 from calibration.importing.png import encoded
 from calibration.labelling.detection import Image
 from calibration.simulation.sensors.drawing import HEIGHT, draw_corner

@@ -34,7 +34,7 @@ Files = Annotated[str, Converted(Name, _beside)]
 
 @record
 class SensorDescription:
-    """A camera: where its images are, and where it is mounted."""
+    """A camera, LiDAR or depth camera: where its data are, and where it is mounted."""
 
     name: str
     images: Files | None = field(

@@ -16,7 +16,7 @@ from calibration.dataset.sensors import camera_document
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
-from calibration.importing.looking import FoundCorners, LabelledMoment
+from calibration.importing.image_views import FoundCorners, LabelledMoment
 from calibration.importing.range_data import LabelledRange
 from calibration.importing.range_views import RangeView
 from calibration.labelling.detection import NotDetected
@@ -68,33 +68,34 @@ def data_file(sensor: str, key: str, source: str) -> str:
     return f"{sensor.replace('/', '_')}_{key}{Path(source).suffix.lower()}"
 
 
-def dataset_document(of: Imported) -> dict[str, Any]:
+def dataset_document(imported: Imported) -> dict[str, Any]:
     """Return the content of ``dataset.json``."""
-    configuration = of.configuration
-    rows = {edge: transform_documents(edge, T) for edge, T in of.transforms.items()}
+    configuration = imported.configuration
+    rows = {edge: transform_documents(edge, T) for edge, T in imported.transforms.items()}
     return {
         "_metadata": {
-            "dataset_name": of.robot,
+            "dataset_name": imported.robot,
             "package_name": "",
-            "robot_name": of.robot,
+            "robot_name": imported.robot,
             "user": USER,
             "version": "3.0",
-            ESTIMATED: list(of.estimated),
-            ROUGH: of.rough,
+            ESTIMATED: list(imported.estimated),
+            ROUGH: imported.rough,
         },
         "additional_sensor_data": {},
         "calibration_config": configuration.to_document(),
-        "sensors": {name: _sensor(of, sensor) for name, sensor in configuration.sensors.items()},
+        "sensors": {name: _sensor(imported, sensor) for name, sensor in configuration.sensors.items()},
         "patterns": {name: pattern_document(p.pattern(), {}) for name, p in configuration.patterns.items()},
         "collections": {
             key: {
                 "additional_data": {},
                 "data": {
                     **{
-                        name: _message(of, name, data_file(name, key, view.file)) for name, view in moment.views.items()
+                        name: _message(imported, name, data_file(name, key, view.file))
+                        for name, view in moment.views.items()
                     },
-                    **{name: _range_message(of, name, key, each.view) for name, each in ranges.items()},
-                    **{name: {"header": _header(of, name)} for name, _ in of.poses},
+                    **{name: _range_message(imported, name, key, each.view) for name, each in ranges.items()},
+                    **{name: {"header": _header(imported, name)} for name, _ in imported.poses},
                 },
                 "joints": {},
                 "labels": {
@@ -103,7 +104,7 @@ def dataset_document(of: Imported) -> dict[str, Any]:
                         **{name: _range_label(each.found[pattern]) for name, each in ranges.items()},
                         **{
                             name: {"detected": True, "idxs": [pose_document(T[number])]}
-                            for (name, measured), T in of.poses.items()
+                            for (name, measured), T in imported.poses.items()
                             if measured == pattern
                         },
                     }
@@ -111,7 +112,9 @@ def dataset_document(of: Imported) -> dict[str, Any]:
                 },
                 "transforms": {"-".join(edge): documents[number] for edge, documents in rows.items()},
             }
-            for number, (key, moment, ranges) in enumerate(zip(of.keys, of.moments, of.ranges, strict=True))
+            for number, (key, moment, ranges) in enumerate(
+                zip(imported.keys, imported.moments, imported.ranges, strict=True)
+            )
         },
     }
 
@@ -123,12 +126,12 @@ def label_document(found: FoundCorners) -> dict[str, Any]:
     return {"detected": bool(rows), "idxs": rows}
 
 
-def _message(of: Imported, sensor: str, file: str) -> dict[str, Any]:
-    camera = of.cameras[sensor]
+def _message(imported: Imported, sensor: str, file: str) -> dict[str, Any]:
+    camera = imported.cameras[sensor]
     return {
         "data_file": file,
         "encoding": "bgr8",
-        "header": _header(of, sensor),
+        "header": _header(imported, sensor),
         "height": camera.height,
         "is_bigendian": 0,
         "step": 3 * camera.width,
@@ -142,23 +145,23 @@ def _range_label(found: PatternPoints | NotDetected) -> dict[str, Any]:
     return {"detected": True, "idxs": found.on_pattern.tolist(), "idxs_limit_points": found.on_border.tolist()}
 
 
-def _range_message(of: Imported, sensor: str, key: str, view: RangeView) -> dict[str, Any]:
+def _range_message(imported: Imported, sensor: str, key: str, view: RangeView) -> dict[str, Any]:
     file = {} if view.file is None else {"data_file": data_file(sensor, key, view.file.name)}
-    return {**view.message, **file, "header": _header(of, sensor)}
+    return {**view.message, **file, "header": _header(imported, sensor)}
 
 
-def _header(of: Imported, sensor: str) -> dict[str, Any]:
-    frame = of.configuration.sensors[sensor].link
+def _header(imported: Imported, sensor: str) -> dict[str, Any]:
+    frame = imported.configuration.sensors[sensor].link
     return {"frame_id": frame, "seq": 0, "stamp": {"nsecs": 0, "secs": 0}}
 
 
-def _sensor(of: Imported, sensor: SensorConfiguration) -> dict[str, Any]:
-    steps = FrameTree(of.transforms).path(of.configuration.world_link, sensor.link)
+def _sensor(imported: Imported, sensor: SensorConfiguration) -> dict[str, Any]:
+    steps = FrameTree(imported.transforms).path(imported.configuration.world_link, sensor.link)
     return {
         "_name": sensor.name,
         "calibration_child": sensor.child_link,
         "calibration_parent": sensor.parent_link,
-        **(_camera_info(of.cameras[sensor.name]) if sensor.name in of.cameras else {}),
+        **(_camera_info(imported.cameras[sensor.name]) if sensor.name in imported.cameras else {}),
         "chain": [{"parent": s.parent, "child": s.child, "key": f"{s.parent}-{s.child}"} for s in steps],
         "modality": sensor.modality,
         "msg_type": MODALITIES[sensor.modality].message,

@@ -1,4 +1,4 @@
-"""Detection of the patterns in a camera's images."""
+"""Images of cameras, and the detection of the patterns in them."""
 
 import hashlib
 import os
@@ -99,7 +99,7 @@ def _without_stderr() -> Iterator[None]:
         os.close(nowhere)
 
 
-def look(path: Path, detectors: Mapping[str, CornerDetector]) -> View:
+def view_of_file(path: Path, detectors: Mapping[str, CornerDetector]) -> View:
     """Detect every pattern in an image file.
 
     Raises:
@@ -107,10 +107,10 @@ def look(path: Path, detectors: Mapping[str, CornerDetector]) -> View:
     """
     image = read_image(path)
     digest = hashlib.sha256(np.ascontiguousarray(image).data).hexdigest()
-    return replace(look_at(image, str(path), detectors), digest=digest)
+    return replace(view_of_image(image, str(path), detectors), digest=digest)
 
 
-def look_at(image: Image, file: str, detectors: Mapping[str, CornerDetector]) -> View:
+def view_of_image(image: Image, file: str, detectors: Mapping[str, CornerDetector]) -> View:
     """Detect every pattern in an image; ``file`` is its name."""
     found = {}
     for pattern, detector in detectors.items():

@@ -31,7 +31,7 @@ from calibration.importing.contact_sheet import FILE as SHEET
 from calibration.importing.contact_sheet import contact_sheet
 from calibration.importing.description import ImportDescription, SensorDescription
 from calibration.importing.document import Imported, data_file, dataset_document
-from calibration.importing.looking import LabelledMoment, check_copies, look
+from calibration.importing.image_views import LabelledMoment, check_copies, view_of_file
 from calibration.importing.pictures import Moment, Pictures, find_pictures, moments_of
 from calibration.importing.range_data import LabelledRange
 from calibration.importing.recorded import Recorded, check_seen, check_views, imported_moments
@@ -39,16 +39,16 @@ from calibration.importing.recordings import (
     SeenImages,
     chosen_moments,
     decoded_images,
-    frames_of,
+    detection_tasks,
+    extracted_images,
+    extracted_ranges,
     image_at,
-    looking_tasks,
+    images_by_camera,
     mounting,
-    ranges_taken_out,
-    taken_out,
 )
 from calibration.importing.results import ImportResults, RejectedView, SensorResult
 from calibration.importing.samples import Sample, read_samples
-from calibration.importing.stillness import StillMoment
+from calibration.importing.stillness import BagMoment
 from calibration.importing.survey import survey
 from calibration.importing.target_files import pattern_configuration
 from calibration.labelling.corner_detector import corner_detector
@@ -191,14 +191,14 @@ def _from_images(
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
     def label(moment: Moment) -> LabelledMoment:
-        return LabelledMoment({name: look(file, detectors) for name, file in moment.files.items()})
+        return LabelledMoment({name: view_of_file(file, detectors) for name, file in moment.files.items()})
 
     def finish(seen: Sequence[LabelledMoment], _: Path, __: int | None) -> Recorded:
         for name in configuration.sensors:
             check_copies(name, [moment.views[name] for moment in seen if name in moment.views])
         lag = max(moment.lag for moment in moments)
         placed = with_baselines(transforms, configuration, lenses)
-        return Recorded(configuration, lenses, seen, placed, rough=True, of=len(seen), lag=lag)
+        return Recorded(configuration, lenses, seen, placed, rough=True, searched=len(seen), lag=lag)
 
     return _Source(
         _identity(patterns, [path for moment in moments for path in moment.files.values()]),
@@ -225,18 +225,18 @@ def _from_bags(
     }
 
     def finish(seen: Sequence[SeenImages], folder: Path, jobs: int | None) -> Recorded:
-        frames = frames_of(found, seen)
-        for name, own in frames.items():
+        images = images_by_camera(found, seen)
+        for name, own in images.items():
             at = partial(image_at, bags.files, found.cameras[name].topic)
-            views, recorded = [frame.view for frame in own], [frame.recorded for frame in own]
+            views, recorded = [image.view for image in own], [image.recorded for image in own]
             check_seen(name, patterns, views, lambda i, at=at, recorded=recorded: at(recorded[i]))  # type: ignore[misc]
 
-        def of_cameras(some: Sequence[StillMoment]) -> Recorded:
+        def of_cameras(some: Sequence[BagMoment]) -> Recorded:
             """Return the cameras' data of some moments, without image files."""
             return Recorded(
                 mounted.configuration,
                 {**bag_lenses, **lenses},
-                [LabelledMoment({name: frame.view for name, frame in moment.frames.items()}) for moment in some],
+                [LabelledMoment({name: image.view for name, image in moment.images.items()}) for moment in some],
                 with_baselines(
                     mounted.transforms(found.log, [moment.time for moment in some]),
                     mounted.configuration,
@@ -247,19 +247,19 @@ def _from_bags(
                 lag=max(moment.lag for moment in some),
             )
 
-        every = chosen_moments(bags, frames, found.log, mounted.edges, where)
+        every = chosen_moments(bags, images, found.log, mounted.edges, where)
         moments, evenly = best_moments(every, bags.most, of_cameras)
         return replace(
             of_cameras(moments),
-            moments=taken_out(bags.files, found, moments, folder, jobs),
-            ranges=ranges_taken_out(bags.files, found, moments, folder),
-            of=len(every),
+            moments=extracted_images(bags.files, found, moments, folder, jobs),
+            ranges=extracted_ranges(bags.files, found, moments, folder),
+            searched=len(every),
             evenly=evenly,
         )
 
     return _Source(
         _identity(patterns, [path for each in bags.files for path in ([each] if each.is_file() else each.iterdir())]),
-        looking_tasks(bags.files, found, {name: corner_detector(pattern) for name, pattern in patterns.items()}),
+        detection_tasks(bags.files, found, {name: corner_detector(pattern) for name, pattern in patterns.items()}),
         decoded_images,
         finish,
     )
@@ -385,7 +385,7 @@ def _results(imported: Imported, recorded: Recorded) -> ImportResults:
     together = sum(1 for seen in imported.seen if len(seen) > 1)
     lag = round(1e3 * recorded.lag, 3)
     return ImportResults(
-        imported.robot, recorded.of, len(labelled), len(imported.moments), together, lag, sensors, recorded.evenly
+        imported.robot, recorded.searched, len(labelled), len(imported.moments), together, lag, sensors, recorded.evenly
     )
 
 

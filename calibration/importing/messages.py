@@ -18,7 +18,7 @@ from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import from_quaternion
 from calibration.geometry.types import Array
-from calibration.importing.looking import MAX_PIXELS, decoded_image
+from calibration.importing.image_views import MAX_PIXELS, decoded_image
 from calibration.labelling.detection import DepthImage, Image
 
 _COLOURS = {

@@ -65,15 +65,15 @@ class MotionLog:
     """Positions, rad or m, by the joint's name."""
     robot: Robot | None = None
 
-    def follow(self, edge: Edge, time: int, T: Array) -> None:
+    def add_transform(self, edge: Edge, time: int, T: Array) -> None:
         """Add ``T_parent_child`` (4, 4) at a time, ns."""
         self.moving.setdefault(edge, Track()).add(time, T)
 
-    def follow_joint(self, name: str, time: int, position: float) -> None:
+    def add_joint_position(self, name: str, time: int, position: float) -> None:
         """Add a joint's position at a time, ns."""
         self.joints.setdefault(name, Track()).add(time, np.array([position]))
 
-    def use_robot(self, urdf: bytes, path: Path) -> None:
+    def add_robot(self, urdf: bytes, path: Path) -> None:
         """Add a robot's links; transforms of the recording take precedence.
 
         Raises:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration.dataset.configuration import TAGS, PatternConfiguration
 from calibration.errors import InputError
-from calibration.importing.looking import View, read_image
+from calibration.importing.image_views import View, read_image
 from calibration.labelling.charuco import CharucoDetector
 from calibration.labelling.chessboard import LEAST_CORNERS
 from calibration.labelling.detection import Image, grey

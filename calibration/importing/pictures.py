@@ -135,10 +135,10 @@ class _Stamped:
 
 def _by_stamp(pictures: Sequence[Pictures]) -> list[Moment]:
     """Associate images within `TOGETHER`, one of each camera; each with the nearest one of the first camera."""
-    of = {each.sensor: sorted(_stamped(each)) for each in pictures}
-    after = {one: other.stamp for images in of.values() for one, other in pairwise(images)}
+    by_sensor = {each.sensor: sorted(_stamped(each)) for each in pictures}
+    after = {one: other.stamp for images in by_sensor.values() for one, other in pairwise(images)}
     groups: list[dict[str, _Stamped]] = []
-    for image in sorted(image for images in of.values() for image in images):
+    for image in sorted(image for images in by_sensor.values() for image in images):
         first = next(iter(groups[-1].values())) if groups else image
         apart = image.stamp - first.stamp
         nearer = first not in after or apart <= abs(after[first] - image.stamp)
@@ -148,7 +148,7 @@ def _by_stamp(pictures: Sequence[Pictures]) -> list[Moment]:
             groups.append({image.sensor: image})
     for each in pictures[1:]:
         if not any(each.sensor in group and len(group) > 1 for group in groups):
-            one, other = (of[sensor][0] for sensor in (pictures[0].sensor, each.sensor))
+            one, other = (by_sensor[sensor][0] for sensor in (pictures[0].sensor, each.sensor))
             raise InputError(
                 f"{each.place}: no image of '{each.sensor}' was taken within {TOGETHER / 1e9:g} s of another camera's, "
                 f"by the stamps that are their names ({other.path.name}, '{pictures[0].sensor}' {one.path.name}): are "

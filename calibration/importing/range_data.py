@@ -11,7 +11,7 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array
-from calibration.importing.looking import LabelledMoment
+from calibration.importing.image_views import LabelledMoment
 from calibration.importing.range_views import RANGE_MODALITIES, RangeView
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints

@@ -12,7 +12,7 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array
 from calibration.importing.camera_files import KnownLens
 from calibration.importing.document import Imported
-from calibration.importing.looking import LabelledMoment, View, check_sizes, read_image
+from calibration.importing.image_views import LabelledMoment, View, check_sizes, read_image
 from calibration.importing.near_miss import check_board, never_seen
 from calibration.importing.range_data import LabelledRange, labelled_ranges
 from calibration.importing.range_views import RangeView
@@ -33,7 +33,7 @@ class Recorded:
     """(N, 4, 4): at each moment."""
     rough: bool
     """Whether the calibrated transforms are only an initial guess."""
-    of: int = 0
+    searched: int = 0
     """Number of moments to choose from."""
     evenly: str | None = None
     """Reason why the moments are evenly spaced, and not those that calibrate best."""

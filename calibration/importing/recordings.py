@@ -20,12 +20,12 @@ from calibration.geometry.types import Array
 from calibration.importing.bag import SECOND, Bag, RawMessage, open_bag
 from calibration.importing.contact_sheet import thumbnail, thumbnail_of
 from calibration.importing.description import Bags, ImportDescription, SensorDescription
-from calibration.importing.looking import LabelledMoment, View, look_at
+from calibration.importing.image_views import LabelledMoment, View, view_of_image
 from calibration.importing.messages import image_of
 from calibration.importing.motion_log import MotionLog
 from calibration.importing.png import encoded
 from calibration.importing.range_views import RANGE_MODALITIES, RangeView
-from calibration.importing.stillness import Frame, StillMoment, evenly, moments_at, still_moments
+from calibration.importing.stillness import BagImage, BagMoment, evenly, moments_at, still_moments
 from calibration.importing.survey import SensorTopic, Survey
 from calibration.labelling.detection import CornerDetector, DepthImage, Image
 from calibration.records import field, read, result
@@ -60,7 +60,7 @@ def decoded_images(text: bytes) -> SeenImages:
     return read(SeenImages, json.loads(text), "finished images")
 
 
-def looking_tasks(
+def detection_tasks(
     files: Sequence[Path], found: Survey, detectors: Mapping[str, CornerDetector]
 ) -> list[Task[SeenImages]]:
     """Return the tasks that search every image, each for an interval of time."""
@@ -68,16 +68,16 @@ def looking_tasks(
     bounds = [*times[::AT_ONCE], times[-1] + 1]
     topics = {camera.topic: name for name, camera in found.cameras.items()}
 
-    def look(start: int, stop: int) -> SeenImages:
+    def detect(start: int, stop: int) -> SeenImages:
         with open_bag(files) as bag:
             images = []
             for message in bag.messages(topics, start, stop):
                 name = topics[message.topic]
-                view = look_at(_image(bag, message), _where(bag, message), detectors)
+                view = view_of_image(_image(bag, message), _where(bag, message), detectors)
                 images.append(SeenImage(name, message.recorded, view))
         return SeenImages(tuple(images))
 
-    return [Task.call(f"{i}", partial(look, *ends)) for i, ends in enumerate(pairwise(bounds))]
+    return [Task.call(f"{i}", partial(detect, *ends)) for i, ends in enumerate(pairwise(bounds))]
 
 
 def _where(bag: Bag, message: RawMessage) -> str:
@@ -88,26 +88,26 @@ def _image(bag: Bag, message: RawMessage) -> Image:
     return image_of(bag.decode(message), _where(bag, message))
 
 
-def frames_of(found: Survey, seen: Sequence[SeenImages]) -> dict[str, list[Frame]]:
+def images_by_camera(found: Survey, seen: Sequence[SeenImages]) -> dict[str, list[BagImage]]:
     """Return the images of each camera, sorted by stamp."""
-    frames: dict[str, list[Frame]] = {name: [] for name in found.cameras}
+    images: dict[str, list[BagImage]] = {name: [] for name in found.cameras}
     for part in seen:
         for image in part.images:
             stamp = found.cameras[image.sensor].stamps[image.recorded]
-            frames[image.sensor].append(Frame(image.sensor, stamp, image.recorded, image.view))
-    return {name: sorted(own, key=lambda frame: frame.stamp) for name, own in frames.items()}
+            images[image.sensor].append(BagImage(image.sensor, stamp, image.recorded, image.view))
+    return {name: sorted(own, key=lambda image: image.stamp) for name, own in images.items()}
 
 
 def chosen_moments(
-    described: Bags, frames: Mapping[str, Sequence[Frame]], log: MotionLog, edges: Sequence[Edge], where: str
-) -> list[StillMoment]:
+    described: Bags, images: Mapping[str, Sequence[BagImage]], log: MotionLog, edges: Sequence[Edge], where: str
+) -> list[BagMoment]:
     """Return the moments that may become collections: all at standstill, or the requested times.
 
     Raises:
         InputError: there is no standstill, or no image near the requested times.
     """
     if described.every is None and described.at is None:
-        still = still_moments(frames)
+        still = still_moments(images)
         kept = [moment for moment in still if log.is_still(list(edges), moment.time)]
         if not kept:
             why = (
@@ -117,14 +117,14 @@ def chosen_moments(
                 f"{where}: found no moment at which all stands still ({why}); stop at each pose, or 'every'"
             )
         return kept
-    stamps = [frame.stamp for own in frames.values() for frame in own]
+    stamps = [image.stamp for own in images.values() for image in own]
     start, end = min(stamps), max(stamps)
     if described.at is not None:
         times = _read_times(described.at, start)
     else:
         step = int((described.every or 1.0) * SECOND)
         times = [float(start + i * step) for i in range(min((end - start) // step + 1, MAX_TIMES))]
-    moments = moments_at(frames, times)
+    moments = moments_at(images, times)
     if not moments:
         raise InputError(f"{where}: no image with a pattern is near the times that are asked for")
     return evenly(moments, described.most)
@@ -147,8 +147,8 @@ def _read_times(path: Path, start: int) -> list[float]:
     return times
 
 
-def taken_out(
-    files: Sequence[Path], found: Survey, moments: Sequence[StillMoment], folder: Path, jobs: int | None
+def extracted_images(
+    files: Sequence[Path], found: Survey, moments: Sequence[BagMoment], folder: Path, jobs: int | None
 ) -> list[LabelledMoment]:
     """Extract the chosen images as files into a folder, each with a thumbnail; existing ones are kept.
 
@@ -164,26 +164,26 @@ def taken_out(
         InfrastructureError: a file cannot be written, or a process died.
     """
 
-    def take_out(some: Sequence[StillMoment]) -> list[LabelledMoment]:
+    def extract(some: Sequence[BagMoment]) -> list[LabelledMoment]:
         labelled = []
         with open_bag(files) as bag:
             for moment in some:
                 views = {}
-                for name, frame in moment.frames.items():
-                    path = folder / f"{name.replace('/', '_')}_{frame.recorded}.png"
+                for name, image in moment.images.items():
+                    path = folder / f"{name.replace('/', '_')}_{image.recorded}.png"
                     if not path.exists():
-                        _take_out(bag, found.cameras[name], frame, path)
-                    views[name] = replace(frame.view, file=str(path))
+                        _extract(bag, found.cameras[name], image, path)
+                    views[name] = replace(image.view, file=str(path))
                 labelled.append(LabelledMoment(views))
         return labelled
 
     parts = [moments[i : i + AT_ONCE] for i in range(0, len(moments), AT_ONCE)]
-    tasks = [Task.call(f"{i}", partial(take_out, part)) for i, part in enumerate(parts)]
+    tasks = [Task.call(f"{i}", partial(extract, part)) for i, part in enumerate(parts)]
     return [moment for part in run_tasks(tasks, workers=jobs).values() for moment in part]
 
 
-def ranges_taken_out(
-    files: Sequence[Path], found: Survey, moments: Sequence[StillMoment], folder: Path
+def extracted_ranges(
+    files: Sequence[Path], found: Survey, moments: Sequence[BagMoment], folder: Path
 ) -> list[dict[str, RangeView]]:
     """Extract the data of LiDARs and depth cameras nearest to each moment, within `LIDAR_LAG`; all but scans as files.
 
@@ -226,8 +226,8 @@ def _image_at(bag: Bag, topic: str, recorded: int) -> Image:
     raise InputError(f"{bag.path}: {topic}: the image at {recorded / SECOND:.3f} is gone")
 
 
-def _take_out(bag: Bag, camera: SensorTopic, frame: Frame, path: Path) -> None:
-    image = _image_at(bag, camera.topic, frame.recorded)
+def _extract(bag: Bag, camera: SensorTopic, chosen: BagImage, path: Path) -> None:
+    image = _image_at(bag, camera.topic, chosen.recorded)
     write_atomically(thumbnail_of(path), encoded(thumbnail(image)))
     _write_png(image, path)
 

@@ -1,4 +1,4 @@
-"""Labelling of a dataset's images by the own detectors: those without labels, or all."""
+"""Labelling of a dataset's images by our detectors: those without labels, or all."""
 
 import copy
 import json
@@ -23,7 +23,7 @@ from calibration.files import link_or_copy, write_atomically
 from calibration.importing.contact_sheet import FILE as SHEET
 from calibration.importing.contact_sheet import contact_sheet
 from calibration.importing.document import label_document
-from calibration.importing.looking import LabelledMoment, look, read_image
+from calibration.importing.image_views import LabelledMoment, read_image, view_of_file
 from calibration.importing.near_miss import never_seen
 from calibration.importing.results import LabelledSensor, LabelResults, RejectedView
 from calibration.labelling.corner_detector import corner_detector
@@ -74,7 +74,7 @@ def label_dataset(
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
     def label(own: Mapping[str, Path]) -> LabelledMoment:
-        return LabelledMoment({name: look(file, detectors) for name, file in own.items()})
+        return LabelledMoment({name: view_of_file(file, detectors) for name, file in own.items()})
 
     stats = [(str(file), file.stat().st_mtime_ns) for own in files.values() for file in own.values()]
     depends_on = identity(f"{__version__} {np.__version__} {cv2.__version__} {patterns} {stats}".encode())
@@ -86,7 +86,7 @@ def label_dataset(
         for key, moment in moments.items():
             _set_labels(document["collections"][key], moment, single)
         with replacing_dataset(output, overwrite) as new:
-            _bring(root, new)
+            _copy_files(root, new)
             views = [(f"{key} {name}", view) for key, each in moments.items() for name, view in each.views.items()]
             write_atomically(new / SHEET, contact_sheet(views, patterns))
             write_document(document, new / FILE_NAME)
@@ -99,7 +99,7 @@ def _decoded(text: bytes) -> LabelledMoment:
 
 
 def _labels(labels: Node, pattern: str, single: str | None) -> Node | None:
-    """Return the labels by sensor; a dataset of version 2 has one pattern, which it does not name."""
+    """Return the labels of a pattern by sensor; ``single`` is that of a version 2 dataset, which names none."""
     return labels if single is not None else labels.get(pattern)
 
 
@@ -110,7 +110,7 @@ def _files(
     single: str | None,
     again: bool,
 ) -> dict[str, Path]:
-    """Return the images of a collection to label, by camera."""
+    """Return the images of a collection to label, by camera; ``single`` as for `_labels`."""
     data, labels, found = collection.get("data"), collection.get("labels"), {}
     for camera in cameras:
         message = data.get(camera) if data else None
@@ -153,7 +153,7 @@ def _set_labels(collection: dict[str, Any], moment: LabelledMoment, single: str 
     collection["labels"] = labels
 
 
-def _bring(root: Node, new: Path) -> None:
+def _copy_files(root: Node, new: Path) -> None:
     """Link or copy every file that the collections name to the new dataset."""
     for key in root["collections"].mapping():
         collection = root["collections"][key]

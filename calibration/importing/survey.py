@@ -85,11 +85,11 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
             first.setdefault(message.topic, message)
             _add_stamp(bag, message, stamps[name])
         elif message.topic in others:
-            _follow(bag, message, log)
+            _add_motion(bag, message, log)
         else:
             first.setdefault(message.topic, message)
     if described.bags is not None and (urdf := described.bags.robot_description):
-        log.use_robot(read_robot_description(urdf, described.bags.packages), urdf)
+        log.add_robot(read_robot_description(urdf, described.bags.packages), urdf)
     topics = {}
     for sensor in sensors:
         topic, info = sensor.topic or "", infos.get(sensor.name)
@@ -176,7 +176,7 @@ def _add_stamp(bag: Bag, message: RawMessage, stamps: dict[int, int]) -> None:
     stamps[message.recorded] = stamp
 
 
-def _follow(bag: Bag, message: RawMessage, log: MotionLog) -> None:
+def _add_motion(bag: Bag, message: RawMessage, log: MotionLog) -> None:
     kind, where = bag.topics[message.topic], f"{bag.path}: {message.topic}"
     content = bag.decode(message)
     if kind in TF:
@@ -186,14 +186,14 @@ def _follow(bag: Bag, message: RawMessage, log: MotionLog) -> None:
                 log.static[edge] = T
             else:
                 stamp = int(each.header.stamp.sec) * SECOND + int(each.header.stamp.nanosec)
-                log.follow(edge, stamp or message.recorded, T)
+                log.add_transform(edge, stamp or message.recorded, T)
     elif kind == JOINTS:
         for name, position in zip(content.name, content.position, strict=False):
             if not np.isfinite(position):
                 raise InputError(f"{where}: found {position} as the position of joint '{name}', expected a number")
-            log.follow_joint(str(name), bag.stamp(message), float(position))
+            log.add_joint_position(str(name), bag.stamp(message), float(position))
     elif log.robot is None:
-        log.use_robot(str(content.data).encode(), Path(f"{bag.path}:{message.topic}"))
+        log.add_robot(str(content.data).encode(), Path(f"{bag.path}:{message.topic}"))
 
 
 def _camera(bag: Bag, message: RawMessage) -> Camera | None:

@@ -40,8 +40,8 @@ from calibration.image.specification import read_image_specification
 from calibration.importing.bag import open_bag
 from calibration.importing.camera_files import read_lens
 from calibration.importing.description import Bags, ImportDescription, PatternDescription
+from calibration.importing.image_views import read_image
 from calibration.importing.importing import import_data, read_description
-from calibration.importing.looking import read_image
 from calibration.importing.messages import depth_of, image_of
 from calibration.importing.samples import read_samples
 from calibration.importing.survey import survey

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from calibration.__main__ import main
 from calibration.errors import CalibrationError, InputError
 from calibration.importing.camera_files import read_lens
+from calibration.importing.image_views import decoded_image
 from calibration.importing.importing import import_data, read_description
-from calibration.importing.looking import decoded_image
 from calibration.importing.samples import read_samples
 from calibration.importing.target_files import pattern_configuration
 from tests.importing.conftest import BOARD, CAMERAS, camera_info, change

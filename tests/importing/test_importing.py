@@ -96,8 +96,10 @@ def test_a_killed_import_goes_on_where_it_was(stereo: Path, tmp_path: Path, monk
     finished = len(list((tmp_path / "out" / ".unfinished").glob("*.result.json")))
     assert finished >= 3
     seen = []
-    looked = importing.look
-    monkeypatch.setattr(importing, "look", lambda path, detectors: (seen.append(path), looked(path, detectors))[1])
+    looked = importing.view_of_file
+    monkeypatch.setattr(
+        importing, "view_of_file", lambda path, detectors: (seen.append(path), looked(path, detectors))[1]
+    )
     counts: list[int] = []
     import_data(stereo / "import.yml", tmp_path / "out", jobs=1, done=lambda done, *_: counts.append(done))
     assert counts == [1, 2, 3, 4, 5, 6]

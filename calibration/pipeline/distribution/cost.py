@@ -88,7 +88,7 @@ def cost_of_run(plan: Plan, needs: Needs, folder: Path, seconds: int | None, *, 
         promotes: whether a job runs after it.
     """
     times = []
-    for job in ("plan", *plan.jobs, *needs.unplanned):  # act sorts the keys of needs by name
+    for job in ("plan", *plan.jobs, *needs.unplanned):  # not in the order of needs, whose keys act sorts by name
         if needs.results.get(job, "skipped") == "skipped":
             continue
         cells = {"calibrate": plan.at_once, "calibrate-collected": plan.after_collection}.get(job)

@@ -84,6 +84,7 @@ def gather(needs: Needs, folder: Path) -> Gathered:
 
 
 def _any_failed(parts: Iterable[tuple[JobCell, Results]], *, collected: bool) -> bool:
+    """Whether a cell has failed, of those whose dataset the workflow collects, or of the others."""
     return any(found.verdict == "fail" for cell, part in parts if cell.collected is collected for found in part.cells)
 
 

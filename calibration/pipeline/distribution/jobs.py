@@ -12,6 +12,7 @@ from calibration.files import read_bytes
 
 SUCCESS = "success"
 UNPLANNED = ("coverage",)
+"""Jobs that plan-matrix does not plan, as other inputs of the workflow control them."""
 SECONDS = "seconds"
 """Output with the duration, of a job without a matrix."""
 FILE = "job-seconds.txt"
@@ -33,7 +34,7 @@ class Needs:
 
     @property
     def unplanned(self) -> dict[str, str]:
-        """Results of jobs that are not in the plan, because other inputs of the workflow control them."""
+        """Results of the jobs that are not in the plan."""
         return {job: self.results[job] for job in UNPLANNED if job in self.results}
 
 

@@ -108,7 +108,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Wishes:
+class JobInputs:
     """Inputs of the workflow that select the jobs."""
 
     jobs: tuple[str, ...] = ()
@@ -150,7 +150,12 @@ def datasets_as_configuration(datasets: Sequence[Path]) -> Configuration:
 
 
 def plan_jobs(
-    configuration: Configuration | None, systems: Sequence[System], noise: NoiseGrid, wishes: Wishes, *, by_path: bool
+    configuration: Configuration | None,
+    systems: Sequence[System],
+    noise: NoiseGrid,
+    inputs: JobInputs,
+    *,
+    by_path: bool,
 ) -> Plan:
     """Plan the jobs, and the cells of each.
 
@@ -158,14 +163,14 @@ def plan_jobs(
         configuration: configuration of the pipeline; None if there are only unit tests to run.
         systems: the selected systems.
         noise: of all cells.
-        wishes: the workflow's inputs.
+        inputs: the workflow's inputs.
         by_path: whether the cells name datasets, because there is no file with the systems.
 
     Raises:
         InputError: a selected job has nothing to do, or the matrix is too large.
     """
     simulations = configuration.simulations if configuration else ()
-    wanted = _wanted(wishes, bool(systems), bool(simulations))
+    wanted = _wanted(inputs, bool(systems), bool(simulations))
     calibrated = systems if "calibrate" in wanted else ()
     waiting = [system.name for system in calibrated if system.collected is not None]
     if waiting and "collect-data" not in wanted:
@@ -173,13 +178,13 @@ def plan_jobs(
             f"jobs: the dataset of the system '{waiting[0]}' is made by the job collect-data: add that, "
             "or name other systems"
         )
-    cells = _cells(calibrated, noise, wishes, by_path)
+    cells = _cells(calibrated, noise, inputs, by_path)
     collected = simulations if "collect-data" in wanted else ()
     section = configuration.image if configuration else None
     built = next((cell for cell in cells if cell.image == "built"), None)
     if built is not None and section is None:
         raise InputError(f"command: the system '{built.system}' has no image to run it in: add the input image")
-    push = section is not None and section.push and wishes.push
+    push = section is not None and section.push and inputs.push
     in_image = any(map(_runs_in_built_image, collected))
     image = push and (built is not None or in_image)
     return Plan(
@@ -190,8 +195,8 @@ def plan_jobs(
         image=image,
         collects_in_image=in_image,
         push=push,
-        promote=section.promote if section is not None and image and wishes.promote else (),
-        minute_rate=wishes.minute_rate,
+        promote=section.promote if section is not None and image and inputs.promote else (),
+        minute_rate=inputs.minute_rate,
         static_analysis="static-analysis" in wanted,
     )
 
@@ -200,12 +205,12 @@ def _runs_in_built_image(simulation: Simulation) -> bool:
     return any(not container.image for container in simulation.applications.containers)
 
 
-def _wanted(wishes: Wishes, systems: bool, simulations: bool) -> list[str]:
+def _wanted(inputs: JobInputs, systems: bool, simulations: bool) -> list[str]:
     possible = {
         "calibrate": systems,
         "collect-data": simulations,
-        "unit-tests": wishes.tests,
-        "static-analysis": wishes.analyse,
+        "unit-tests": inputs.tests,
+        "static-analysis": inputs.analyse,
     }
     missing = {
         "calibrate": "the configuration has no systems",
@@ -213,25 +218,27 @@ def _wanted(wishes: Wishes, systems: bool, simulations: bool) -> list[str]:
         "unit-tests": "the input tests is empty: name the command that runs them",
         "static-analysis": "the input analyse is not true",
     }
-    for job in wishes.jobs:
+    for job in inputs.jobs:
         if job not in JOBS:
             raise InputError(f"jobs: there is no job '{job}'{did_you_mean(job, JOBS)} (known: {', '.join(JOBS)})")
         if not possible[job]:
             raise InputError(f"jobs: there is nothing for {job} to do: {missing[job]}")
-    wanted = [job for job in JOBS if possible[job] and (not wishes.jobs or job in wishes.jobs)]
+    wanted = [job for job in JOBS if possible[job] and (not inputs.jobs or job in inputs.jobs)]
     if not wanted:
         raise InputError("jobs: there is nothing to do: no systems, no simulation, no tests, no analysis")
     return wanted
 
 
-def _cells(systems: Sequence[System], noise: NoiseGrid, wishes: Wishes, by_path: bool) -> tuple[JobCell, ...]:
-    inside = [_inside(system, noise, wishes) for system in systems]
-    pairs = [(system, *grid) for system, of in zip(systems, inside, strict=True) for grid in _grids(noise, of)]
+def _cells(systems: Sequence[System], noise: NoiseGrid, inputs: JobInputs, by_path: bool) -> tuple[JobCell, ...]:
+    with_all_noises = [_with_all_noises(system, noise, inputs) for system in systems]
+    pairs = [
+        (system, *grid) for system, every in zip(systems, with_all_noises, strict=True) for grid in _grids(noise, every)
+    ]
     count = len(pairs)
     if count > MOST_JOBS:
         advice = (
             "name fewer systems"
-            if all(inside)
+            if all(with_all_noises)
             else "set noise-inside-cells: true, and one job calibrates a system from all its noises"
         )
         raise InputError(
@@ -249,21 +256,21 @@ def _cells(systems: Sequence[System], noise: NoiseGrid, wishes: Wishes, by_path:
             t,
             r,
             dataset=str(system.dataset) if by_path else "",
-            image=_image_source(system, wishes),
+            image=_image_source(system, inputs),
             collected=system.collected is not None,
         )
         for (system, t, r), name, slug in zip(pairs, names, found, strict=True)
     )
 
 
-def _inside(system: System, noise: NoiseGrid, wishes: Wishes) -> bool:
+def _with_all_noises(system: System, noise: NoiseGrid, inputs: JobInputs) -> bool:
     """Whether one job calibrates a system from all its noises: as requested, else if that takes about a minute.
 
     A job takes longer to start than our engine to calibrate; software in containers gets a job for each start.
     """
-    if wishes.noise_inside_cells is not None:
-        return wishes.noise_inside_cells
-    if system.software is not None or wishes.command:
+    if inputs.noise_inside_cells is not None:
+        return inputs.noise_inside_cells
+    if system.software is not None or inputs.command:
         return False
     starts = len(noise.translations) * len(noise.rotations) * len(noise.seeds)
     return starts * _bytes(system.dataset) <= MOST_BYTES_INSIDE
@@ -277,9 +284,9 @@ def _bytes(dataset: Path) -> int:
         return 0
 
 
-def _grids(noise: NoiseGrid, inside: bool) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
-    """Return the noises of each job of a system."""
-    if inside:
+def _grids(noise: NoiseGrid, every: bool) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
+    """Return the noises of each job of a system: a job for every noise, or for each."""
+    if every:
         return [(noise.translations, noise.rotations)]
     return [((t,), (r,)) for t in noise.translations for r in noise.rotations]
 
@@ -290,10 +297,10 @@ def _name(system: str, translations: tuple[float, ...], rotations: tuple[float, 
     return f"{system}, {number_text(translations[0])} m, {number_text(rotations[0])} rad"
 
 
-def _image_source(system: System, wishes: Wishes) -> ImageSource:
-    if system.software is None and not wishes.command:
+def _image_source(system: System, inputs: JobInputs) -> ImageSource:
+    if system.software is None and not inputs.command:
         return ""
-    if wishes.image:
+    if inputs.image:
         return "given"
     return "own" if system.software is not None and system.software.container.image else "built"
 

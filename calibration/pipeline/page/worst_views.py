@@ -64,7 +64,7 @@ def _jpeg(given: Dataset | None, name: str, key: str) -> bytes | None:
         if path.stat().st_size <= SMALL and (data := path.read_bytes()).startswith(JPEG):
             return data
         cv2 = optional("cv2", "a smaller image")
-        from calibration.importing.looking import read_image  # imports OpenCV
+        from calibration.importing.image_views import read_image  # imports OpenCV
 
         image: Any = read_image(path)
     except (OSError, CalibrationError):

@@ -16,8 +16,8 @@ from calibration.pipeline.distribution.jobs import Needs, parse_needs
 from calibration.pipeline.distribution.plan import (
     MOST_JOBS,
     JobCell,
+    JobInputs,
     Plan,
-    Wishes,
     datasets_as_configuration,
     plan_jobs,
 )
@@ -37,11 +37,11 @@ def planned(
     section: ImageSpecification | None = None,
     noise: NoiseGrid = GRID,
     by_path: bool = False,
-    **wishes: object,
+    **inputs: object,
 ) -> Plan:
     configuration = Configuration(systems=systems, simulations=simulations, image=section)
-    wishes.setdefault("noise_inside_cells", False)
-    return plan_jobs(configuration, systems, noise, Wishes(**wishes), by_path=by_path)  # type: ignore[arg-type]
+    inputs.setdefault("noise_inside_cells", False)
+    return plan_jobs(configuration, systems, noise, JobInputs(**inputs), by_path=by_path)  # type: ignore[arg-type]
 
 
 def image_section(push: bool, tmp_path: Path) -> ImageSpecification:
@@ -89,8 +89,8 @@ def test_one_job_calibrates_from_all_noises_where_that_is_short(tmp_path: Path) 
     small, large = (System(name, tmp_path / name) for name in ("small", "large"))
     contained = System("software", tmp_path / "small", software=software("robot:1"))
 
-    def jobs(*systems: System, noise: NoiseGrid = GRID, **wishes: object) -> list[int]:
-        plan = planned(*systems, noise=noise, noise_inside_cells=None, **wishes)
+    def jobs(*systems: System, noise: NoiseGrid = GRID, **inputs: object) -> list[int]:
+        plan = planned(*systems, noise=noise, noise_inside_cells=None, **inputs)
         return [sum(cell.system == system.name for cell in plan.cells) for system in systems]
 
     assert jobs(small, large, contained, ROBOT) == [1, 4, 4, 1]  # the last one's dataset is not there
@@ -137,13 +137,13 @@ def test_a_job_without_work_is_refused(jobs: tuple[str, ...], message: str) -> N
 
 def test_nothing_to_do_is_refused() -> None:
     with pytest.raises(InputError, match="there is nothing to do"):
-        plan_jobs(None, (), NoiseGrid(), Wishes(), by_path=False)
-    only_tests = plan_jobs(None, (), NoiseGrid(), Wishes(tests=True), by_path=False)
+        plan_jobs(None, (), NoiseGrid(), JobInputs(), by_path=False)
+    only_tests = plan_jobs(None, (), NoiseGrid(), JobInputs(tests=True), by_path=False)
     assert [job for job, runs in only_tests.jobs.items() if runs] == ["unit-tests"]
 
 
 @pytest.mark.parametrize(
-    ("system", "wishes", "source"),
+    ("system", "inputs", "source"),
     [
         (ROBOT, {}, ""),
         (ROBOT, {"image": True}, ""),  # for the other systems, which have software
@@ -154,8 +154,8 @@ def test_nothing_to_do_is_refused() -> None:
         (replace(ROBOT, software=software("")), {"image": True}, "given"),
     ],
 )
-def test_where_the_software_runs(system: System, wishes: dict[str, object], source: str, tmp_path: Path) -> None:
-    plan = planned(system, section=image_section(True, tmp_path), **wishes)  # type: ignore[arg-type]
+def test_where_the_software_runs(system: System, inputs: dict[str, object], source: str, tmp_path: Path) -> None:
+    plan = planned(system, section=image_section(True, tmp_path), **inputs)  # type: ignore[arg-type]
     assert plan.cells[0].image == source
     assert plan.image is (source == "built")
 
