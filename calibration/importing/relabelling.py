@@ -60,7 +60,7 @@ def label_dataset(
     refuse_existing(output, overwrite)
     if output.resolve() == path.resolve():
         raise InputError(f"{output}: is the dataset itself; write into another folder, an input is never changed")
-    root = read_json(path / FILE_NAME)
+    root = read_json(path / FILE_NAME, what="a dataset")
     configuration = parse_configuration(root["calibration_config"])
     patterns = configuration.patterns
     cameras = [name for name, sensor in configuration.sensors.items() if sensor.has_corners]

@@ -77,7 +77,8 @@ def first_configuration(path: Path, root: Path) -> FirstConfiguration:
     system = System(dataset.name, path, evaluate=evaluate, options=_options(dataset))
     first = _calibrated(system)
     if first.error is not None or first.sigma is None:
-        raise InputError(f"{path}: cannot be calibrated: {'; '.join(first.reasons) or 'no optimum was found'}")
+        why = "; ".join(first.reasons) or "no optimum was found"
+        raise InputError(f"{path}: cannot be calibrated: {why}{_other_mounting(dataset)}")
     limits, comments = _limits(first)
     judged = _calibrated(replace(system, limits=limits))
     lines = [
@@ -91,6 +92,14 @@ def first_configuration(path: Path, root: Path) -> FirstConfiguration:
     ]
     missing = tuple(map(dataset.missing_files_of, dataset.missing_files))
     return FirstConfiguration(system.name, f"{HEAD}\nsystems:\n" + "\n".join(lines) + "\n", judged.reasons, missing)
+
+
+def _other_mounting(dataset: Dataset) -> str:
+    """Return the question whether sensor and pattern are exchanged, where one of them is on an arm; else nothing."""
+    if len(dataset.sensors) > 1 or not all(pattern.fixed for pattern in dataset.patterns.values()):
+        return ""
+    (sensor,), (pattern, *_) = dataset.sensors, dataset.patterns
+    return f"; or are '{sensor}' and '{pattern}' mounted the other way round ('parent' in import.yml)?"
 
 
 def _options(dataset: Dataset) -> Options:

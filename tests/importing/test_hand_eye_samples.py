@@ -108,6 +108,21 @@ def test_from_the_samples_to_a_verdict(
     assert main(["run", "--jobs", "1"]) == 0
 
 
+def test_exchanged_mountings_are_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_import(tmp_path, simulated(True), "pairs.csv")
+    change(tmp_path, "sensors", "camera", "parent", to="base_link")
+    change(tmp_path, "patterns", "board", "parent", to="tool0")
+    assert main(["import-data", "--config", "import.yml", "--output", "data/robot"]) == 0
+    capsys.readouterr()
+    assert main(["init", "--dataset", "data/robot"]) == 2
+    error = capsys.readouterr().err
+    assert "or are 'camera' and 'board' mounted the other way round ('parent' in import.yml)?" in error
+    assert error.count("\n") == 1
+
+
 def test_invalid_input_is_reported(tmp_path: Path) -> None:
     folder = tmp_path / "it"
     folder.mkdir()
