@@ -1,13 +1,16 @@
 """Tables of a report as HTML, sorted by a click on a header."""
 
+import re
 from collections.abc import Sequence
 
 from calibration.pages.html import Html, element, join
 
 MOST_ROWS = 500
 NO_BREAK = "\u00a0"
+BETWEEN = re.compile(r"(?<=[^\W\d]|\)), ")
+"""Between two values: after a unit or a bracket, as the numbers of a vector belong together."""
 LONGEST_VALUE = 40
-"""Characters: what is longer breaks over lines, but not inside one of its values."""
+"""Characters: what is longer is no value, and breaks over lines."""
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
@@ -16,7 +19,9 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
         return Html("")
     head = element("tr", *(element("th", name, scope="col") for name in columns))
     body = [
-        element("tr", element("th", row[0], scope="row"), *(element("td", _unbroken(text)) for text in row[1:]))
+        element(
+            "tr", element("th", _unbroken(row[0]), scope="row"), *(element("td", _unbroken(text)) for text in row[1:])
+        )
         for row in rows[:MOST_ROWS]
     ]
     more = f"The first {MOST_ROWS} of {len(rows)} rows." if len(rows) > MOST_ROWS else ""
@@ -26,9 +31,6 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
 
 def _unbroken(text: str) -> str:
     """Return a cell's text with no-break spaces inside its values, and the sign ±, after which no line breaks."""
-    text = text.replace(" +- ", " ± ")
-    if len(text) <= LONGEST_VALUE:
-        return text.replace(" ", NO_BREAK)
-    parts = text.split(", ")
+    parts = BETWEEN.split(text.replace(" +- ", " ± "))
     whole = (len(part) <= LONGEST_VALUE and any(map(str.isdigit, part)) for part in parts)
     return ", ".join(part.replace(" ", NO_BREAK) if keep else part for part, keep in zip(parts, whole, strict=True))
