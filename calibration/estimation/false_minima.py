@@ -7,7 +7,7 @@ from calibration.estimation.build import Setup
 from calibration.estimation.flipped_patterns import unflipped
 from calibration.estimation.least_squares import minimise
 from calibration.estimation.optimisation import WeightedOptimum
-from calibration.geometry.types import BoolArray
+from calibration.geometry.types import BoolArray, IntArray
 
 
 def why_not_reached(setup: Setup, result: WeightedOptimum) -> str:
@@ -15,12 +15,19 @@ def why_not_reached(setup: Setup, result: WeightedOptimum) -> str:
     impossible = np.flatnonzero(~np.isfinite(result.optimum.equations.cost))
     if len(impossible):
         behind = _behind(setup, result.optimum.values)[impossible].any()
-        keys = ", ".join(setup.dataset.keys[i] for i in impossible[:5])
         why = "the pattern lies behind a camera" if behind else "labels lie too far off to be compared with the pattern"
-        return f"the start is not possible: {why} in {len(impossible)} collections ({keys})"
+        return f"the start is not possible: {why} {_in_collections(setup, impossible)}"
     if not result.optimum.reached:
         return f"no minimum was reached in {result.optimum.iterations} iterations"
     return ""
+
+
+def _in_collections(setup: Setup, which: IntArray) -> str:
+    """Return the collections in words: of more than five their number and the first ones."""
+    keys = [setup.dataset.keys[i] for i in which]
+    if len(keys) == 1:
+        return f"in collection {keys[0]}"
+    return f"in {len(keys)} collections ({', '.join(keys[:5])}{', ...' if len(keys) > 5 else ''})"
 
 
 def _behind(setup: Setup, values: Values) -> BoolArray:
@@ -40,8 +47,7 @@ def why_invalid(setup: Setup, result: WeightedOptimum) -> str:
     optimum = result.optimum
     _, flipped = unflipped(setup.problem, optimum.values, result.weighting, optimum.equations.cost)
     if flipped.any():
-        keys = ", ".join(setup.dataset.keys[i] for i in np.flatnonzero(flipped)[:5])
-        return f"the pattern is left in its mirrored pose in {np.count_nonzero(flipped)} collections ({keys})"
+        return f"the pattern is left in its mirrored pose {_in_collections(setup, np.flatnonzero(flipped))}"
     return ""
 
 

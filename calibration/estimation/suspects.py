@@ -17,6 +17,9 @@ family-wise over all causes:
 The best explanation is set free, and the others are tested again with it (forward selection). Of nearly equal ones the
 simplest is taken, of several that are degenerate with each other the one that moves the result most, and the others
 are named with it.
+
+A cluster is a collection, or several that depend on each other (`calibration.estimation.repeated`): the unit whose
+errors are independent of the others'.
 """
 
 from collections.abc import Iterator
@@ -36,11 +39,11 @@ MOST = 4
 """Limit of the number of causes that are set free."""
 EQUAL = 0.85
 """Explanations with at least this fraction of the best one's gain are reported as alternatives."""
-TOLD = 1e-7
-"""Information on a cause beside all others, relative to that on it alone, below which it is not determined."""
+DETERMINED = 1e-7
+"""Part of the information on a cause that the other parameters must leave for it to be determined."""
 SIDE = 4
-"""Minimum of clusters before and after a displacement; fewer views are tested against all others
-(`calibration.estimation.wrong_views`)."""
+"""Minimum of clusters before and after a displacement. Fewer displaced views are found as wrong ones, see
+`calibration.estimation.wrong_views`."""
 EXACTLY = 1e6
 """Degrees of freedom of a covariance that is not estimated."""
 CONTRADICTION = 3.0
@@ -171,14 +174,14 @@ def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
     """
     S = state.shared
     whitening = _whitening(state.G[:, :S, :S], state.alone[:S])
-    pushed = np.swapaxes(whitening, 1, 2) @ (state.G[:, :S, state.held] * state.sigmas)
-    expected = float((pushed**2).sum())
+    scatter = np.swapaxes(whitening, 1, 2) @ (state.G[:, :S, state.held] * state.sigmas)
+    expected = float((scatter**2).sum())
     freedom = max(1.0, state.freedom)
     places = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == PLACE]
-    each = [
+    displacements = [
         (state.residual[:, None, at] @ _whitening(state.G[:, at, at], state.alone[at]))[:, 0] for _, at in places
-    ]  # (K, k) of each displacement
-    sizes = np.array([(own**2).sum(-1) for own in each])
+    ]  # (K, k) each, by its sensor or pattern
+    sizes = np.array([(own**2).sum(-1) for own in displacements])
     sensor, cluster = np.unravel_index(int(sizes.argmax()), sizes.shape)
     allowed = freedom + expected
     return Disagreement(
@@ -231,13 +234,14 @@ class _State:
     sigmas: Array
     """(H,): their assumed standard deviations."""
     alone: Array
-    """(C,): see `LinearModel`."""
+    """(C,): information on each column if all others were known, see `LinearModel`."""
 
     @classmethod
     def at_optimum(cls, model: LinearModel) -> "_State":
         G, g = model.G.copy(), model.g.copy()
         G[0, : model.shared, : model.shared] += model.prior
         g[0, : model.shared] -= g[:, : model.shared].sum(0)  # rounding error, or the gradient of a prior
+        # those that add to the result's covariance
         counting = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.counts]
         held = np.concatenate([np.arange(0), *(np.arange(at.start, at.stop) for _, at in counting)])
         sigmas = np.concatenate([np.zeros(0), *(np.array(cause.assumed) for cause, _ in counting)])
@@ -295,7 +299,7 @@ def _whitening(G: Array, alone: Array) -> Array:
     """
     scale = 1 / np.sqrt(np.maximum(alone, 1e-300))
     values, vectors = np.linalg.eigh(scale[:, None] * G * scale)
-    kept = values > TOLD / len(G)
+    kept = values > DETERMINED / len(G)
     root = np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
     whitening: Array = scale[:, None] * vectors * root[:, None]
     return whitening
@@ -370,7 +374,7 @@ def _steps(state: _State, candidates: _Candidates) -> Iterator[_Step]:
         scale = 1 / np.sqrt(np.maximum(state.alone[own], 1e-300))
         values, vectors = np.linalg.eigh(scale[:, None] * information * scale)
         for j, mask in enumerate(masks[of]):
-            kept = values[j] > TOLD
+            kept = values[j] > DETERMINED
             basis = scale[:, None] * vectors[j][:, kept] / np.sqrt(values[j][kept])
             yield _Step(own, mask, information[j], W[j], basis, -basis.T @ pull[j])
 

@@ -42,15 +42,20 @@ from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 NOTICEABLE: dict[NoiseKind, float] = {"pixel": 1.0, "range": 0.01, "lidar2d_range": 0.01, "pose_translation": 0.01}
-"""A view whose labels have a smaller median residual (px or m) is never rejected,"""
+"""Median residual of a view's labels (px or m) below which it is never rejected."""
 ABOVE_NOISE = 4.0
-"""nor is one with a smaller multiple of the noise inside the views."""
+"""Median residual, in multiples of the noise inside the views, below which a view fits and no view is tested."""
 SPREADS = 12.0
-"""A view is wrong if it exceeds the agreeing ones' median by this number of their robust standard deviations,"""
+"""Distance of a wrong view's residual from the median of the agreeing ones, in their robust standard deviations."""
 MEDIANS = 8.0
-"""and by this multiple of their median beyond the noise inside the views: an arm's own errors are not wrong views."""
+"""Residual of a wrong view, in multiples of the agreeing ones' median beyond the noise inside the views: an arm's own
+errors are not wrong views."""
 FIRST = 3.0
-"""For the first, bare majority: multiple of the largest residual of its best half."""
+"""Limit of the residuals of the first, bare majority, in multiples of the largest one of its best half."""
+DRAWN = 3
+"""Number of collections per random draw: with two unknown poses they need rotations about two axes."""
+DRAWN_OF_POINTS = 4
+"""The same with points of a LiDAR, of which each view determines only a plane."""
 WRONG = 0.45
 """Share of wrong collections that is found reliably."""
 MISSED = 1e-3
@@ -207,7 +212,7 @@ def _tested(setup: Setup, which: tuple[int, ...], values: Values) -> _Verdict | 
     if (len(collections) // 2 + 1) * equations < SURPLUS * problem.sizes[0]:
         return None
     unknown = sum(isinstance(problem.blocks[i].parameters, Pose) for i in problem.shared)
-    draw = 4 if points else 1 if unknown == 1 else 3
+    draw = DRAWN_OF_POINTS if points else 1 if unknown == 1 else DRAWN
     some = np.sort(np.random.default_rng(0).permutation(collections)[:MOST])
     most = _Consensus(part, values, some, equations).majority(draw)
     if most is None or (found := _Consensus(part, values, collections, equations).agreed(most)) is None:
@@ -363,20 +368,23 @@ class _Consensus:
             widest = FIRST if agreeing is first else 0.0
             limits = [self._limit(g, m[agreeing], widest) for g, m in zip(self.problem.groups, miss, strict=True)]
             updated = tested & (miss <= np.array(limits)[:, None]).all(0)
-            if updated.sum() < self._majority or any(map(self._apart, self.problem.groups, miss[:, updated])):
+            if updated.sum() < self._majority or any(map(self._disagrees, self.problem.groups, miss[:, updated])):
                 return None
             if (updated == agreeing).all():
                 break
             agreeing = updated
         return values, tested & ~agreeing
 
-    def _apart(self, group: ViewGroup, agreeing: Array) -> bool:
+    def _disagrees(self, group: ViewGroup, agreeing: Array) -> bool:
+        """Whether the collections of a majority do not agree with each other either."""
         return median(agreeing) > AGREEING * NOTICEABLE[group.terms[0].kind]
 
     def _limit(self, group: ViewGroup, agreeing: Array, widest: float) -> float:
         """Return the residual above which a view of a group is wrong, by those of the agreeing ones."""
-        told = self._parameters / (self._equations * len(agreeing))
-        optimism = math.sqrt((1 + told) / max(1 - told, 0.1))
+        # residuals that p of n equations have fitted are smaller by sqrt(1 - p / n), those of others larger by
+        # sqrt(1 + p / n) (generalised cross-validation: P. Craven and G. Wahba, 1978)
+        fitted = self._parameters / (self._equations * len(agreeing))
+        optimism = math.sqrt((1 + fitted) / max(1 - fitted, 0.1))
         middle = median(agreeing)
         spread = 1.4826 * median(np.abs(agreeing - middle))
         beyond_noise = math.sqrt(max(0.0, middle**2 - self._noise[group.terms[0].kind] ** 2))

@@ -24,9 +24,9 @@ from calibration.labelling.printed_corners import PrintedPatches
 TEXELS = 32
 """Texels of the drawn board per side of a square."""
 LEAST_FOR_BOX = 6
-"""Number of markers that tell roughly where the others are,"""
+"""Number of markers from which it is known roughly where the others are."""
 ROOM, MORE_ROOM = 0.3, 30
-"""within this share of the extent of all markers, and this many pixels."""
+"""Distance from these markers within which the others are searched: a share of their extent, and pixels."""
 AGREEMENT = 0.3
 """Limit of a marker's misfit of a homography of the board, at its corners (squares)."""
 

@@ -228,4 +228,4 @@ def test_a_corner_far_off_does_not_put_the_pattern_behind_its_camera():
     with np.errstate(all="ignore"):
         result = calibrate(relabelled(eye_to_hand(12, pixel_noise=0.3).dataset(), far))
     assert not result.converged
-    assert result.reason.endswith("labels lie too far off to be compared with the pattern in 1 collections (002)")
+    assert result.reason.endswith("labels lie too far off to be compared with the pattern in collection 002")
