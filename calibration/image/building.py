@@ -29,7 +29,8 @@ from calibration.registries.push import push_image
 from calibration.registries.reference import DOCKER_HUB, parse_reference
 from calibration.registries.registry import RegistryClient
 from calibration.workflow import Runner, group, stop_commands
-from calibration.workflow.progress import Advance, progress
+from calibration.workflow.advance import Advance
+from calibration.workflow.progress import progress
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -14,7 +14,7 @@ from calibration.registries.promotion import tag_image
 from calibration.registries.reference import Reference, is_digest, parse_reference
 from calibration.registries.registry import RegistryClient, denied
 from calibration.workflow import redact
-from calibration.workflow.progress import Advance
+from calibration.workflow.advance import Advance
 from calibration.workflow.text import one_line, shorten
 
 if TYPE_CHECKING:

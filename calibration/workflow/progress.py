@@ -2,21 +2,14 @@
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import Protocol
 
 from calibration.errors import InputError
+from calibration.workflow.advance import Advance
 from calibration.workflow.runner import Runner
 from calibration.workflow.text import one_line
 
 LINES = 40
 """Limit of lines in a log: with more steps, only every n-th step and those worth a message get a line."""
-
-
-class Advance(Protocol):
-    """Called after each step."""
-
-    def __call__(self, done: int, total: int, line: str, *, important: bool = False) -> None:
-        """Report the number of finished steps, and a message about the last one, which may contain untrusted text."""
 
 
 @contextmanager

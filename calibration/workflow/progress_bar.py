@@ -2,20 +2,17 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from calibration.workflow.advance import Advance
 from calibration.workflow.runner import Runner
 from calibration.workflow.text import one_line
 
-if TYPE_CHECKING:
-    from calibration.workflow.progress import Advance
-
 
 @contextmanager
-def bar(runner: Runner, title: str) -> Iterator["Advance"]:
+def bar(runner: Runner, title: str) -> Iterator[Advance]:
     """Show a bar during the block, and important messages above it."""
     console = Console(file=runner.stdout)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 
 from calibration.workflow import Runner, redact
-from calibration.workflow.progress import Advance
+from calibration.workflow.advance import Advance
 from calibration.workflow.text import one_line, shorten, without_escapes
 
 LAST_LINES = 20
