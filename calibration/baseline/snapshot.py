@@ -225,28 +225,64 @@ def snapshot(
         rms_px: RMS of its table of errors, px.
         options: options of the calibration.
     """
-    sensors: dict[Edge, str] = {}
-    for each in calibration.dataset.sensors.values():
-        sensors.setdefault(each.edge, each.name)
-    labels = [label for _, label in _labels(given)]
-    return Snapshot(
-        data=hash_of_labels(given),
-        inputs=hashes_of_inputs(given, calibration.transforms, options or Options()),
-        collections=len(given.collections),
-        engine=__version__,
-        poses=tuple(
-            _pose(calibration, edge, T, sensors.get(edge)) for edge, T in sorted(_at_description(calibration, given))
-        ),
-        parameters=tuple(_parameters(calibration)),
-        rms_px=_known(rms_px, 6),
-        noise=NoiseLevels(**{k: _significant(v, 4) for k, v in calibration.noise_levels.given().items()}),
-        effective_collections=_significant(bars.effective_collections, 3) if (bars := calibration.error_bars) else None,
-        rejected_labels=len(calibration.rejected),
-        labels=sum(map(label_count, labels)),
-        iterations=calibration.iterations,
-        views=_views(given),
-        covered=_covered(given),
-    )
+    return Snapshots(given, options or Options()).of(calibration, rms_px)
+
+
+class Snapshots:
+    """Snapshots of several calibrations of one dataset with the same options; what they share is computed once."""
+
+    def __init__(self, given: Dataset, options: Options) -> None:
+        self._given = given
+        self._options = options
+        self._inputs: dict[frozenset[Edge], dict[str, str]] = {}
+
+    @cached_property
+    def data(self) -> str:
+        """SHA-256 of the dataset's labels."""
+        return hash_of_labels(self._given)
+
+    def of(self, calibration: Calibration, rms_px: float | None) -> Snapshot:
+        """Return the snapshot of a converged calibration; see `snapshot`."""
+        sensors: dict[Edge, str] = {}
+        for each in calibration.dataset.sensors.values():
+            sensors.setdefault(each.edge, each.name)
+        noise, bars = calibration.noise_levels.given(), calibration.error_bars
+        return Snapshot(
+            data=self.data,
+            inputs=self._hashes(frozenset(calibration.transforms)),
+            collections=len(self._given.collections),
+            engine=__version__,
+            poses=tuple(
+                _pose(calibration, edge, T, sensors.get(edge))
+                for edge, T in sorted(_at_description(calibration, self._given))
+            ),
+            parameters=tuple(_parameters(calibration)),
+            rms_px=_known(rms_px, 6),
+            noise=NoiseLevels(**{k: _significant(v, 4) for k, v in noise.items()}),
+            effective_collections=_significant(bars.effective_collections, 3) if bars else None,
+            rejected_labels=len(calibration.rejected),
+            labels=self._count,
+            iterations=calibration.iterations,
+            views=self._views,
+            covered=self._covered,
+        )
+
+    def _hashes(self, calibrated: frozenset[Edge]) -> dict[str, str]:
+        if calibrated not in self._inputs:
+            self._inputs[calibrated] = hashes_of_inputs(self._given, calibrated, self._options)
+        return self._inputs[calibrated]
+
+    @cached_property
+    def _count(self) -> int:
+        return sum(label_count(label) for _, label in _labels(self._given))
+
+    @cached_property
+    def _views(self) -> dict[str, int]:
+        return _views(self._given)
+
+    @cached_property
+    def _covered(self) -> dict[str, float]:
+        return _covered(self._given)
 
 
 def hash_of_labels(dataset: Dataset) -> str:
@@ -326,8 +362,9 @@ def _pose(calibration: Calibration, edge: Edge, T: Array, sensor: str | None) ->
     xyz, rpy = _rounded(1e3 * T[:3, 3], 6), _rounded(np.degrees(to_rpy(T[:3, :3])), 9)
     if C is None:
         return Pose(*edge, xyz, rpy, sensor)
-    held = {name: rows for name, moves in _moved_by_held(calibration, edge).items() if (rows := _relevant(moves, C))}
-    own = C - sum((moves @ moves.T for name, moves in _moved_by_held(calibration, edge).items() if name in held), 0 * C)
+    moved = _moved_by_held(calibration, edge)
+    held = {name: rows for name, moves in moved.items() if (rows := _relevant(moves, C))}
+    own = C - sum((moves @ moves.T for name, moves in moved.items() if name in held), 0 * C)
     sigmas = np.sqrt(np.maximum(np.diagonal(own), 1e-30))
     correlation = own / np.outer(sigmas, sigmas)
     return Pose(

@@ -71,30 +71,38 @@ def dataset_document(dataset: Dataset) -> dict[str, Any]:
 
 
 class DatasetWriter:
-    """Writer of several datasets made from one document; the text of what they share is made once."""
+    """Writer of several datasets made from one; what they have in common is converted, and becomes text, once."""
 
     def __init__(self, dataset: Dataset) -> None:
-        self._source = dataset.document
-        self._keys = dataset.keys
-        collections = self._source["collections"]
-        self._collections = {key: collections[key] for key in dataset.keys}
+        self._given = dataset
+        self._file = dataset.path.resolve()
+        self._structure = _structure(dataset)
+        source = dataset.document
+        self._collections = {key: source["collections"][key] for key in dataset.keys}
         nodes = [Node(dataset.path, ("collections", key), each) for key, each in self._collections.items()]
-        self._transforms = read_transforms(nodes)
+        self._read = read_transforms(nodes)
         self._initial = {key: _initial_transforms(each["transforms"]) for key, each in self._collections.items()}
+        self._changes = {edge: self._change(dataset, edge) for edge in dataset.transforms}
+        self._kinds = {edge: _kind(dataset, edge) for edge in dataset.transforms}
+        self._configuration = _configuration(dataset)
+        self._sensors = {name: _sensor(dataset, name) for name in source.get("sensors", {})}
+        self._patterns = {name: _geometry(dataset, pattern) for name, pattern in dataset.patterns.items()}
 
     @cached_property
     def _shared(self) -> Shared:
-        parts = [*self._source.values(), *self._source.get("sensors", {}).values(), *self._initial.values()]
-        for each in self._collections.values():
-            parts += [*each.values(), *each["transforms"].values()]
-        return Shared(parts)
+        parts = [*self._given.document.values(), self._configuration, *self._sensors.values(), *self._kinds.values()]
+        for pattern in self._patterns.values():
+            parts += pattern.values()
+        for collection in self._collections.values():
+            parts += [*collection.values(), *collection["transforms"].values()]
+        return Shared([*parts, *self._initial.values()])
 
     def write(self, dataset: Dataset, path: Path | str, images: bool = True) -> Path:
         """Write a dataset; see `write_dataset`."""
         path = Path(path)
         if path.suffix != ".json":
             path = path / FILE_NAME
-        if path.resolve() == dataset.path.resolve():
+        if path.resolve() == self._file:
             raise InputError(f"{path}: is the dataset itself; write into another folder, an input is never changed")
         document = self.document(dataset)
         _bring_payload(dataset, path.parent, images)
@@ -103,46 +111,56 @@ class DatasetWriter:
 
     def document(self, dataset: Dataset) -> dict[str, Any]:
         """Return the document of a dataset; see `dataset_document`."""
-        if dataset.document is not self._source or dataset.keys != self._keys:
+        given, source = self._given, dataset.document
+        if source is not given.document or _structure(dataset) != self._structure:
             return DatasetWriter(dataset).document(dataset)
-        source = self._source
-        changed = self._changed(dataset)
+        new = {edge for edge, T in dataset.transforms.items() if T is not given.transforms.get(edge)}
+        kinds = {edge: _kind(dataset, edge) if edge in new else self._kinds[edge] for edge in dataset.transforms}
+        changes = {
+            edge: change
+            for edge in dataset.transforms
+            if (change := self._change(dataset, edge) if edge in new else self._changes[edge])
+        }
+        sensors = {name for name, sensor in dataset.sensors.items() if sensor is not given.sensors[name]}
         return {
             "additional_sensor_data": {},
             **source,
             "_metadata": {"package_name": "", **source["_metadata"], "version": "3.0"},
-            "calibration_config": _configuration(dataset),
-            "sensors": {name: _sensor(dataset, name, entry) for name, entry in source.get("sensors", {}).items()},
-            "patterns": {name: _pattern(dataset, pattern) for name, pattern in dataset.patterns.items()},
+            "calibration_config": self._configuration,
+            "sensors": {**self._sensors, **{name: _sensor(dataset, name) for name in sensors}},
+            "patterns": {name: self._pattern(dataset, pattern) for name, pattern in dataset.patterns.items()},
             "transforms": {
-                **{"-".join(edge): _kind(dataset, edge) for edge in dataset.transforms},
+                **{"-".join(edge): kind for edge, kind in kinds.items()},
                 **(source.get("transforms") or {}),
             },
-            "collections": {key: self._collection(dataset, i, changed) for i, key in enumerate(dataset.keys)},
+            "collections": {key: self._collection(dataset, i, changes) for i, key in enumerate(dataset.keys)},
         }
 
-    def _changed(self, dataset: Dataset) -> dict[Edge, list[dict[str, Any] | None]]:
-        """Return the changed edges, with the entry for each collection; None where a collection lacks it."""
-        missing = np.full((len(dataset.keys), 4, 4), np.nan)
-        changed = {}
-        for edge, T in dataset.transforms.items():
-            if np.array_equal(T, self._transforms.get(edge, missing), equal_nan=True):
-                continue
-            present = ~np.isnan(T[:, 0, 0])
-            if not np.isfinite(T[present]).all():
-                raise InputError(f"{dataset.path}: transform '{'-'.join(edge)}' is not finite; it is not written")
-            changed[edge] = _entries(edge, T)
-        return changed
+    def _change(self, dataset: Dataset, edge: Edge) -> list[dict[str, Any] | None] | None:
+        """Return the entries of an edge for each collection, None where it lacks the edge; None if they are as read."""
+        T, read = dataset.transforms[edge], self._read.get(edge)
+        if np.array_equal(T, np.full_like(T, np.nan) if read is None else read, equal_nan=True):
+            return None
+        present = ~np.isnan(T[:, 0, 0])
+        if not np.isfinite(T[present]).all():
+            raise InputError(f"{dataset.path}: transform '{'-'.join(edge)}' is not finite; it is not written")
+        return _entries(edge, T)
+
+    def _pattern(self, dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
+        """Return the document of a pattern."""
+        known = pattern is self._given.patterns.get(pattern.name)
+        geometry = self._patterns[pattern.name] if known else _geometry(dataset, pattern)
+        return {**geometry, "transforms_initial": _initial_poses(dataset, pattern)}
 
     def _collection(
-        self, dataset: Dataset, i: int, changed: Mapping[Edge, list[dict[str, Any] | None]]
+        self, dataset: Dataset, i: int, changes: Mapping[Edge, list[dict[str, Any] | None]]
     ) -> dict[str, Any]:
         key = dataset.keys[i]
         read = self._collections[key]
-        now = {"-".join(edge): entries[i] for edge, entries in changed.items()}
+        now = {"-".join(edge): entries[i] for edge, entries in changes.items()}
         transforms = {key: entry for key, entry in {**read["transforms"], **now}.items() if entry is not None}
         collection = {"additional_data": {}, "joints": {}, **read, "transforms": transforms}
-        if changed:
+        if changes:
             collection["transforms_ini"] = self._initial[key]
         if dataset.joints:
             joints = {name: joint_document(joint, read["joints"][name], i) for name, joint in dataset.joints.items()}
@@ -150,6 +168,14 @@ class DatasetWriter:
         if dataset.version == "2.0":
             collection["labels"] = {next(iter(dataset.patterns)): read["labels"]}
         return collection
+
+
+def _structure(dataset: Dataset) -> tuple[object, ...]:
+    """Return what all datasets of a writer have in common beside their document."""
+    joints = [(joint.name, joint.edge, joint.parameters) for joint in dataset.joints.values()]
+    edges = {sensor.edge for sensor in dataset.sensors.values()}
+    moving = dataset.moving_transforms
+    return dataset.keys, edges, dataset.additional_transforms, moving, joints, dataset.anchored, dataset.missing_files
 
 
 def _initial_transforms(read: Mapping[str, Any]) -> dict[str, Any]:
@@ -172,8 +198,9 @@ def _configuration(dataset: Dataset) -> dict[str, Any]:
     return {**defaults, **source, "anchored_sensor": anchored, "version": 3.0}
 
 
-def _sensor(dataset: Dataset, name: str, read: Mapping[str, Any]) -> Mapping[str, Any]:
+def _sensor(dataset: Dataset, name: str) -> Mapping[str, Any]:
     """Return the document of a sensor, with its current intrinsics if they have changed."""
+    read: Mapping[str, Any] = dataset.document["sensors"][name]
     camera = dataset.sensors[name].camera if name in dataset.sensors else None
     if camera is None or camera == read_camera(
         Node(dataset.path, ("sensors", name, "camera_info"), read["camera_info"])
@@ -182,22 +209,25 @@ def _sensor(dataset: Dataset, name: str, read: Mapping[str, Any]) -> Mapping[str
     return {**read, "camera_info": {**read["camera_info"], **camera_document(camera)}}
 
 
-def _pattern(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
-    """Return the document of a pattern, with missing parts added."""
-    read = (dataset.document.get("patterns") or {}).get(pattern.name) or {}
-    given = {key: value for key, value in read.items() if value}
-    initial = given.get("transforms_initial")
-    if isinstance(initial, dict):
-        initial = {key: initial[key] for key in dataset.keys if key in initial}
-    else:
-        initial = _initial_poses(dataset, pattern)
-    full = pattern_document(pattern, initial)
+def _geometry(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
+    """Return the document of a pattern without its initial poses, with missing parts added."""
+    given = _given(dataset, pattern)
+    full = pattern_document(pattern, {})
     frame = {**full["frame"], **{key: value for key, value in given.get("frame", {}).items() if value}}
-    return {**full, **given, "frame": frame, "transforms_initial": initial}
+    return {**full, **given, "frame": frame}
+
+
+def _given(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
+    """Return the parts of a pattern's document that the input has."""
+    read = (dataset.document.get("patterns") or {}).get(pattern.name) or {}
+    return {key: value for key, value in read.items() if value}
 
 
 def _initial_poses(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:
-    """Return the current poses of a pattern as its initial ones, with the camera that saw it."""
+    """Return the initial poses of a pattern: the input's, else the current ones with the camera that saw it."""
+    initial = _given(dataset, pattern).get("transforms_initial")
+    if isinstance(initial, dict):
+        return {key: initial[key] for key in dataset.keys if key in initial}
     edge = (pattern.parent_link, pattern.link)
     poses: dict[str, Any] = {}
     if edge not in dataset.transforms:

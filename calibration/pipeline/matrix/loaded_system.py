@@ -3,12 +3,15 @@
 from dataclasses import field as dataclass_field
 from functools import cached_property
 
+from calibration.baseline.snapshot import Snapshot, Snapshots
 from calibration.baseline.verdict import Accepted
 from calibration.dataset.model import Dataset
 from calibration.dataset.truth import Truth
 from calibration.dataset.writing import DatasetWriter
 from calibration.diagnosis.against_optimum import OurOptimum, find_optimum
 from calibration.diagnosis.check_data import check_data
+from calibration.diagnosis.diagnose import diagnose
+from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
 from calibration.estimation.options import Options
 from calibration.evaluation.specification import Evaluation
@@ -48,6 +51,11 @@ class LoadedSystem:
         return DatasetWriter(self.dataset)
 
     @cached_property
+    def snapshots(self) -> Snapshots:
+        """Snapshots of its cells' calibrations."""
+        return Snapshots(self.dataset, self.options)
+
+    @cached_property
     def optimum(self) -> OurOptimum:
         """Optimum of our engine, which does not depend on an initial guess.
 
@@ -55,3 +63,19 @@ class LoadedSystem:
             InputError: there is none.
         """
         return find_optimum(self.dataset, self.options)
+
+    @cached_property
+    def optimum_snapshot(self) -> Snapshot:
+        """Snapshot of the optimum, without a table."""
+        return self.snapshots.of(self.optimum.calibration, None)
+
+    def findings_of(self, optimum: OurOptimum) -> tuple[Finding, ...]:
+        """Return the findings on an optimum for some result of this system; most results have the system's own."""
+        return self._findings if optimum is self.optimum else self._diagnosed(optimum)
+
+    @cached_property
+    def _findings(self) -> tuple[Finding, ...]:
+        return self._diagnosed(self.optimum)
+
+    def _diagnosed(self, optimum: OurOptimum) -> tuple[Finding, ...]:
+        return diagnose(optimum.calibration, optimum.given, optimum.options, self.limits, self.truth is not None)

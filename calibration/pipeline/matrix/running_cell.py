@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.baseline.snapshot import snapshot
 from calibration.baseline.verdict import against_baseline
 from calibration.comparison.methods import method_of
 from calibration.dataset.model import Dataset
@@ -68,7 +67,7 @@ def _compared(result: CellResult, calibration: Calibration, system: LoadedSystem
     """Return the result with its snapshot, and the differences from the accepted calibration."""
     if not calibration.converged or result.details is None:
         return result
-    now = snapshot(calibration, system.dataset, result.rms_px, system.options)
+    now = system.snapshots.of(calibration, result.rms_px)
     comparison, findings = against_baseline(system.accepted, now) if system.accepted else (None, ())
     changes = comparison.changes if comparison else ()
     return replace(result, details=replace(result.details, snapshot=now, changes=changes)).found(findings)

@@ -6,14 +6,13 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from calibration.baseline.snapshot import Start, hash_of_labels, snapshot
+from calibration.baseline.snapshot import Start
 from calibration.baseline.verdict import QUALITY, against_baseline, nothing_accepted, software_against_baseline
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_dataset
 from calibration.diagnosis.against_optimum import KIND as AGAINST_OPTIMUM
 from calibration.diagnosis.against_optimum import against_optimum, optimum_for
-from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.same_labels import moved_frames, same_labels
 from calibration.diagnosis.table_follows import not_evaluated, table_follows
@@ -109,7 +108,7 @@ def software_result(
         return result.failing(str(error))
     if system.accepted is None:
         return result
-    return result.found(software_against_baseline(system.accepted, start_of(result), hash_of_labels(system.dataset)))
+    return result.found(software_against_baseline(system.accepted, start_of(result), system.snapshots.data))
 
 
 def _with_table(result: CellResult, software: Software, files: Path, paths: Sequence[str], output: Path) -> CellResult:
@@ -194,7 +193,7 @@ def _distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Findi
     return (
         *moved_frames(dataset, system.dataset, system.limits),
         *against_optimum(optimum, dataset, start, system.limits),
-        *diagnose(optimum.calibration, optimum.given, optimum.options, system.limits, system.truth is not None),
+        *system.findings_of(optimum),
         *_moved(system),
     )
 
@@ -205,8 +204,8 @@ def _moved(system: LoadedSystem) -> tuple[Finding, ...]:
         return ()
     if system.accepted.snapshot is None:
         return nothing_accepted(system.accepted)
-    now = snapshot(system.optimum.calibration, system.dataset, None, system.options)
-    return tuple(each for each in against_baseline(system.accepted, now)[1] if each.kind != QUALITY)
+    now = against_baseline(system.accepted, system.optimum_snapshot)[1]
+    return tuple(each for each in now if each.kind != QUALITY)
 
 
 def _noise(system: LoadedSystem) -> float:
