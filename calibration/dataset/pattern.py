@@ -6,6 +6,7 @@ that sees it), all corners at z = 0. Metres.
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from calibration.dataset.corners import read_corners
 from calibration.dataset.document import Node
 from calibration.frozen import frozen
-from calibration.geometry.types import Array
+from calibration.geometry.types import Array, IntArray
 
 PatternKind = Literal["charuco", "chessboard", "aprilgrid"]
 
@@ -45,6 +46,13 @@ class Pattern:
     def size(self) -> float:
         """Root-mean-square distance of the corners from their centre, m: the scale of the pattern."""
         return float(np.sqrt(((self.corners - self.centre) ** 2).sum(-1).mean()))
+
+    @cached_property
+    def neighbours(self) -> tuple[IntArray, IntArray]:
+        """Pairs of corners, each pair once, that are as near to each other as any two (5 % more at most): their ids."""
+        apart = np.linalg.norm(self.corners[:, None] - self.corners, axis=-1)
+        first, second = np.nonzero(np.triu(apart < 1.05 * apart[apart > 0].min(), 1))
+        return first, second
 
 
 def grid(columns: int, rows: int, square: float, origin: tuple[float, float]) -> Array:

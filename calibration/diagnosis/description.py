@@ -5,6 +5,7 @@ transform, it contains no information about that sensor.
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -49,8 +50,8 @@ def far_from_description(calibration: Calibration, description: Dataset, options
         options: options of the calibration, and whether the description is rough.
     """
     severity: Severity = "note" if options.description == "rough" else "red"
-    described = _described(calibration, description)
-    expected, found = (_relative(dataset, described) for dataset in (description, calibration.dataset))
+    described, expected = _described(description, calibration.gauge)
+    found = _relative(calibration.dataset, described)
     explained = _exchanged(described, expected, found, severity) or _scaled(
         calibration, described, expected, found, severity
     )
@@ -59,14 +60,19 @@ def far_from_description(calibration: Calibration, description: Dataset, options
     return _far(calibration, description, described, expected, found)
 
 
-def _described(calibration: Calibration, description: Dataset) -> tuple[Sensor, ...]:
-    """Return the sensors that the description has a pose for, including a fixed one."""
-    held = (calibration.gauge, description.anchored)
-    return tuple(
+@lru_cache(maxsize=4)
+def _described(description: Dataset, gauge: str | None) -> tuple[tuple[Sensor, ...], RelativePoses]:
+    """Return the sensors that the description has a pose for, including a fixed one, and its relative poses of them.
+
+    They are the same for all calibrations of a dataset.
+    """
+    held = (gauge, description.anchored)
+    sensors = tuple(
         sensor
         for sensor in description.sensors.values()
         if sensor.name in held or not _is_identity(description.transform(*sensor.edge)[0])
     )
+    return sensors, _relative(description, sensors)
 
 
 def _is_identity(T: Array) -> bool:
@@ -102,14 +108,14 @@ def _exchanged(
         for a, b in combinations(sensors, 2)
         if a.modality == b.modality and (a.name, b.name) in expected and (a.name, b.name) in found
     ]
-    if not pairs:
+    if all(_is_near(expected[pair], found[pair]) for pair in pairs):
         return ()
     as_it_is = _misfit(expected, found, {})
     misfits = {(a, b): _misfit(expected, found, {a: b, b: a}) for a, b in pairs}
     a, b = min(misfits, key=lambda pair: misfits[pair])
-    t, r = (float(d) for d in distance(expected[a, b], found[a, b]))
-    if misfits[a, b] > EXCHANGED * as_it_is or (t < LEAST_EXCHANGED[0] and r < LEAST_EXCHANGED[1]):
+    if misfits[a, b] > EXCHANGED * as_it_is or _is_near(expected[a, b], found[a, b]):
         return ()
+    t, r = _floats(distance(expected[a, b], found[a, b]))
     there = _apart(*_floats(distance(expected[b, a], found[a, b])))
     text = (
         f"the labels of '{a}' and '{b}' look exchanged: '{b}' comes out {_apart(t, r)} from where the robot's "
@@ -117,6 +123,12 @@ def _exchanged(
         f"look at the topics of the two sensors"
     )
     return (Finding("exchanged-sensors", severity, text, (a, b), value=t, unit="m"),)
+
+
+def _is_near(expected: Array, found: Array) -> bool:
+    """Whether two relative poses are too close to each other to tell an exchange."""
+    t, r = _floats(distance(expected, found))
+    return t < LEAST_EXCHANGED[0] and r < LEAST_EXCHANGED[1]
 
 
 def _scaled(

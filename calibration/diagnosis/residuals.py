@@ -20,6 +20,13 @@ DETECTOR = 0.35
 """px: limit of a good corner detector's noise in sharp images."""
 CELLS = (4, 3)
 """Number of columns and rows that an image is divided into."""
+IMAGE_PARTS = tuple(
+    f"at {100 * i / CELLS[0]:.0f} to {100 * (i + 1) / CELLS[0]:.0f} % of the image's width and "
+    f"{100 * j / CELLS[1]:.0f} to {100 * (j + 1) / CELLS[1]:.0f} % of its height"
+    for j in range(CELLS[1])
+    for i in range(CELLS[0])
+)
+"""Descriptions of these parts, row by row."""
 RANGES = 6
 """Number of equal parts that a LiDAR's points are divided into by range."""
 LEAST_VIEWS = 8
@@ -61,11 +68,13 @@ def _pattern(calibration: Calibration, labels: LabelErrors, limit: float) -> lis
         V, d = sums.shape
         if max(LEAST_VIEWS, d + 2) > V:
             continue
+        size = float(np.linalg.norm(sums.sum(0)) / counts.sum())
+        if not size > worst[0]:  # NaN too
+            continue
         mean = sums.mean(0)
         covariance = np.cov(sums.T).reshape(d, d) / V
         T2 = float(mean @ np.linalg.lstsq(covariance, mean, rcond=None)[0])  # Hotelling's T^2, with views as clusters
-        size = float(np.linalg.norm(sums.sum(0)) / counts.sum())
-        if size > worst[0] and score_of_f(T2 * (V - d) / (d * (V - 1)), d, V - d) > limit:
+        if score_of_f(T2 * (V - d) / (d * (V - 1)), d, V - d) > limit:
             worst = size, name
     if not worst[1]:
         return []
@@ -82,7 +91,7 @@ def _pattern(calibration: Calibration, labels: LabelErrors, limit: float) -> lis
     return [Finding("residual-pattern", "note", text, (labels.sensor,), value=size, unit=_unit(labels))]
 
 
-def _parts(calibration: Calibration, labels: LabelErrors) -> tuple[Array, list[str]]:
+def _parts(calibration: Calibration, labels: LabelErrors) -> tuple[Array, Sequence[str]]:
     """Return the part (V, L) of the image or the range of each label, and the descriptions of the parts."""
     sensor = calibration.dataset.sensors[labels.sensor]
     if labels.kind == "pixel" and sensor.camera:
@@ -91,13 +100,7 @@ def _parts(calibration: Calibration, labels: LabelErrors) -> tuple[Array, list[s
         with np.errstate(invalid="ignore"):
             column = np.clip(np.nan_to_num(u / sensor.camera.width * columns), 0, columns - 1).astype(int)
             row = np.clip(np.nan_to_num(v / sensor.camera.height * rows), 0, rows - 1).astype(int)
-        x, y = (np.linspace(0, 100, n + 1) for n in CELLS)
-        names = [
-            f"at {x[i]:.0f} to {x[i + 1]:.0f} % of the image's width and {y[j]:.0f} to {y[j + 1]:.0f} % of its height"
-            for j in range(rows)
-            for i in range(columns)
-        ]
-        return row * columns + column, names
+        return row * columns + column, IMAGE_PARTS
     far = np.linalg.norm(labels.points, axis=1)
     edges = np.quantile(far[labels.seen], np.linspace(0, 1, RANGES + 1))
     names = [f"from {a:.2f} to {b:.2f} m away" for a, b in pairwise(edges)]
@@ -106,11 +109,10 @@ def _parts(calibration: Calibration, labels: LabelErrors) -> tuple[Array, list[s
 
 def _neighbours(calibration: Calibration, labels: LabelErrors) -> list[Finding]:
     """Find correlated errors of neighbouring corners in the same view."""
-    corners = calibration.dataset.patterns[labels.pattern].corners
-    if labels.kind != "pixel" or len(corners) != labels.errors.shape[-1]:
+    pattern = calibration.dataset.patterns[labels.pattern]
+    if labels.kind != "pixel" or len(pattern.corners) != labels.errors.shape[-1]:
         return []
-    apart = np.linalg.norm(corners[:, None] - corners, axis=-1)
-    i, j = np.nonzero(np.triu(apart < 1.05 * apart[apart > 0].min(), 1))
+    i, j = pattern.neighbours
     both = labels.seen[:, i] & labels.seen[:, j]
     products = np.where(both, (labels.errors[..., i] * labels.errors[..., j]).sum(1), 0.0).sum(-1)
     squares = np.where(both, 0.5 * (labels.errors[..., i] ** 2 + labels.errors[..., j] ** 2).sum(1), 0.0).sum(-1)
