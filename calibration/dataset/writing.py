@@ -35,11 +35,15 @@ def write_document(document: Mapping[str, Any], path: Path | str, shared: Shared
         InputError: the document is nested too deeply.
         InfrastructureError: the file cannot be written.
     """
+    write_atomically(path, _text(document, path, shared))
+
+
+def _text(document: Mapping[str, Any], path: Path | str, shared: Shared | None) -> str:
+    """Return the text of a document; the path is for messages."""
     try:
-        text = json_text(document, shared=shared)
+        return f"{json_text(document, shared=shared)}\n"
     except RecursionError:
         raise InputError(f"{path}: cannot be written: the document is nested too deeply") from None
-    write_atomically(path, f"{text}\n")
 
 
 def write_dataset(dataset: Dataset, path: Path | str, images: bool = True) -> Path:
@@ -99,15 +103,26 @@ class DatasetWriter:
 
     def write(self, dataset: Dataset, path: Path | str, images: bool = True) -> Path:
         """Write a dataset; see `write_dataset`."""
+        return self.write_text(self.text(dataset), dataset, path, images)
+
+    def write_text(self, text: str, dataset: Dataset, path: Path | str, images: bool = True) -> Path:
+        """Write a dataset whose text has been made by `text`; see `write_dataset`."""
         path = Path(path)
         if path.suffix != ".json":
             path = path / FILE_NAME
         if path.resolve() == self._file:
             raise InputError(f"{path}: is the dataset itself; write into another folder, an input is never changed")
-        document = self.document(dataset)
         _bring_payload(dataset, path.parent, images)
-        write_document(document, path, self._shared)
+        write_atomically(path, text)
         return path
+
+    def text(self, dataset: Dataset) -> str:
+        """Return the text of a dataset's file.
+
+        Raises:
+            InputError: a transform is not finite, or the document is nested too deeply.
+        """
+        return _text(self.document(dataset), dataset.path, self._shared)
 
     def document(self, dataset: Dataset) -> dict[str, Any]:
         """Return the document of a dataset; see `dataset_document`."""

@@ -186,6 +186,12 @@ def nothing_yet(cell: Cell, method: str = OUR_METHOD, start: str | None = None) 
     )
 
 
+def of_cell(result: CellResult, cell: Cell) -> CellResult:
+    """Return the result of another cell of the same system, with the same calibration, as that of this one."""
+    noise = cell.noise
+    return replace(result, translation_noise=noise.translation, rotation_noise=noise.rotation, seed=noise.seed)
+
+
 def nothing_by_other_method(comparison: Comparison) -> CellResult:
     """Empty result, for a comparison method that has not run."""
     noise = comparison.noise

@@ -2,6 +2,7 @@
 
 from dataclasses import field as dataclass_field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from calibration.baseline.snapshot import Snapshot, Snapshots
 from calibration.baseline.verdict import Accepted
@@ -16,6 +17,10 @@ from calibration.diagnosis.limits import Limits
 from calibration.estimation.options import Options
 from calibration.evaluation.specification import Evaluation
 from calibration.frozen import frozen
+from calibration.pipeline.matrix.latest import Latest
+
+if TYPE_CHECKING:
+    from calibration.pipeline.matrix.running_cell import Evaluated
 
 
 @frozen(eq=False)
@@ -49,6 +54,11 @@ class LoadedSystem:
     def writer(self) -> DatasetWriter:
         """Writer of its cells' calibrated datasets."""
         return DatasetWriter(self.dataset)
+
+    @cached_property
+    def latest(self) -> Latest["Evaluated"]:
+        """What follows from the calibration of its latest cell."""
+        return Latest()
 
     @cached_property
     def snapshots(self) -> Snapshots:

@@ -10,12 +10,14 @@ import numpy as np
 from calibration.baseline.verdict import against_baseline
 from calibration.comparison.methods import method_of
 from calibration.dataset.model import Dataset
+from calibration.dataset.reading import FILE_NAME
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.mirrored import mirrored
 from calibration.errors import CalibrationError
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.estimation.intrinsics_file import write_intrinsics
+from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import with_starting_noise
 from calibration.estimation.wrong_views import without
@@ -23,10 +25,29 @@ from calibration.evaluation import measured_poses
 from calibration.evaluation.reprojection import reprojection
 from calibration.evaluation.table import RMS_PIX, Table
 from calibration.evaluation.truth import truth_error
+from calibration.files import write_atomically
+from calibration.frozen import frozen
 from calibration.pipeline.matrix.cell import REPROJECTION, Cell, Comparison
 from calibration.pipeline.matrix.cell_details import described, rounded_deviation
-from calibration.pipeline.matrix.cell_result import CellResult, Deviation, nothing_by_other_method, nothing_yet
+from calibration.pipeline.matrix.cell_result import (
+    CellResult,
+    Deviation,
+    nothing_by_other_method,
+    nothing_yet,
+    of_cell,
+)
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
+
+
+@frozen(eq=False)
+class Evaluated:
+    """Result of a calibrated dataset, not yet in a folder, and the texts of its files."""
+
+    result: CellResult
+    table: tuple[str, str] | None = None
+    """Name of the table's file, and its text; None if there is no table."""
+    dataset: str | None = None
+    """Text of the dataset; None if it is not written."""
 
 
 def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None = None) -> CellResult:
@@ -35,13 +56,14 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     An error of the data is not raised but stored in the cell's result, so that the other cells continue.
     """
     begin = time.perf_counter()
-    result, calibration = calibrate_cell(cell, system)
     try:
-        if calibration is not None and np.isfinite(calibration.cost):
-            result = _written(result, calibration.dataset, system, output, folder or cell.folder, calibration)
-            result = _compared(result, calibration, system)
+        options, calibration = _calibrated(cell, system)
+        made = system.latest.of(calibration, options, lambda: _finished(cell, system, options, calibration))
     except CalibrationError as error:
-        result = _failed(result, error)
+        result = _without_calibration(cell, system, error)
+    else:
+        result = _written(made, calibration.dataset, system, output, folder or cell.folder, calibration)
+        result = of_cell(result, cell)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
 
 
@@ -51,16 +73,36 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
     Returns:
         The result so far, and the calibration; None if the data cannot be calibrated, for a reason in the result.
     """
-    result = nothing_yet(cell)
     try:
-        system.check()
-        options = replace(system.options, start=cell.start, loss=cell.loss)
-        calibration = calibrate(system.dataset, options, cell.noise)
-        return described(result, calibration, system.dataset, system.limits).found(
-            diagnose(calibration, system.dataset, options, system.limits, system.truth is not None)
-        ), calibration
+        options, calibration = _calibrated(cell, system)
+        return _diagnosed(cell, system, options, calibration), calibration
     except CalibrationError as error:
-        return _failed(result, error).found(mirrored(None, system.dataset, system.options)), None
+        return _without_calibration(cell, system, error), None
+
+
+def _calibrated(cell: Cell, system: LoadedSystem) -> tuple[Options, Calibration]:
+    system.check()
+    options = replace(system.options, start=cell.start, loss=cell.loss)
+    return options, calibrate(system.dataset, options, cell.noise)
+
+
+def _without_calibration(cell: Cell, system: LoadedSystem, error: CalibrationError) -> CellResult:
+    return _failed(nothing_yet(cell), error).found(mirrored(None, system.dataset, system.options))
+
+
+def _diagnosed(cell: Cell, system: LoadedSystem, options: Options, calibration: Calibration) -> CellResult:
+    return described(nothing_yet(cell), calibration, system.dataset, system.limits).found(
+        diagnose(calibration, system.dataset, options, system.limits, system.truth is not None)
+    )
+
+
+def _finished(cell: Cell, system: LoadedSystem, options: Options, calibration: Calibration) -> Evaluated:
+    """Return all that follows from a calibration: of every cell that has it, but for the noise of its start."""
+    result = _diagnosed(cell, system, options, calibration)
+    if not np.isfinite(calibration.cost):
+        return Evaluated(result)
+    made = _evaluated(result, calibration.dataset, system, calibration)
+    return made if made.result.error is not None else replace(made, result=_compared(made.result, calibration, system))
 
 
 def _compared(result: CellResult, calibration: Calibration, system: LoadedSystem) -> CellResult:
@@ -89,42 +131,67 @@ def run_comparison(comparison: Comparison, system: LoadedSystem, output: Path) -
         part = method.part(dataset)
         if system.evaluation and not set(system.evaluation.sensors) <= part.sensors.keys():
             system = replace(system, evaluation=None)  # its table is of a sensor that the method does not calibrate
-        result = _written(result, dataset, system, output, comparison.folder, None, part)
+        made = _evaluated(result, dataset, system, None, part)
+        result = _written(made, dataset, system, output, comparison.folder)
     except CalibrationError as error:
         result = _failed(result, error)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
 
 
-def _written(
+def _evaluated(
     result: CellResult,
     dataset: Dataset,
     system: LoadedSystem,
-    output: Path,
-    folder: str,
-    calibration: Calibration | None,
+    calibration: Calibration | None = None,
     part: Dataset | None = None,
-) -> CellResult:
-    """Return the result with its table, truth error and dataset; write both files.
+) -> Evaluated:
+    """Return the result with its RMS and truth error, and its files; with the error if one of them cannot be made.
 
     The table and the error are of the sensors of a part of the dataset, by default of all.
     """
     judged = dataset if part is None else part
-    table = table_of(judged, system, calibration)
-    if table is not None:
-        name = f"{system.evaluation.kind.replace('-', '_')}_results.csv" if system.evaluation else REPROJECTION
-        table.write(output / folder / name)
-        rms = round(table.average(RMS_PIX), 4) if RMS_PIX in table.columns else None
-        result = replace(result, table=f"{folder}/{name}", rms_px=rms)
-        if table.columns == measured_poses.COLUMNS:
-            mm, deg = (round(table.average(column), 4) for column in table.columns)
-            result = replace(result, poses=Deviation(mm, deg))
-    if calibration is not None and (system.evaluation is None or result.rms_px is None):
-        result = replace(result, rms_px=None if math.isnan(calibration.rms_px) else round(calibration.rms_px, 4))
-    result = replace(result, truth=distance_from_truth(judged, system))
-    system.writer.write(dataset, output / folder, images=False)  # without images, which are larger than everything else
-    if calibration is not None and calibration.converged and calibration.intrinsics:
-        write_intrinsics(output / folder / INTRINSICS, calibration.intrinsics)
-    return replace(result, dataset=f"{folder}/dataset.json")
+    made = Evaluated(result)
+    try:
+        table = table_of(judged, system, calibration)
+        if table is not None:
+            name = f"{system.evaluation.kind.replace('-', '_')}_results.csv" if system.evaluation else REPROJECTION
+            rms = round(table.average(RMS_PIX), 4) if RMS_PIX in table.columns else None
+            made = Evaluated(replace(result, rms_px=rms), (name, table.to_csv()))
+            if table.columns == measured_poses.COLUMNS:
+                mm, deg = (round(table.average(column), 4) for column in table.columns)
+                made = replace(made, result=replace(made.result, poses=Deviation(mm, deg)))
+        if calibration is not None and (system.evaluation is None or made.result.rms_px is None):
+            rms = None if math.isnan(calibration.rms_px) else round(calibration.rms_px, 4)
+            made = replace(made, result=replace(made.result, rms_px=rms))
+        made = replace(made, result=replace(made.result, truth=distance_from_truth(judged, system)))
+        return replace(made, dataset=system.writer.text(dataset))
+    except CalibrationError as error:
+        return replace(made, result=_failed(made.result, error))
+
+
+def _written(
+    made: Evaluated,
+    dataset: Dataset,
+    system: LoadedSystem,
+    output: Path,
+    folder: str,
+    calibration: Calibration | None = None,
+) -> CellResult:
+    """Write the files, and return the result with their names; with the error if one of them cannot be written."""
+    result = made.result
+    try:
+        if made.table is not None:
+            name, text = made.table
+            write_atomically(output / folder / name, text)
+            result = replace(result, table=f"{folder}/{name}")
+        if made.dataset is not None:  # without images, which are larger than everything else
+            system.writer.write_text(made.dataset, dataset, output / folder, images=False)
+            if calibration is not None and calibration.converged and calibration.intrinsics:
+                write_intrinsics(output / folder / INTRINSICS, calibration.intrinsics)
+            result = replace(result, dataset=f"{folder}/{FILE_NAME}")
+    except CalibrationError as error:
+        result = _failed(result, error)
+    return result
 
 
 def distance_from_truth(dataset: Dataset, system: LoadedSystem) -> Deviation | None:
