@@ -5,7 +5,7 @@ command imports, half of its start. Most of them have no instance in a run, and 
 """
 
 import dataclasses
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, TypeVar, dataclass_transform, overload
 
 _Class = TypeVar("_Class", bound=type)
@@ -36,27 +36,78 @@ def frozen(cls: Any = None, /, *, eq: bool = True, kw_only: bool = False, slots:
 
 
 def _declared(cls: Any, eq: bool, kw_only: bool) -> Any:
-    """Give a class its fields, and a stand-in for each method that it does not define itself."""
+    """Give a class a stand-in for each method that it does not define itself, and for what `dataclasses` asks it."""
     own = {name: value for name, value in vars(cls).items() if name not in ("__dict__", "__weakref__")}
 
     def made(**options: bool) -> Any:  # on a copy, as the class is in use
-        return dataclasses.dataclass(kw_only=kw_only, **options)(type(cls)(cls.__name__, cls.__bases__, own))
+        copy = type(cls)(cls.__name__, cls.__bases__, own)
+        return dataclasses.dataclass(init=False, kw_only=kw_only, **options)(copy)
 
-    dataclasses.dataclass(init=False, repr=False, eq=False, kw_only=kw_only)(cls)
-    cls.__dataclass_params__.frozen = True
+    for name, value in own.items():
+        if isinstance(value, dataclasses.Field):
+            if value.default is dataclasses.MISSING:
+                delattr(cls, name)
+            else:
+                setattr(cls, name, value.default)
+    for name in _ASKED:
+        setattr(cls, name, _Asked(cls, name, lambda: made(repr=False, eq=False)))
     cls.__setattr__, cls.__delattr__ = _refuse_setting, _refuse_deleting
-    _stand_in(cls, {"__init__"} - own.keys(), lambda: made(frozen=True, repr=False, eq=False))
+    if "__init__" not in own:
+        _stand_in(cls, {"__init__"}, lambda: {"__init__": _constructor(cls)})
     others = {"__repr__", "__eq__", "__hash__"} if eq else {"__repr__"}
-    _stand_in(cls, others - own.keys(), lambda: made(init=False, eq=eq, unsafe_hash=eq))
+    _stand_in(cls, others - own.keys(), lambda: vars(made(eq=eq, unsafe_hash=eq)))
     return cls
 
 
-def _stand_in(cls: Any, names: Collection[str], make: Callable[[], Any]) -> None:
-    """Give a class methods that replace themselves, at the first call of one, by those of the class that is made."""
+def _constructor(cls: Any) -> Callable[..., None]:
+    """Return a frozen dataclass's ``__init__``, as `dataclasses` makes it, which would make much besides."""
+    known: dict[str, Any] = {"__missing": dataclasses.MISSING, "__set": object.__setattr__}
+    parameters: dict[bool, list[str]] = {False: ["self"], True: ["*"]}
+    lines = []
+    for each in dataclasses.fields(cls):
+        name, given = each.name, ""
+        value = name
+        if each.default is not dataclasses.MISSING:
+            known[f"__default_{name}"], given = each.default, f"=__default_{name}"
+        elif each.default_factory is not dataclasses.MISSING:
+            known[f"__make_{name}"], given = each.default_factory, "=__missing"
+            value = f"__make_{name}() if {name} is __missing else {name}"
+        parameters[each.kw_only is True].append(name + given)
+        lines.append(f"__set(self, {name!r}, {value})")
+    if hasattr(cls, "__post_init__"):
+        lines.append("self.__post_init__()")
+    signature = parameters[False] + (parameters[True] if len(parameters[True]) > 1 else [])
+    exec(f"def __init__({', '.join(signature)}):\n " + "\n ".join(lines or ["pass"]), known)  # noqa: S102 (our fields)
+    made: Callable[..., None] = known["__init__"]
+    made.__qualname__ = f"{cls.__qualname__}.__init__"
+    return made
+
+
+_ASKED = ("__dataclass_fields__", "__dataclass_params__", "__match_args__")
+
+
+class _Asked:
+    """Attribute of a class that is found when it is first asked for, with the others of `_ASKED`."""
+
+    def __init__(self, cls: Any, name: str, make: Callable[[], Any]) -> None:
+        self._class = cls
+        self._name = name
+        self._make = make
+
+    def __get__(self, _: object, __: object = None) -> Any:
+        made = self._make()
+        made.__dataclass_params__.frozen = True
+        for name in _ASKED:
+            setattr(self._class, name, getattr(made, name))
+        return getattr(made, self._name)
+
+
+def _stand_in(cls: Any, names: Collection[str], make: Callable[[], Mapping[str, Any]]) -> None:
+    """Give a class methods that replace themselves, at the first call of one, by those that are made."""
 
     def stand_in(name: str) -> Callable[..., Any]:
         def method(self: Any, *arguments: Any, **named: Any) -> Any:
-            methods = vars(make())
+            methods = make()
             for each in names:
                 setattr(cls, each, methods[each])
             return methods[name](self, *arguments, **named)
