@@ -64,9 +64,8 @@ def above(limit: float, most: float | None = None) -> Constraint:
 
 def matching(pattern: str, expected: str, *, secret: bool = False) -> Constraint:
     """Constrain text to full matches of a regular expression."""
-    compiled = re.compile(pattern)
     schema = {"pattern": f"^(?:{pattern})$" if "|" in pattern else f"^{pattern}$"}
-    fits = lambda value: compiled.fullmatch(value) is not None  # noqa: E731
+    fits = lambda value: re.fullmatch(pattern, value) is not None  # noqa: E731 (compiled for the first value)
     return Constraint(fits, expected, schema, whole=True, secret=secret)
 
 

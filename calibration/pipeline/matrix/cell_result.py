@@ -5,11 +5,11 @@ from typing import Literal
 
 from calibration.baseline.comparison import Change
 from calibration.baseline.snapshot import Snapshot
-from calibration.comparison.methods import METHODS
 from calibration.diagnosis.finding import Finding
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.result import DroppedView, RejectedLabel
 from calibration.pipeline.matrix.cell import Cell, Comparison, noise_text
+from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.records import computed, field, record, result
 from calibration.report import Verdict
 from calibration.report.outcome import ErrorCode
@@ -137,7 +137,7 @@ class CellResult:
     @property
     def by_other_method(self) -> bool:
         """Whether it is from a comparison method; it is not judged."""
-        return self.method in METHODS
+        return self.method not in (OUR_METHOD, SOFTWARE)
 
     @property
     def start_of_cell(self) -> tuple[str, float | None, float | None, int | None]:

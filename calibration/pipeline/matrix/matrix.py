@@ -11,7 +11,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from calibration.comparison.methods import METHODS, method_of
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
 from calibration.errors import InputError
@@ -27,7 +26,6 @@ from calibration.pipeline.matrix.cell_verdict import check_rules
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
 from calibration.pipeline.matrix.software import Software
-from calibration.pipeline.matrix.software_cell import software_task
 from calibration.pipeline.system import NoiseGrid, System
 from calibration.workflow.text import did_you_mean
 
@@ -63,6 +61,10 @@ class Matrix:
         Raises:
             InputError: there is no such method.
         """
+        if not any(system.compare for system in self.systems):
+            return []
+        from calibration.comparison.methods import method_of  # most matrices compare with no other method
+
         return [
             Comparison(system.name, method, noise)
             for system in self.systems
@@ -159,6 +161,7 @@ def matrix_tasks(matrix: Matrix, output: Path, containers: Path) -> Iterator[Mat
         if matrix.software:
             containers.mkdir(parents=True, exist_ok=True)
             starts = stack.enter_context(temporary_folder(prefix=".starts-", parent=containers))
+            from calibration.pipeline.matrix.software_cell import software_task  # our engine needs no containers
         for number, cell in enumerate(matrix.cells):
             system = loaded[cell.system]
             if cell.system not in matrix.software:
@@ -180,12 +183,7 @@ def load(system: System) -> LoadedSystem:
     """
     dataset = read_dataset(system.dataset)
     truth = choose_truth(dataset, system.truth)
-    for method in system.compare:
-        if method not in METHODS:
-            raise InputError(
-                f"systems.{system.name}.compare: there is no method '{method}'{did_you_mean(method, METHODS)} "
-                f"(known: {', '.join(METHODS)})"
-            )
+    _check_methods(system)
     evaluation = parse_evaluation(system.evaluate) if system.evaluate else None
     for sensor in evaluation.sensors if evaluation else ():
         if missing := sensor not in dataset.sensors and dataset.missing_files_of(sensor):
@@ -203,3 +201,21 @@ def load(system: System) -> LoadedSystem:
     if system.rules is not None and system.software is None:  # other software's table may have any columns
         check_rules(system.rules, loaded)
     return loaded
+
+
+def _check_methods(system: System) -> None:
+    """Refuse comparison methods that there are not.
+
+    Raises:
+        InputError: there is one.
+    """
+    if not system.compare:
+        return
+    from calibration.comparison.methods import METHODS  # most matrices compare with no other method
+
+    for method in system.compare:
+        if method not in METHODS:
+            raise InputError(
+                f"systems.{system.name}.compare: there is no method '{method}'{did_you_mean(method, METHODS)} "
+                f"(known: {', '.join(METHODS)})"
+            )
