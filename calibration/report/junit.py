@@ -1,14 +1,15 @@
-"""JUnit XML, the format of test reports that CI systems read."""
+"""JUnit XML, the format of test reports that CI systems read; made as text, since XML libraries are slow to import."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from xml.etree import ElementTree as ET
 
 from calibration.report.blocks import MOST_LINES, cut
 from calibration.report.outcome import Outcome
 from calibration.report.results_json import RESULTS_FILE
 from calibration.workflow.text import visible
 
+_IN_TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
+_IN_ATTRIBUTES = _IN_TEXT | str.maketrans({'"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#09;"})
 _INVALID = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -18,16 +19,17 @@ def junit_xml(suites: Mapping[str, Sequence[Outcome]]) -> str:
     An outcome with an error has no verdict, so it is an ``error`` and not a ``failure``. Its first
     reason is the message.
     """
-    root = ET.Element("testsuites", _counts(outcome for outcomes in suites.values() for outcome in outcomes))
-    for name, outcomes in suites.items():
-        parent = ET.SubElement(root, "testsuite", {"name": _valid(name), **_counts(outcomes)})
-        for outcome in outcomes:
-            _add_case(parent, outcome)
-    ET.indent(root)
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    parts = [_suite(name, outcomes) for name, outcomes in suites.items()]
+    counts = _counts(outcome for outcomes in suites.values() for outcome in outcomes)
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{_element("testsuites", counts, parts)}\n'
 
 
-def _add_case(parent: ET.Element, outcome: Outcome) -> None:
+def _suite(name: str, outcomes: Sequence[Outcome]) -> str:
+    cases = [_case(outcome) for outcome in outcomes]
+    return _element("testsuite", {"name": _valid(name), **_counts(outcomes)}, cases, "  ")
+
+
+def _case(outcome: Outcome) -> str:
     attributes = {"name": outcome.name, "classname": outcome.group}
     if outcome.file is not None:
         attributes["file"] = outcome.file
@@ -35,13 +37,28 @@ def _add_case(parent: ET.Element, outcome: Outcome) -> None:
         attributes["line"] = str(outcome.line)
     if outcome.seconds is not None:
         attributes["time"] = f"{outcome.seconds:.3f}"
-    case = ET.SubElement(parent, "testcase", {key: _valid(text) for key, text in attributes.items()})
+    children = []
     result = _result(outcome)
     if result is not None:
         text = _valid(
             "\n".join(cut(outcome.reasons, MOST_LINES, RESULTS_FILE)) or outcome.skipped or "failed for no known reason"
         )
-        ET.SubElement(case, result, {"message": text.partition("\n")[0]}).text = text
+        begin = _begin(result, {"message": text.partition("\n")[0]})
+        children.append(f"{begin}>{text.translate(_IN_TEXT)}</{result}>" if text else f"{begin} />")
+    return _element("testcase", {key: _valid(text) for key, text in attributes.items()}, children, "    ")
+
+
+def _element(tag: str, attributes: Mapping[str, str], children: Sequence[str], indent: str = "") -> str:
+    """Return an element with each child on a line of its own, ``indent`` and two blanks deep."""
+    begin = _begin(tag, attributes)
+    if not children:
+        return f"{begin} />"
+    lines = "".join(f"\n{indent}  {child}" for child in children)
+    return f"{begin}>{lines}\n{indent}</{tag}>"
+
+
+def _begin(tag: str, attributes: Mapping[str, str]) -> str:
+    return "".join([f"<{tag}", *(f' {name}="{value.translate(_IN_ATTRIBUTES)}"' for name, value in attributes.items())])
 
 
 def _result(outcome: Outcome) -> str | None:

@@ -10,6 +10,7 @@ from calibration.files import write_atomically
 from calibration.frozen import frozen
 from calibration.report.blocks import Block, Lines
 from calibration.report.brief import BRIEF_FILE, Brief, BriefTable
+from calibration.report.junit import junit_xml
 from calibration.report.outcome import Outcome
 from calibration.report.results_json import RESULTS_FILE, results_document, results_text
 from calibration.report.table import Table
@@ -119,8 +120,6 @@ class Report:
 
     def written(self) -> dict[str, str | bytes]:
         """Return the content of all files by their names."""
-        from calibration.report.junit import junit_xml  # slow to import
-
         texts = {
             RESULTS_FILE: results_text(self.verdict, self.results, self.reasons),
             JUNIT_FILE: junit_xml(self.suites),

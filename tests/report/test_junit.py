@@ -1,3 +1,5 @@
+from xml.etree.ElementTree import tostring
+
 import pytest
 from defusedxml.ElementTree import fromstring
 from hypothesis import given
@@ -48,6 +50,12 @@ def test_any_text_makes_valid_xml(name: str, failure: str) -> None:
         c for c in name if c in "\t\n\r" or 0x20 <= ord(c) <= 0xD7FF or 0xE000 <= ord(c) <= 0xFFFD or ord(c) > 0xFFFF
     ]
     assert root[0].attrib["name"] == visible("".join(allowed))
+
+
+@given(st.text(st.characters(exclude_characters="\r")), st.text(st.characters(exclude_characters="\r")))
+def test_it_is_what_an_xml_library_writes(name: str, failure: str) -> None:
+    xml = junit_xml({"empty": [], name: [Outcome(name=name, reasons=(failure,)), Outcome(name="good")]})
+    assert f'<?xml version="1.0" encoding="utf-8"?>\n{tostring(fromstring(xml.encode()), encoding="unicode")}\n' == xml
 
 
 @pytest.mark.parametrize("character", ["\x00", "\x1b", "\x0b", "\ufffe", "\ud800"])
