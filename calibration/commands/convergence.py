@@ -50,7 +50,11 @@ MOST_STARTS = 1_000_000
 """Limit of starts of one map."""
 SHARED = frozenset(
     {
-        *(key.replace("-", "_") for key in (*option_keys(System), *OF_SOFTWARE) if key not in ("start", "compare")),
+        *(
+            key.replace("-", "_")
+            for key in (*option_keys(System), *OF_SOFTWARE)
+            if key not in ("start", "compare", "datasets")
+        ),
         *("dataset", "config", "systems", "rules", "jobs"),
         *("registry_username", "registry_password", "backend", "aws_batch", "run", "resume"),
     }

@@ -189,7 +189,15 @@ def read_json(path: Path, max_bytes: int = MAX_BYTES, what: str = "a JSON docume
     Raises:
         InputError: the file cannot be read, is not JSON, or its top level is not an object.
     """
-    data = read_bytes(path, max_bytes, what)
+    return parse_document(read_bytes(path, max_bytes, what), path)
+
+
+def parse_document(data: bytes, path: Path) -> Node:
+    """Return the root of a JSON document; the path is for messages.
+
+    Raises:
+        InputError: it is not JSON, or its top level is not an object.
+    """
     root = Node(path, (), None)
     try:
         root.value = parse_json(data, finite=False)

@@ -37,9 +37,14 @@ def read_joints(config: Node, collections: Sequence[Node]) -> dict[str, Joint]:
     return {name: _joint(name, node, collections) for name, node in asked.items()}
 
 
+def joint_values(joint: Joint) -> dict[str, float]:
+    """Return the current parameters of a joint, by the names that they have in a document."""
+    return dict(zip(JOINT_PARAMETERS, joint.values.tolist(), strict=True))
+
+
 def joint_document(joint: Joint, read: Mapping[str, Any], i: int) -> dict[str, Any]:
     """Return the document entry of a joint in collection i, with its current parameters."""
-    values = dict(zip(JOINT_PARAMETERS, joint.values.tolist(), strict=True))
+    values = joint_values(joint)
     bias = values.pop("position_bias")
     document = {**read, **values, "position": float(joint.positions[i])}
     return {**document, "position_bias": bias} if bias or "position_bias" in read else document

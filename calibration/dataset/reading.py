@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from calibration.dataset.changes import KEY, changed_document
 from calibration.dataset.configuration import Configuration, parse_configuration
 from calibration.dataset.document import Node, read_json, shown
 from calibration.dataset.edges import is_constant, read_transforms
@@ -21,8 +22,11 @@ from calibration.geometry.types import Array
 FILE_NAME = "dataset.json"
 
 
-def read_dataset(path: Path | str, data: Path | None = None) -> Dataset:
+def read_dataset(path: Path | str, data: Path | None = None, given: Path | None = None) -> Dataset:
     """Read a dataset from a folder with ``dataset.json``, or from a JSON file.
+
+    A file that holds only what a calibration has changed (`calibration.dataset.changes`) becomes the dataset that was
+    calibrated, with these changes; its path is that of the latter.
 
     Labels that refer to a missing point cloud or depth image are left out (`Dataset.missing_files`); so is
     a sensor without other labels, which then keeps the pose of the robot's description.
@@ -35,16 +39,20 @@ def read_dataset(path: Path | str, data: Path | None = None) -> Dataset:
     Args:
         path: the folder, or the file.
         data: the folder of its point clouds and depth images; None if they are in the dataset's folder.
+        given: the folder or the file of the dataset that was calibrated, if the file holds only changes; None to look
+            for it below the working folder.
 
     Raises:
         InputError: the file does not exist, or something in it is missing or wrong; the message
             names the file, the keys that lead there, what was found and what was expected.
     """
-    path = Path(path)
-    if os.path.isdir(path):  # noqa: PTH112 (Path.is_dir raises where a folder may not be looked into)
-        path = path / FILE_NAME
     with _no_collector():
-        return _read(path, data)
+        return _read(_file(Path(path)), data, given and _file(given))
+
+
+def _file(path: Path) -> Path:
+    inside = os.path.isdir(path)  # noqa: PTH112 (Path.is_dir raises where a folder may not be looked into)
+    return path / FILE_NAME if inside else path
 
 
 @contextmanager
@@ -59,8 +67,11 @@ def _no_collector() -> Iterator[None]:
             gc.enable()
 
 
-def _read(path: Path, data: Path | None) -> Dataset:
+def _read(path: Path, data: Path | None, given: Path | None) -> Dataset:
     root = read_json(path, what="a dataset")
+    if KEY in root.value:
+        root = changed_document(root[KEY], given)
+        path = root.file
     version = _version(root["_metadata"]["version"])
     configuration = parse_configuration(root["calibration_config"])
     sensors = read_sensors(root["sensors"], configuration.sensors)

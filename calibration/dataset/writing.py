@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from calibration.dataset.changes import KEY, reference_to
 from calibration.dataset.configuration import FIRST_PATTERN
 from calibration.dataset.document import Node
 from calibration.dataset.edges import is_constant, read_transforms, transform_documents
-from calibration.dataset.joints import joint_document
+from calibration.dataset.joints import joint_document, joint_values
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern, pattern_document
 from calibration.dataset.payload import locate
@@ -103,17 +104,24 @@ class DatasetWriter:
 
     def write(self, dataset: Dataset, path: Path | str, images: bool = True) -> Path:
         """Write a dataset; see `write_dataset`."""
-        return self.write_text(self.text(dataset), dataset, path, images)
+        text, path = self.text(dataset), self._path(path)
+        bring_payload(dataset, path.parent, images)
+        write_atomically(path, text)
+        return path
 
-    def write_text(self, text: str, dataset: Dataset, path: Path | str, images: bool = True) -> Path:
-        """Write a dataset whose text has been made by `text`; see `write_dataset`."""
+    def write_text(self, text: str, path: Path | str) -> Path:
+        """Write the text of a dataset or of its changes, without the files that it refers to; see `write_dataset`."""
+        path = self._path(path)
+        write_atomically(path, text)
+        return path
+
+    def _path(self, path: Path | str) -> Path:
+        """Return the path of the file to write; refuse the given dataset's own."""
         path = Path(path)
         if path.suffix != ".json":
             path = path / FILE_NAME
         if path.resolve() == self._file:
             raise InputError(f"{path}: is the dataset itself; write into another folder, an input is never changed")
-        _bring_payload(dataset, path.parent, images)
-        write_atomically(path, text)
         return path
 
     def text(self, dataset: Dataset) -> str:
@@ -126,17 +134,11 @@ class DatasetWriter:
 
     def document(self, dataset: Dataset) -> dict[str, Any]:
         """Return the document of a dataset; see `dataset_document`."""
-        given, source = self._given, dataset.document
-        if source is not given.document or _structure(dataset) != self._structure:
+        if not self._fits(dataset):
             return DatasetWriter(dataset).document(dataset)
-        new = {edge for edge, T in dataset.transforms.items() if T is not given.transforms.get(edge)}
+        source, new, changes = dataset.document, self._new(dataset), self._changed(dataset)
         kinds = {edge: _kind(dataset, edge) if edge in new else self._kinds[edge] for edge in dataset.transforms}
-        changes = {
-            edge: change
-            for edge in dataset.transforms
-            if (change := self._change(dataset, edge) if edge in new else self._changes[edge])
-        }
-        sensors = {name for name, sensor in dataset.sensors.items() if sensor is not given.sensors[name]}
+        sensors = {name for name, sensor in dataset.sensors.items() if sensor is not self._given.sensors[name]}
         return {
             "additional_sensor_data": {},
             **source,
@@ -150,6 +152,58 @@ class DatasetWriter:
             },
             "collections": {key: self._collection(dataset, i, changes) for i, key in enumerate(dataset.keys)},
         }
+
+    def changes_text(self, dataset: Dataset) -> str:
+        """Return the text of a file with only what differs from the document that was read; see `dataset.changes`.
+
+        Raises:
+            InputError: a transform is not finite.
+        """
+        if not self._fits(dataset):
+            return DatasetWriter(dataset).changes_text(dataset)
+        common: dict[str, Any] = {}
+        own: dict[str, Any] = {}
+        for edge, entries in self._changed(dataset).items():
+            if all(entry == entries[0] for entry in entries):
+                common["-".join(edge)] = entries[0]
+                continue
+            for key, entry in zip(dataset.keys, entries, strict=True):
+                own.setdefault(key, {"transforms": {}})["transforms"]["-".join(edge)] = entry
+        sensors = {name: _sensor(dataset, name) for name in self._sensors}
+        changes = {
+            **self.reference,
+            "transforms": common,
+            "collections": own,
+            "joints": {name: joint_values(joint) for name, joint in dataset.joints.items()},
+            "sensors": {
+                name: {"camera_info": document["camera_info"]}
+                for name, document in sensors.items()
+                if document is not dataset.document["sensors"][name]
+            },
+        }
+        return _text({KEY: changes}, dataset.path, None)
+
+    @cached_property
+    def reference(self) -> dict[str, str]:
+        """Reference to the file of the dataset, as it is now.
+
+        Raises:
+            InputError: it cannot be read.
+        """
+        return reference_to(self._given.path)
+
+    def _fits(self, dataset: Dataset) -> bool:
+        """Whether a dataset differs from the given one only in transforms, intrinsics, and values of joints."""
+        return dataset.document is self._given.document and _structure(dataset) == self._structure
+
+    def _new(self, dataset: Dataset) -> set[Edge]:
+        """Return the edges whose transforms are not those of the given dataset."""
+        return {edge for edge, T in dataset.transforms.items() if T is not self._given.transforms.get(edge)}
+
+    def _changed(self, dataset: Dataset) -> dict[Edge, list[dict[str, Any] | None]]:
+        """Return the edges whose transforms are not those of the document, with their entries."""
+        found = {**self._changes, **{edge: self._change(dataset, edge) for edge in self._new(dataset)}}
+        return {edge: change for edge in dataset.transforms if (change := found[edge])}
 
     def _change(self, dataset: Dataset, edge: Edge) -> list[dict[str, Any] | None] | None:
         """Return the entries of an edge for each collection, None where it lacks the edge; None if they are as read."""
@@ -281,8 +335,12 @@ def _kind(dataset: Dataset, edge: Edge) -> dict[str, Any]:
     }
 
 
-def _bring_payload(dataset: Dataset, folder: Path, images: bool) -> None:
-    """Link or copy the existing data files of the collections into the folder."""
+def bring_payload(dataset: Dataset, folder: Path, images: bool) -> None:
+    """Link or copy the existing data files of the collections into the folder.
+
+    Raises:
+        InfrastructureError: a file cannot be written.
+    """
     for key in dataset.keys:
         data = dataset.document["collections"][key].get("data")
         for sensor, message in data.items() if isinstance(data, dict) else ():

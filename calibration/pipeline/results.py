@@ -230,9 +230,9 @@ def without_verdicts(results: Results) -> Results:
 
 def own_file(cell: CellResult) -> str | None:
     """Return the path of a cell's own results, relative to the output folder; None if there are none."""
-    if cell.method != OUR_METHOD or cell.translation_noise is None or cell.dataset is None:
+    if cell.method != OUR_METHOD or cell.translation_noise is None or (folder := cell.own_folder) is None:
         return None
-    return str(Path(cell.dataset).with_name(RESULTS_FILE))
+    return f"{folder}/{RESULTS_FILE}"
 
 
 def own_details(cell: CellResult, output: Path) -> Details | None:

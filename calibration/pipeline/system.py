@@ -1,7 +1,7 @@
 """Systems to calibrate, and their initial guesses: shared by the stages and the configuration."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from calibration.baseline.verdict import Accepted
 from calibration.diagnosis.limits import Limits
@@ -44,6 +44,7 @@ def _rules(found: RuleSet | tuple[RuleEntry, ...], place: Place) -> RuleSet:
     return checked(RuleSet(unfolded(found)) if isinstance(found, tuple) else found, str(place))
 
 
+Datasets = Literal["full", "changes", "none"]
 Truth = Annotated[str, Converted(Text, _truth)]
 """A path, "dataset" or "none"."""
 
@@ -111,6 +112,13 @@ class System:
         option=False,
     )
     exports: Exports | None = field("Exports if it passes: formats, robot-description.", default=None, option=False)
+    datasets: Datasets = field(
+        "What a cell keeps of its calibrated dataset: full, ATOM's form, which any tool reads; changes, only what was "
+        "calibrated, beside a reference to the dataset, for the commands here; none, which leaves the results, and no "
+        "figures in the page.",
+        default="full",
+        option="What a cell keeps of its calibrated dataset: full, changes (beside a reference to it), none (full).",
+    )
     accepted: Accepted | None = None
     """Accepted calibration to compare its cells with, set after reading it."""
 

@@ -28,6 +28,7 @@ from calibration.dataset.depth_image import read_depth_image
 from calibration.dataset.pointcloud import read_points
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import read_truth
+from calibration.dataset.writing import DatasetWriter
 from calibration.diagnosis.check_data import check_data
 from calibration.errors import CalibrationError
 from calibration.estimation.intrinsics_file import read_intrinsics
@@ -35,6 +36,7 @@ from calibration.estimation.starting_noise import StartingNoise
 from calibration.execution.extraction import Budget, extract
 from calibration.execution.globs import Glob
 from calibration.geometry.cameras import Camera
+from calibration.geometry.transforms import translation
 from calibration.git.repository import Repository
 from calibration.image.specification import read_image_specification
 from calibration.importing.bag import open_bag
@@ -91,6 +93,13 @@ def _few_collections() -> list[bytes]:
         document["collections"] = dict(list(document["collections"].items())[:10])
         found.append(json.dumps(document).encode())
     return found
+
+
+def _changes() -> list[bytes]:
+    """What a calibration of a dataset might have changed."""
+    dataset = read_dataset(DATASETS / "t2rgb")
+    moved = dataset.with_transforms({edge: T @ translation((0.01, 0.0, 0.0)) for edge, T in dataset.transforms.items()})
+    return [DatasetWriter(dataset).changes_text(moved).encode()]
 
 
 def _calibrated(path: Path) -> None:
@@ -328,6 +337,7 @@ def _packages(path: Path) -> None:
 
 
 TARGETS: Mapping[str, Target] = {
+    "changes": Target("dataset.json", _changes, lambda path: read_dataset(path, given=DATASETS / "t2rgb"), 2),
     "ros-packages": Target("workspace", _workspaces, _packages, 4),
     "simulation": Target("simulation.yml", _files("datasets/riwbot/simulation.yml"), _system, 2),
     "robot": Target("robot.urdf", _files("datasets/riwbot/robot.urdf"), _system, 2),

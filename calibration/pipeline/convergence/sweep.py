@@ -58,9 +58,10 @@ def sweep_matrices(matrix: Matrix, starts: Sequence[Start]) -> tuple[Matrix, ...
 
 
 def _starting(system: System, start: Start) -> System:
-    """Return a system with another kind of initial guess, without comparison methods, which use none."""
+    """Return a system with another kind of initial guess, without comparison methods, which use none, and datasets."""
     software = system.software if start == "given" else None
-    return replace(system, compare=(), software=software, options=replace(system.options, start=start))
+    options = replace(system.options, start=start)
+    return replace(system, compare=(), software=software, options=options, datasets="none", exports=None)
 
 
 def run_sweep(
@@ -136,8 +137,8 @@ def _judged(cell: CellResult, systems: Sequence[System], ours: Path, theirs: Pat
     """Judge a cell by rules and limits, and drop its details: thousands would fill disk and memory."""
     folder = ours if cell.method == OUR_METHOD else theirs
     [judged] = judge_cells([cell], systems, folder)
-    if cell.method == OUR_METHOD and cell.dataset is not None:
-        shutil.rmtree((folder / cell.dataset).parent, ignore_errors=True)
+    if cell.method == OUR_METHOD and cell.own_folder is not None:
+        shutil.rmtree(folder / cell.own_folder, ignore_errors=True)
     return replace(judged, details=None, warnings=(), findings=())
 
 

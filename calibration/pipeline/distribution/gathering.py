@@ -180,7 +180,8 @@ def _read(folder: Path) -> Results:
     def moved(cell: CellResult) -> CellResult:
         file = own_file(cell)
         details = own_details(cell, folder) if file is not None and (folder / file).exists() else None
-        return replace(cell, table=below(cell.table), dataset=below(cell.dataset), details=details)
+        table, dataset, own = below(cell.table), below(cell.dataset), below(cell.folder)
+        return replace(cell, table=table, dataset=dataset, folder=own, details=details)
 
     return replace(
         found,

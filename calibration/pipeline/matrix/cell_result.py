@@ -1,6 +1,7 @@
 """Result of a cell, as it stands in results.json."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 from calibration.baseline.comparison import Change
@@ -110,6 +111,7 @@ class CellResult:
     )
     table: str | None = field("The CSV, relative to the output folder.")
     dataset: str | None = field("The calibrated dataset, relative to the output folder.")
+    folder: str | None = field("Folder of its own files, relative to the output folder.", default=None)
     truth: Deviation | None = field("Distance of the calibration from the truth, if that is known.")
     seconds: float = field("Duration.")
     reasons: tuple[str, ...] = field("Reasons of a fail verdict.", default=())
@@ -143,6 +145,11 @@ class CellResult:
     def start_of_cell(self) -> tuple[str, float | None, float | None, int | None]:
         """Key of the initial guess, equal for all results from it."""
         return (self.system, self.translation_noise, self.rotation_noise, self.seed)
+
+    @property
+    def own_folder(self) -> str | None:
+        """`folder`; of results of an older version, which have none, that of the dataset."""
+        return self.folder or (str(Path(self.dataset).parent) if self.dataset else None)
 
     @property
     def name(self) -> str:

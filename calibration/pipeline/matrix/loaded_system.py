@@ -2,13 +2,14 @@
 
 from dataclasses import field as dataclass_field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.baseline.snapshot import Snapshot, Snapshots
 from calibration.baseline.verdict import Accepted
 from calibration.dataset.model import Dataset
 from calibration.dataset.truth import Truth
-from calibration.dataset.writing import DatasetWriter
+from calibration.dataset.writing import DatasetWriter, bring_payload
 from calibration.diagnosis.check_data import check_data
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
@@ -21,6 +22,7 @@ from calibration.pipeline.matrix.latest import Latest
 if TYPE_CHECKING:
     from calibration.diagnosis.against_optimum import OurOptimum
     from calibration.pipeline.matrix.running_cell import Evaluated
+    from calibration.pipeline.system import Datasets
 
 
 @frozen(eq=False)
@@ -35,6 +37,8 @@ class LoadedSystem:
     """Options of our engine."""
     limits: Limits = dataclass_field(default_factory=Limits)
     """Limits of its result's errors."""
+    datasets: "Datasets" = "full"
+    """What is written of its cells' calibrated datasets."""
     accepted: Accepted | None = None
     """Accepted calibration to compare with; None if there is none."""
 
@@ -54,6 +58,29 @@ class LoadedSystem:
     def writer(self) -> DatasetWriter:
         """Writer of its cells' calibrated datasets."""
         return DatasetWriter(self.dataset)
+
+    def dataset_text(self, dataset: Dataset) -> str | None:
+        """Return the text of a cell's calibrated dataset, or of its changes; None if none is written.
+
+        Raises:
+            InputError: a transform is not finite.
+        """
+        if self.datasets == "none":
+            return None
+        return self.writer.text(dataset) if self.datasets == "full" else self.writer.changes_text(dataset)
+
+    def write_dataset(self, text: str, dataset: Dataset, folder: Path) -> None:
+        """Write a text of `dataset_text`, and beside a full dataset its point clouds and depth images.
+
+        Not its images, which are larger than everything else.
+
+        Raises:
+            InputError: the folder is that of the system's own dataset.
+            InfrastructureError: a file cannot be written.
+        """
+        if self.datasets == "full":
+            bring_payload(dataset, folder, images=False)
+        self.writer.write_text(text, folder)
 
     @cached_property
     def latest(self) -> Latest["Evaluated"]:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from calibration.dataset.changes import refuse_changes
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
 from calibration.errors import InputError
@@ -196,7 +197,14 @@ def load(system: System) -> LoadedSystem:
                 f"{did_you_mean(sensor, dataset.sensors)} (sensors: {', '.join(dataset.sensors)})"
             )
     options = replace(system.options, intrinsics_covariance=system.options.known_intrinsics())
-    loaded = LoadedSystem(system.name, dataset, truth, evaluation, options, system.limits, system.accepted)
+    loaded = LoadedSystem(
+        system.name, dataset, truth, evaluation, options, system.limits, system.datasets, system.accepted
+    )
+    if system.datasets == "changes":
+        refuse_changes(system.dataset, dataset.path)
+        loaded.writer.reference  # noqa: B018 (of the bytes that were read)
+    if system.datasets == "none" and system.exports is not None:
+        raise InputError(f"systems.{system.name}.datasets: found none, expected changes or full: it has exports")
     loaded.check()  # before the fork, so that all cells share the result
     if system.rules is not None and system.software is None:  # other software's table may have any columns
         check_rules(system.rules, loaded)

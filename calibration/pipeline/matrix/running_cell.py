@@ -47,6 +47,8 @@ class Evaluated:
     """Name of the table's file, and its text; None if there is no table."""
     dataset: str | None = None
     """Text of the dataset; None if it is not written."""
+    complete: bool = False
+    """Whether there was no error, so that its own results are written beside them."""
 
 
 def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None = None) -> CellResult:
@@ -165,7 +167,7 @@ def _evaluated(
             rms = None if math.isnan(calibration.rms_px) else round(calibration.rms_px, 4)
             made = replace(made, result=replace(made.result, rms_px=rms))
         made = replace(made, result=replace(made.result, truth=distance_from_truth(judged, system)))
-        return replace(made, dataset=system.writer.text(dataset))
+        return replace(made, dataset=system.dataset_text(dataset), complete=True)
     except CalibrationError as error:
         return replace(made, result=_failed(made.result, error))
 
@@ -185,11 +187,13 @@ def _written(
             name, text = made.table
             write_atomically(output / folder / name, text)
             result = replace(result, table=f"{folder}/{name}")
-        if made.dataset is not None:  # without images, which are larger than everything else
-            system.writer.write_text(made.dataset, dataset, output / folder, images=False)
+        if made.dataset is not None:
+            system.write_dataset(made.dataset, dataset, output / folder)
+            result = replace(result, dataset=f"{folder}/{FILE_NAME}")
+        if made.complete:
             if calibration is not None and calibration.converged and calibration.intrinsics:
                 write_intrinsics(output / folder / INTRINSICS, calibration.intrinsics)
-            result = replace(result, dataset=f"{folder}/{FILE_NAME}")
+            result = replace(result, folder=folder)
     except CalibrationError as error:
         result = _failed(result, error)
     return result

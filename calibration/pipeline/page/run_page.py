@@ -91,11 +91,14 @@ def _system(name: str, cell: CellResult, output: Path, system: System | None, ac
         join([element("h3", "What speaks for it, and what to look at"), bullets(notes)]) if notes else Html(""),
     ]
     try:
-        dataset = read_dataset(output / cell.dataset) if cell.dataset else None
+        calibrated_from = system.dataset if system else None
+        dataset = read_dataset(output / cell.dataset, given=calibrated_from) if cell.dataset else None
     except CalibrationError as error:  # from a job whose files were not kept
         content.append(element("p", f"No figures: {error}", class_="soft"))
     else:
-        if dataset is not None:
+        if dataset is None and cell.own_folder is not None:
+            content.append(element("p", "No figures: the dataset is not kept (datasets: none).", class_="soft"))
+        elif dataset is not None:
             levels = cell.details.noise_levels if cell.details else None
             given = _given(system)
             content += [in_space(dataset, given), *label_residuals(dataset, levels, given)]

@@ -58,7 +58,7 @@ def _exported(system: System, exports: Exports, cells: Sequence[CellResult], out
     folder = str(Path(first.dataset or "").parent / FOLDER)
     try:
         # The labels' data files stay beside the dataset that was calibrated.
-        dataset = read_dataset(output / (first.dataset or ""), data=_data(system))
+        dataset = read_dataset(output / (first.dataset or ""), data=_data(system), given=system.dataset)
         files, notes = exported(dataset, exports.formats, exports.robot_description)
         details = first.details or own_details(first, output)
     except CalibrationError as error:

@@ -101,13 +101,14 @@ def test_real_results_are_gathered_unchanged(tmp_path: Path) -> None:
     found = gather(needs(Plan(jobs)), tmp_path).results
 
     def essence(cells: tuple[CellResult, ...]) -> list[CellResult]:
-        return [replace(cell, details=None, seconds=0, table=None, dataset=None) for cell in cells]
+        return [replace(cell, details=None, seconds=0, table=None, dataset=None, folder=None) for cell in cells]
 
     assert essence(found.cells) == essence(whole.cells)
     assert essence(found.comparisons) == essence(whole.comparisons)
     for cell in (*found.cells, *found.comparisons):
         assert (tmp_path / str(cell.table)).is_file()
         assert (tmp_path / str(cell.dataset)).is_file()
+        assert (tmp_path / str(cell.folder)).is_dir()
 
 
 def test_a_cell_that_failed_explains_its_job(leave: Callable[..., Path], tmp_path: Path) -> None:
