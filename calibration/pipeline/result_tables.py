@@ -49,7 +49,8 @@ def grid(results: Results) -> Table:
             return cell.system
         return f"{cell.system}: {OUR_METHOD if cell.by_other_method else cell.method}"
 
-    everything = sorted((*results.cells, *results.comparisons), key=lambda c: results.systems.index(c.system))
+    place = {system: n for n, system in enumerate(results.systems)}
+    everything = sorted((*results.cells, *results.comparisons), key=lambda cell: place[cell.system])
     columns = list(dict.fromkeys(map(column, everything)))
     for cell in (*results.cells, *results.comparisons):
         rows.setdefault(_row(cell), {}).setdefault(column(cell), []).append(cell)
