@@ -5,13 +5,14 @@ same data from the same initial guesses as a comparison, to distinguish "our sof
 got worse".
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from calibration.dataset.changes import refuse_changes
+from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
 from calibration.errors import InputError
@@ -85,6 +86,8 @@ class MatrixResults:
 
     cells: tuple[CellResult, ...]
     comparisons: tuple[CellResult, ...]
+    datasets: Mapping[str, Dataset]
+    """The datasets that were calibrated, by system."""
 
 
 def run_matrix(
@@ -125,7 +128,8 @@ def run_matrix(
     def results(of: Sequence[Task[CellResult]]) -> tuple[CellResult, ...]:
         return tuple(found[task.name] for task in of if task.name in found)
 
-    return MatrixResults(results(tasks.cells), (*results(tasks.references), *results(tasks.comparisons)))
+    comparisons = (*results(tasks.references), *results(tasks.comparisons))
+    return MatrixResults(results(tasks.cells), comparisons, tasks.datasets)
 
 
 @frozen
@@ -136,6 +140,8 @@ class MatrixTasks:
     references: list[Task[CellResult]]
     """Our engine on the cells of the team's software."""
     comparisons: list[Task[CellResult]]
+    datasets: Mapping[str, Dataset]
+    """The datasets that they calibrate, by system."""
 
 
 @contextmanager
@@ -172,7 +178,8 @@ def matrix_tasks(matrix: Matrix, output: Path, containers: Path) -> Iterator[Mat
             cells.append(software_task(cell, system, software, starts / str(number), containers))
             folder = f"{cell.system}/{OUR_METHOD}/{noise_folder(cell.noise)}"  # next to those of the cells
             references.append(Task.call(folder, partial(run_cell, cell, system, output, folder)))
-        yield MatrixTasks(cells, references, comparisons)
+        datasets = {name: system.dataset for name, system in loaded.items()}
+        yield MatrixTasks(cells, references, comparisons, datasets)
 
 
 def load(system: System) -> LoadedSystem:

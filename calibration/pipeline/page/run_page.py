@@ -1,7 +1,7 @@
 """Page of a run: the verdict and the tables of all systems, then each system by itself."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,7 +44,12 @@ SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def report_page(
-    report: Report, results: Results, output: Path, matrix: Matrix | None = None, accepted: "History | None" = None
+    report: Report,
+    results: Results,
+    output: Path,
+    matrix: Matrix | None = None,
+    accepted: "History | None" = None,
+    given: Mapping[str, Dataset] | None = None,
 ) -> str:
     """Return the page, a single file.
 
@@ -54,6 +59,7 @@ def report_page(
         output: the folder with the cells' datasets.
         matrix: the calibrated matrix, if its datasets are available, for limits and given datasets.
         accepted: the accepted calibrations through the commits of the repository.
+        given: the given datasets by system, as far as they have been read already.
     """
     shown = {system: cell for system in results.systems if (cell := _shown(results, system)) is not None}
     systems = {system.name: system for system in matrix.systems} if matrix else {}
@@ -66,7 +72,10 @@ def report_page(
         element("nav", element("ul", *links), aria_label="Systems") if len(links) > 1 else Html(""),
         *(table(each.columns, each.rows) for each in (make(results) for make in tables)),
     ]
-    sections = [_system(name, cell, output, systems.get(name), accepted) for name, cell in shown.items()]
+    sections = [
+        _system(name, cell, output, systems.get(name), accepted, (given or {}).get(name))
+        for name, cell in shown.items()
+    ]
     return page(f"Calibration: {report.verdict}", [join(head), *sections])
 
 
@@ -80,7 +89,14 @@ def _anchor(system: str) -> str:
     return "system-" + "".join(c if c.isascii() and c.isalnum() else f"-{ord(c):x}-" for c in system)
 
 
-def _system(name: str, cell: CellResult, output: Path, system: System | None, accepted: "History | None") -> Html:
+def _system(
+    name: str,
+    cell: CellResult,
+    output: Path,
+    system: System | None,
+    accepted: "History | None",
+    given: Dataset | None,
+) -> Html:
     """Return the sections of one system, by one of its cells."""
     tables = (transforms_table, parameters_table, changes_table)
     notes = tuple(finding.text for finding in cell.findings if finding.severity != "red")
@@ -100,7 +116,7 @@ def _system(name: str, cell: CellResult, output: Path, system: System | None, ac
             content.append(element("p", "No figures: the dataset is not kept (datasets: none).", class_="soft"))
         elif dataset is not None:
             levels = cell.details.noise_levels if cell.details else None
-            given = _given(system)
+            given = given or _given(system)
             content += [in_space(dataset, given), *label_residuals(dataset, levels, given)]
     content += [*_error_bars(cell, system.limits if system else None), *_trends(name, accepted)]
     return section(name, *content, anchor=_anchor(name))

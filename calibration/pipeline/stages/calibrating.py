@@ -34,7 +34,7 @@ def calibrate_stage(run: Run) -> Run:
 
         found = run_matrix(matrix, run.output, run.jobs, run.fail_fast, done, run.target)
     results = replace(run.results, cells=found.cells, comparisons=found.comparisons, baseline=update)
-    return replace(run, results=results)
+    return replace(run, results=results, given=found.datasets)
 
 
 def _line(cell: CellResult) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from calibration.analysis.settings import AnalysisSettings
 from calibration.baseline.settings import BaselineSettings
+from calibration.dataset.model import Dataset
 from calibration.errors import CalibrationError, InputError
 from calibration.execution.backends import ExecutionTarget, imported
 from calibration.frozen import frozen
@@ -61,6 +62,8 @@ class Run:
     target: ExecutionTarget = field(default_factory=ExecutionTarget)
     """Execution target of the containers, and settings of the others."""
     results: Results = field(default_factory=Results)
+    given: Mapping[str, Dataset] = field(default_factory=dict)
+    """Datasets that the stage calibrate has read, by system."""
 
     @property
     def wants_image(self) -> bool:
@@ -134,7 +137,7 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
 
 def _page(found: Report, run: Run) -> str:
     accepted = accepted_history(run.baseline.file) if run.baseline and run.baseline.file.exists() else None
-    return report_page(found, run.results, run.output, run.matrix, accepted)
+    return report_page(found, run.results, run.output, run.matrix, accepted, run.given)
 
 
 def _places(reasons: Sequence[str], run: Run) -> dict[str, tuple[Path, int]]:
