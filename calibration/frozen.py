@@ -23,12 +23,11 @@ def frozen(cls: Any = None, /, *, eq: bool = True, kw_only: bool = False, slots:
         cls: the class.
         eq: whether instances are compared by their fields.
         kw_only: whether the constructor takes its arguments by name only.
-        slots: whether instances have no room for other attributes; such a class is made at once, as one is that
-            inherits fields.
+        slots: whether instances have no room for other attributes; such a class is made at once.
     """
 
     def declare(cls: Any) -> Any:
-        if slots or any(map(dataclasses.is_dataclass, cls.__mro__[1:])):
+        if slots:
             return dataclasses.dataclass(frozen=True, eq=eq, kw_only=kw_only, slots=slots)(cls)
         return _declared(cls, eq, kw_only)
 
@@ -41,7 +40,8 @@ def _declared(cls: Any, eq: bool, kw_only: bool) -> Any:
 
     def made(**options: bool) -> Any:  # on a copy, as the class is in use
         copy = type(cls)(cls.__name__, cls.__bases__, own)
-        return dataclasses.dataclass(init=False, kw_only=kw_only, **options)(copy)
+        frozen = any(map(dataclasses.is_dataclass, cls.__bases__))  # as its bases are, else not, which takes longer
+        return dataclasses.dataclass(init=False, kw_only=kw_only, frozen=frozen, **options)(copy)
 
     for name, value in own.items():
         if isinstance(value, dataclasses.Field):
