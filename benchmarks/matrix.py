@@ -8,7 +8,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import FOLDER, ROOT
 
 DATASET, TABLE = "t2rgb-paper", "rgb-to-rgb:right_camera:left_camera"
+NEAR = ("--translation-noise", "0.02", "--rotation-noise", "0.02")
 PROGRAM = """
 import json, resource, time
 from pathlib import Path
@@ -68,6 +69,11 @@ def measure(quick: bool) -> Iterator[Row]:
     if before:
         note += f"; before: {before.seconds / cells / before.unit:.1f}"
     yield Row("matrix/a cell", now.seconds / cells / now.unit, "x json.loads", Bar(high=8), note)
+    given = _matrix(ROOT, path, cells, 2, ("--start", "given", *NEAR))
+    note = "each cell from its noisy guess, so that no two calibrations are equal to the last bit"
+    yield Row("matrix/a cell, start: given", given.seconds / cells / given.unit, "x json.loads", None, note)
+    small = _matrix(ROOT, path, cells, 2, ("--datasets", "changes"))
+    yield Row("matrix/a cell, datasets: changes", small.seconds / cells / small.unit, "x json.loads", Bar(high=8))
     efficiency = alone.seconds / (2 * (now.own + now.workers / 2))
     note = f"one process {alone.seconds:.1f} s; two {now.workers:.1f} s between them, {now.own:.1f} s beside them"
     if before:
@@ -79,11 +85,11 @@ def measure(quick: bool) -> Iterator[Row]:
     yield Row("matrix/memory", large.own_mb, "MB", Bar(high=100), note)
 
 
-def _matrix(place: Path, dataset: Path, cells: int, jobs: int) -> Used:
+def _matrix(place: Path, dataset: Path, cells: int, jobs: int, more: Sequence[str] = ()) -> Used:
     with tempfile.TemporaryDirectory() as folder:
         noise = ["--translation-noise", "0.5", "--rotation-noise", "0.5", "--seeds", str(cells)]
         arguments = ["calibrate-matrix", "--dataset", str(dataset), "--evaluate", TABLE, *noise]
-        arguments += ["--jobs", str(jobs), "--output", folder]
+        arguments += ["--jobs", str(jobs), "--output", folder, *more]
         program = PROGRAM.format(arguments=arguments, dataset=str(dataset / "dataset.json"))
         command = [sys.executable, *reference.python(program, place)]
         done = subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, check=True)
