@@ -14,6 +14,9 @@ from calibration.diagnosis.check_data import check_data
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
+from calibration.errors import CalibrationError, solvable
+from calibration.estimation.build import Setup
+from calibration.estimation.calibrate import setup_of
 from calibration.estimation.options import Options
 from calibration.evaluation.specification import Evaluation
 from calibration.frozen import frozen
@@ -81,6 +84,15 @@ class LoadedSystem:
         if self.datasets == "full":
             bring_payload(dataset, folder, images=False)
         self.writer.write_text(text, folder)
+
+    @cached_property
+    def setup(self) -> Setup | None:
+        """Problem of its dataset, the same for all cells; None if there is none, which their calibration explains."""
+        try:
+            with solvable(self.dataset.path):
+                return setup_of(self.dataset, self.options)
+        except CalibrationError:
+            return None
 
     @cached_property
     def latest(self) -> Latest["Evaluated"]:

@@ -84,7 +84,7 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
 def _calibrated(cell: Cell, system: LoadedSystem) -> tuple[Options, Calibration]:
     system.check()
     options = replace(system.options, start=cell.start, loss=cell.loss)
-    return options, calibrate(system.dataset, options, cell.noise)
+    return options, calibrate(system.dataset, options, cell.noise, system.setup)
 
 
 def _without_calibration(cell: Cell, system: LoadedSystem, error: CalibrationError) -> CellResult:

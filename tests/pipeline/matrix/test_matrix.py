@@ -164,10 +164,10 @@ def test_a_cell_that_fails_does_not_stop_the_others_unless_asked(
 ) -> None:
     calibrate = running_cell.calibrate
 
-    def failing_from_far(dataset, options, noise):  # type: ignore[no-untyped-def]
+    def failing_from_far(dataset, options, noise, setup):  # type: ignore[no-untyped-def]
         if noise.translation > 0:
             raise InputError("planted")
-        return calibrate(dataset, options, noise)
+        return calibrate(dataset, options, noise, setup)
 
     monkeypatch.setattr(running_cell, "calibrate", failing_from_far)
 
