@@ -20,7 +20,7 @@ rooms = $(patsubst tests/%/__init__.py,%,$(wildcard tests/*/__init__.py tests/*/
 engine_tests = $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering)
 opencv_tests = $(addprefix tests/,dataset/test_depth_image.py dataset/test_reading.py comparison labelling simulation/rendering)
 
-.PHONY: help run check lint test test-only fuzz faults bench bench-table lock test-versions actions pictures aws-example clean
+.PHONY: help run check lint test test-coverage fuzz faults bench bench-table lock test-versions actions pictures aws-example clean
 
 help: ## this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1\t\2/p' Makefile | expand -t 16
@@ -49,21 +49,24 @@ lint: ## ruff, mypy, and the checks of workflows, actions, shell, configurations
 
 # Both halves at once; else every worker would compile all tests for itself. A failure here only costs time:
 # tests that cannot be collected fail in the run that follows.
-tests/__pycache__:
+compiled = tests/__pycache__/all-compiled
+$(compiled):
 	@$(setup) dev.txt .
 	@echo 'compiling the tests'
 	@echo tests/*/ | xargs -n $$(( ($(words $(wildcard tests/*/)) + 1) / 2 )) -P 2 $(python) -m pytest --collect-only -qq >/dev/null || true
+	@mkdir -p $(@D)
+	@touch $@
 
-test: | tests/__pycache__ ## the tests with their coverage
+test: | $(compiled) ## the tests
+	@$(setup) dev.txt .
+	$(tests) $(ARGS)
+
+test-coverage: | $(compiled) ## the tests with their coverage of calibration/, which takes a quarter more
 	@$(setup) dev.txt .
 	$(python) -m coverage erase
 	COVERAGE_PROCESS_START='$(CURDIR)/pyproject.toml' COVERAGE_FILE='$(CURDIR)/.coverage' $(tests) $(ARGS)
 	$(python) -m coverage combine --quiet
 	$(python) -m coverage report
-
-test-only: | tests/__pycache__ ## the same without the coverage, which takes a quarter of the time
-	@$(setup) dev.txt .
-	$(tests) $(ARGS)
 
 # An older or newer library, laid over those of .venv. Not strict: OpenCV 5 lacks what some comparisons need.
 test-versions: ## the tests of engine, detectors and rendering with the oldest numpy, and those that use it with OpenCV 5

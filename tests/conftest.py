@@ -1,5 +1,6 @@
 """What all tests share: the rule for skipped tests in CI, and the data that is not part of the repository."""
 
+import gc
 import os
 import signal
 import tempfile
@@ -57,6 +58,17 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(NO_SHARED_DATA)
     return folder
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect the tests without looking for garbage: they stay, and are not looked through later either."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

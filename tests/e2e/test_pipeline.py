@@ -5,6 +5,7 @@ import math
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -111,30 +112,27 @@ def test_everything_that_goes_wrong_is_red_and_says_why(caller: Caller, small: P
     assert unknown == ["lost, 0 m, 0 rad"]  # what is lost costs too, nobody knows how much
 
 
-@pytest.mark.parametrize(
-    ("inputs", "message"),
-    [
-        ({"minute-rate": "six"}, "::error::Invalid value for '--minute-rate': 'six' is not a finite number"),
-        (
-            {"translation-noise": ",".join(map(str, range(129))), "noise-inside-cells": "no"},
-            "::error::the matrix has 258 jobs (2 systems x 129 translation noises x 1 rotation noises), GitHub takes",
-        ),
-        ({"systems": "$(touch pwned)`touch pwned`\n::error::x"}, "::error::systems: there is no '$(touch pwned)`touch"),
-    ],
-)
-def test_what_cannot_be_planned_is_red(inputs: dict[str, object], message: str, caller: Caller) -> None:
-    caller.write(inputs, {"calibration.yml": TWO_BY_TWO})
+def test_what_cannot_be_planned_is_red(caller: Caller) -> None:
+    """Each mistake has its own message, which tests of plan-matrix hold; here what the jobs make of one."""
+    hostile = "$(touch pwned)`touch pwned`\n::error::x"
+    caller.write({"systems": hostile, "python": ""}, {"calibration.yml": TWO_BY_TWO})
     run = caller.run()
     assert run.code == 1
     [wrong, gathered] = run.annotations
-    assert wrong.startswith(message)
+    assert wrong.startswith("::error::systems: there is no '$(touch pwned)`touch")
     assert "the job plan failed" in gathered
     assert re.search(r"/plan *\] exit status 2\n", run.log)
     assert "| all |  | 2 |" in run.log  # plan and verdict are billed
+    assert run.installations == ["engine", "engine"]  # where no interpreter is named
+    assert "calibrate (" not in run.log  # no cell has begun
     assert not list(caller.repository.folder.parent.rglob("pwned*"))
 
 
-def test_names_are_no_code(caller: Caller) -> None:
+UNUSED = "::warning::a token of Codacy is given, and the coverage goes nowhere: add coverage-service: codacy"
+
+
+def test_names_are_no_code_and_a_token_that_nobody_uses_is_warned_of(caller: Caller) -> None:
+    caller = replace(caller, secrets={"codacy-project-token": TOKEN})
     name = "ri$(touch pwned)`touch pwned`;touch pwned #'wbot"
     caller.write({"datasets": f"my data/{name}", "minute-rate": "0"}, {f"my data/{name}": DATASETS / "riwbot"})
     run = caller.run()
@@ -145,6 +143,7 @@ def test_names_are_no_code(caller: Caller) -> None:
         "calibration~ri_touchpwned_touchpwned_touchpwned_wbot_0m_0rad"
     ]
     assert not list(caller.repository.folder.parent.rglob("pwned"))
+    assert UNUSED in run.log
 
 
 def test_two_calls_keep_apart_what_their_jobs_leave(caller: Caller) -> None:
@@ -169,19 +168,9 @@ def test_two_calls_keep_apart_what_their_jobs_leave(caller: Caller) -> None:
     assert (caller.artifacts / f"calibration-arm~{lost}").is_dir()
 
 
-def test_a_plan_that_fails_is_red(caller: Caller) -> None:
-    caller.write({"python": ""}, {"calibration.yml": TWO_BY_TWO.replace("dataset", "datset", 1)})
-    run = caller.run()
-    assert run.code == 1
-    [wrong, gathered] = run.annotations
-    assert "unknown key 'datset': did you mean 'dataset'?" in wrong
-    assert "the job plan failed" in gathered
-    assert run.installations == ["engine", "engine"]  # where no interpreter is named
-    assert "calibrate (" not in run.log  # no cell has begun
-
-
 def test_a_pull_request_from_a_fork_by_commit_without_secrets(caller: Caller, small: Path, tmp_path: Path) -> None:
-    """The cells wait for the dataset that is collected; the tests run without a token for their coverage."""
+    """The cells wait for the dataset that is collected; no token is given, which is no reason for a warning."""
+    caller = replace(caller, secrets={"codacy-project-token": TOKEN})  # which a fork does not get
     event = tmp_path / "event.json"
     event.write_text(json.dumps(FORK))
     reference = (
@@ -199,6 +188,7 @@ def test_a_pull_request_from_a_fork_by_commit_without_secrets(caller: Caller, sm
     assert [row[0] for row in cells] == ["Start", "0 m, 0 rad", "0.1 m, 0 rad"]
     assert collected[1][:2] == ["fresh", "4 of 4 poses"]
     assert run.annotations == []
+    assert UNUSED not in run.log
     kept = {path.name for path in caller.artifacts.iterdir()}
     assert kept == {"calibration", "calibration~collected-data", "calibration~fresh"}
     assert not list((caller.artifacts / "calibration~fresh").glob("*/collected"))  # it is in the other artifact
@@ -250,12 +240,9 @@ class Robot(unittest.TestCase):
 """
 
 
-@pytest.mark.skipif(
-    not (PROJECT / "actions" / "coverage-upload" / "action.yml").exists(), reason="needs the action coverage-upload"
-)
-@pytest.mark.parametrize("still", [True, False])
-def test_unit_tests_alone(still: bool, caller: Caller, tmp_path: Path) -> None:
-    """Their own job; a fork has no token for the coverage, which is no reason to be red: nor is its upload, skipped."""
+@pytest.mark.parametrize("good", [True, False])
+def test_unit_tests_and_static_analysis_without_a_calibration(good: bool, caller: Caller, tmp_path: Path) -> None:
+    """A job each; a fork has no token for the coverage, which is no reason to be red: nor is its upload, skipped."""
     event = tmp_path / "event.json"
     [shown] = re.findall(r'`(\{"pull_request": .*?\}\})`', (PROJECT / "docs/under-act.md").read_text(), re.DOTALL)
     event.write_text(shown)  # as docs/under-act.md has it
@@ -263,38 +250,24 @@ def test_unit_tests_alone(still: bool, caller: Caller, tmp_path: Path) -> None:
         "tests": "python3 -m unittest -q",
         "tests-setup": 'echo "set up" >calibrated.txt',
         "coverage-service": "codacy",
+        "coverage-source": "robot.py",
         "coverage-minimum": "50",
+        "analyse": True,
+        "analysis-max-total": "error=5" if good else "error=0",
     }
-    caller.write(inputs, {**ROBOT, "test_robot.py": UNIT_TEST.format(still)})
-    run = caller.run("pull_request", "-e", str(event))
-    assert run.code == (0 if still else 1), run.log
-    assert any(f"unit-tests {'success' if still else 'failure'}" in line for line in run.printed)
-    assert (
-        any("gather-results::unit-tests: the tests failed: exit code 1" in line for line in run.annotations)
-        is not still
-    )
-    assert list(caller.artifacts.glob("calibration~unit-tests/unit-tests/results.json"))
-
-
-@pytest.mark.parametrize("limit", ["", "error=5"])
-def test_static_analysis_alone(limit: str, caller: Caller) -> None:
-    """Its findings are red by the limits of the inputs, and the verdict says why."""
     files = {"naming.py": "import os\n\n\ndef f():\n    return missing\n"}
-    caller.write({"analyse": True, "analysis-max-total": limit or "error=0"}, {**ROBOT, **files})
-    run = caller.run("push")
-    assert run.code == (0 if limit else 1), run.log
-    assert any(f"static-analysis {'success' if limit else 'failure'}" in line for line in run.printed)
-    said = [line for line in run.annotations if "gather-results::static-analysis: " in line]
-    assert len(said) == (0 if limit else 1)
+    caller.write(inputs, {**ROBOT, **files, "test_robot.py": UNIT_TEST.format(good)})
+    run = caller.run("pull_request", "-e", str(event))
+    assert run.code == (0 if good else 1), run.log
+    for job in ("unit-tests", "static-analysis"):
+        assert any(f"{job} {'success' if good else 'failure'}" in line for line in run.printed)
+    said = [line for line in run.annotations if "gather-results::" in line]
+    assert len(said) == (0 if good else 2)
+    if not good:
+        assert "unit-tests: the tests failed: exit code 1" in said[0]
+        assert "gather-results::static-analysis: " in said[1]
+    assert list(caller.artifacts.glob("calibration~unit-tests/unit-tests/results.json"))
     assert list(caller.artifacts.glob("calibration~static-analysis/static-analysis/findings.sarif"))
-
-
-def test_a_token_that_nobody_uses_is_warned_of(repository: Repository, tmp_path: Path) -> None:
-    caller = Caller(repository, tmp_path / "artifacts", {"python": sys.executable}, {"codacy-project-token": TOKEN})
-    caller.write({"jobs": "calibrate", "datasets": "riwbot"}, {"riwbot": DATASETS / "riwbot"})
-    unused = "::warning::a token of Codacy is given, and the coverage goes nowhere: add coverage-service: codacy"
-    assert unused in caller.run("push").log
-    assert unused not in caller.run("pull_request").log  # of a fork, which has none
 
 
 def test_the_coverage_is_uploaded_by_a_job_in_which_no_test_runs(repository: Repository, tmp_path: Path) -> None:
