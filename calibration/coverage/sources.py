@@ -55,7 +55,10 @@ class Sources:
     def measured(self) -> list[str]:
         """Return the sources for coverage.py: folders, and packages, which may be imported from an installed copy."""
         root = self.repository.root
-        return [str(root / folder) for folder in self.folders or (".",)] + self._packages()
+        named = [root / folder for folder in self.folders or (".",)]
+        # Of a file its folder, since coverage.py takes files for names of packages; what counts is chosen later.
+        folders = dict.fromkeys(str(path if path.is_dir() else path.parent) for path in named)
+        return [*folders, *self._packages()]
 
     def _packages(self) -> list[str]:
         folders = {str(PurePosixPath(path).parent) for path in self.counted if path.endswith("/__init__.py")}

@@ -153,6 +153,8 @@ def test_sources_that_are_named(tmp_path: Path) -> None:
     assert sources(root, "..", directory=root / "src").folders == (".",)
     assert sources(root).measured() == [str(root), "arm", "robot"]
     assert sources(root, "src").measured() == [str(root / "src"), "arm"]
+    # Of a file, its folder: coverage.py would take it for the name of a package.
+    assert sources(root, "robot/naming.py", "robot").measured() == [str(root / "robot")]
 
 
 @pytest.mark.parametrize(
