@@ -154,7 +154,7 @@ def test_sources_that_are_named(tmp_path: Path) -> None:
     assert sources(root).measured() == [str(root), "arm", "robot"]
     assert sources(root, "src").measured() == [str(root / "src"), "arm"]
     # Of a file, its folder: coverage.py would take it for the name of a package.
-    assert sources(root, "robot/naming.py", "robot").measured() == [str(root / "robot")]
+    assert sources(root, "src/hand.py", "[x]").measured() == [str(root / "src"), str(root / "[x]")]
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import chdir
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+
+from calibration.__main__ import main
 
 PROJECT = Path(__file__).resolve().parents[2]
 TIMEOUT = 270
@@ -175,6 +178,14 @@ class Repository:
             (programs / "bash").chmod(0o755)
         variables["PATH"] = f"{programs}{os.pathsep}{variables['PATH']}"
         return variables | {"XDG_CACHE_HOME": str(self.cache), "XDG_CONFIG_HOME": str(self.cache)}
+
+
+def calibration(folder: Path, *arguments: str, codes: tuple[int, ...] = (0,)) -> None:
+    """Run a command as a developer does on a laptop, in a folder; one of these exit codes is expected."""
+    with chdir(folder), pytest.MonkeyPatch.context() as patch:
+        for name in [name for name in os.environ if name.startswith("GITHUB_")]:
+            patch.delenv(name)
+        assert main(arguments) in codes
 
 
 def tool(name: str) -> str:

@@ -5,9 +5,7 @@ and one that does not. The workflow is the one that ``init`` writes; GitHub's AP
 """
 
 import json
-import os
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +18,7 @@ from tests.coverage.projects import git
 from tests.github.stand_in import TOKEN, GitHub, github
 from tests.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
 
-from .conftest import FORK, PROJECT, Repository, Run, commit
+from .conftest import FORK, Repository, Run, calibration, commit
 from .pipeline import Caller
 
 IMPORT = {"bags": {"files": ["poses.bag"], "robot-description": "robot.urdf"}, "patterns": {"board": ON_FLANGE}}
@@ -49,20 +47,6 @@ def api(caller: Caller) -> Iterator[GitHub]:
     with github() as found:
         found.repository = f"me/{caller.repository.folder.name.replace(' ', '-')}"
         yield found
-
-
-def calibration(folder: Path, *arguments: str, codes: tuple[int, ...] = (0,)) -> None:
-    """What a developer does on a laptop."""
-    variables = {name: value for name, value in os.environ.items() if not name.startswith("GITHUB_")}
-    done = subprocess.run(
-        [sys.executable, "-m", "calibration", *arguments],
-        cwd=folder,
-        env={**variables, "PYTHONPATH": str(PROJECT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode in codes, done.stdout + done.stderr
 
 
 def import_again(folder: Path) -> None:

@@ -4,9 +4,7 @@ GitHub's API, for the comment on the pull request, is a stand-in.
 """
 
 import json
-import os
 import shutil
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +15,7 @@ from tests.coverage.projects import git
 from tests.displaced import displace
 from tests.github.stand_in import TOKEN, GitHub, github
 
-from .conftest import FORK, PROJECT, Repository, Run, commit
+from .conftest import FORK, PROJECT, Repository, Run, calibration, commit
 from .pipeline import Caller
 
 CONFIGURATION = "systems: {robot: {dataset: robot, truth: none}}\nbaseline: required\n"
@@ -31,17 +29,8 @@ def caller(repository: Repository, tmp_path: Path) -> Caller:
 
 def accept(folder: Path) -> None:
     """What a developer does on a laptop: run, accept, commit."""
-    variables = {name: value for name, value in os.environ.items() if not name.startswith("GITHUB_")}
-    for arguments, codes in ((["run"], (0, 1)), (["accept"], (0,))):
-        done = subprocess.run(
-            [sys.executable, "-m", "calibration", *arguments],
-            cwd=folder,
-            env={**variables, "PYTHONPATH": str(PROJECT)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode in codes, done.stderr
+    calibration(folder, "run", codes=(0, 1))
+    calibration(folder, "accept")
     shutil.rmtree(folder / "output")
     commit(folder)
 
