@@ -216,38 +216,54 @@ def without_images(folder: Path, kind: Kind) -> Path:
     return path
 
 
+def short(folder: Path, kind: Kind) -> Path:
+    """A recording in which nothing is wrong."""
+    return record(folder, kind, poses=2)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
-    ("recording", "more", "message"),
+    ("recording", "message"),
     [
-        (earlier_stamp, {}, "the clock jumps back by 0.500 s at 1700000002.000"),
-        (twice, {}, "found two messages with the stamp"),
-        (unknown_encoding, {}, "found the encoding 'hsv8'"),
-        (without_images, {}, "found no topic of images"),
-        (record, {"sensors": {"left": {"topic": "/left"}}}, "topics of cameras and LiDARs: /left_camera/image_raw"),
+        (earlier_stamp, "the clock jumps back by 0.500 s at 1700000002.000"),
+        (twice, "found two messages with the stamp"),
+        (unknown_encoding, "found the encoding 'hsv8'"),
+        (without_images, "found no topic of images"),
+    ],
+)
+def test_what_is_wrong_with_a_recording_is_one_line(
+    tmp_path: Path, kind: Kind, recording: Callable[[Path, Kind], Path], message: str
+) -> None:
+    assert message in refusal(describe(recording(tmp_path, kind)))
+
+
+def refusal(config: Path) -> str:
+    """The error of an import, which leaves no dataset."""
+    with pytest.raises(InputError) as error:
+        import_data(config, config.parent / "out", jobs=1)
+    assert not (config.parent / "out" / "dataset.json").exists()
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"sensors": {"left": {"topic": "/left"}}}, "topics of cameras and LiDARs: /left_camera/image_raw"),
         (
-            record,
             {"sensors": {"left": {"topic": "/left_camera/image_raw", "camera-info": "/info"}}},
             "found no camera_info '/info' for 'left'; topics of that type: /left_camera/camera_info",
         ),
         (
-            record,
             {"sensors": {"left": {"topic": "/left_camera/image_raw", "parent": "nowhere"}}},
             "'nowhere' is not above 'camera_left_rgb_optical_frame'",
         ),
-        (record, {"patterns": {"board": {**BOARD, "parent": "hand"}}}, "found no frame 'hand'"),
-        (record, {"patterns": {"board": {**BOARD, "dictionary": "DICT_6X6_250"}}}, "another dictionary, DICT_5X5_100"),
-        (record, {"patterns": {"board": {**BOARD, "columns": 6}}}, "columns and rows"),
+        ({"patterns": {"board": {**BOARD, "parent": "hand"}}}, "found no frame 'hand'"),
+        ({"patterns": {"board": {**BOARD, "dictionary": "DICT_6X6_250"}}}, "another dictionary, DICT_5X5_100"),
+        ({"patterns": {"board": {**BOARD, "columns": 6}}}, "columns and rows"),
     ],
 )
-def test_what_is_wrong_is_one_line(
-    tmp_path: Path, kind: Kind, recording: Callable[[Path, Kind], Path], more: dict[str, Any], message: str
-) -> None:
-    config = describe(recording(tmp_path, kind), **more)
-    with pytest.raises(InputError) as error:
-        import_data(config, tmp_path / "out", jobs=1)
-    assert message in str(error.value)
-    assert not (tmp_path / "out" / "dataset.json").exists()
+def test_what_is_wrong_with_the_description_is_one_line(tmp_path: Path, more: dict[str, Any], message: str) -> None:
+    assert message in refusal(describe(short(tmp_path, "mcap"), **more))
 
 
 def test_stamps_that_do_not_overlap(tmp_path: Path) -> None:
