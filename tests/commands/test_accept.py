@@ -12,7 +12,7 @@ from tests.displaced import displace
 
 ROOT = Path(__file__).parents[2]
 CONFIGURATION = """\
-noise: {translation: [0, 0.3], rotation: [0, 0.2]}
+noise: {translation: [0.3], rotation: [0.2]}
 systems:
   robot: {dataset: robot, truth: none, evaluate: rgb-to-rgb:left_camera:right_camera}
 """
@@ -37,6 +37,7 @@ def reasons() -> list[str]:
 
 
 def test_the_life_of_an_accepted_calibration(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("calibration.yml").write_text(CONFIGURATION.replace("[0.", "[0, 0."))
     assert main(["run"]) == 0
     assert "No calibration accepted yet of robot: calibration accept\n" in capsys.readouterr().out
     assert main(["accept"]) == 0

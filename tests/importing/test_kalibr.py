@@ -192,7 +192,8 @@ def test_what_is_wrong_is_named(
     message: str,
 ) -> None:
     damage(short_session)
-    arguments = ["--config", str(short_session / "import.yml"), "--output", str(short_session.parent / "out"), "--jobs", "1"]
+    output = short_session.parent / "out"
+    arguments = ["--config", str(short_session / "import.yml"), "--output", str(output), "--jobs", "1"]
     assert main(["import-data", *arguments]) == 2
     error = capsys.readouterr().err
     assert message in error

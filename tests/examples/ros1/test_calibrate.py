@@ -1,12 +1,15 @@
-"""The team's calibration as it is run: a process of its own."""
+"""The team's calibration: as it is run, in a process of its own, and its failures, here."""
 
 import csv
 import json
 import os
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 
+import calibrate as program
 import numpy as np
 import pytest
 
@@ -24,6 +27,17 @@ def calibrate(dataset: Path, output: Path, *more: str, **environment: str) -> su
     command = [sys.executable, EXAMPLE / "robot" / "calibrate.py", "--dataset", dataset, "--output", output, *more]
     variables = {**os.environ, **environment}
     return subprocess.run(command, capture_output=True, text=True, check=False, env=variables)
+
+
+def calibrate_here(dataset: Path, output: Path, *more: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """The same without a process, which would have to import scipy first."""
+    command = ["calibrate.py", "--dataset", str(dataset), "--output", str(output), *more]
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", command)
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        code = program.main()
+    return subprocess.CompletedProcess(command, code, out.getvalue(), err.getvalue())
 
 
 def error_mm(calibrated: Dataset, truth: Dataset) -> float:
@@ -71,7 +85,7 @@ def test_the_noise_depends_on_the_seed_alone(
     collected: Collected, calibrated_from: dict[str, Path], tmp_path: Path
 ) -> None:
     for folder, seed in (("b", "3"), ("c", "2")):
-        assert calibrate(collected.folder, tmp_path / folder, *noisy("0.1", seed)).returncode == 0
+        assert calibrate_here(collected.folder, tmp_path / folder, *noisy("0.1", seed)).returncode == 0
     folders = calibrated_from["0.1"], tmp_path / "b", tmp_path / "c"
     a, b, c = (json.loads((folder / "dataset.json").read_text()) for folder in folders)
     # nothing ties the cameras to the world, so the first stays where the noise has put it
@@ -84,7 +98,7 @@ def test_broken_software_fails_the_rule_and_is_far_from_the_truth(
     collected: Collected, calibrated_from: dict[str, Path], tmp_path: Path
 ) -> None:
     rules = parse_rules([{"column": "RMS (pix)", "row": "Averages", "min": 0, "max": 0.5}], where="rules")
-    assert calibrate(collected.folder, tmp_path, ROBOT_BUG="1").returncode == 0
+    assert calibrate_here(collected.folder, tmp_path, ROBOT_BUG="1").returncode == 0
     for folder, passes in ((calibrated_from["0"], True), (tmp_path, False)):
         assert judge(read_table(folder / TABLE), rules).passed is passes
     assert error_mm(read_dataset(tmp_path), collected.dataset) > 5
@@ -97,7 +111,7 @@ def test_broken_software_fails_the_rule_and_is_far_from_the_truth(
 def test_what_is_no_dataset_is_a_failure_in_one_line(tmp_path: Path, content: str | None, error: str) -> None:
     if content is not None:
         (tmp_path / "dataset.json").write_text(content)
-    done = calibrate(tmp_path, tmp_path / "output")
+    done = calibrate_here(tmp_path, tmp_path / "output")
     assert done.returncode == 1
     assert done.stderr.startswith(f"calibrate: {error}")
     assert done.stderr.count("\n") == 1
@@ -109,6 +123,6 @@ def test_a_camera_that_saw_nothing_is_a_failure(collected: Collected, tmp_path: 
     for collection in document["collections"].values():
         collection["labels"]["board"]["right_camera"] = {"detected": False, "idxs": []}
     (tmp_path / "dataset.json").write_text(json.dumps(document))
-    done = calibrate(tmp_path, tmp_path / "output")
+    done = calibrate_here(tmp_path, tmp_path / "output")
     assert done.returncode == 1
     assert "right_camera and left_camera saw the board together in no collection" in done.stderr
