@@ -13,8 +13,8 @@ PYTHON ?= $(wildcard $(python))
 setup = INPUT_PYTHON='$(PYTHON)' bash actions/bootstrap.sh environment $(venv)
 
 uv = $(abspath $(or $(shell command -v uv),$(venv)/bin/uv))
-# Many tests wait, for an engine or a browser: two for each processor are run at once, eight at most.
-tests = $(python) -m pytest -n $(shell n=$$(getconf _NPROCESSORS_ONLN); echo $$(( n > 3 ? 8 : 2 * n ))) --dist worksteal
+# Many tests wait, for an engine or a browser: three for each processor are run at once, eight at most.
+tests = $(python) -m pytest -n $(shell n=$$(getconf _NPROCESSORS_ONLN); echo $$(( n > 2 ? 8 : 3 * n ))) --dist worksteal
 rooms = $(patsubst tests/%/__init__.py,%,$(wildcard tests/*/__init__.py tests/*/*/__init__.py))
 # Of the engine, the detectors and the renderer; and those of them that use OpenCV.
 engine_tests = $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering)

@@ -373,7 +373,7 @@ def test_split_bags_are_one(tmp_path: Path) -> None:
 
 
 def test_a_killed_import_goes_on_where_it_was(tmp_path: Path) -> None:
-    config = describe(record(tmp_path, "mcap", poses=13, stay=4, period=0.15, tf=False))
+    config = describe(record(tmp_path, "mcap", poses=13, stay=4, period=0.15, tf=False, encodings=("mono8", "mono8")))
 
     def stop(done: int, *_: object) -> None:
         if done == 1:

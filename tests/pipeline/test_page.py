@@ -111,10 +111,9 @@ def test_it_is_small(report: Path) -> None:
     assert report.stat().st_size < 1_000_000
 
 
-def test_a_dataset_that_is_collected_shows_all_its_images(tmp_path: Path, chromium: Browser) -> None:
-    system = str(ROOT / "datasets" / "t2rgb")
+def test_a_dataset_that_is_collected_shows_all_its_images(small: Path, tmp_path: Path, chromium: Browser) -> None:
     options = ["--motion", "generate:3", "--output", str(tmp_path / "out"), "--jobs", "1"]
-    assert main(["collect-data-sim", "--system", system, *options]) in (0, 1)
+    assert main(["collect-data-sim", "--system", str(small), *options]) in (0, 1)
     page = chromium.new_page()
     page.goto((tmp_path / "out" / "report.html").as_uri())
     width = page.get_by_alt_text("Contact sheet").evaluate("image => image.naturalWidth")
