@@ -262,7 +262,7 @@ def test_cleanup_terminates_leftovers_of_killed_runs(
         )
         assert main(["cleanup", "--cloud", "--config", str(config)]) == 0
         assert "1 job or array in AWS Batch ended" in capsys.readouterr().out
-        assert len(running(batch_emulator)) == 2
+        wait_for(lambda: len(running(batch_emulator)) == 2)  # a job ends some time after it was told to
         assert main(["cleanup", "--cloud", "--run", "night.1", *where]) == 0
         assert capsys.readouterr().out == "nothing in AWS Batch ended\n"
         monkeypatch.chdir(tmp_path)
