@@ -11,6 +11,7 @@ from calibration.comparison.sensor_pair import CAMERAS, RANGE_SENSORS, only_pair
 from calibration.dataset.model import Dataset
 from calibration.errors import InputError, solvable
 from calibration.frozen import frozen
+from calibration.workflow.text import did_you_mean
 
 
 @frozen
@@ -78,7 +79,7 @@ def method_of(name: str) -> Method:
         InputError: there is no such method.
     """
     if name not in METHODS:
-        raise InputError(f"no comparison method '{name}' (methods: {', '.join(METHODS)})")
+        raise InputError(f"there is no method '{name}'{did_you_mean(name, METHODS)} (known: {', '.join(METHODS)})")
     return METHODS[name]
 
 

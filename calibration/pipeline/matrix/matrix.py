@@ -26,6 +26,7 @@ from calibration.pipeline.matrix.cell import Cell, Comparison, noise_folder
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.cell_verdict import check_rules
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
+from calibration.pipeline.matrix.other_method import other_method
 from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
 from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.system import NoiseGrid, System
@@ -63,15 +64,11 @@ class Matrix:
         Raises:
             InputError: there is no such method.
         """
-        if not any(system.compare for system in self.systems):
-            return []
-        from calibration.comparison.methods import method_of  # most matrices compare with no other method
-
         return [
             Comparison(system.name, method, noise)
             for system in self.systems
             for method in system.compare
-            for noise in (self._starts if method_of(method).from_start else [None])
+            for noise in (self._starts if other_method(method).from_start else [None])
         ]
 
     @property
@@ -224,13 +221,8 @@ def _check_methods(system: System) -> None:
     Raises:
         InputError: there is one.
     """
-    if not system.compare:
-        return
-    from calibration.comparison.methods import METHODS  # most matrices compare with no other method
-
     for method in system.compare:
-        if method not in METHODS:
-            raise InputError(
-                f"systems.{system.name}.compare: there is no method '{method}'{did_you_mean(method, METHODS)} "
-                f"(known: {', '.join(METHODS)})"
-            )
+        try:
+            other_method(method)
+        except InputError as error:
+            raise InputError(f"systems.{system.name}.compare: {error}") from None

@@ -36,6 +36,7 @@ from calibration.pipeline.matrix.cell_result import (
     of_cell,
 )
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
+from calibration.pipeline.matrix.other_method import other_method
 
 
 @frozen(eq=False)
@@ -122,12 +123,10 @@ def _failed(result: CellResult, error: CalibrationError) -> CellResult:
 
 def run_comparison(comparison: Comparison, system: LoadedSystem, output: Path) -> CellResult:
     """Calibrate with another method, and evaluate like a cell."""
-    from calibration.comparison.methods import method_of  # most matrices compare with no other method
-
     begin = time.perf_counter()
     result = nothing_by_other_method(comparison)
     try:
-        method = method_of(comparison.method)
+        method = other_method(comparison.method)
         start = with_starting_noise(system.dataset, comparison.noise) if comparison.noise else system.dataset
         dataset = method.calibrate(start)
         result = replace(result, converged=True, detail=method.describe(start))
