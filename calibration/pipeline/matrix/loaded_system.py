@@ -10,6 +10,7 @@ from calibration.baseline.verdict import Accepted
 from calibration.dataset.model import Dataset
 from calibration.dataset.truth import Truth
 from calibration.dataset.writing import DatasetWriter, bring_payload
+from calibration.diagnosis.against_optimum import OurOptimum, find_optimum
 from calibration.diagnosis.check_data import check_data
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
@@ -23,7 +24,6 @@ from calibration.frozen import frozen
 from calibration.pipeline.matrix.latest import Latest
 
 if TYPE_CHECKING:
-    from calibration.diagnosis.against_optimum import OurOptimum
     from calibration.pipeline.matrix.running_cell import Evaluated
     from calibration.pipeline.system import Datasets
 
@@ -105,14 +105,12 @@ class LoadedSystem:
         return Snapshots(self.dataset, self.options)
 
     @cached_property
-    def optimum(self) -> "OurOptimum":
+    def optimum(self) -> OurOptimum:
         """Optimum of our engine, which does not depend on an initial guess.
 
         Raises:
             InputError: there is none.
         """
-        from calibration.diagnosis.against_optimum import find_optimum  # only for other software
-
         return find_optimum(self.dataset, self.options)
 
     @cached_property
@@ -120,7 +118,7 @@ class LoadedSystem:
         """Snapshot of the optimum, without a table."""
         return self.snapshots.of(self.optimum.calibration, None)
 
-    def findings_of(self, optimum: "OurOptimum") -> tuple[Finding, ...]:
+    def findings_of(self, optimum: OurOptimum) -> tuple[Finding, ...]:
         """Return the findings on an optimum for some result of this system; most results have the system's own."""
         return self._findings if optimum is self.optimum else self._diagnosed(optimum)
 
@@ -128,5 +126,5 @@ class LoadedSystem:
     def _findings(self) -> tuple[Finding, ...]:
         return self._diagnosed(self.optimum)
 
-    def _diagnosed(self, optimum: "OurOptimum") -> tuple[Finding, ...]:
+    def _diagnosed(self, optimum: OurOptimum) -> tuple[Finding, ...]:
         return diagnose(optimum.calibration, optimum.given, optimum.options, self.limits, self.truth is not None)

@@ -29,6 +29,7 @@ from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.other_method import other_method
 from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
 from calibration.pipeline.matrix.software import Software
+from calibration.pipeline.matrix.software_cell import software_task
 from calibration.pipeline.system import NoiseGrid, System
 from calibration.workflow.text import did_you_mean
 
@@ -165,7 +166,6 @@ def matrix_tasks(matrix: Matrix, output: Path, containers: Path) -> Iterator[Mat
         if matrix.software:
             containers.mkdir(parents=True, exist_ok=True)
             starts = stack.enter_context(temporary_folder(prefix=".starts-", parent=containers))
-            from calibration.pipeline.matrix.software_cell import software_task  # our engine needs no containers
         for number, cell in enumerate(matrix.cells):
             system = loaded[cell.system]
             if cell.system not in matrix.software:
