@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "report.png"
 PART = "#system-softbot"
 WIDTH, HEIGHT = 1100, 1682
-"""Of the picture, px: from the robot's heading to its first residuals."""
+"""Width and height of the picture, px: it shows the page from the robot's heading to its first residuals."""
 
 
 def main() -> None:

@@ -376,7 +376,7 @@ class _Consensus:
         return values, tested & ~agreeing
 
     def _disagrees(self, group: ViewGroup, agreeing: Array) -> bool:
-        """Whether the collections of a majority do not agree with each other either."""
+        """Whether even the collections of the majority disagree: half of their residuals are above `AGREEING`."""
         return median(agreeing) > AGREEING * NOTICEABLE[group.terms[0].kind]
 
     def _limit(self, group: ViewGroup, agreeing: Array, widest: float) -> float:

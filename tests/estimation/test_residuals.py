@@ -1,6 +1,7 @@
 """Residual terms: their gradient and Hessian against differences, views against each other, what cannot be seen."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -163,7 +164,7 @@ def test_what_is_not_there_does_not_matter(name):
     term, T = make(sigma), poses()
     before = term.linearise(T, sigma, 1.0)
     if isinstance(term, CornerTerm):
-        term.pixels[...] = np.where(term.seen[:, None], term.pixels, 7.0)
+        term = replace(term, pixels=np.where(term.seen[:, None], term.pixels, np.nan))
     else:
         term.rays[...] = np.where(term.present[:, None], term.rays, 0.6)
         term.ranges[...] = np.where(term.present, term.ranges, 7.0)

@@ -216,3 +216,14 @@ def test_bad_input_stops_before_anything_is_calibrated(
         run_matrix(Matrix((replace(T2RGB, **changes),), NoiseGrid()), tmp_path / "output", 1)  # type: ignore[arg-type]
 
     assert not (tmp_path / "output").exists()
+
+
+def test_a_system_without_a_problem_leaves_the_reason_to_its_cells(matrix: Matrix) -> None:
+    system = load(matrix.systems[0])
+    assert system.setup is not None
+    everything = tuple(system.dataset.sensors)
+    held = replace(system, options=replace(system.options, hold=everything))
+    assert held.setup is None
+    result, calibration = running_cell.calibrate_cell(matrix.cells[0], held)
+    assert calibration is None
+    assert "nothing to calibrate" in result.reasons[0]
