@@ -1,11 +1,10 @@
-"""Reasons why an optimum is not the calibration: not reached, patterns mirrored, a better one elsewhere."""
+"""Reasons why an optimum is not the calibration: not reached, or patterns are mirrored."""
 
 import numpy as np
 
 from calibration.estimation.blocks import Values
 from calibration.estimation.build import Setup
 from calibration.estimation.flipped_patterns import unflipped
-from calibration.estimation.least_squares import minimise
 from calibration.estimation.optimisation import WeightedOptimum
 from calibration.geometry.types import BoolArray, IntArray
 
@@ -48,14 +47,4 @@ def why_invalid(setup: Setup, result: WeightedOptimum) -> str:
     _, flipped = unflipped(setup.problem, optimum.values, result.weighting, optimum.equations.cost)
     if flipped.any():
         return f"the pattern is left in its mirrored pose {_in_collections(setup, np.flatnonzero(flipped))}"
-    return ""
-
-
-def why_false(setup: Setup, result: WeightedOptimum, linear: Values) -> str:
-    """Return the reason why an optimum is invalid, or worse than the one from the linear start; empty if it is not."""
-    if reason := why_invalid(setup, result):
-        return reason
-    best = minimise(setup.problem, linear, result.weighting)
-    if best.reached and best.cost < result.optimum.cost * (1 - 1e-6) - 1e-6:
-        return f"a false minimum: cost {result.optimum.cost:.6g}, while {best.cost:.6g} can be reached"
     return ""

@@ -51,6 +51,11 @@ class LinearStart:
     guessed: tuple[str, ...]
     """Blocks without an equation."""
 
+    def equals(self, other: "LinearStart") -> bool:
+        """Whether all values are the same to the last bit."""
+        values = zip(self.values, other.values, strict=True)
+        return self.guessed == other.guessed and all(a.tobytes() == b.tobytes() for a, b in values)
+
 
 def linear_start(setup: Setup, guess: Values) -> LinearStart:
     """Compute initial values for all blocks.

@@ -21,6 +21,9 @@ SETTLED = 1e-8
 """Relative change of the standard deviations below which the weights have converged."""
 NEARLY_SETTLED = 1e-3
 """Relative change at which the parameters that each kind of label determines are counted."""
+RECOUNTED = 1e3
+"""They are counted again where the standard deviations have moved by this multiple of their last change since then, so
+that the number, and with it the optimum, does not depend on the start."""
 ROUNDS = 30
 """After so many estimates with nearly settled weights they stay as they are: they go round in circles."""
 FEW = 100
@@ -80,8 +83,9 @@ class _Noise:
     def __call__(self, now: Evaluation) -> Weighting:
         """Return the weighting for the residuals of an evaluation; the evaluation's own if it is unchanged."""
         scales, estimated = now.weighting.scales, self._estimated(now)
-        self._rounds += _change(scales, estimated) < NEARLY_SETTLED
-        if _change(scales, estimated) < NEARLY_SETTLED and _change(self._counted_at, scales) > NEARLY_SETTLED:
+        change = _change(scales, estimated)
+        self._rounds += change < NEARLY_SETTLED
+        if change < NEARLY_SETTLED and _change(self._counted_at, scales) > RECOUNTED * change:
             self.parameters = determined_parameters(self._problem, now.values, now.equations, now.weighting)
             self._counted_at, estimated = scales, self._estimated(now)
         if self._rounds > ROUNDS or _change(scales, estimated) < SETTLED:

@@ -12,6 +12,9 @@ from calibration.geometry import rotations
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array, BoolArray
 
+SINGULAR = 1e-3
+"""Singular value of the normals relative to the largest, below which they do not determine a direction."""
+
 
 def fit_planes(points: Array, present: BoolArray) -> tuple[Array, Array]:
     """Fit least-squares planes to views of points.
@@ -66,10 +69,21 @@ def _aligned(n: Array, d: Array, m: Array, p: Array, guess: Array) -> tuple[Arra
     weight = np.ones(len(n))
     for _ in range(5):
         R = rotations.nearest(np.einsum("v,vi,vj->ij", weight, n, m))
-        open_distance = d - (n * (p @ R.T + guess[:3, 3])).sum(-1)
-        root = np.sqrt(weight)
-        step = np.linalg.lstsq(n * root[:, None], open_distance * root, rcond=1e-3)[0]
+        distance = d - (n * (p @ R.T)).sum(-1)
+        t = _translation(n, distance, np.sqrt(weight), guess[:3, 3])
         tilt = np.linalg.norm(n - m @ R.T, axis=-1)
-        miss = np.abs(open_distance - n @ step) + tilt * median(np.abs(d))
+        miss = np.abs(distance - n @ t) + tilt * median(np.abs(d))
         weight = 1.0 / np.maximum(miss, 0.5 * median(miss) + 1e-9)
-    return transform(R, guess[:3, 3] + step), median(miss)
+    return transform(R, t), median(miss)
+
+
+def _translation(n: Array, distance: Array, root: Array, guess: Array) -> Array:
+    """Solve ``n . t = distance`` with the roots of weights (V,); what the planes do not determine is the guess's (3,).
+
+    The guess has no effect otherwise, not even on the last bit.
+    """
+    weighted = n * root[:, None]
+    t, _, rank, _ = np.linalg.lstsq(weighted, distance * root, rcond=SINGULAR)
+    if rank < 3:
+        t = guess + np.linalg.lstsq(weighted, (distance - n @ guess) * root, rcond=SINGULAR)[0]
+    return np.asarray(t, float)

@@ -159,6 +159,10 @@ class Calibration:
     """Reason why only the relative poses of the sensors are calibrated, not their poses on the robot; empty
     otherwise."""
 
+    def equals(self, other: "Calibration") -> bool:
+        """Whether both are of one optimum, so that all but their iterations is the same."""
+        return self.solution is other.solution and self.not_determined == other.not_determined
+
     @cached_property
     def rms_px(self) -> float:
         """Root mean square of the corners' reprojection errors, px; NaN without a camera."""

@@ -193,10 +193,19 @@ def nothing_yet(cell: Cell, method: str = OUR_METHOD, start: str | None = None) 
     )
 
 
-def of_cell(result: CellResult, cell: Cell) -> CellResult:
-    """Return the result of another cell of the same system, with the same calibration, as that of this one."""
-    noise = cell.noise
-    return replace(result, translation_noise=noise.translation, rotation_noise=noise.rotation, seed=noise.seed)
+def of_cell(result: CellResult, cell: Cell, iterations: int) -> CellResult:
+    """Return the result of another cell with the same calibration as that of this one, found in some iterations."""
+    noise, details = cell.noise, result.details
+    if details is not None and details.iterations != iterations:
+        snapshot = details.snapshot and replace(details.snapshot, iterations=iterations)
+        details = replace(details, iterations=iterations, snapshot=snapshot)
+    return replace(
+        result,
+        translation_noise=noise.translation,
+        rotation_noise=noise.rotation,
+        seed=noise.seed,
+        details=details,
+    )
 
 
 def nothing_by_other_method(comparison: Comparison) -> CellResult:

@@ -15,13 +15,12 @@ from calibration.diagnosis.check_data import check_data
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
-from calibration.errors import CalibrationError, solvable
-from calibration.estimation.build import Setup
-from calibration.estimation.calibrate import setup_of
+from calibration.estimation.calibrate import Calibrator
 from calibration.estimation.options import Options
+from calibration.estimation.result import Calibration
 from calibration.evaluation.specification import Evaluation
 from calibration.frozen import frozen
-from calibration.pipeline.matrix.latest import Latest
+from calibration.latest import Latest
 
 if TYPE_CHECKING:
     from calibration.pipeline.matrix.running_cell import Evaluated
@@ -86,18 +85,14 @@ class LoadedSystem:
         self.writer.write_text(text, folder)
 
     @cached_property
-    def setup(self) -> Setup | None:
-        """Problem of its dataset, the same for all cells; None if there is none, which their calibration explains."""
-        try:
-            with solvable(self.dataset.path):
-                return setup_of(self.dataset, self.options)
-        except CalibrationError:
-            return None
+    def calibrator(self) -> Calibrator:
+        """Calibrator of its dataset, from the guess of each cell."""
+        return Calibrator(self.dataset, self.options)
 
     @cached_property
-    def latest(self) -> Latest["Evaluated"]:
-        """What follows from the calibration of its latest cell."""
-        return Latest()
+    def finished(self) -> Latest[Calibration, "Evaluated"]:
+        """What follows from the calibration of its latest cell; most cells have the same one."""
+        return Latest(Calibration.equals)
 
     @cached_property
     def snapshots(self) -> Snapshots:

@@ -13,10 +13,8 @@ from calibration.dataset.reading import FILE_NAME
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.mirrored import mirrored
 from calibration.errors import CalibrationError
-from calibration.estimation.calibrate import calibrate
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.estimation.intrinsics_file import write_intrinsics
-from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import with_starting_noise
 from calibration.estimation.wrong_views import without
@@ -59,13 +57,13 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     """
     begin = time.perf_counter()
     try:
-        options, calibration = _calibrated(cell, system)
-        made = system.latest.of(calibration, options, lambda: _finished(cell, system, options, calibration))
+        calibration = _calibrated(cell, system)
+        made = system.finished.of(calibration, lambda: _finished(cell, system, calibration))
     except CalibrationError as error:
         result = _without_calibration(cell, system, error)
     else:
         result = _written(made, calibration.dataset, system, output, folder or cell.folder, calibration)
-        result = of_cell(result, cell)
+        result = of_cell(result, cell, calibration.iterations)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
 
 
@@ -76,31 +74,30 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
         The result so far, and the calibration; None if the data cannot be calibrated, for a reason in the result.
     """
     try:
-        options, calibration = _calibrated(cell, system)
-        return _diagnosed(cell, system, options, calibration), calibration
+        calibration = _calibrated(cell, system)
+        return _diagnosed(cell, system, calibration), calibration
     except CalibrationError as error:
         return _without_calibration(cell, system, error), None
 
 
-def _calibrated(cell: Cell, system: LoadedSystem) -> tuple[Options, Calibration]:
+def _calibrated(cell: Cell, system: LoadedSystem) -> Calibration:
     system.check()
-    options = replace(system.options, start=cell.start, loss=cell.loss)
-    return options, calibrate(system.dataset, options, cell.noise, system.setup)
+    return system.calibrator.calibrate(cell.noise)
 
 
 def _without_calibration(cell: Cell, system: LoadedSystem, error: CalibrationError) -> CellResult:
     return _failed(nothing_yet(cell), error).found(mirrored(None, system.dataset, system.options))
 
 
-def _diagnosed(cell: Cell, system: LoadedSystem, options: Options, calibration: Calibration) -> CellResult:
+def _diagnosed(cell: Cell, system: LoadedSystem, calibration: Calibration) -> CellResult:
     return described(nothing_yet(cell), calibration, system.dataset, system.limits).found(
-        diagnose(calibration, system.dataset, options, system.limits, system.truth is not None)
+        diagnose(calibration, system.dataset, system.options, system.limits, system.truth is not None)
     )
 
 
-def _finished(cell: Cell, system: LoadedSystem, options: Options, calibration: Calibration) -> Evaluated:
-    """Return all that follows from a calibration: of every cell that has it, but for the noise of its start."""
-    result = _diagnosed(cell, system, options, calibration)
+def _finished(cell: Cell, system: LoadedSystem, calibration: Calibration) -> Evaluated:
+    """Return all that follows from a calibration, for every cell that has it."""
+    result = _diagnosed(cell, system, calibration)
     if not np.isfinite(calibration.cost):
         return Evaluated(result)
     made = _evaluated(result, calibration.dataset, system, calibration)

@@ -15,14 +15,13 @@ from calibration.dataset.truth import truth_of
 from calibration.diagnosis.limits import Limits
 from calibration.errors import ExitCode, InputError
 from calibration.estimation.assumptions import EXACT
-from calibration.estimation.calibrate import calibrate
+from calibration.estimation.calibrate import Calibrator, calibrate
 from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.options import Options
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.specification import parse_evaluation
 from calibration.geometry.rotations import from_rpy, to_rpy
 from calibration.geometry.transforms import retract, translation
-from calibration.pipeline.matrix import running_cell
 from calibration.pipeline.matrix.cell import Cell, Comparison
 from calibration.pipeline.matrix.cell_details import described
 from calibration.pipeline.matrix.cell_result import CellResult, Details, Parameter
@@ -263,7 +262,7 @@ def test_what_most_labels_do_not_fit_is_no_pass(tmp_path: Path, monkeypatch: pyt
     count = sum(int(np.isfinite(view.magnitudes).sum()) for view in found.residuals)
     few, more = (replace(found, rejected=found.rejected[:1] * n) for n in (count // 21, count // 2 + 1))
     for calibration, verdict in ((few, "pass"), (more, "fail")):
-        monkeypatch.setattr(running_cell, "calibrate", lambda *_, calibration=calibration: calibration)
+        monkeypatch.setattr(Calibrator, "calibrate", lambda *_, calibration=calibration: calibration)
         results = run_matrix(Matrix((T2RGB,), NOISES), tmp_path / verdict, 1)
         assert results.cells[0].verdict == verdict
     assert results.cells[0].reasons[0].startswith(f"{count // 2 + 1} of {count} labels do not fit the result")

@@ -11,6 +11,9 @@ import pytest
 
 from calibration.dataset.reading import read_dataset
 from calibration.errors import ExitCode, InfrastructureError, InputError
+from calibration.estimation.calibrate import Calibrator
+from calibration.estimation.result import Calibration
+from calibration.estimation.starting_noise import StartingNoise
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.introspection.rule_set import parse_rules
 from calibration.pipeline.matrix import running_cell
@@ -162,14 +165,14 @@ def test_a_method_that_does_not_apply_has_a_reason(tmp_path: Path) -> None:
 def test_a_cell_that_fails_does_not_stop_the_others_unless_asked(
     matrix: Matrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    calibrate = running_cell.calibrate
+    calibrate = Calibrator.calibrate
 
-    def failing_from_far(dataset, options, noise, setup):  # type: ignore[no-untyped-def]
+    def failing_from_far(self: Calibrator, noise: StartingNoise) -> Calibration:
         if noise.translation > 0:
             raise InputError("planted")
-        return calibrate(dataset, options, noise, setup)
+        return calibrate(self, noise)
 
-    monkeypatch.setattr(running_cell, "calibrate", failing_from_far)
+    monkeypatch.setattr(Calibrator, "calibrate", failing_from_far)
     monkeypatch.setattr(running_cell, "mirrored", lambda *_: ())  # which would look for a cause in the data
 
     everything = run_matrix(matrix, tmp_path, 1)
@@ -193,7 +196,7 @@ def test_each_job_is_reported_once(matrix: Matrix, tmp_path: Path) -> None:
 
 
 def test_a_dead_worker_is_reported(matrix: Matrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(running_cell, "calibrate", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+    monkeypatch.setattr(Calibrator, "calibrate", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
 
     with pytest.raises(InfrastructureError, match="worker process died"):
         run_matrix(matrix, tmp_path, 2)
@@ -220,10 +223,8 @@ def test_bad_input_stops_before_anything_is_calibrated(
 
 def test_a_system_without_a_problem_leaves_the_reason_to_its_cells(matrix: Matrix) -> None:
     system = load(matrix.systems[0])
-    assert system.setup is not None
     everything = tuple(system.dataset.sensors)
     held = replace(system, options=replace(system.options, hold=everything))
-    assert held.setup is None
     result, calibration = running_cell.calibrate_cell(matrix.cells[0], held)
     assert calibration is None
     assert "nothing to calibrate" in result.reasons[0]
