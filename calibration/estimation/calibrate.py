@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from operator import is_
 
 import numpy as np
 
@@ -11,15 +12,15 @@ from calibration.errors import InputError, UndeterminedError, solvable
 from calibration.estimation.build import Setup, build
 from calibration.estimation.from_given_guess import from_given_guess
 from calibration.estimation.from_linear_start import from_linear_start
-from calibration.estimation.initial_values import initial_values
+from calibration.estimation.guesses import Guesses
 from calibration.estimation.least_squares import Termination, minimise
-from calibration.estimation.linear_start import LinearStart, linear_start
+from calibration.estimation.linear_start import LinearStart
 from calibration.estimation.noise_levels import estimate_scales
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.optimisation import HUBER
 from calibration.estimation.options import Options as Options
 from calibration.estimation.result import Calibration, DroppedView
-from calibration.estimation.starting_noise import StartingNoise, perturb
+from calibration.estimation.starting_noise import StartingNoise
 from calibration.estimation.suspects import explains_all
 from calibration.estimation.wrong_views import without, wrong_views
 from calibration.frozen import frozen
@@ -56,6 +57,7 @@ class Calibrator:
         self._dataset, self._options = dataset, options
         self._of_all_views: Latest[LinearStart, Calibration | _Rest] = Latest(LinearStart.equals)
         self._of_the_rest: Latest[LinearStart, Calibration] = Latest(LinearStart.equals)
+        self._solved: Latest[Setup, Guesses] = Latest(is_)
 
     def calibrate(self, noise: StartingNoise) -> Calibration:
         """Calibrate from the initial guess with noise.
@@ -110,38 +112,43 @@ class Calibrator:
         linear = self._from_linear_start(noise)
         if self._options.start == "linear":
             return linear
-        return from_given_guess(self._dataset, linear, noise, self._options)
+        guesses = self._guesses_of(linear.solution.setup)
+        return from_given_guess(self._dataset, linear, guesses.given(noise), self._options)
+
+    def _guesses_of(self, setup: Setup) -> Guesses:
+        """Return the guesses of the problem that was solved: with all views and coefficients, or without some."""
+        return self._guesses if setup is self._guesses.setup else self._solved.of(setup, lambda: Guesses(setup))
 
     @cached_property
-    def _setup(self) -> Setup:
-        return _setup_of(self._dataset, self._options)
+    def _guesses(self) -> Guesses:
+        return Guesses(_setup_of(self._dataset, self._options))
 
     def _from_linear_start(self, noise: StartingNoise) -> Calibration:
-        start = _started(self._setup, noise)
+        start = self._guesses.linear(noise)
         found = self._of_all_views.of(start, lambda: self._from_all_views(start))
         if isinstance(found, Calibration):
             return found
         try:
-            rest = _started(found.setup, noise)
+            rest = found.guesses.linear(noise)
             return self._of_the_rest.of(rest, lambda: self._from_rest(found, rest))
         except UndeterminedError as error:
             raise _without_views(error, found.dropped) from error
 
     def _from_all_views(self, start: LinearStart) -> "Calibration | _Rest":
         """Calibrate with all views; if some contradict the others, return what remains without them."""
-        dataset, setup, options = self._dataset, self._setup, self._options
+        dataset, setup, options = self._dataset, self._guesses.setup, self._options
         dropped = wrong_views(setup, start.values)
         if not dropped:
             return from_linear_start(dataset, setup, start, options)
         if (whole := _explained(dataset, setup, start, options)) is not None:
             return whole
         try:
-            return _Rest(_setup_of(without(dataset, dropped), options), dropped)
+            return _Rest(Guesses(_setup_of(without(dataset, dropped), options)), dropped)
         except UndeterminedError as error:
             raise _without_views(error, dropped) from error
 
     def _from_rest(self, rest: "_Rest", start: LinearStart) -> Calibration:
-        found = from_linear_start(self._dataset, rest.setup, start, self._options)
+        found = from_linear_start(self._dataset, rest.guesses.setup, start, self._options)
         return replace(found, dropped_views=rest.dropped)
 
 
@@ -149,17 +156,12 @@ class Calibrator:
 class _Rest:
     """What remains without views that contradict the others."""
 
-    setup: Setup
+    guesses: Guesses
     dropped: tuple[DroppedView, ...]
 
 
 def _setup_of(dataset: Dataset, options: Options) -> Setup:
     return build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
-
-
-def _started(setup: Setup, noise: StartingNoise) -> LinearStart:
-    """Return the linear initial values, with those that it does not give from the noisy guess."""
-    return linear_start(setup, perturb(setup, initial_values(setup), noise))
 
 
 def _without_views(error: UndeterminedError, dropped: Sequence[DroppedView]) -> UndeterminedError:

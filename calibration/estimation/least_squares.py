@@ -73,6 +73,8 @@ class Evaluation:
 
 Reweigh = Callable[[Evaluation], Weighting]
 """Function that returns the weighting for an evaluation's residuals; the evaluation's own if it is unchanged."""
+Arrived = Callable[[Evaluation], bool]
+"""Function that returns whether an evaluation is at an optimum that is known already."""
 
 
 def minimise(
@@ -81,6 +83,7 @@ def minimise(
     weighting: Weighting,
     until: Termination | None = None,
     reweigh: Reweigh | None = None,
+    arrived: Arrived | None = None,
 ) -> Optimum:
     """Minimise the cost from initial values, by Levenberg-Marquardt.
 
@@ -96,6 +99,7 @@ def minimise(
         weighting: what residuals weigh, at first.
         until: when to stop.
         reweigh: asked at each point for what residuals are to weigh from there on; they keep their weights if None.
+        arrived: asked at each point whether to end there, as its optimum is known; only beside ``reweigh``.
     """
     until = until or Termination()
 
@@ -114,6 +118,8 @@ def minimise(
     for iteration in range(until.iterations):
         if not np.isfinite(now.equations.total):
             return ended(iteration, reached=False)
+        if arrived and arrived(now):
+            return ended(iteration, reached=True)
         wanted = reweigh(now) if reweigh else now.weighting
         cost = now.cost(wanted)
         shared, local, predicted = now.equations.step(damping)

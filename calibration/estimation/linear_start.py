@@ -17,7 +17,7 @@ Directions that the equations do not determine are taken from the given guess, w
 and intrinsics start from their nominal parameters: they are small corrections, and no equation is linear in them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -30,6 +30,7 @@ from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.planar_pose import mean_pose
 from calibration.estimation.plane_alignment import align_planes, fit_planes
 from calibration.estimation.pose_residuals import PoseTerm
+from calibration.estimation.problem import Problem
 from calibration.estimation.ray_residuals import RangeTerm
 from calibration.estimation.robot_world import RobotWorld, solve_robot_world_robustly
 from calibration.estimation.scan_alignment import align_scans, scan_equations
@@ -57,32 +58,38 @@ class LinearStart:
         return self.guessed == other.guessed and all(a.tobytes() == b.tobytes() for a, b in values)
 
 
-def linear_start(setup: Setup, guess: Values) -> LinearStart:
+def linear_start(setup: Setup, guess: Values, seen: Sequence["Sight"] | None = None) -> LinearStart:
     """Compute initial values for all blocks.
 
     Args:
         setup: the problem.
         guess: a value for each block; of these only fixed ones are used, and those without an
             equation.
+        seen: `sights` of the problem, which do not depend on the guess.
 
     Raises:
         UndeterminedError: a robot's motion is too small to separate a sensor's mount from the pattern's.
     """
     blocks = setup.problem.blocks
     unknown = {i for i, block in enumerate(blocks) if not block.held and isinstance(block.parameters, Pose)}
-    search = _Search(setup, guess, unknown)
+    search = _Search(setup, guess, unknown, seen)
     while search.find() or search.take_guess():
         pass
     return LinearStart(search.found(), tuple(search.guessed))
 
 
-def pattern_poses(setup: Setup, values: Values) -> Values:
+def pattern_poses(setup: Setup, values: Values, seen: Sequence["Sight"] | None = None) -> Values:
     """Set the patterns' poses to those in the cameras' views, with all other blocks fixed.
+
+    Args:
+        setup: the problem.
+        values: a value for each block.
+        seen: `sights` of the problem.
 
     Raises:
         InputError: no camera sees a fixed pattern.
     """
-    search = _Search(setup, values, free_patterns(setup))
+    search = _Search(setup, values, free_patterns(setup), seen)
     while search.find():
         pass
     return search.found()
@@ -117,7 +124,7 @@ def place_gauge_patterns(setup: Setup, values: Values) -> Values:
 
 
 @frozen(eq=False)
-class _Sight:
+class Sight:
     """V views ``T_sensor_pattern = chain``: of a group, or combined from two groups of the same moving pattern."""
 
     sensor: str
@@ -132,7 +139,7 @@ class _Sight:
     points: RangeTerm | None
     """Points on the pattern's plane, of a LiDAR or a depth camera."""
 
-    def through(self, other: "_Sight", seen: Array) -> "_Sight":
+    def through(self, other: "Sight", seen: Array) -> "Sight":
         """Combine with another sensor's views (V, 4, 4) of the same pattern in common collections; its pose cancels."""
         _, own, at = np.intersect1d(self.collections, other.collections, return_indices=True)
         to_pattern, from_pattern = (sight.chain.part(-1, len(sight.chain.links) - 1) for sight in (self, other))
@@ -146,19 +153,24 @@ class _Sight:
         )
 
 
-def _sight(group: ViewGroup) -> _Sight:
+def sights(problem: Problem) -> tuple[Sight, ...]:
+    """Return the views of each group, with the poses or points that their labels alone determine."""
+    return tuple(map(_sight, problem.groups))
+
+
+def _sight(group: ViewGroup) -> Sight:
     term = group.terms[0]
     seen = term.measured if isinstance(term, PoseTerm) else None
     if isinstance(term, CornerTerm):
         seen = robust_poses(term)
     points = term if isinstance(term, RangeTerm) else None
-    return _Sight(group.sensor, group.pattern, group.chain, group.collections, term.counts, seen, points)
+    return Sight(group.sensor, group.pattern, group.chain, group.collections, term.counts, seen, points)
 
 
 class _Search:
     """Remaining unknowns, and the views that determine them."""
 
-    def __init__(self, setup: Setup, values: Values, unknown: set[int]) -> None:
+    def __init__(self, setup: Setup, values: Values, unknown: set[int], seen: Sequence[Sight] | None = None) -> None:
         """Start with all blocks known but some, and with the poses in the cameras' views."""
         self.setup, self.problem = setup, setup.problem
         self.guessed: list[str] = []
@@ -167,7 +179,7 @@ class _Search:
         N = self.problem.collections
         self._known = [np.full(N, i not in unknown) for i in range(len(values))]
         """By block: mask (N,) of the collections in which it is known."""
-        self._sights = [_sight(group) for group in self.problem.groups]
+        self._sights = sights(self.problem) if seen is None else seen
 
     def find(self) -> bool:
         """Solve for one more unknown by linear algebra; False if there is none.
@@ -257,7 +269,7 @@ class _Search:
         self._set(block, mean_pose(np.concatenate(votes[block])))
         return True
 
-    def _over_moving_patterns(self) -> Iterator[_Sight]:
+    def _over_moving_patterns(self) -> Iterator[Sight]:
         """Yield views that combine two sensors' views of the same moving pattern with an unknown pose."""
         cameras = []
         for sight in self._sights:
@@ -272,7 +284,7 @@ class _Search:
             same = (s for s in self._sights if s.points is not None and s.pattern == camera.pattern)
             yield from (sight.through(camera, seen) for sight in same)
 
-    def _robot_world(self, sights: list[_Sight]) -> str | None:
+    def _robot_world(self, sights: Sequence[Sight]) -> str | None:
         """Solve for two unknowns X and Y from ``T = U X B Y V``; None on success, else the reason of the failure."""
         problems = []
         for sight in sights:
@@ -294,7 +306,7 @@ class _Search:
             why_not = why_not or too_poor
         return why_not
 
-    def _planes(self, sights: list[_Sight]) -> bool:
+    def _planes(self, sights: Sequence[Sight]) -> bool:
         """Solve for a block in the chain of a LiDAR or a depth camera, from its planes and the patterns' known poses.
 
         All views that determine the same block are used together.
@@ -355,17 +367,17 @@ class _Search:
         self._transforms[block] = T
         self._known[block][:] = True
 
-    def _unknown(self, sight: _Sight) -> list[int]:
+    def _unknown(self, sight: Sight) -> list[int]:
         """Return the positions in a chain of the links that are unknown in all of its collections."""
         return [k for k, link in enumerate(sight.chain.links) if not self._known[link.block][sight.collections].any()]
 
-    def _unknown_shared(self, sight: _Sight) -> list[int]:
+    def _unknown_shared(self, sight: Sight) -> list[int]:
         """Return the same if all of them are of different shared blocks; else none."""
         unknown = self._unknown(sight)
         blocks = {sight.chain.links[k].block for k in unknown}
         return unknown if len(blocks) == len(unknown) and not blocks & set(self.problem.local) else []
 
-    def _usable(self, sight: _Sight, unknown: list[int]) -> BoolArray:
+    def _usable(self, sight: Sight, unknown: list[int]) -> BoolArray:
         """Return a mask (V,) of the views in which all other links are known."""
         usable = np.ones(len(sight.collections), bool)
         for k, link in enumerate(sight.chain.links):
@@ -373,17 +385,17 @@ class _Search:
                 usable &= self._known[link.block][sight.collections]
         return usable
 
-    def _between(self, sight: _Sight, start: int, end: int | None) -> Array:
+    def _between(self, sight: Sight, start: int, end: int | None) -> Array:
         """Return the product (V, 4, 4) between two links of a chain; -1 is its begin, None its end."""
         part = sight.chain.part(start, len(sight.chain.links) if end is None else end)
         return part.poses(self._transforms, sight.collections)
 
-    def _around(self, sight: _Sight, k: int) -> tuple[Array, Array, BoolArray]:
+    def _around(self, sight: Sight, k: int) -> tuple[Array, Array, BoolArray]:
         """Split a chain at one link: ``T = before * link * after`` (V, 4, 4 each), with a mask (V,) of known ones."""
         before, after = self._between(sight, -1, k), self._between(sight, k, None)
         return before, after, self._usable(sight, [k]) & np.isfinite(after[:, 0, 0]) & np.isfinite(before[:, 0, 0])
 
-    def _solved_for(self, sight: _Sight, seen: Array, k: int) -> tuple[Array, BoolArray]:
+    def _solved_for(self, sight: Sight, seen: Array, k: int) -> tuple[Array, BoolArray]:
         """Solve each view for the block of a link; return the values, and a mask of the valid ones."""
         before, after, usable = self._around(sight, k)
         X = inverse(before) @ seen @ inverse(after)

@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
 from calibration.estimation.blocks import Values
-from calibration.estimation.least_squares import Evaluation, Optimum, minimise
+from calibration.estimation.least_squares import Arrived, Evaluation, Optimum, minimise
 from calibration.estimation.noise_levels import FLOORS, NoiseLevels, estimate_scales, scales_of
 from calibration.estimation.normal_equations import NormalEquations, Weighting
 from calibration.estimation.observability import determined_parameters
@@ -40,11 +40,20 @@ class WeightedOptimum:
     """Number of parameters that each kind of label has determined."""
 
 
-def optimise(problem: Problem, values: Values, levels: NoiseLevels, robust: bool) -> WeightedOptimum:
+def optimise(
+    problem: Problem, values: Values, levels: NoiseLevels, robust: bool, arrived: Arrived | None = None
+) -> WeightedOptimum:
     """Minimise, and estimate the noise from the residuals on the way, until neither changes.
 
     With plain least squares, one kind of label and nothing known beforehand the weights don't matter and one round
     is enough.
+
+    Args:
+        problem: the problem.
+        values: where to start.
+        levels: standard deviations of the labels that are known.
+        robust: whether outliers are to have little effect.
+        arrived: asked, while the noise is estimated, whether to end at a point, as its optimum is known.
     """
     huber = HUBER if robust else None
     kinds = {term.kind for group in problem.groups for term in group.terms}
@@ -55,7 +64,7 @@ def optimise(problem: Problem, values: Values, levels: NoiseLevels, robust: bool
     some[:: max(1, problem.collections // FEW)] = True
     weighting = Weighting({**estimate_scales(problem.seen_in(some), values, {}, robust=True), **given}, huber)
     noise = _Noise(problem, given, robust) if kinds - given.keys() else None
-    optimum = minimise(problem, values, weighting, reweigh=noise)
+    optimum = minimise(problem, values, weighting, reweigh=noise, arrived=arrived if noise else None)
     parameters = noise.parameters if noise else None
     if not parameters:
         parameters = determined_parameters(problem, optimum.values, optimum.equations, optimum.weighting)
