@@ -10,6 +10,7 @@ from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.accepting import accept
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
+from calibration.pipeline.judging import judge_results
 from calibration.pipeline.results import read_results
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.text import one_line
@@ -23,14 +24,16 @@ from calibration.workflow.text import one_line
 def command(config: Path, output: Path, systems: tuple[str, ...] | None, although: str | None) -> ExitCode:
     """Keep the results of a run in calibration-baseline.json, to be committed.
 
-    Later runs are compared with it. Results that failed, except by a change from the baseline, are refused
-    unless --although gives a reason to accept them.
+    Later runs are compared with it. Results that fail by the rules and limits of the configuration, except by a
+    change from the baseline, are refused unless --although gives a reason to accept them.
     """
     runner = Runner.from_environment(os.environ)
     if although is not None and not although.strip():
         raise InputError("--although: found nothing, expected the reason")
-    file = read_configuration(config).baseline.file
-    baseline, names = accept(read_results(output), output, systems or (), although, read_baseline(file))
+    configuration = read_configuration(config)
+    file = configuration.baseline.file
+    results = judge_results(read_results(output), configuration.systems, output)
+    baseline, names = accept(results, output, systems or (), although, read_baseline(file))
     write_baseline(file, baseline)
     with stop_commands(runner):
         for name in names:

@@ -86,6 +86,17 @@ def test_failed_systems_are_accepted_with_a_reason_only(repository: Path, capsys
     assert json.loads(Path(FILE).read_text())["systems"]["robot"]["although"] == "the old lens, until Friday"
 
 
+def test_results_that_were_never_judged_are_judged_by_the_configuration(
+    repository: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("calibration.yml").write_text(CONFIGURATION + "limits: {rms-px: 0.0001}\n")
+    assert main(["run", "--only", "calibrate"]) == 0
+    assert main(["accept"]) == 2
+    assert "has failed (RMS: found 0.0" in capsys.readouterr().err
+    Path("calibration.yml").write_text(CONFIGURATION + "limits: {rms-px: 1}\n")
+    assert main(["accept"]) == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [

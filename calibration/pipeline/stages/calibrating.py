@@ -3,10 +3,10 @@
 import os
 from dataclasses import replace
 
+from calibration.pipeline.judging import judge_results
 from calibration.pipeline.matrix.cell_result import CellResult
-from calibration.pipeline.matrix.cell_verdict import judge_cells
 from calibration.pipeline.matrix.matrix import run_matrix
-from calibration.pipeline.results import results_of, without_verdicts
+from calibration.pipeline.results import results_of
 from calibration.pipeline.stages.running import Run
 from calibration.workflow.progress import progress
 from calibration.workflow.text import shorten
@@ -51,22 +51,18 @@ def _why(cell: CellResult) -> str:
 def introspect_stage(run: Run) -> Run:
     """Judge the tables in the output folder by each system's rules and limits.
 
-    Our engine's references for a team's software are judged too, but do not count for the verdict. If this run
-    has calibrated no cell, the results are read from the output folder, except for this run's image.
+    If this run has calibrated no cell, the results are read from the output folder, except for this run's image.
 
     Raises:
         InputError: there are no results, or a rule does not match a table.
     """
-    systems, output = run.matrix.systems, run.output
+    systems = run.matrix.systems
     names = {system.name for system in systems}
-    found = without_verdicts(run.results if run.results.cells else results_of(output))
-    cells = [cell for cell in found.cells if cell.system in names]
-    references = [cell for cell in found.comparisons if cell.system in names and not cell.by_other_method]
-    others = [cell for cell in found.comparisons if cell.system in names and cell.by_other_method]
-    results = replace(
+    found = run.results if run.results.cells else results_of(run.output)
+    asked = replace(
         found,
-        cells=judge_cells(cells, systems, output),
-        comparisons=(*judge_cells(references, systems, output), *others),
+        cells=tuple(cell for cell in found.cells if cell.system in names),
+        comparisons=tuple(cell for cell in found.comparisons if cell.system in names),
         image=run.results.image,
     )
-    return replace(run, results=results)
+    return replace(run, results=judge_results(asked, systems, run.output))
