@@ -76,6 +76,11 @@ class Part:
         """Index of its local parameters in (N, P, P)."""
         return index_of(self.at, self.local_at, self.local_at)
 
+    @cached_property
+    def in_gradient(self) -> tuple[Columns, ...]:
+        """Index of its local parameters in (N, P)."""
+        return index_of(self.at, self.local_at)
+
 
 @frozen(eq=False)
 class _Step:
@@ -130,14 +135,14 @@ class Batch:
         J = np.empty((self.views, 6, self.steps[-1].columns.stop))
         T: Array | None = None  # from the frame after a step to the pattern
         for step in reversed(self.steps):
-            X, after = table[step.rows], times(step.after, T)
+            X, after = table.take(step.rows, 0), times(step.after, T)
             T = times(inverse(X) if step.inverted else X, after)
             if step.is_own_twist:
                 J[:, :, step.columns] = np.eye(6)
             elif step.parameters is not None:
                 T_child_pattern = T if step.inverted else after
-                T_pattern_child = np.eye(4) if T_child_pattern is None else inverse(T_child_pattern)
-                columns = step.parameters.jacobian(T_pattern_child.reshape(-1, 4, 4), values[step.block])
+                there = np.eye(4) if T_child_pattern is None else T_child_pattern
+                columns = step.parameters.jacobian(there.reshape(-1, 4, 4), values[step.block])
                 J[:, :, step.columns] = -columns if step.inverted else columns
         return per_view(times(self.before, T), self.views), J
 

@@ -6,12 +6,13 @@ derivative of one of a corner's two residuals r by a translation of the pattern 
 
     (b_x, b_y, b_z, Y b_z, -X b_z, X b_y - Y b_x)
 
-Every element is a component of b times 1, X or Y. So the Hessian and the gradient of a view are linear in the moments
-of its corners: the sums of ``b b^T`` times the monomials (1, X, Y, X^2, XY, Y^2), and of ``r b`` times (1, X, Y). With
-the derivative a (3) by a translation along the camera's axes, ``b = R^T a``, and the monomials are the same in all
-views: one product of matrices gives the moments of a, the views' rotations turn them to those of b, and another product
-gives Hessians and gradients. That takes half the time of rows and their products, as each number of a row would be
-computed for each corner.
+Every element is a component of b times 1, X or Y: a twist moves the corners by an affine map of the plane into space,
+``d = d_0 + X d_X + Y d_Y``. So the Hessian and the gradient of a view are linear in the moments of its corners. With
+the derivative a (3) by a translation along the camera's axes these are the sums of ``a a^T`` times the monomials
+(1, X, Y, X^2, XY, Y^2), and of ``r a`` times (1, X, Y). The monomials are the same in all views: one product of
+matrices gives all moments, which are the Hessian (9, 9) and the gradient (9) of the affine map, and the map (9, 6)
+of the view's twist to it gives those of the twist. That takes half the time of rows and their products, as each number
+of a row would be computed for each corner.
 """
 
 from collections.abc import Sequence
@@ -96,17 +97,18 @@ class CornerTerm:
         """See `calibration.estimation.views.Term`."""
         size = 6 + len(self.free)
         cost, H, g = np.empty(len(T)), np.empty((len(T), size, size)), np.empty((len(T), size))
-        for part in chunks(len(T), self.length):
+        threshold, variance = None if huber is None else huber * scale, scale * scale
+        for part in chunks(len(T), self.length):  # in pixels, as there are fewer views than corners to scale
             into = None if squares is None else squares[part]
-            found = self._projected(T[part], part, scale, huber, into)
+            found = self._projected(T[part], part, 1.0, threshold, into)
             cost[part] = found.cost
             if self.free:
                 rows = np.empty((len(found.cost), size + 1, 2, self.length))
-                self._fill(rows, T[part], found, scale)
+                self._fill(rows, T[part], found, 1.0)
                 H[part], g[part] = squeezed(rows.reshape(len(rows), size + 1, -1))
             else:
                 H[part], g[part] = _hessian_and_gradient(T[part, :3, :3], found, self._monomials_of(part))
-        return cost, H, g
+        return (cost, H, g) if scale == 1.0 else (cost / variance, H / variance, g / variance)
 
     def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
         """See `calibration.estimation.views.Term`."""
@@ -155,20 +157,19 @@ class CornerTerm:
 
     @cached_property
     def _in_plane(self) -> Array:
-        """(..., 3, K): 1, X and Y of the corners."""
-        return np.ascontiguousarray(np.swapaxes(self._monomials[..., :3], -1, -2))
+        """(..., 4, K): X, Y, 0 and 1 of the corners."""
+        X, Y = self.corners[..., 0], self.corners[..., 1]
+        return np.stack([X, Y, np.zeros_like(X), np.ones_like(X)], -2)
 
     def _normalised(self, T: Array, part: slice) -> tuple[Array, Array, BoolArray]:
         """Return normalised coordinates (2, v, K), inverse depth (v, K), and a mask of points in front of the camera.
 
         Points that are not in front have the depth 1, so that their numbers are finite.
         """
-        axes = T[:, :3, [3, 0, 1]]  # of the pattern, after its centre: (v, 3, 3)
         if self.corners.ndim == 2:  # the camera's axes first: everything after is contiguous
-            points = np.swapaxes(axes, 0, 1).reshape(-1, 3) @ self._in_plane
-            points = points.reshape(3, len(T), -1)
+            points = (T[:, :3].transpose(1, 0, 2).reshape(-1, 4) @ self._in_plane).reshape(3, len(T), -1)
         else:
-            points = np.ascontiguousarray(np.swapaxes(axes @ self._in_plane[part], 0, 1))
+            points = np.ascontiguousarray((T[:, :3] @ self._in_plane[part]).transpose(1, 0, 2))
         front = points[2] > 1e-6
         if not front.all():
             points[2][~front] = 1.0
@@ -185,10 +186,12 @@ class CornerTerm:
         distorted, jacobian = camera.distortion.distort_with_jacobian(normalised)
         residuals = distorted * self._focal
         residuals -= self._from_centre[:, part]
-        residuals *= 1 / scale
+        if scale != 1.0:
+            residuals *= 1 / scale
         if seen is not None:
             residuals = np.where(seen, residuals, 0.0)
-        squared = (residuals * residuals).sum(0)
+        both = residuals * residuals
+        squared = both[0] + both[1]
         cost, weight = robust(squared, huber)
         if squares is not None:
             np.multiply(squared, scale * scale, out=squares)
@@ -279,22 +282,14 @@ def _hessian_and_gradient(R: Array, found: _Projected, monomials: Array) -> tupl
         found: the corners.
         monomials: (K, 6), or (v, K, 6), of the corners' places.
     """
-    moments = _moments(found, monomials)
-    to_pattern = np.swapaxes(R, 1, 2) * (1.0, 1.0, -1.0)
-    turned = to_pattern @ np.swapaxes(moments[_PAIRS], 0, 1).reshape(-1, 3, 24)
-    with_residual = turned[:, :, 18:].reshape(-1, 18)
-    turned = to_pattern @ np.swapaxes(turned[:, :, :18].reshape(-1, 3, 3, 6), 1, 2).reshape(-1, 3, 18)
-    H: Array = turned.reshape(-1, 54) @ _TO_HESSIAN
-    g: Array = with_residual @ _TO_GRADIENT
-    return H.reshape(-1, 6, 6), g
-
-
-_PAIRS = np.array([0, 1, 3, 5, 1, 2, 4, 6, 3, 4, 7, 8])
-"""Product of the components i and k of a, and of i and the residual, among `_moments`: (3, 4) in all."""
+    affine = _moments(found, monomials).take(_AFFINE, 1)  # (v, 9, 10): its Hessian, and its gradient beside it
+    to_affine = (R.reshape(-1, 9) @ _TO_AFFINE).reshape(-1, 9, 6)
+    turned = to_affine.transpose(0, 2, 1) @ affine
+    return turned[:, :, :9] @ to_affine, turned[:, :, 9]
 
 
 def _moments(found: _Projected, monomials: Array) -> Array:
-    """Return the moments (9, v, 6) of the products of ``a = (x, y, -z)`` with itself and with the residual r.
+    """Return the moments (v, 9 x 6) of the products of ``a = (x, y, -z)`` with itself and with the residual r.
 
     The products are xx, xy, yy, xz, yz, x r, y r, zz and z r. A translation along the camera's axes changes the
     normalised coordinates by ``(dx - x dz, dy - y dz)`` over the depth: with the slopes s of a residual,
@@ -314,34 +309,41 @@ def _moments(found: _Projected, monomials: Array) -> Array:
     by_depth = products[3:7].reshape(2, 2, v, K) * coordinates
     np.add(by_depth[:, 0], by_depth[:, 1], out=products[7:])
     if monomials.ndim > 2:
-        return np.swapaxes(np.swapaxes(products, 0, 1) @ monomials, 0, 1)
+        return (products.transpose(1, 0, 2) @ monomials).reshape(v, -1)
     moments = np.empty((9, v, 6))
     for rows in (slice(0, 5), slice(5, 9)):  # so that BLAS starts no threads
         np.matmul(products[rows].reshape(-1, K), monomials, out=moments[rows].reshape(-1, 6))
-    return moments
+    return moments.transpose(1, 0, 2).reshape(v, -1)
 
 
-def _from_moments() -> tuple[Array, Array]:
-    """Return the matrices (54, 36) and (18, 6) from the moments of b of a view to its Hessian and its gradient.
+def _affine() -> IntArray:
+    """Return where the Hessian and the gradient (9, 10) of the affine map are among `_moments`.
 
-    The moments are those of the components i and k of b and of six monomials (3, 3, 6), and of the component i, the
-    residual and the monomials (3, 6).
+    The map's elements are the camera's axes of ``d_0``, then of ``d_X`` and ``d_Y``.
     """
-    monomials = {powers: m for m, powers in enumerate([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)])}
-    # each element of a row of the Jacobian: components of b, their factors, and the powers of X and Y
-    row = [[(i, 1.0, (0, 0))] for i in range(3)]
-    row += [[(2, 1.0, (0, 1))], [(2, -1.0, (1, 0))], [(1, 1.0, (1, 0)), (0, -1.0, (0, 1))]]
-    hessian, gradient = np.zeros((3, 3, 6, 6, 6)), np.zeros((3, 6, 6))
-    for at, element in enumerate(row):
-        for i, factor, (p, q) in element:
-            gradient[i, monomials[p, q], at] = factor
-            for other, its in enumerate(row):
-                for k, its_factor, (r, s) in its:
-                    hessian[i, k, monomials[p + r, q + s], at, other] = factor * its_factor
-    return hessian.reshape(54, 36), gradient.reshape(18, 6)
+    monomials = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # of 1, X and Y with each other
+    axes, residual = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 7]]), np.array([5, 6, 8])
+    hessian = 6 * axes[:, None] + monomials[:, None, :, None]
+    gradient = 6 * residual + monomials[:, 0, None]
+    return np.concatenate([hessian.reshape(9, 9), gradient.reshape(9, 1)], 1)
 
 
-_TO_HESSIAN, _TO_GRADIENT = _from_moments()
+def _to_affine() -> Array:
+    """Return the matrix (9, 54) from the elements of R to the map (9, 6) from a twist to the affine map.
+
+    The camera's z-axis is reversed there, as in `_moments`.
+    """
+    out = np.zeros((3, 3, 3, 3, 6))  # of R its row and column, then d_0, d_X or d_Y, the camera's axis, and the twist
+    for axis, sign in enumerate((1, 1, -1)):
+        for along in range(3):
+            out[axis, along, 0, axis, along] = sign
+        # the twist moves (X, Y, 0) by dw x (X, Y, 0) = (-Y dw_z, X dw_z, Y dw_x - X dw_y)
+        out[axis, 2, 2, axis, 3], out[axis, 2, 1, axis, 4] = sign, -sign
+        out[axis, 1, 1, axis, 5], out[axis, 0, 2, axis, 5] = sign, -sign
+    return out.reshape(9, 54)
+
+
+_AFFINE, _TO_AFFINE = _affine(), _to_affine()
 
 
 def side_by_side(terms: Sequence[CornerTerm]) -> CornerTerm:

@@ -30,7 +30,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
-from calibration.estimation.batches import Batch, index_of, table_of
+from calibration.estimation.batches import Batch, Part, index_of, table_of
 from calibration.estimation.blocks import Values
 from calibration.estimation.problem import Problem
 from calibration.estimation.views import Term
@@ -94,15 +94,14 @@ class NormalEquations:
         N, P, C = self.right.shape
         try:
             solved = np.asarray(np.linalg.solve(_damped(self.H_local, damping), self.right), float).reshape(N * P, C)
-            reduced = self.right.reshape(N * P, C)[:, :-1].T @ solved
-            H_shared = _damped(self.H_shared, damping) - reduced[:, :-1]
-            shared = np.asarray(np.linalg.solve(H_shared, reduced[:, -1] - self.g_shared), float)
+            reduced = self.right.reshape(N * P, C).T @ solved
+            H_shared, g_shared = _damped(self.H_shared, damping) - reduced[:-1, :-1], self.g_shared - reduced[:-1, -1]
+            shared = -np.asarray(np.linalg.solve(H_shared, g_shared), float)
         except np.linalg.LinAlgError:
             return np.full(C - 1, np.nan), np.full((N, P), np.nan), np.nan
         local: Array = -(solved[:, -1] + solved[:, :-1] @ shared).reshape(N, P)
-        predicted = (shared * (damping * diagonal_of(self.H_shared) * shared - self.g_shared)).sum()
-        predicted += (local * (damping * diagonal_of(self.H_local) * local - self.g_local)).sum()
-        return shared, local, float(predicted)
+        penalty = (diagonal_of(self.H_shared) * shared**2).sum() + (diagonal_of(self.H_local) * local**2).sum()
+        return shared, local, float(reduced[-1, -1] - g_shared @ shared + damping * penalty)
 
     def local_step(self, damping: Array) -> Array:
         """Solve for the step of the local blocks alone, (N, P), each collection with its own damping (N,)."""
@@ -189,34 +188,47 @@ def _add(
     equations: NormalEquations, batch: Batch, A: Array, cost: Array, M: Array, m: Array, intrinsics: slice
 ) -> None:
     """Add a batch of views to the equations; its free intrinsics are at ``intrinsics``."""
-    MA = M[:, :, :6] @ A  # (V, 6 + m, C)
-    H_mixed, g_local = equations.H_mixed, equations.g_local
     for part in batch.parts:
-        v, collections = part.views, part.at
-        equations.cost[collections] += cost[v]
+        v = part.views
+        equations.cost[part.at] += cost[v]
+        own, shared = M[v, :, :6], np.ascontiguousarray(A[v, :, part.shared])
+        mixed = own @ shared  # (v, 6 + m, shared parameters of a view)
         if part.has_shared:
-            left, right = (np.ascontiguousarray(each[v, :6, part.shared]) for each in (A, MA))
-            equations.H_shared[part.in_shared] += _sum_of_products(left, right)
-            equations.g_shared[part.shared_at] += left.reshape(6 * len(left), -1).T @ m[v, :6].ravel()
+            equations.H_shared[part.in_shared] += _sum_of_products(shared, mixed[:, :6])
+            equations.g_shared[part.shared_at] += shared.reshape(6 * len(shared), -1).T @ m[v, :6].ravel()
         if part.has_local:
-            if part.is_own_twist:
-                block, gradient = MA[v, :6], m[v, :6]
-            else:
-                own = A[v, :, part.local].transpose(0, 2, 1)
-                block = own @ MA[v, :6]  # (v, local parameters of a view, C)
-                gradient = (own @ m[v, :6, None])[..., 0]
-            equations.H_local[part.in_local] += block[:, :, part.local]
-            H_mixed[part.in_mixed] += block[:, :, part.shared].transpose(0, 2, 1)
-            g_local[index_of(collections, part.local_at)] += gradient
+            _add_local(equations, part, A[v, :, part.local], own, mixed[:, :6], m[v, :6])
         if intrinsics.stop:
-            mixed = MA[v, 6:]
-            total = mixed[:, :, part.shared].sum(0)
+            total = mixed[:, 6:].sum(0)
             equations.H_shared[intrinsics, intrinsics] += M[v, 6:, 6:].sum(0)
             equations.H_shared[intrinsics, part.shared_at] += total
             equations.H_shared[part.shared_at, intrinsics] += total.T
             equations.g_shared[intrinsics] += m[v, 6:].sum(0)
             if part.has_local:
-                H_mixed[index_of(collections, intrinsics, part.local_at)] += mixed[:, :, part.local]
+                at = index_of(part.at, intrinsics, part.local_at)
+                equations.H_mixed[at] += own[:, 6:] @ A[v, :, part.local]
+
+
+def _add_local(equations: NormalEquations, part: Part, A: Array, M: Array, mixed: Array, m: Array) -> None:
+    """Add a part of a batch to the rows of its local parameters.
+
+    Args:
+        equations: added to.
+        part: of p local parameters and k shared ones in each view.
+        A: (v, 6, p), Jacobian by the local parameters.
+        M: (v, 6 + m, 6), by the twist.
+        mixed: (v, 6, k): its first rows times the Jacobian by the shared parameters.
+        m: (v, 6), gradient by the twist.
+    """
+    if part.is_own_twist:
+        H, H_mixed, g = M[:, :6], mixed, m
+    else:
+        At = A.transpose(0, 2, 1)
+        H, H_mixed, g = At @ M[:, :6] @ A, At @ mixed, (At @ m[:, :, None])[..., 0]
+    equations.H_local[part.in_local] += H
+    equations.g_local[part.in_gradient] += g
+    if part.has_shared:
+        equations.H_mixed[part.in_mixed] += H_mixed.transpose(0, 2, 1)
 
 
 def _sum_of_products(A: Array, MA: Array) -> Array:
