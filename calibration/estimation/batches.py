@@ -113,7 +113,7 @@ class Batch:
     intrinsics: int | None
     """Block of free intrinsics that all views depend on; None without one."""
 
-    @property
+    @cached_property
     def views(self) -> int:
         """Number of views V."""
         return sum(len(part.collections) for part in self.parts)

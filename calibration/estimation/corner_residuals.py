@@ -22,6 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.one_thread import product
 from calibration.estimation.planar_pose import planar_poses
 from calibration.estimation.residuals import Linearised, chunks, robust, squeezed
 from calibration.frozen import frozen
@@ -31,6 +32,9 @@ from calibration.geometry.types import Array, BoolArray, IntArray
 
 ROUGH_STEP = 1e-3
 """Termination of `calibration.geometry.distortion.Distortion.undistort` for an initial guess: accurate to 1e-6."""
+
+NEAREST = 1e-6
+"""Depth of points in front of the camera, m."""
 
 
 @frozen(eq=False)
@@ -125,13 +129,13 @@ class CornerTerm:
         """(V, K): distance from each label to the projected corner (px); NaN if not seen or behind."""
         out = np.empty((len(T), self.length))
         for part in chunks(len(T), self.length):
-            (x, y), _, front = self._normalised(T[part], part)
+            (x, y), _, behind = self._normalised(T[part], part)
             xd, yd = self.camera.distortion.distort(x, y)
             u = self.camera.fx * xd - self._from_centre[0, part]
             v = self.camera.fy * yd - self._from_centre[1, part]
             out[part] = np.sqrt(u * u + v * v)
-            if not front.all():
-                out[part][~front] = np.nan
+            if behind is not None:
+                out[part][behind] = np.nan
         return out if self.seen is None else np.where(self.seen, out, np.nan)
 
     @cached_property
@@ -161,28 +165,28 @@ class CornerTerm:
         X, Y = self.corners[..., 0], self.corners[..., 1]
         return np.stack([X, Y, np.zeros_like(X), np.ones_like(X)], -2)
 
-    def _normalised(self, T: Array, part: slice) -> tuple[Array, Array, BoolArray]:
-        """Return normalised coordinates (2, v, K), inverse depth (v, K), and a mask of points in front of the camera.
+    def _normalised(self, T: Array, part: slice) -> tuple[Array, Array, BoolArray | None]:
+        """Return normalised coordinates (2, v, K), inverse depth (v, K), and a mask of points behind the camera.
 
-        Points that are not in front have the depth 1, so that their numbers are finite.
+        Points behind it have the depth 1, so that their numbers are finite; None if there are none.
         """
         if self.corners.ndim == 2:  # the camera's axes first: everything after is contiguous
             points = (T[:, :3].transpose(1, 0, 2).reshape(-1, 4) @ self._in_plane).reshape(3, len(T), -1)
         else:
             points = np.ascontiguousarray((T[:, :3] @ self._in_plane[part]).transpose(1, 0, 2))
-        front = points[2] > 1e-6
-        if not front.all():
-            points[2][~front] = 1.0
+        behind = None if points[2].min() > NEAREST else ~(points[2] > NEAREST)
+        if behind is not None:
+            points[2][behind] = 1.0
         inverse_depth = np.divide(1.0, points[2], out=points[2])
         points[:2] *= inverse_depth
-        return points[:2], inverse_depth, front
+        return points[:2], inverse_depth, behind
 
     def _projected(
         self, T: Array, part: slice, scale: float, huber: float | None, squares: Array | None = None
     ) -> "_Projected":
         """Project the corners of a part of the views; the arguments are those of `linearise`."""
         camera, seen = self.camera, None if self.seen is None else self.seen[part]
-        normalised, inverse_depth, front = self._normalised(T, part)
+        normalised, inverse_depth, behind = self._normalised(T, part)
         distorted, jacobian = camera.distortion.distort_with_jacobian(normalised)
         residuals = distorted * self._focal
         residuals -= self._from_centre[:, part]
@@ -195,11 +199,12 @@ class CornerTerm:
         cost, weight = robust(squared, huber)
         if squares is not None:
             np.multiply(squared, scale * scale, out=squares)
-            if seen is not None or not front.all():
-                squares[~front if seen is None else ~(seen & front)] = np.nan
-        if not front.all():
-            behind = ~front if seen is None else seen & ~front
-            cost = np.where(behind.any(-1), np.inf, cost)
+            if seen is not None:
+                squares[~seen] = np.nan
+            if behind is not None:
+                squares[behind] = np.nan
+        if behind is not None:
+            cost = np.where((behind if seen is None else seen & behind).any(-1), np.inf, cost)
         if seen is not None:
             weight = seen.astype(float) if weight is None else weight * seen
         if weight is not None:
@@ -310,9 +315,7 @@ def _moments(found: _Projected, monomials: Array) -> Array:
     np.add(by_depth[:, 0], by_depth[:, 1], out=products[7:])
     if monomials.ndim > 2:
         return (products.transpose(1, 0, 2) @ monomials).reshape(v, -1)
-    moments = np.empty((9, v, 6))
-    for rows in (slice(0, 5), slice(5, 9)):  # so that BLAS starts no threads
-        np.matmul(products[rows].reshape(-1, K), monomials, out=moments[rows].reshape(-1, 6))
+    moments = product(products.reshape(-1, K), monomials).reshape(9, v, 6)
     return moments.transpose(1, 0, 2).reshape(v, -1)
 
 

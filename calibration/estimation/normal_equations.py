@@ -32,14 +32,11 @@ import numpy as np
 from calibration.dataset.modalities import NoiseKind
 from calibration.estimation.batches import Batch, Part, index_of, table_of
 from calibration.estimation.blocks import Values
+from calibration.estimation.one_thread import sum_of_products
 from calibration.estimation.problem import Problem
 from calibration.estimation.views import Term
 from calibration.frozen import frozen
 from calibration.geometry.types import Array
-
-ONE_THREAD = 1 << 18
-"""Multiplications in a matrix product up to which BLAS starts no threads, which wait for each other on a busy
-machine."""
 
 
 @frozen
@@ -94,7 +91,7 @@ class NormalEquations:
         N, P, C = self.right.shape
         try:
             solved = np.asarray(np.linalg.solve(_damped(self.H_local, damping), self.right), float).reshape(N * P, C)
-            reduced = self.right.reshape(N * P, C).T @ solved
+            reduced = sum_of_products(self.right.reshape(N * P, C), solved)
             H_shared, g_shared = _damped(self.H_shared, damping) - reduced[:-1, :-1], self.g_shared - reduced[:-1, -1]
             shared = -np.asarray(np.linalg.solve(H_shared, g_shared), float)
         except np.linalg.LinAlgError:
@@ -194,8 +191,9 @@ def _add(
         own, shared = M[v, :, :6], np.ascontiguousarray(A[v, :, part.shared])
         mixed = own @ shared  # (v, 6 + m, shared parameters of a view)
         if part.has_shared:
-            equations.H_shared[part.in_shared] += _sum_of_products(shared, mixed[:, :6])
-            equations.g_shared[part.shared_at] += shared.reshape(6 * len(shared), -1).T @ m[v, :6].ravel()
+            by_twist = shared.reshape(6 * len(shared), -1)
+            equations.H_shared[part.in_shared] += sum_of_products(by_twist, mixed[:, :6].reshape(by_twist.shape))
+            equations.g_shared[part.shared_at] += by_twist.T @ m[v, :6].ravel()
         if part.has_local:
             _add_local(equations, part, A[v, :, part.local], own, mixed[:, :6], m[v, :6])
         if intrinsics.stop:
@@ -231,20 +229,10 @@ def _add_local(equations: NormalEquations, part: Part, A: Array, M: Array, mixed
         equations.H_mixed[part.in_mixed] += H_mixed.transpose(0, 2, 1)
 
 
-def _sum_of_products(A: Array, MA: Array) -> Array:
-    """Sum ``A^T MA`` (v, 6, k) over views, by few products of tall matrices."""
-    left, right = A.reshape(6 * len(A), -1), MA.reshape(6 * len(A), -1)
-    rows = max(1, ONE_THREAD // max(1, left.shape[1] * right.shape[1]))
-    total: Array = left[:rows].T @ right[:rows]
-    for start in range(rows, len(left), rows):
-        total += left[start : start + rows].T @ right[start : start + rows]
-    return total
-
-
 def diagonal_of(H: Array) -> Array:
-    """Return the diagonals (..., P) of matrices (..., P, P): a view, which can be written to."""
-    diagonals: Array = np.einsum("...ii->...i", H)
-    return diagonals
+    """Return the diagonals (..., P) of matrices (..., P, P), contiguous ones: a view, which can be written to."""
+    P = H.shape[-1]
+    return H.reshape(*H.shape[:-2], P * P)[..., :: P + 1]
 
 
 def _damped(H: Array, damping: float | Array) -> Array:

@@ -13,10 +13,10 @@ import numpy as np
 
 from calibration.geometry.types import Array
 
-CHUNK = 6400
-"""Labels per chunk, which fit into a second-level cache with the numbers of each; and BLAS starts no threads for them
-(`calibration.estimation.normal_equations.ONE_THREAD`)."""
-VIEWS = 128
+CHUNK = 19200
+"""Labels per chunk: enough to be worth the calls on them, while their numbers fit into a cache; and BLAS starts no
+threads for their product with the (4, 3) numbers of a pose (`calibration.estimation.one_thread`)."""
+VIEWS = 384
 """Most views per chunk, for the latter reason."""
 
 Linearised = tuple[Array, Array, Array]
