@@ -132,19 +132,26 @@ class Batch:
         Returns:
             ``T_sensor_pattern`` (V, 4, 4) and the Jacobian (V, 6, C), the steps' columns side by side.
         """
-        J = np.empty((self.views, 6, self.steps[-1].columns.stop))
+        J = self._own_twists.copy()
         T: Array | None = None  # from the frame after a step to the pattern
         for step in reversed(self.steps):
             X, after = table.take(step.rows, 0), times(step.after, T)
             T = times(inverse(X) if step.inverted else X, after)
-            if step.is_own_twist:
-                J[:, :, step.columns] = np.eye(6)
-            elif step.parameters is not None:
+            if step.parameters is not None and not step.is_own_twist:
                 T_child_pattern = T if step.inverted else after
                 there = np.eye(4) if T_child_pattern is None else T_child_pattern
                 columns = step.parameters.jacobian(there.reshape(-1, 4, 4), values[step.block])
                 J[:, :, step.columns] = -columns if step.inverted else columns
         return per_view(times(self.before, T), self.views), J
+
+    @cached_property
+    def _own_twists(self) -> Array:
+        """(V, 6, C): Jacobian of the parameters that are the twist of the view's own pose, which is constant."""
+        J = np.zeros((self.views, 6, self.steps[-1].columns.stop))
+        for step in self.steps:
+            if step.is_own_twist:
+                J[:, :, step.columns] = np.eye(6)
+        return J
 
     @property
     def collections(self) -> IntArray:

@@ -75,6 +75,7 @@ Reweigh = Callable[[Evaluation], Weighting]
 """Function that returns the weighting for an evaluation's residuals; the evaluation's own if it is unchanged."""
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def minimise(
     problem: Problem,
     values: Values,
@@ -101,8 +102,7 @@ def minimise(
 
     def evaluated(at: Values, weighting: Weighting) -> Evaluation:
         squares: Squares = {}
-        with np.errstate(over="ignore", invalid="ignore"):
-            equations = assemble(problem, at, weighting, squares) if reweigh else assemble(problem, at, weighting)
+        equations = assemble(problem, at, weighting, squares if reweigh else None)
         return Evaluation(at, weighting, equations, squares)
 
     def ended(iterations: int, reached: bool, values: Values | None = None) -> Optimum:

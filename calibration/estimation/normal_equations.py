@@ -77,7 +77,7 @@ class NormalEquations:
         """(N, P)."""
         return self.right[:, :, -1]
 
-    @property
+    @cached_property
     def total(self) -> float:
         """Total cost."""
         return float(self.cost.sum()) + self.prior
@@ -188,26 +188,34 @@ def _add(
     for part in batch.parts:
         v = part.views
         equations.cost[part.at] += cost[v]
-        own, shared = M[v, :, :6], np.ascontiguousarray(A[v, :, part.shared])
-        mixed = own @ shared  # (v, 6 + m, shared parameters of a view)
+        by_twist, mixed = M[v, :, :6], None  # (v, 6 + m, 6), and by the shared parameters of a view
         if part.has_shared:
-            by_twist = shared.reshape(6 * len(shared), -1)
-            equations.H_shared[part.in_shared] += sum_of_products(by_twist, mixed[:, :6].reshape(by_twist.shape))
-            equations.g_shared[part.shared_at] += by_twist.T @ m[v, :6].ravel()
+            J = np.ascontiguousarray(A[v, :, part.shared])
+            mixed = by_twist @ J
+            tall = J.reshape(6 * len(J), -1)
+            equations.H_shared[part.in_shared] += sum_of_products(tall, mixed[:, :6].reshape(tall.shape))
+            equations.g_shared[part.shared_at] += tall.T @ m[v, :6].ravel()
         if part.has_local:
-            _add_local(equations, part, A[v, :, part.local], own, mixed[:, :6], m[v, :6])
+            _add_local(equations, part, A[v, :, part.local], by_twist, mixed, m[v, :6])
         if intrinsics.stop:
-            total = mixed[:, 6:].sum(0)
-            equations.H_shared[intrinsics, intrinsics] += M[v, 6:, 6:].sum(0)
-            equations.H_shared[intrinsics, part.shared_at] += total
-            equations.H_shared[part.shared_at, intrinsics] += total.T
-            equations.g_shared[intrinsics] += m[v, 6:].sum(0)
-            if part.has_local:
-                at = index_of(part.at, intrinsics, part.local_at)
-                equations.H_mixed[at] += own[:, 6:] @ A[v, :, part.local]
+            _add_intrinsics(equations, part, A[v, :, part.local], M[v], mixed, m[v, 6:], intrinsics)
 
 
-def _add_local(equations: NormalEquations, part: Part, A: Array, M: Array, mixed: Array, m: Array) -> None:
+def _add_intrinsics(
+    equations: NormalEquations, part: Part, A: Array, M: Array, mixed: Array | None, m: Array, at: slice
+) -> None:
+    """Add a part of a batch to the rows and columns of its camera's intrinsics, at ``at``; see `_add_local`."""
+    equations.H_shared[at, at] += M[:, 6:, 6:].sum(0)
+    equations.g_shared[at] += m.sum(0)
+    if mixed is not None:
+        total = mixed[:, 6:].sum(0)
+        equations.H_shared[at, part.shared_at] += total
+        equations.H_shared[part.shared_at, at] += total.T
+    if part.has_local:
+        equations.H_mixed[index_of(part.at, at, part.local_at)] += M[:, 6:, :6] @ A
+
+
+def _add_local(equations: NormalEquations, part: Part, A: Array, M: Array, mixed: Array | None, m: Array) -> None:
     """Add a part of a batch to the rows of its local parameters.
 
     Args:
@@ -215,17 +223,16 @@ def _add_local(equations: NormalEquations, part: Part, A: Array, M: Array, mixed
         part: of p local parameters and k shared ones in each view.
         A: (v, 6, p), Jacobian by the local parameters.
         M: (v, 6 + m, 6), by the twist.
-        mixed: (v, 6, k): its first rows times the Jacobian by the shared parameters.
+        mixed: (v, 6 + m, k), the same times the Jacobian by the shared parameters; None without any.
         m: (v, 6), gradient by the twist.
     """
-    if part.is_own_twist:
-        H, H_mixed, g = M[:, :6], mixed, m
-    else:
-        At = A.transpose(0, 2, 1)
-        H, H_mixed, g = At @ M[:, :6] @ A, At @ mixed, (At @ m[:, :, None])[..., 0]
+    H, g, At = M[:, :6], m, A.transpose(0, 2, 1)
+    if not part.is_own_twist:
+        H, g = At @ H @ A, (At @ g[:, :, None])[..., 0]
     equations.H_local[part.in_local] += H
     equations.g_local[part.in_gradient] += g
-    if part.has_shared:
+    if mixed is not None:
+        H_mixed = mixed[:, :6] if part.is_own_twist else At @ mixed[:, :6]
         equations.H_mixed[part.in_mixed] += H_mixed.transpose(0, 2, 1)
 
 
