@@ -7,7 +7,7 @@ import numpy as np
 from calibration.estimation.blocks import Values
 from calibration.estimation.normal_equations import NormalEquations, Squares, Weighting, assemble
 from calibration.estimation.problem import Problem
-from calibration.estimation.residuals import robust
+from calibration.estimation.residuals import total_loss
 from calibration.frozen import frozen
 from calibration.geometry.types import Array, BoolArray
 
@@ -64,7 +64,7 @@ class Evaluation:
         if weighting is self.weighting:
             return self.equations.total
         labels = (
-            float(robust(np.nan_to_num(part) / weighting.scales[kind] ** 2, weighting.huber)[0].sum())
+            total_loss(part, weighting.scales[kind], weighting.huber)
             for kind, parts in self.squares.items()
             for part in parts
         )

@@ -44,6 +44,17 @@ def robust(squared: Array, huber: float | None) -> tuple[Array, Array | None]:
     return loss.sum(-1), weight
 
 
+def total_loss(squared: Array, scale: float, huber: float | None) -> float:
+    """Return the cost that `robust` gives to squared residuals of any shape, not normalised; NaN without a label."""
+    flat = squared.ravel()
+    limit = np.inf if huber is None else (huber * scale) ** 2
+    cost = float(flat.compress(flat <= limit).sum()) / scale**2
+    if huber is None:
+        return cost
+    e = np.sqrt(flat.compress(flat > limit)) / scale
+    return cost + 2 * huber * float(e.sum()) - huber * huber * len(e)
+
+
 def spread(rows: Array, out: Array) -> Array:
     """Fill the first six and the last of more rows (v, r, L) with rows (v, 7, L)."""
     out[:, :6], out[:, -1] = rows[:, :6], rows[:, 6]
