@@ -219,13 +219,12 @@ class CornerTerm:
     def _fill(self, rows: Array, T: Array, found: "_Projected", scale: float) -> None:
         """Fill the first 6 + m and the last of weighted rows (v, r, 2, K)."""
         X, Y = self.corners[..., 0], self.corners[..., 1]  # rows are asked for of one pattern only
-        along = np.moveaxis(rows, 2, 0)  # (2, v, r, K)
-        bx, by, bz = found.by_translation(T[:, :3, :3])
-        along[:, :, 0], along[:, :, 1], along[:, :, 2] = bx, by, bz
-        np.multiply(bz, Y, out=along[:, :, 3])
-        np.multiply(bz, -X, out=along[:, :, 4])
-        np.subtract(X * by, Y * bx, out=along[:, :, 5])
-        along[:, :, -1] = found.residuals
+        b = rows[:, :3]
+        np.matmul(T[:, :3, :3].transpose(0, 2, 1), found.by_translation(), out=b.reshape(len(T), 3, -1))
+        np.multiply(b[:, 2], Y, out=rows[:, 3])
+        np.multiply(b[:, 2], -X, out=rows[:, 4])
+        np.subtract(b[:, 1] * X, b[:, 0] * Y, out=rows[:, 5])
+        rows[:, -1] = found.residuals.transpose(1, 0, 2)
         if self.free:
             own = rows[:, 6 : 6 + len(self.free)]
             self._fill_intrinsics(own, found, scale)
@@ -267,16 +266,15 @@ class _Projected:
     weight: Array | None
     """(v, K): by which residuals and slopes are multiplied; None for 1."""
 
-    def by_translation(self, R: Array) -> Array:
-        """Return b (3, 2, v, K): the derivatives of both residuals by a translation along each axis of the pattern.
-
-        Args:
-            R: (v, 3, 3), rotations of ``T_camera_pattern``.
-        """
+    def by_translation(self) -> Array:
+        """Return the derivatives (v, 3, 2 K) of both residuals by a translation along each axis of the camera."""
         right, down, (x, y) = self.slopes[:, 0], self.slopes[:, 1], self.normalised
-        a = (right, down, -(right * x + down * y))
-        turned = [R[:, i].T[:, None, :, None] * a[i] for i in range(3)]
-        return turned[0] + turned[1] + turned[2]
+        a = np.empty((right.shape[1], 3, 2, right.shape[2]))
+        a[:, 0], a[:, 1] = right.transpose(1, 0, 2), down.transpose(1, 0, 2)
+        along = x * right
+        along += y * down
+        np.negative(along.transpose(1, 0, 2), out=a[:, 2])
+        return a.reshape(len(a), 3, -1)
 
 
 def _hessian_and_gradient(R: Array, found: _Projected, monomials: Array) -> tuple[Array, Array]:
