@@ -42,11 +42,24 @@ class Part:
     """Columns of local blocks."""
     local_at: Columns
     """Their parameters among those of a collection."""
+    is_own_twist: bool
+    """Whether the local ones are the twist of the view's own pose, as those of a moving pattern: an identity."""
+
+    @cached_property
+    def at(self) -> Columns:
+        """Its collections, as a slice if they follow each other."""
+        first, last = int(self.collections[0]), int(self.collections[-1])
+        return slice(first, last + 1) if last - first + 1 == len(self.collections) else self.collections
+
+    @cached_property
+    def has_shared(self) -> bool:
+        """Whether its views depend on shared blocks."""
+        return _any(self.shared)
 
     @cached_property
     def has_local(self) -> bool:
         """Whether its views depend on local blocks."""
-        return self.local != slice(0, 0)
+        return _any(self.local)
 
     @cached_property
     def in_shared(self) -> tuple[Columns, ...]:
@@ -56,12 +69,17 @@ class Part:
     @cached_property
     def in_mixed(self) -> tuple[Columns, ...]:
         """Index of its shared and local parameters in (N, S, P)."""
-        return index_of(self.collections, self.shared_at, self.local_at)
+        return index_of(self.at, self.shared_at, self.local_at)
 
     @cached_property
     def in_local(self) -> tuple[Columns, ...]:
         """Index of its local parameters in (N, P, P)."""
-        return index_of(self.collections, self.local_at, self.local_at)
+        return index_of(self.at, self.local_at, self.local_at)
+
+    @cached_property
+    def in_gradient(self) -> tuple[Columns, ...]:
+        """Index of its local parameters in (N, P)."""
+        return index_of(self.at, self.local_at)
 
 
 @frozen(eq=False)
@@ -79,6 +97,8 @@ class _Step:
     """Parametrisation of the block; None if it is fixed."""
     columns: slice
     """Its columns in the Jacobian."""
+    is_own_twist: bool
+    """Whether its parameters are the twist of the view's own pose."""
 
 
 @frozen(eq=False)
@@ -93,7 +113,7 @@ class Batch:
     intrinsics: int | None
     """Block of free intrinsics that all views depend on; None without one."""
 
-    @property
+    @cached_property
     def views(self) -> int:
         """Number of views V."""
         return sum(len(part.collections) for part in self.parts)
@@ -112,17 +132,26 @@ class Batch:
         Returns:
             ``T_sensor_pattern`` (V, 4, 4) and the Jacobian (V, 6, C), the steps' columns side by side.
         """
-        J = np.empty((self.views, 6, self.steps[-1].columns.stop))
+        J = self._own_twists.copy()
         T: Array | None = None  # from the frame after a step to the pattern
         for step in reversed(self.steps):
-            X, after = table[step.rows], times(step.after, T)
+            X, after = table.take(step.rows, 0), times(step.after, T)
             T = times(inverse(X) if step.inverted else X, after)
-            if step.parameters is not None:
+            if step.parameters is not None and not step.is_own_twist:
                 T_child_pattern = T if step.inverted else after
-                T_pattern_child = np.eye(4) if T_child_pattern is None else inverse(T_child_pattern)
-                columns = step.parameters.jacobian(T_pattern_child.reshape(-1, 4, 4), values[step.block])
+                there = np.eye(4) if T_child_pattern is None else T_child_pattern
+                columns = step.parameters.jacobian(there.reshape(-1, 4, 4), values[step.block])
                 J[:, :, step.columns] = -columns if step.inverted else columns
         return per_view(times(self.before, T), self.views), J
+
+    @cached_property
+    def _own_twists(self) -> Array:
+        """(V, 6, C): Jacobian of the parameters that are the twist of the view's own pose, which is constant."""
+        J = np.zeros((self.views, 6, self.steps[-1].columns.stop))
+        for step in self.steps:
+            if step.is_own_twist:
+                J[:, :, step.columns] = np.eye(6)
+        return J
 
     @property
     def collections(self) -> IntArray:
@@ -220,6 +249,7 @@ def _batch(
         width = steps[-1].columns.stop if steps else 0
         free = [blocks[link.block].parameters for link in links if not blocks[link.block].held]
         parameters = next((each for each in free if not isinstance(each, FreeIntrinsics)), None)
+        is_last = len(steps) + 1 == len(groups[0].chain.links) and not links[0].inverted and links[0].after is None
         steps.append(
             _Step(
                 rows=_rows(links, groups, blocks, rows),
@@ -228,15 +258,24 @@ def _batch(
                 block=links[0].block,
                 parameters=parameters,
                 columns=slice(width, width + (parameters.dimension if parameters else 0)),
+                is_own_twist=is_last and isinstance(parameters, Pose),
             )
         )
     parts = []
     for i, group in enumerate(groups):
         links = group.chain.links
         placed = [[k for k, link in enumerate(links) if link.block in of] for of in (shared, local)]
-        spans = [_span([steps[k].columns for k in placed[0]]), _span([shared[links[k].block] for k in placed[0]])]
-        spans += [_span([steps[k].columns for k in placed[1]]), _span([local[links[k].block] for k in placed[1]])]
-        parts.append(Part(slice(*ends[i : i + 2]), group.collections, *spans))
+        parts.append(
+            Part(
+                views=slice(*ends[i : i + 2]),
+                collections=group.collections,
+                shared=_span([steps[k].columns for k in placed[0]]),
+                shared_at=_span([shared[links[k].block] for k in placed[0]]),
+                local=_span([steps[k].columns for k in placed[1]]),
+                local_at=_span([local[links[k].block] for k in placed[1]]),
+                is_own_twist=placed[1] == [len(steps) - 1] and steps[-1].is_own_twist,
+            )
+        )
     corners = [term for group in groups for term in group.terms if isinstance(term, CornerTerm)]
     terms = groups[0].terms if len(groups) == 1 else (side_by_side(corners),)
     before = _together([group.chain.before for group in groups], counts)
@@ -264,6 +303,10 @@ def _span(slices: Sequence[slice]) -> Columns:
     if all(a.stop == b.start for a, b in pairwise(slices)):
         return slice(slices[0].start, slices[-1].stop) if slices else slice(0, 0)
     return np.concatenate([np.arange(each.start, each.stop) for each in slices])
+
+
+def _any(columns: Columns) -> bool:
+    return not isinstance(columns, slice) or columns.stop > columns.start
 
 
 def index_of(first: Columns, *others: Columns) -> tuple[Columns, ...]:

@@ -8,7 +8,7 @@ from calibration.estimation.intrinsics import FreeIntrinsics
 from calibration.estimation.motion import Motion
 from calibration.frozen import frozen
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
-from calibration.geometry.transforms import adjoint, moved_twists, retract
+from calibration.geometry.transforms import inverse, inverse_adjoint, moved_twists, retract
 from calibration.geometry.types import Array
 
 
@@ -24,9 +24,9 @@ class Pose:
         """Return the transform (..., 4, 4) after a twist (..., 6)."""
         return retract(value, step)
 
-    def jacobian(self, T_pattern_child: Array, value: Array) -> Array:
-        """Jacobian (v, 6, 6) of the twist in the pattern's frame, by the parameters, from the child frame's pose."""
-        return adjoint(T_pattern_child)
+    def jacobian(self, T_child_pattern: Array, value: Array) -> Array:
+        """Jacobian (v, 6, 6) of the twist in the pattern's frame by the parameters, with the pattern at (v, 4, 4)."""
+        return inverse_adjoint(T_child_pattern)
 
     def motions(self, size: float) -> list[Motion]:
         """Return the motions of the parameters, in order; ``size`` is the pattern's, m."""
@@ -61,9 +61,9 @@ class FreeJoint:
         out[self.at] += step
         return out
 
-    def jacobian(self, T_pattern_child: Array, value: Array) -> Array:
+    def jacobian(self, T_child_pattern: Array, value: Array) -> Array:
         """Jacobian (v, 6, k), like that of a pose."""
-        return moved_twists(T_pattern_child, self.model.columns(value)[:, self.at])
+        return moved_twists(inverse(T_child_pattern), self.model.columns(value)[:, self.at])
 
     def motions(self, size: float) -> list[Motion]:
         """Return the motions of the parameters, like those of a pose."""

@@ -6,12 +6,13 @@ derivative of one of a corner's two residuals r by a translation of the pattern 
 
     (b_x, b_y, b_z, Y b_z, -X b_z, X b_y - Y b_x)
 
-Every element is a component of b times 1, X or Y. So the Hessian and the gradient of a view are linear in the moments
-of its corners: the sums of ``b b^T`` times the monomials (1, X, Y, X^2, XY, Y^2), and of ``r b`` times (1, X, Y). With
-the derivative a (3) by a translation along the camera's axes, ``b = R^T a``, and the monomials are the same in all
-views: one product of matrices gives the moments of a, the views' rotations turn them to those of b, and another product
-gives Hessians and gradients. That takes half the time of rows and their products, as each number of a row would be
-computed for each corner.
+Every element is a component of b times 1, X or Y: a twist moves the corners by an affine map of the plane into space,
+``d = d_0 + X d_X + Y d_Y``. So the Hessian and the gradient of a view are linear in the moments of its corners. With
+the derivative a (3) by a translation along the camera's axes these are the sums of ``a a^T`` times the monomials
+(1, X, Y, X^2, XY, Y^2), and of ``r a`` times (1, X, Y). The monomials are the same in all views: one product of
+matrices gives all moments, which are the Hessian (9, 9) and the gradient (9) of the affine map, and the map (9, 6)
+of the view's twist to it gives those of the twist. That takes half the time of rows and their products, as each number
+of a row would be computed for each corner.
 """
 
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.one_thread import product
 from calibration.estimation.planar_pose import planar_poses
 from calibration.estimation.residuals import Linearised, chunks, robust, squeezed
 from calibration.frozen import frozen
@@ -30,6 +32,9 @@ from calibration.geometry.types import Array, BoolArray, IntArray
 
 ROUGH_STEP = 1e-3
 """Termination of `calibration.geometry.distortion.Distortion.undistort` for an initial guess: accurate to 1e-6."""
+
+NEAREST = 1e-6
+"""Depth of points in front of the camera, m."""
 
 
 @frozen(eq=False)
@@ -96,17 +101,18 @@ class CornerTerm:
         """See `calibration.estimation.views.Term`."""
         size = 6 + len(self.free)
         cost, H, g = np.empty(len(T)), np.empty((len(T), size, size)), np.empty((len(T), size))
-        for part in chunks(len(T), self.length):
+        threshold, variance = None if huber is None else huber * scale, scale * scale
+        for part in chunks(len(T), self.length):  # in pixels, as there are fewer views than corners to scale
             into = None if squares is None else squares[part]
-            found = self._projected(T[part], part, scale, huber, into)
+            found = self._projected(T[part], part, 1.0, threshold, into)
             cost[part] = found.cost
             if self.free:
                 rows = np.empty((len(found.cost), size + 1, 2, self.length))
-                self._fill(rows, T[part], found, scale)
+                self._fill(rows, T[part], found, 1.0)
                 H[part], g[part] = squeezed(rows.reshape(len(rows), size + 1, -1))
             else:
                 H[part], g[part] = _hessian_and_gradient(T[part, :3, :3], found, self._monomials_of(part))
-        return cost, H, g
+        return (cost, H, g) if scale == 1.0 else (cost / variance, H / variance, g / variance)
 
     def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
         """See `calibration.estimation.views.Term`."""
@@ -123,13 +129,13 @@ class CornerTerm:
         """(V, K): distance from each label to the projected corner (px); NaN if not seen or behind."""
         out = np.empty((len(T), self.length))
         for part in chunks(len(T), self.length):
-            (x, y), _, front = self._normalised(T[part], part)
+            (x, y), _, behind = self._normalised(T[part], part)
             xd, yd = self.camera.distortion.distort(x, y)
             u = self.camera.fx * xd - self._from_centre[0, part]
             v = self.camera.fy * yd - self._from_centre[1, part]
             out[part] = np.sqrt(u * u + v * v)
-            if not front.all():
-                out[part][~front] = np.nan
+            if behind is not None:
+                out[part][behind] = np.nan
         return out if self.seen is None else np.where(self.seen, out, np.nan)
 
     @cached_property
@@ -155,48 +161,50 @@ class CornerTerm:
 
     @cached_property
     def _in_plane(self) -> Array:
-        """(..., 3, K): 1, X and Y of the corners."""
-        return np.ascontiguousarray(np.swapaxes(self._monomials[..., :3], -1, -2))
+        """(..., 4, K): X, Y, 0 and 1 of the corners."""
+        X, Y = self.corners[..., 0], self.corners[..., 1]
+        return np.stack([X, Y, np.zeros_like(X), np.ones_like(X)], -2)
 
-    def _normalised(self, T: Array, part: slice) -> tuple[Array, Array, BoolArray]:
-        """Return normalised coordinates (2, v, K), inverse depth (v, K), and a mask of points in front of the camera.
+    def _normalised(self, T: Array, part: slice) -> tuple[Array, Array, BoolArray | None]:
+        """Return normalised coordinates (2, v, K), inverse depth (v, K), and a mask of points behind the camera.
 
-        Points that are not in front have the depth 1, so that their numbers are finite.
+        Points behind it have the depth 1, so that their numbers are finite; None if there are none.
         """
-        axes = T[:, :3, [3, 0, 1]]  # of the pattern, after its centre: (v, 3, 3)
         if self.corners.ndim == 2:  # the camera's axes first: everything after is contiguous
-            points = np.swapaxes(axes, 0, 1).reshape(-1, 3) @ self._in_plane
-            points = points.reshape(3, len(T), -1)
+            points = (T[:, :3].transpose(1, 0, 2).reshape(-1, 4) @ self._in_plane).reshape(3, len(T), -1)
         else:
-            points = np.ascontiguousarray(np.swapaxes(axes @ self._in_plane[part], 0, 1))
-        front = points[2] > 1e-6
-        if not front.all():
-            points[2][~front] = 1.0
+            points = np.ascontiguousarray((T[:, :3] @ self._in_plane[part]).transpose(1, 0, 2))
+        behind = None if points[2].min() > NEAREST else ~(points[2] > NEAREST)
+        if behind is not None:
+            points[2][behind] = 1.0
         inverse_depth = np.divide(1.0, points[2], out=points[2])
         points[:2] *= inverse_depth
-        return points[:2], inverse_depth, front
+        return points[:2], inverse_depth, behind
 
     def _projected(
         self, T: Array, part: slice, scale: float, huber: float | None, squares: Array | None = None
     ) -> "_Projected":
         """Project the corners of a part of the views; the arguments are those of `linearise`."""
         camera, seen = self.camera, None if self.seen is None else self.seen[part]
-        normalised, inverse_depth, front = self._normalised(T, part)
+        normalised, inverse_depth, behind = self._normalised(T, part)
         distorted, jacobian = camera.distortion.distort_with_jacobian(normalised)
         residuals = distorted * self._focal
         residuals -= self._from_centre[:, part]
-        residuals *= 1 / scale
+        if scale != 1.0:
+            residuals *= 1 / scale
         if seen is not None:
             residuals = np.where(seen, residuals, 0.0)
-        squared = (residuals * residuals).sum(0)
+        both = residuals * residuals
+        squared = both[0] + both[1]
         cost, weight = robust(squared, huber)
         if squares is not None:
             np.multiply(squared, scale * scale, out=squares)
-            if seen is not None or not front.all():
-                squares[~front if seen is None else ~(seen & front)] = np.nan
-        if not front.all():
-            behind = ~front if seen is None else seen & ~front
-            cost = np.where(behind.any(-1), np.inf, cost)
+            if seen is not None:
+                squares[~seen] = np.nan
+            if behind is not None:
+                squares[behind] = np.nan
+        if behind is not None:
+            cost = np.where((behind if seen is None else seen & behind).any(-1), np.inf, cost)
         if seen is not None:
             weight = seen.astype(float) if weight is None else weight * seen
         if weight is not None:
@@ -211,13 +219,12 @@ class CornerTerm:
     def _fill(self, rows: Array, T: Array, found: "_Projected", scale: float) -> None:
         """Fill the first 6 + m and the last of weighted rows (v, r, 2, K)."""
         X, Y = self.corners[..., 0], self.corners[..., 1]  # rows are asked for of one pattern only
-        along = np.moveaxis(rows, 2, 0)  # (2, v, r, K)
-        bx, by, bz = found.by_translation(T[:, :3, :3])
-        along[:, :, 0], along[:, :, 1], along[:, :, 2] = bx, by, bz
-        np.multiply(bz, Y, out=along[:, :, 3])
-        np.multiply(bz, -X, out=along[:, :, 4])
-        np.subtract(X * by, Y * bx, out=along[:, :, 5])
-        along[:, :, -1] = found.residuals
+        b = rows[:, :3]
+        np.matmul(T[:, :3, :3].transpose(0, 2, 1), found.by_translation(), out=b.reshape(len(T), 3, -1))
+        np.multiply(b[:, 2], Y, out=rows[:, 3])
+        np.multiply(b[:, 2], -X, out=rows[:, 4])
+        np.subtract(b[:, 1] * X, b[:, 0] * Y, out=rows[:, 5])
+        rows[:, -1] = found.residuals.transpose(1, 0, 2)
         if self.free:
             own = rows[:, 6 : 6 + len(self.free)]
             self._fill_intrinsics(own, found, scale)
@@ -259,16 +266,15 @@ class _Projected:
     weight: Array | None
     """(v, K): by which residuals and slopes are multiplied; None for 1."""
 
-    def by_translation(self, R: Array) -> Array:
-        """Return b (3, 2, v, K): the derivatives of both residuals by a translation along each axis of the pattern.
-
-        Args:
-            R: (v, 3, 3), rotations of ``T_camera_pattern``.
-        """
+    def by_translation(self) -> Array:
+        """Return the derivatives (v, 3, 2 K) of both residuals by a translation along each axis of the camera."""
         right, down, (x, y) = self.slopes[:, 0], self.slopes[:, 1], self.normalised
-        a = (right, down, -(right * x + down * y))
-        turned = [R[:, i].T[:, None, :, None] * a[i] for i in range(3)]
-        return turned[0] + turned[1] + turned[2]
+        a = np.empty((right.shape[1], 3, 2, right.shape[2]))
+        a[:, 0], a[:, 1] = right.transpose(1, 0, 2), down.transpose(1, 0, 2)
+        along = x * right
+        along += y * down
+        np.negative(along.transpose(1, 0, 2), out=a[:, 2])
+        return a.reshape(len(a), 3, -1)
 
 
 def _hessian_and_gradient(R: Array, found: _Projected, monomials: Array) -> tuple[Array, Array]:
@@ -279,22 +285,14 @@ def _hessian_and_gradient(R: Array, found: _Projected, monomials: Array) -> tupl
         found: the corners.
         monomials: (K, 6), or (v, K, 6), of the corners' places.
     """
-    moments = _moments(found, monomials)
-    to_pattern = np.swapaxes(R, 1, 2) * (1.0, 1.0, -1.0)
-    turned = to_pattern @ np.swapaxes(moments[_PAIRS], 0, 1).reshape(-1, 3, 24)
-    with_residual = turned[:, :, 18:].reshape(-1, 18)
-    turned = to_pattern @ np.swapaxes(turned[:, :, :18].reshape(-1, 3, 3, 6), 1, 2).reshape(-1, 3, 18)
-    H: Array = turned.reshape(-1, 54) @ _TO_HESSIAN
-    g: Array = with_residual @ _TO_GRADIENT
-    return H.reshape(-1, 6, 6), g
-
-
-_PAIRS = np.array([0, 1, 3, 5, 1, 2, 4, 6, 3, 4, 7, 8])
-"""Product of the components i and k of a, and of i and the residual, among `_moments`: (3, 4) in all."""
+    affine = _moments(found, monomials).take(_AFFINE, 1)  # (v, 9, 10): its Hessian, and its gradient beside it
+    to_affine = (R.reshape(-1, 9) @ _TO_AFFINE).reshape(-1, 9, 6)
+    turned = to_affine.transpose(0, 2, 1) @ affine
+    return turned[:, :, :9] @ to_affine, turned[:, :, 9]
 
 
 def _moments(found: _Projected, monomials: Array) -> Array:
-    """Return the moments (9, v, 6) of the products of ``a = (x, y, -z)`` with itself and with the residual r.
+    """Return the moments (v, 9 x 6) of the products of ``a = (x, y, -z)`` with itself and with the residual r.
 
     The products are xx, xy, yy, xz, yz, x r, y r, zz and z r. A translation along the camera's axes changes the
     normalised coordinates by ``(dx - x dz, dy - y dz)`` over the depth: with the slopes s of a residual,
@@ -314,34 +312,39 @@ def _moments(found: _Projected, monomials: Array) -> Array:
     by_depth = products[3:7].reshape(2, 2, v, K) * coordinates
     np.add(by_depth[:, 0], by_depth[:, 1], out=products[7:])
     if monomials.ndim > 2:
-        return np.swapaxes(np.swapaxes(products, 0, 1) @ monomials, 0, 1)
-    moments = np.empty((9, v, 6))
-    for rows in (slice(0, 5), slice(5, 9)):  # so that BLAS starts no threads
-        np.matmul(products[rows].reshape(-1, K), monomials, out=moments[rows].reshape(-1, 6))
-    return moments
+        return (products.transpose(1, 0, 2) @ monomials).reshape(v, -1)
+    moments = product(products.reshape(-1, K), monomials).reshape(9, v, 6)
+    return moments.transpose(1, 0, 2).reshape(v, -1)
 
 
-def _from_moments() -> tuple[Array, Array]:
-    """Return the matrices (54, 36) and (18, 6) from the moments of b of a view to its Hessian and its gradient.
+def _affine() -> IntArray:
+    """Return where the Hessian and the gradient (9, 10) of the affine map are among `_moments`.
 
-    The moments are those of the components i and k of b and of six monomials (3, 3, 6), and of the component i, the
-    residual and the monomials (3, 6).
+    The map's elements are the camera's axes of ``d_0``, then of ``d_X`` and ``d_Y``.
     """
-    monomials = {powers: m for m, powers in enumerate([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)])}
-    # each element of a row of the Jacobian: components of b, their factors, and the powers of X and Y
-    row = [[(i, 1.0, (0, 0))] for i in range(3)]
-    row += [[(2, 1.0, (0, 1))], [(2, -1.0, (1, 0))], [(1, 1.0, (1, 0)), (0, -1.0, (0, 1))]]
-    hessian, gradient = np.zeros((3, 3, 6, 6, 6)), np.zeros((3, 6, 6))
-    for at, element in enumerate(row):
-        for i, factor, (p, q) in element:
-            gradient[i, monomials[p, q], at] = factor
-            for other, its in enumerate(row):
-                for k, its_factor, (r, s) in its:
-                    hessian[i, k, monomials[p + r, q + s], at, other] = factor * its_factor
-    return hessian.reshape(54, 36), gradient.reshape(18, 6)
+    monomials = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # of 1, X and Y with each other
+    axes, residual = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 7]]), np.array([5, 6, 8])
+    hessian = 6 * axes[:, None] + monomials[:, None, :, None]
+    gradient = 6 * residual + monomials[:, 0, None]
+    return np.concatenate([hessian.reshape(9, 9), gradient.reshape(9, 1)], 1)
 
 
-_TO_HESSIAN, _TO_GRADIENT = _from_moments()
+def _to_affine() -> Array:
+    """Return the matrix (9, 54) from the elements of R to the map (9, 6) from a twist to the affine map.
+
+    The camera's z-axis is reversed there, as in `_moments`.
+    """
+    out = np.zeros((3, 3, 3, 3, 6))  # of R its row and column, then d_0, d_X or d_Y, the camera's axis, and the twist
+    for axis, sign in enumerate((1, 1, -1)):
+        for along in range(3):
+            out[axis, along, 0, axis, along] = sign
+        # the twist moves (X, Y, 0) by dw x (X, Y, 0) = (-Y dw_z, X dw_z, Y dw_x - X dw_y)
+        out[axis, 2, 2, axis, 3], out[axis, 2, 1, axis, 4] = sign, -sign
+        out[axis, 1, 1, axis, 5], out[axis, 0, 2, axis, 5] = sign, -sign
+    return out.reshape(9, 54)
+
+
+_AFFINE, _TO_AFFINE = _affine(), _to_affine()
 
 
 def side_by_side(terms: Sequence[CornerTerm]) -> CornerTerm:

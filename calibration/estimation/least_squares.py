@@ -7,7 +7,7 @@ import numpy as np
 from calibration.estimation.blocks import Values
 from calibration.estimation.normal_equations import NormalEquations, Squares, Weighting, assemble
 from calibration.estimation.problem import Problem
-from calibration.estimation.residuals import robust
+from calibration.estimation.residuals import total_loss
 from calibration.frozen import frozen
 from calibration.geometry.types import Array, BoolArray
 
@@ -64,7 +64,7 @@ class Evaluation:
         if weighting is self.weighting:
             return self.equations.total
         labels = (
-            float(robust(np.nan_to_num(part) / weighting.scales[kind] ** 2, weighting.huber)[0].sum())
+            total_loss(part, weighting.scales[kind], weighting.huber)
             for kind, parts in self.squares.items()
             for part in parts
         )
@@ -77,6 +77,7 @@ Arrived = Callable[[Evaluation], bool]
 """Function that returns whether an evaluation is at an optimum that is known already."""
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def minimise(
     problem: Problem,
     values: Values,
@@ -105,8 +106,7 @@ def minimise(
 
     def evaluated(at: Values, weighting: Weighting) -> Evaluation:
         squares: Squares = {}
-        with np.errstate(over="ignore", invalid="ignore"):
-            equations = assemble(problem, at, weighting, squares) if reweigh else assemble(problem, at, weighting)
+        equations = assemble(problem, at, weighting, squares if reweigh else None)
         return Evaluation(at, weighting, equations, squares)
 
     def ended(iterations: int, reached: bool, values: Values | None = None) -> Optimum:

@@ -19,9 +19,10 @@ def median(values: Array) -> float:
     low, high = (flat.size - 1) // 2, flat.size // 2
     if flat.size > MANY:  # an estimate from every 50th number tells between which numbers the median is
         sample = np.sort(flat[::50])
-        near = flat[(flat >= sample[int(0.4 * len(sample))]) & (flat <= sample[int(0.6 * len(sample))])]
-        below = int(np.count_nonzero(flat < sample[int(0.4 * len(sample))]))
+        least, most = sample[int(0.4 * len(sample))], sample[int(0.6 * len(sample))]
+        near = flat.compress((flat >= least) & (flat <= most))
+        below = int(np.count_nonzero(flat < least))
         if below <= low and high < below + len(near):
             flat, low, high = near, low - below, high - below
-    ranked = np.partition(flat, [low, high])
-    return 0.5 * float(ranked[low] + ranked[high])
+    ranked = np.partition(flat, high)  # for one number, which takes a fifth of the time of that for two
+    return 0.5 * float((ranked[high] if low == high else ranked[:high].max()) + ranked[high])

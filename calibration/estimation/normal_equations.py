@@ -30,16 +30,13 @@ from functools import cached_property
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
-from calibration.estimation.batches import Batch, index_of, table_of
+from calibration.estimation.batches import Batch, Part, index_of, table_of
 from calibration.estimation.blocks import Values
+from calibration.estimation.one_thread import sum_of_products
 from calibration.estimation.problem import Problem
 from calibration.estimation.views import Term
 from calibration.frozen import frozen
 from calibration.geometry.types import Array
-
-ONE_THREAD = 1 << 18
-"""Multiplications in a matrix product up to which BLAS starts no threads, which wait for each other on a busy
-machine."""
 
 
 @frozen
@@ -60,18 +57,27 @@ class NormalEquations:
     """(N,): cost of each collection; sum of squared residuals in standard deviations."""
     H_shared: Array
     """(S, S)."""
-    H_mixed: Array
-    """(N, S, P)."""
-    H_local: Array
-    """(N, P, P)."""
     g_shared: Array
     """(S,)."""
-    g_local: Array
-    """(N, P)."""
+    H_local: Array
+    """(N, P, P)."""
+    right: Array
+    """(N, P, S + 1): `H_mixed`, transposed, and `g_local` beside it: the right sides of the solution for the local
+    parameters."""
     prior: float = 0.0
     """Cost of the priors."""
 
     @property
+    def H_mixed(self) -> Array:
+        """(N, S, P)."""
+        return self.right[:, :, :-1].transpose(0, 2, 1)
+
+    @property
+    def g_local(self) -> Array:
+        """(N, P)."""
+        return self.right[:, :, -1]
+
+    @cached_property
     def total(self) -> float:
         """Total cost."""
         return float(self.cost.sum()) + self.prior
@@ -82,21 +88,17 @@ class NormalEquations:
         With Levenberg's damping, scaled by the diagonal (Marquardt), H + damping diag(H) replaces H. The decrease
         predicted by the quadratic model is ``-g^T step + damping step^T diag(H) step``. A singular system gives NaN.
         """
-        N, P = self.g_local.shape
-        diagonal = np.diagonal(self.H_local, axis1=1, axis2=2)
-        H_local = _damped(self.H_local, damping)
-        H_shared = _damped(self.H_shared, damping)
+        N, P, C = self.right.shape
         try:
-            right = np.concatenate([np.swapaxes(self.H_mixed, 1, 2), self.g_local[..., None]], -1)
-            solved: Array = np.asarray(np.linalg.solve(H_local, right), float)
-            reduced = self._mixed @ solved.reshape(N * P, len(self.g_shared) + 1)
-            shared = -np.asarray(np.linalg.solve(H_shared - reduced[:, :-1], self.g_shared - reduced[:, -1]), float)
+            solved = np.asarray(np.linalg.solve(_damped(self.H_local, damping), self.right), float).reshape(N * P, C)
+            reduced = sum_of_products(self.right.reshape(N * P, C), solved)
+            H_shared, g_shared = _damped(self.H_shared, damping) - reduced[:-1, :-1], self.g_shared - reduced[:-1, -1]
+            shared = -np.asarray(np.linalg.solve(H_shared, g_shared), float)
         except np.linalg.LinAlgError:
-            return np.full_like(self.g_shared, np.nan), np.full_like(self.g_local, np.nan), np.nan
-        local = -(solved[..., -1] + solved[..., :-1] @ shared)
-        penalty = (np.diagonal(self.H_shared) * shared**2).sum() + (diagonal * local**2).sum()
-        predicted = -(self.g_shared @ shared) - (self.g_local * local).sum() + damping * penalty
-        return shared, np.asarray(local, float), float(predicted)
+            return np.full(C - 1, np.nan), np.full((N, P), np.nan), np.nan
+        local: Array = -(solved[:, -1] + solved[:, :-1] @ shared).reshape(N, P)
+        penalty = (diagonal_of(self.H_shared) * shared**2).sum() + (diagonal_of(self.H_local) * local**2).sum()
+        return shared, local, float(reduced[-1, -1] - g_shared @ shared + damping * penalty)
 
     def local_step(self, damping: Array) -> Array:
         """Solve for the step of the local blocks alone, (N, P), each collection with its own damping (N,)."""
@@ -106,15 +108,11 @@ class NormalEquations:
     @cached_property
     def schur(self) -> Array:
         """Schur complement (S, S): information of the data on the shared blocks, with the local ones eliminated."""
-        solved = np.linalg.solve(self.H_local, np.swapaxes(self.H_mixed, 1, 2))
-        schur: Array = self.H_shared - self._mixed @ solved.reshape(self._mixed.T.shape)
+        mixed = self.right[:, :, :-1]
+        solved = np.linalg.solve(self.H_local, mixed)
+        S = mixed.shape[-1]
+        schur: Array = self.H_shared - mixed.reshape(-1, S).T @ solved.reshape(-1, S)
         return 0.5 * (schur + schur.T)
-
-    @property
-    def _mixed(self) -> Array:
-        """`H_mixed` with the collections side by side, (S, P N)."""
-        N, S, P = self.H_mixed.shape
-        return np.swapaxes(self.H_mixed, 0, 1).reshape(S, N * P)
 
 
 Squares = dict[NoiseKind, list[Array]]
@@ -132,7 +130,7 @@ def assemble(problem: Problem, values: Values, weighting: Weighting, squares: Sq
     """
     N, (S, P) = problem.collections, problem.sizes
     equations = NormalEquations(
-        np.zeros(N), np.zeros((S, S)), np.zeros((N, S, P)), np.zeros((N, P, P)), np.zeros(S), np.zeros((N, P))
+        np.zeros(N), np.zeros((S, S)), np.zeros(S), np.zeros((N, P, P)), np.zeros((N, P, S + 1))
     )
     table = table_of(problem.blocks, values)
     for batch in problem.batches:
@@ -187,50 +185,71 @@ def _add(
     equations: NormalEquations, batch: Batch, A: Array, cost: Array, M: Array, m: Array, intrinsics: slice
 ) -> None:
     """Add a batch of views to the equations; its free intrinsics are at ``intrinsics``."""
-    MA = M[:, :, :6] @ A  # (V, 6 + m, C)
     for part in batch.parts:
-        v, collections = part.views, part.collections
-        equations.cost[collections] += cost[v]
-        left, right = (np.ascontiguousarray(each[v, :6, part.shared]) for each in (A, MA))
-        equations.H_shared[part.in_shared] += _sum_of_products(left, right)
-        equations.g_shared[part.shared_at] += left.reshape(6 * len(left), -1).T @ np.ravel(m[v, :6])
+        v = part.views
+        equations.cost[part.at] += cost[v]
+        by_twist, mixed = M[v, :, :6], None  # (v, 6 + m, 6), and by the shared parameters of a view
+        if part.has_shared:
+            J = np.ascontiguousarray(A[v, :, part.shared])
+            mixed = by_twist @ J
+            tall = J.reshape(6 * len(J), -1)
+            equations.H_shared[part.in_shared] += sum_of_products(tall, mixed[:, :6].reshape(tall.shape))
+            equations.g_shared[part.shared_at] += tall.T @ m[v, :6].ravel()
         if part.has_local:
-            own = np.swapaxes(A[v, :, part.local], 1, 2)
-            block = own @ MA[v, :6]  # (v, local parameters of a view, C)
-            equations.H_local[part.in_local] += block[:, :, part.local]
-            equations.H_mixed[part.in_mixed] += np.swapaxes(block[:, :, part.shared], 1, 2)
-            equations.g_local[collections, part.local_at] += (own @ m[v, :6, None])[..., 0]
+            _add_local(equations, part, A[v, :, part.local], by_twist, mixed, m[v, :6])
         if intrinsics.stop:
-            mixed = MA[v, 6:]
-            total = mixed[:, :, part.shared].sum(0)
-            equations.H_shared[intrinsics, intrinsics] += M[v, 6:, 6:].sum(0)
-            equations.H_shared[intrinsics, part.shared_at] += total
-            equations.H_shared[part.shared_at, intrinsics] += total.T
-            equations.g_shared[intrinsics] += m[v, 6:].sum(0)
-            if part.has_local:
-                equations.H_mixed[index_of(collections, intrinsics, part.local_at)] += mixed[:, :, part.local]
+            _add_intrinsics(equations, part, A[v, :, part.local], M[v], mixed, m[v, 6:], intrinsics)
 
 
-def _sum_of_products(A: Array, MA: Array) -> Array:
-    """Sum ``A^T MA`` (v, 6, k) over views, by few products of tall matrices."""
-    left, right = A.reshape(6 * len(A), -1), MA.reshape(6 * len(A), -1)
-    rows = max(1, ONE_THREAD // max(1, left.shape[1] * right.shape[1]))
-    total: Array = left[:rows].T @ right[:rows]
-    for start in range(rows, len(left), rows):
-        total += left[start : start + rows].T @ right[start : start + rows]
-    return total
+def _add_intrinsics(
+    equations: NormalEquations, part: Part, A: Array, M: Array, mixed: Array | None, m: Array, at: slice
+) -> None:
+    """Add a part of a batch to the rows and columns of its camera's intrinsics, at ``at``; see `_add_local`."""
+    equations.H_shared[at, at] += M[:, 6:, 6:].sum(0)
+    equations.g_shared[at] += m.sum(0)
+    if mixed is not None:
+        total = mixed[:, 6:].sum(0)
+        equations.H_shared[at, part.shared_at] += total
+        equations.H_shared[part.shared_at, at] += total.T
+    if part.has_local:
+        equations.H_mixed[index_of(part.at, at, part.local_at)] += M[:, 6:, :6] @ A
+
+
+def _add_local(equations: NormalEquations, part: Part, A: Array, M: Array, mixed: Array | None, m: Array) -> None:
+    """Add a part of a batch to the rows of its local parameters.
+
+    Args:
+        equations: added to.
+        part: of p local parameters and k shared ones in each view.
+        A: (v, 6, p), Jacobian by the local parameters.
+        M: (v, 6 + m, 6), by the twist.
+        mixed: (v, 6 + m, k), the same times the Jacobian by the shared parameters; None without any.
+        m: (v, 6), gradient by the twist.
+    """
+    H, g, At = M[:, :6], m, A.transpose(0, 2, 1)
+    if not part.is_own_twist:
+        H, g = At @ H @ A, (At @ g[:, :, None])[..., 0]
+    equations.H_local[part.in_local] += H
+    equations.g_local[part.in_gradient] += g
+    if mixed is not None:
+        H_mixed = mixed[:, :6] if part.is_own_twist else At @ mixed[:, :6]
+        equations.H_mixed[part.in_mixed] += H_mixed.transpose(0, 2, 1)
+
+
+def diagonal_of(H: Array) -> Array:
+    """Return the diagonals (..., P) of matrices (..., P, P), contiguous ones: a view, which can be written to."""
+    P = H.shape[-1]
+    return H.reshape(*H.shape[:-2], P * P)[..., :: P + 1]
 
 
 def _damped(H: Array, damping: float | Array) -> Array:
     """Return H with its diagonal multiplied by 1 + damping."""
     out = H.copy()
-    index = np.arange(H.shape[-1])
-    out[..., index, index] *= 1 + damping
+    diagonal_of(out)[:] *= 1 + damping
     return out
 
 
 def _fill_unobserved(H_local: Array) -> None:
     """Set a unit Hessian for local blocks that no view of their collection depends on, so that their step is zero."""
-    index = np.arange(H_local.shape[-1])
-    diagonal = H_local[:, index, index]
-    H_local[:, index, index] = np.where(diagonal == 0.0, 1.0, diagonal)
+    diagonal = diagonal_of(H_local)
+    diagonal[diagonal == 0.0] = 1.0

@@ -58,6 +58,16 @@ class _Rays:
         last = self.present.shape[-1] - self.present[:, ::-1].argmax(-1)
         return np.where(self.present.any(-1), last, 1)
 
+    @cached_property
+    def _order(self) -> IntArray:
+        """(V,): the views by the place after their last point, so that in a chunk few places are empty."""
+        return np.argsort(self._ends, kind="stable")
+
+    @cached_property
+    def _ordered(self) -> Self:
+        """The term of the views in this order."""
+        return self.take(self._order)
+
     @property
     def points(self) -> Array:
         """(V, 3, L): in the sensor's frame, m; arbitrary without a point."""
@@ -88,16 +98,17 @@ class RangeTerm(_Rays):
     def linearise(self, T: Array, scale: float, huber: float | None, squares: Array | None = None) -> Linearised:
         """See `calibration.estimation.views.Term`."""
         cost, H, g = np.empty(len(T)), np.zeros((len(T), 6, 6)), np.zeros((len(T), 6))
+        threshold, variance, ordered = None if huber is None else huber * scale, scale * scale, self._ordered
         for part in chunks(len(T), self.length):
-            there = slice(0, int(self._ends[part].max()))
-            meeting = _Meeting(T[part], self.rays[part, :, there], self.ranges[part, there])
-            present = self.present[part, there]
-            cost[part], rows = self._rows(meeting, present, scale, huber)
-            H[part, 2:5, 2:5], g[part, 2:5] = squeezed(rows)
+            views, there = self._order[part], slice(0, int(ordered._ends[part].max()))
+            meeting = _Meeting(T[views], ordered.rays[part, :, there], ordered.ranges[part, there])
+            present = ordered.present[part, there]
+            cost[views], rows, squared = self._rows(meeting, present, threshold)
+            H[views, 2:5, 2:5], g[views, 2:5] = squeezed(rows)
             if squares is not None:
-                squares[part, there] = np.where(present, (meeting.height * meeting.slope) ** 2, np.nan)
-                squares[part, there.stop :] = np.nan
-        return cost, H, g
+                squares[views, there] = np.where(present, squared, np.nan)
+                squares[views, there.stop :] = np.nan
+        return cost / variance, H / variance, g / variance
 
     def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
         """See `calibration.estimation.views.Term`."""
@@ -105,7 +116,8 @@ class RangeTerm(_Rays):
         out[:, [0, 1, 5]] = 0.0
         for part in chunks(len(T), self.length):
             meeting = _Meeting(T[part], self.rays[part], self.ranges[part])
-            rows = self._rows(meeting, self.present[part], scale, huber)[1]
+            threshold = None if huber is None else huber * scale
+            rows = self._rows(meeting, self.present[part], threshold)[1] / scale
             out[part, 2:5, 0], out[part, -1, 0] = rows[:, :3], rows[:, 3]
         return out
 
@@ -119,19 +131,28 @@ class RangeTerm(_Rays):
         return np.where(self.present, np.abs(meeting.height * meeting.slope), np.nan)
 
     @staticmethod
-    def _rows(meeting: "_Meeting", present: BoolArray, scale: float, huber: float | None) -> tuple[Array, Array]:
-        """Return cost (v,) and weighted rows (v, 4, L): by dt_z, dw_x and dw_y, and the residuals."""
-        slope = meeting.slope / scale
-        residuals = np.where(present, meeting.height * slope, 0.0)
-        cost, of_loss = robust(residuals * residuals, huber)
+    def _rows(meeting: "_Meeting", present: BoolArray, threshold: float | None) -> tuple[Array, Array, Array]:
+        """Return cost (v,), weighted rows (v, 4, L) and squared residuals (v, L), all of residuals in m.
+
+        The rows are those by dt_z, dw_x and dw_y, and the residuals.
+
+        Args:
+            meeting: of the rays with the plane.
+            present: (v, L).
+            threshold: of Huber's loss, m.
+        """
+        residuals = np.where(present, meeting.height * meeting.slope, 0.0)
+        squared = residuals * residuals
+        cost, of_loss = robust(squared, threshold)
         weight = present.astype(float) if of_loss is None else present * of_loss
         rows = np.empty((len(residuals), 4, residuals.shape[-1]))
-        slope *= weight
+        x, y = meeting.in_plane
+        slope = meeting.slope * weight
         np.negative(slope, out=rows[:, 0])
-        np.multiply(rows[:, 0], meeting.hits[:, 1], out=rows[:, 1])
-        np.multiply(slope, meeting.hits[:, 0], out=rows[:, 2])
+        np.multiply(rows[:, 0], y, out=rows[:, 1])
+        np.multiply(slope, x, out=rows[:, 2])
         np.multiply(residuals, weight, out=rows[:, 3])
-        return cost, rows
+        return cost, rows, squared
 
 
 @frozen(eq=False)
@@ -171,8 +192,9 @@ class BorderTerm(_Rays):
     def places(self, T: Array) -> Array:
         """See `calibration.estimation.views.Term`; on the nearest border line."""
         places = _Meeting(T, self.rays, self.ranges).hits
-        signed, side = self._distances(places)
-        places[:, :2] -= signed[:, None] * np.moveaxis(self.normals[side], -1, 1)
+        signed, mx, my = self._distances(places)
+        places[:, 0] -= signed * mx
+        places[:, 1] -= signed * my
         return places
 
     def _weighted_rows(
@@ -181,8 +203,7 @@ class BorderTerm(_Rays):
         """Return cost (V,) and rows (V, 7, L), as derived in `linearise`."""
         meeting = _Meeting(T, self.rays, self.ranges)
         u, q, x = meeting.directions, meeting.points, meeting.hits
-        signed, side = self._distances(x)
-        mx, my = np.moveaxis(self.normals[side], -1, 0)
+        signed, mx, my = self._distances(x)
         along = mx * u[:, 0] + my * u[:, 1]
         square = meeting.slope**2
         by_height = along * meeting.cosine * square  # -m . dx by dh and by dc
@@ -203,14 +224,19 @@ class BorderTerm(_Rays):
 
     def magnitudes(self, T: Array) -> Array:
         """(V, L): distance to the nearest border line over the range, rad; NaN without a ray."""
-        signed, _ = self._distances(_Meeting(T, self.rays, self.ranges).hits)
+        signed, _, _ = self._distances(_Meeting(T, self.rays, self.ranges).hits)
         return np.where(self.present, np.abs(signed) / self.ranges, np.nan)
 
-    def _distances(self, places: Array) -> tuple[Array, IntArray]:
-        """Return the signed distance (V, L) of places (V, 3, L) to the nearest border line, positive outside; which."""
-        signed = np.einsum("si,vil->vls", self.normals, places[:, :2]) - self.offsets
-        side = np.abs(signed).argmin(-1)
-        return np.take_along_axis(signed, side[..., None], -1)[..., 0], side
+    def _distances(self, places: Array) -> tuple[Array, Array, Array]:
+        """Return the signed distance (V, L) of places (V, 3, L) to the nearest border line, positive outside.
+
+        And x and y (V, L) of that line's outward normal.
+        """
+        x, y = places[:, 0], places[:, 1]
+        all_lines = self.normals @ places[:, :2] - self.offsets[:, None]  # (V, 4, L)
+        side = np.abs(all_lines).argmin(1)
+        mx, my = self.normals[:, 0].take(side), self.normals[:, 1].take(side)
+        return mx * x + my * y - self.offsets.take(side), mx, my
 
 
 class _Meeting:
@@ -236,10 +262,20 @@ class _Meeting:
         """(v, L): slightly less than 1 / |cosine|."""
 
     @cached_property
+    def _reach(self) -> Array:
+        """(v, L): length of the rays to the plane, m."""
+        return np.asarray(self._ranges - self.height * self.cosine * (self.slope * self.slope))
+
+    @property
+    def in_plane(self) -> tuple[Array, Array]:
+        """The intersections of the rays with the plane: their x and y (v, L)."""
+        x, y = (self._origin[:, i] + self._reach * self.directions[:, i] for i in range(2))
+        return x, y
+
+    @cached_property
     def hits(self) -> Array:
-        """(v, 3, L): intersections of the rays with the plane."""
-        reach = self._ranges - self.height * self.cosine * self.slope**2
-        hits: Array = self._origin + reach[:, None] * self.directions
+        """(v, 3, L): the intersections."""
+        hits: Array = self._origin + self._reach[:, None] * self.directions
         return hits
 
     @property

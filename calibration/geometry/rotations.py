@@ -7,13 +7,14 @@ import numpy as np
 
 from calibration.geometry.types import Array, ArrayLike
 
+_CROSSED = np.array([[0, 2, 1], [2, 1, 0], [1, 0, 2]])
+"""Elements of a vector in the matrix of its cross product, with `_SIGNS`."""
+_SIGNS = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])
+
 
 def hat(w: ArrayLike) -> Array:
     """Return the cross-product matrix (..., 3, 3): ``hat(w) @ v == cross(w, v)``."""
-    w = np.asarray(w, float)
-    W = np.zeros((*w.shape[:-1], 3, 3))
-    W[..., 0, 1], W[..., 0, 2], W[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
-    W[..., 1, 0], W[..., 2, 0], W[..., 2, 1] = w[..., 2], -w[..., 1], w[..., 0]
+    W: Array = np.asarray(w, float).take(_CROSSED, -1) * _SIGNS
     return W
 
 

@@ -61,6 +61,15 @@ def adjoint(T: Array) -> Array:
     return A
 
 
+def inverse_adjoint(T: Array) -> Array:
+    """Return ``adjoint(inverse(T))`` (..., 6, 6), which maps a twist in the parent frame to one in the child frame."""
+    R = T[..., :3, :3]
+    A = np.zeros((*T.shape[:-2], 6, 6))
+    A[..., :3, :3] = A[..., 3:, 3:] = np.swapaxes(R, -1, -2)
+    A[..., :3, 3:] = np.swapaxes(rotations.hat(T[..., :3, 3]) @ R, -1, -2)
+    return A
+
+
 def moved_twists(T: Array, columns: Array) -> Array:
     """Return ``adjoint(T) @ columns`` (n, 6, k) for a few twists (6, k) without forming the adjoints (n, 4, 4)."""
     k = columns.shape[-1]
@@ -81,8 +90,10 @@ def retract(T: Array, twist: Array) -> Array:
     This is the product chart of R^3 x SO(3), equal to SE(3)'s exponential to first order and
     cheaper; `local` is its inverse.
     """
-    step: Array = T @ transform(rotations.exp(twist[..., 3:]), twist[..., :3])
-    return step
+    step = np.zeros((*twist.shape[:-1], 4, 4))
+    step[..., :3, :3], step[..., :3, 3], step[..., 3, 3] = rotations.exp(twist[..., 3:]), twist[..., :3], 1.0
+    moved: Array = T @ step
+    return moved
 
 
 def local(T0: Array, T: Array) -> Array:

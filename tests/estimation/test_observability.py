@@ -26,7 +26,7 @@ def equations(sigma: Array, directions: Array | None = None) -> NormalEquations:
     """Equations whose covariance has these standard deviations (m, rad) on the axes, or these orthonormal columns."""
     Q = np.eye(12) if directions is None else directions
     H = (Q * np.where(np.isinf(sigma), 0.0, 1 / sigma**2)) @ Q.T
-    return NormalEquations(np.zeros(1), H, np.zeros((1, 12, 0)), np.zeros((1, 0, 0)), np.zeros(12), np.zeros((1, 0)))
+    return NormalEquations(np.zeros(1), H, np.zeros(12), np.zeros((1, 0, 0)), np.zeros((1, 0, 13)))
 
 
 def with_sigma(index: int, sigma: float) -> Array:

@@ -142,7 +142,7 @@ def seen(views: int, camera: Camera, count: int = 30, sensor: str = "s") -> View
         ([seen(4, PINHOLE, 30), seen(3, PINHOLE, 14)], [4, 3]),  # would be filled up too much
         ([seen(70, PINHOLE), seen(70, WIDE)], [70, 70]),  # many views of several cameras
         ([seen(70, PINHOLE), seen(70, WIDE, sensor="t"), seen(70, PINHOLE)], [140, 70]),
-        ([seen(150, PINHOLE), seen(70, PINHOLE)], [150, 70]),  # many labels
+        ([seen(600, PINHOLE), seen(70, PINHOLE)], [600, 70]),  # many labels
         ([seen(1025, PINHOLE)], [1024, 1]),
     ],
 )

@@ -14,7 +14,7 @@ from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.pose_residuals import PoseTerm
 from calibration.estimation.problem import Term
 from calibration.estimation.ray_residuals import BorderTerm, RangeTerm
-from calibration.estimation.residuals import robust
+from calibration.estimation.residuals import robust, total_loss
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, retract, transform
@@ -233,3 +233,12 @@ def test_hubers_loss_is_smooth_and_grows_linearly(squared, k):
     assert loss[0] <= e2.sum() * (1 + 1e-12)
     w = np.ones_like(e) if weight is None else weight[0] ** 2
     np.testing.assert_allclose(w, np.minimum(1, k / np.maximum(e, 1e-300)))  # weight * e = half the slope
+
+
+@pytest.mark.parametrize("huber", [None, 1.3])
+def test_the_total_loss_is_that_of_all_labels_there_are(huber):
+    errors = np.random.default_rng(5).normal(size=(7, 9)) * 0.4
+    expected, _ = robust((errors / 0.2) ** 2, huber)
+    assert total_loss(errors**2, 0.2, huber) == pytest.approx(expected.sum(), rel=1e-12)
+    missing = np.concatenate([errors**2, np.full((7, 2), np.nan)], 1)
+    assert total_loss(missing, 0.2, huber) == pytest.approx(expected.sum(), rel=1e-12)

@@ -64,6 +64,7 @@ def test_the_adjoint_is_a_homomorphism(data):
     A, B = data.draw(poses(shape)), data.draw(poses(shape))
     close(transforms.adjoint(A @ B), transforms.adjoint(A) @ transforms.adjoint(B), 1e-11)
     close(transforms.adjoint(transforms.inverse(A)), np.linalg.inv(transforms.adjoint(A)), 1e-10)
+    close(transforms.inverse_adjoint(A), transforms.adjoint(transforms.inverse(A)), 1e-11)
 
 
 @given(st.data())
