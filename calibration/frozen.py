@@ -60,27 +60,43 @@ def _declared(cls: Any, eq: bool, kw_only: bool) -> Any:
 
 
 def _constructor(cls: Any) -> Callable[..., None]:
-    """Return a frozen dataclass's ``__init__``, as `dataclasses` makes it, which would make much besides."""
-    known: dict[str, Any] = {"__missing": dataclasses.MISSING, "__set": object.__setattr__}
-    parameters: dict[bool, list[str]] = {False: ["self"], True: ["*"]}
-    lines = []
-    for each in dataclasses.fields(cls):
-        name, given = each.name, ""
-        value = name
-        if each.default is not dataclasses.MISSING:
-            known[f"__default_{name}"], given = each.default, f"=__default_{name}"
-        elif each.default_factory is not dataclasses.MISSING:
-            known[f"__make_{name}"], given = each.default_factory, "=__missing"
-            value = f"__make_{name}() if {name} is __missing else {name}"
-        parameters[each.kw_only is True].append(name + given)
-        lines.append(f"__set(self, {name!r}, {value})")
-    if hasattr(cls, "__post_init__"):
-        lines.append("self.__post_init__()")
-    signature = parameters[False] + (parameters[True] if len(parameters[True]) > 1 else [])
-    exec(f"def __init__({', '.join(signature)}):\n " + "\n ".join(lines or ["pass"]), known)  # noqa: S102 (our fields)
-    made: Callable[..., None] = known["__init__"]
-    made.__qualname__ = f"{cls.__qualname__}.__init__"
-    return made
+    """Return a frozen dataclass's ``__init__``.
+
+    It is a closure over the names and defaults of the fields: `dataclasses` compiles one for each class, which takes as
+    long as hundreds of calls.
+    """
+    fields = dataclasses.fields(cls)
+    names = {each.name for each in fields}
+    positional = [each.name for each in fields if not each.kw_only]
+    defaults = {each.name: each.default for each in fields if each.default is not dataclasses.MISSING}
+    factories = {e.name: e.default_factory for e in fields if e.default_factory is not dataclasses.MISSING}
+    has_more = hasattr(cls, "__post_init__")
+
+    def constructor(self: Any, /, *given: Any, **named: Any) -> None:
+        values = dict(zip(positional, given, strict=False))
+        values.update(named)
+        if len(values) < len(given) + len(named):
+            raise TypeError(f"{cls.__qualname__}.__init__() got too many positional arguments, or one twice")
+        if len(values) < len(names):
+            values = {**defaults, **values}
+            for name in factories.keys() - values.keys():
+                values[name] = factories[name]()
+        if values.keys() != names:
+            raise _wrong_names(cls, values)
+        self.__dict__.update(values)
+        if has_more:
+            self.__post_init__()
+
+    constructor.__name__, constructor.__qualname__ = "__init__", f"{cls.__qualname__}.__init__"
+    return constructor
+
+
+def _wrong_names(cls: Any, values: Mapping[str, Any]) -> TypeError:
+    names = [each.name for each in dataclasses.fields(cls)]
+    if unknown := [name for name in values if name not in names]:
+        return TypeError(f"{cls.__qualname__}.__init__() got unexpected arguments: {', '.join(unknown)}")
+    missing = [name for name in names if name not in values]
+    return TypeError(f"{cls.__qualname__}.__init__() is missing arguments: {', '.join(missing)}")
 
 
 _ASKED = ("__dataclass_fields__", "__dataclass_params__", "__match_args__")
