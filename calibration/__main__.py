@@ -5,6 +5,7 @@ or SIGTERM cleans up and returns 130 or 143 (128 plus the number of the signal),
 """
 
 import errno
+import gc
 import importlib
 import mmap
 import os
@@ -19,6 +20,7 @@ from typing import Any, NamedTuple, NoReturn
 import click
 
 from calibration import __version__
+from calibration.collector import no_collector
 from calibration.errors import CalibrationError, ExitCode, solvable
 from calibration.process_end import run_process
 from calibration.workflow import Runner, report_error, stop_commands
@@ -123,7 +125,11 @@ class LazyGroup(click.Group):
 def load_command(name: str) -> click.Command:
     """Import a command by its name."""
     module, attribute = COMMANDS[name].target.split(":")
-    command = getattr(importlib.import_module(module), attribute)
+    if module not in sys.modules:
+        with no_collector():
+            importlib.import_module(module)
+            gc.freeze()  # modules stay until the end: the collector need never look at them
+    command = getattr(sys.modules[module], attribute)
     if not isinstance(command, click.Command):
         raise TypeError(f"{COMMANDS[name].target} is not a click command")
     return command
