@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from calibration.errors import InfrastructureError
-from calibration.files import temporary_folder, write_atomically
+from calibration.files import write_atomically
+from calibration.temporary_folder import temporary_folder
 from calibration.workflow.signals import Terminated, terminate_cleanly
 
 

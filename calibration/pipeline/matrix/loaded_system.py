@@ -19,11 +19,11 @@ from calibration.errors import CalibrationError, solvable
 from calibration.estimation.build import Setup
 from calibration.estimation.calibrate import setup_of
 from calibration.estimation.options import Options
-from calibration.evaluation.specification import Evaluation
 from calibration.frozen import frozen
 from calibration.pipeline.matrix.latest import Latest
 
 if TYPE_CHECKING:
+    from calibration.evaluation.specification import Evaluation
     from calibration.pipeline.matrix.running_cell import Evaluated
     from calibration.pipeline.system import Datasets
 
@@ -35,7 +35,7 @@ class LoadedSystem:
     name: str
     dataset: Dataset
     truth: Truth | None
-    evaluation: Evaluation | None
+    evaluation: "Evaluation | None"
     options: Options = dataclass_field(default_factory=Options)
     """Options of our engine."""
     limits: Limits = dataclass_field(default_factory=Limits)
