@@ -166,15 +166,23 @@ def test_classes_inherit_from_each_other_and_from_type_variables() -> None:
         Longest("n").name = "m"  # type: ignore[misc]
 
 
+@frozen(slots=True)
+class Small:
+    """In little memory."""
+
+    x: float
+    tags: tuple[str, ...] = ()
+
+
 def test_slots_have_no_room_for_others() -> None:
-    @frozen(slots=True)
-    class Small:
-        """In little memory."""
-
-        x: float
-
-    assert not hasattr(Small(1.0), "__dict__")
-    assert Small(1.0) == Small(1.0)
+    small = Small(1.0)
+    assert not hasattr(small, "__dict__")
+    assert repr(small) == "Small(x=1.0, tags=())"
+    assert small == Small(1.0, tags=()) != Small(2.0)
+    assert len({small, Small(1.0)}) == 1
+    assert small == dataclasses.replace(Small(2.0), x=1.0) == copy.deepcopy(small) == pickle.loads(pickle.dumps(small))  # noqa: S301 (our own)
+    with pytest.raises(FrozenInstanceError):
+        small.x = 2.0  # type: ignore[misc]
 
 
 def test_several_threads_may_be_first() -> None:
