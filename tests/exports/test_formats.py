@@ -13,6 +13,7 @@ from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
 from calibration.exports.calibrated import Calibrated, calibrated
 from calibration.exports.formats import FILES, file_name
+from calibration.exports.names import FORMATS
 from calibration.geometry.distortion import Rational
 from calibration.geometry.rotations import from_quaternion, from_rpy
 from calibration.geometry.transforms import from_xyz_rpy, inverse, transform
@@ -58,6 +59,10 @@ def test_the_launch_file_of_ros_1(of: Calibrated) -> None:
         x = [float(each) for each in numbers]
         found[parent, child] = transform(from_quaternion(x[3:]), x[:3])
     equal(of, found)
+
+
+def test_every_format_has_its_files() -> None:
+    assert tuple(FILES) == FORMATS
 
 
 def test_messages_of_tf_static(of: Calibrated) -> None:
