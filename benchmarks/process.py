@@ -36,6 +36,8 @@ class Process:
     arguments: list[str]
     bar: Bar | None
     note: str = ""
+    folder: Path = ROOT
+    """Its working folder, from which it takes the package."""
     times: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
     """User and system time, which a busy machine changes less."""
@@ -45,7 +47,7 @@ class Process:
     def run(self) -> None:
         """Run it to its end."""
         command = [sys.executable, *self.arguments]
-        done = subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
+        done = subprocess.run(command, cwd=self.folder, env=ENVIRONMENT, capture_output=True, text=True)
         if done.returncode:
             self.failure = f"exit {done.returncode}: {' '.join(done.stderr.split())[-200:]}"
 
@@ -96,9 +98,8 @@ def _cells(folder: Path) -> dict[str, Process]:
     found = {}
     for name, place in places.items():
         if place is not None:
-            command = ["calibrate-matrix", "--dataset", data, "--output", str(folder / name)]
-            program = f"from calibration.__main__ import main; sys.exit(main({command!r}))"
-            found[name] = Process(f"one cell, {name}", reference.python(program, place), None, Path(data).name)
+            command = ["-m", "calibration", "calibrate-matrix", "--dataset", data, "--output", str(folder / name)]
+            found[name] = Process(f"one cell, {name}", command, None, Path(data).name, place)
     return found
 
 

@@ -5,6 +5,7 @@ or SIGTERM cleans up and returns 130 or 143 (128 plus the number of the signal),
 """
 
 import errno
+import gc
 import importlib
 import mmap
 import os
@@ -19,6 +20,7 @@ from typing import Any, NamedTuple, NoReturn
 import click
 
 from calibration import __version__
+from calibration.collector import no_collector
 from calibration.errors import CalibrationError, ExitCode, solvable
 from calibration.process_end import run_process
 from calibration.workflow import Runner, report_error, stop_commands
@@ -99,19 +101,18 @@ class LazyGroup(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands whose module is installed."""
-        return [name for name, command in COMMANDS.items() if find_spec(command.target.partition(":")[0])]
+        return list(filter(_is_installed, COMMANDS))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import a command; None for an unknown name."""
-        return load_command(cmd_name) if cmd_name in self.list_commands(ctx) else None
+        return load_command(cmd_name) if _is_installed(cmd_name) else None
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the command that the arguments name; a usage error suggests the nearest name."""
-        known = self.list_commands(ctx)
-        if args[0] not in known and not args[0].startswith("-"):
-            ctx.fail(f"there is no command {args[0]!r}{did_you_mean(args[0], known)}")
+        if not _is_installed(args[0]) and not args[0].startswith("-"):
+            ctx.fail(f"there is no command {args[0]!r}{did_you_mean(args[0], self.list_commands(ctx))}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -120,10 +121,18 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, COMMANDS[name].help) for name in self.list_commands(ctx)])
 
 
+def _is_installed(name: str) -> bool:
+    return name in COMMANDS and find_spec(COMMANDS[name].target.partition(":")[0]) is not None
+
+
 def load_command(name: str) -> click.Command:
     """Import a command by its name."""
     module, attribute = COMMANDS[name].target.split(":")
-    command = getattr(importlib.import_module(module), attribute)
+    if module not in sys.modules:
+        with no_collector():
+            importlib.import_module(module)
+            gc.freeze()  # modules stay until the end: the collector need never look at them
+    command = getattr(sys.modules[module], attribute)
     if not isinstance(command, click.Command):
         raise TypeError(f"{COMMANDS[name].target} is not a click command")
     return command

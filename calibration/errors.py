@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 LONGEST_MESSAGE = 2000
-_LONG_WORD = re.compile(r"([^\s/]{60})[^\s/]{180,}([^\s/]{16})")
+_LONG_WORD = r"([^\s/]{60})[^\s/]{180,}([^\s/]{16})"
 """A word longer than any file name."""
 
 
 def brief(message: str) -> str:
     """Shorten a message: cut the middle of long words, and of the message if it is still too long."""
-    message = _LONG_WORD.sub(r"\1…\2", message)
+    message = re.sub(_LONG_WORD, r"\1…\2", message)
     end = LONGEST_MESSAGE // 4
     return message if len(message) <= LONGEST_MESSAGE else f"{message[: LONGEST_MESSAGE - end]}…{message[-end:]}"
 

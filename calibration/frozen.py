@@ -1,11 +1,13 @@
 """Frozen dataclasses whose methods are made when one of them is first called.
 
 `dataclasses.dataclass` compiles up to six methods for a frozen class, which takes 0.3 ms; for the 230 classes that a
-command imports, half of its start. Most of them have no instance in a run, and cost nothing here.
+command imports, half of its start. Most of them have no instance in a run, and cost nothing here; the methods of the
+others are closures over the names of their fields, of which nothing is compiled.
 """
 
 import dataclasses
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable
+from reprlib import recursive_repr
 from typing import Any, TypeVar, dataclass_transform, overload
 
 _Class = TypeVar("_Class", bound=type)
@@ -23,25 +25,45 @@ def frozen(cls: Any = None, /, *, eq: bool = True, kw_only: bool = False, slots:
         cls: the class.
         eq: whether instances are compared by their fields.
         kw_only: whether the constructor takes its arguments by name only.
-        slots: whether instances have no room for other attributes; such a class is made at once.
+        slots: whether instances have no room for other attributes.
     """
 
     def declare(cls: Any) -> Any:
-        if slots:
-            return dataclasses.dataclass(frozen=True, eq=eq, kw_only=kw_only, slots=slots)(cls)
-        return _declared(cls, eq, kw_only)
+        own = {name: value for name, value in vars(cls).items() if name not in ("__dict__", "__weakref__")}
+        made = _with_slots(cls, kw_only) if slots else _without_fields(cls, own, kw_only)
+        made.__setattr__, made.__delattr__ = _refuse_setting, _refuse_deleting
+        for name, make in _METHODS.items():
+            if name not in own and (eq or name not in _COMPARING):
+                setattr(made, name, _stand_in(made, name, make))
+        return made
 
     return declare if cls is None else declare(cls)
 
 
-def _declared(cls: Any, eq: bool, kw_only: bool) -> Any:
-    """Give a class a stand-in for each method that it does not define itself, and for what `dataclasses` asks it."""
-    own = {name: value for name, value in vars(cls).items() if name not in ("__dict__", "__weakref__")}
+def _with_slots(cls: Any, kw_only: bool) -> Any:
+    """Return a dataclass with slots, without methods other than those for pickle."""
+    made: Any = dataclasses.dataclass(init=False, repr=False, eq=False, kw_only=kw_only, slots=True)(cls)
+    made.__dataclass_params__.frozen = True
+    made.__getstate__, made.__setstate__ = _slots_state, _set_slots
+    return made
 
-    def made(**options: bool) -> Any:  # on a copy, as the class is in use
+
+def _slots_state(self: Any) -> dict[str, Any]:
+    return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+
+
+def _set_slots(self: Any, state: dict[str, Any]) -> None:
+    for name, value in state.items():
+        object.__setattr__(self, name, value)
+
+
+def _without_fields(cls: Any, own: dict[str, Any], kw_only: bool) -> Any:
+    """Make a class a dataclass, and find what `dataclasses` asks of it when that is asked for."""
+
+    def made() -> Any:  # on a copy, as the class is in use
         copy = type(cls)(cls.__name__, cls.__bases__, own)
         frozen = any(map(dataclasses.is_dataclass, cls.__bases__))  # as its bases are, else not, which takes longer
-        return dataclasses.dataclass(init=False, kw_only=kw_only, frozen=frozen, **options)(copy)
+        return dataclasses.dataclass(init=False, repr=False, eq=False, kw_only=kw_only, frozen=frozen)(copy)
 
     for name, value in own.items():
         if isinstance(value, dataclasses.Field):
@@ -50,37 +72,8 @@ def _declared(cls: Any, eq: bool, kw_only: bool) -> Any:
             else:
                 setattr(cls, name, value.default)
     for name in _ASKED:
-        setattr(cls, name, _Asked(cls, name, lambda: made(repr=False, eq=False)))
-    cls.__setattr__, cls.__delattr__ = _refuse_setting, _refuse_deleting
-    if "__init__" not in own:
-        _stand_in(cls, {"__init__"}, lambda: {"__init__": _constructor(cls)})
-    others = {"__repr__", "__eq__", "__hash__"} if eq else {"__repr__"}
-    _stand_in(cls, others - own.keys(), lambda: vars(made(eq=eq, unsafe_hash=eq)))
+        setattr(cls, name, _Asked(cls, name, made))
     return cls
-
-
-def _constructor(cls: Any) -> Callable[..., None]:
-    """Return a frozen dataclass's ``__init__``, as `dataclasses` makes it, which would make much besides."""
-    known: dict[str, Any] = {"__missing": dataclasses.MISSING, "__set": object.__setattr__}
-    parameters: dict[bool, list[str]] = {False: ["self"], True: ["*"]}
-    lines = []
-    for each in dataclasses.fields(cls):
-        name, given = each.name, ""
-        value = name
-        if each.default is not dataclasses.MISSING:
-            known[f"__default_{name}"], given = each.default, f"=__default_{name}"
-        elif each.default_factory is not dataclasses.MISSING:
-            known[f"__make_{name}"], given = each.default_factory, "=__missing"
-            value = f"__make_{name}() if {name} is __missing else {name}"
-        parameters[each.kw_only is True].append(name + given)
-        lines.append(f"__set(self, {name!r}, {value})")
-    if hasattr(cls, "__post_init__"):
-        lines.append("self.__post_init__()")
-    signature = parameters[False] + (parameters[True] if len(parameters[True]) > 1 else [])
-    exec(f"def __init__({', '.join(signature)}):\n " + "\n ".join(lines or ["pass"]), known)  # noqa: S102 (our fields)
-    made: Callable[..., None] = known["__init__"]
-    made.__qualname__ = f"{cls.__qualname__}.__init__"
-    return made
 
 
 _ASKED = ("__dataclass_fields__", "__dataclass_params__", "__match_args__")
@@ -102,20 +95,91 @@ class _Asked:
         return getattr(made, self._name)
 
 
-def _stand_in(cls: Any, names: Collection[str], make: Callable[[], Mapping[str, Any]]) -> None:
-    """Give a class methods that replace themselves, at the first call of one, by those that are made."""
+def _stand_in(cls: Any, name: str, make: Callable[[Any], Callable[..., Any]]) -> Callable[..., Any]:
+    """Return a method that replaces itself, at its first call, by the one that is made."""
 
-    def stand_in(name: str) -> Callable[..., Any]:
-        def method(self: Any, *arguments: Any, **named: Any) -> Any:
-            methods = make()
-            for each in names:
-                setattr(cls, each, methods[each])
-            return methods[name](self, *arguments, **named)
+    def method(self: Any, /, *arguments: Any, **named: Any) -> Any:
+        made = make(cls)
+        made.__name__, made.__qualname__ = name, f"{cls.__qualname__}.{name}"
+        setattr(cls, name, made)
+        return made(self, *arguments, **named)
 
-        return method
+    return method
 
-    for name in names:
-        setattr(cls, name, stand_in(name))
+
+def _constructor(cls: Any) -> Callable[..., None]:
+    fields = dataclasses.fields(cls)
+    names = {each.name for each in fields}
+    positional = [each.name for each in fields if not each.kw_only]
+    defaults = {each.name: each.default for each in fields if each.default is not dataclasses.MISSING}
+    factories = {e.name: e.default_factory for e in fields if e.default_factory is not dataclasses.MISSING}
+    has_slots, has_more = "__slots__" in vars(cls), hasattr(cls, "__post_init__")
+
+    def constructor(self: Any, /, *given: Any, **named: Any) -> None:
+        values = dict(zip(positional, given, strict=False))
+        values.update(named)
+        if len(values) < len(given) + len(named):
+            raise TypeError(f"{cls.__qualname__}.__init__() got too many positional arguments, or one twice")
+        if len(values) < len(names):
+            values = {**defaults, **values}
+            for name in factories.keys() - values.keys():
+                values[name] = factories[name]()
+        if values.keys() != names:
+            raise TypeError(f"{cls.__qualname__}.__init__() {_difference(set(values), names)}")
+        if has_slots:
+            _set_slots(self, values)
+        else:
+            self.__dict__.update(values)
+        if has_more:
+            self.__post_init__()
+
+    return constructor
+
+
+def _difference(found: set[str], names: set[str]) -> str:
+    if unknown := sorted(found - names):
+        return f"got unexpected arguments: {', '.join(unknown)}"
+    return f"is missing arguments: {', '.join(sorted(names - found))}"
+
+
+def _representation(cls: Any) -> Callable[..., str]:
+    names = [each.name for each in dataclasses.fields(cls) if each.repr]
+
+    @recursive_repr()
+    def representation(self: Any) -> str:
+        return f"{type(self).__qualname__}({', '.join(f'{name}={getattr(self, name)!r}' for name in names)})"
+
+    return representation
+
+
+def _equality(cls: Any) -> Callable[..., Any]:
+    names = [each.name for each in dataclasses.fields(cls) if each.compare]
+
+    def equality(self: Any, other: object) -> Any:
+        if type(other) is not type(self):
+            return NotImplemented
+        return _values(self, names) == _values(other, names)
+
+    return equality
+
+
+def _hash(cls: Any) -> Callable[..., int]:
+    names = [each.name for each in dataclasses.fields(cls) if (each.compare if each.hash is None else each.hash)]
+    return lambda self: hash(_values(self, names))
+
+
+def _values(instance: object, names: list[str]) -> tuple[Any, ...]:
+    return tuple([getattr(instance, name) for name in names])
+
+
+_METHODS: dict[str, Callable[[Any], Callable[..., Any]]] = {
+    "__init__": _constructor,
+    "__repr__": _representation,
+    "__eq__": _equality,
+    "__hash__": _hash,
+}
+"""What makes each method, if a class does not define it itself."""
+_COMPARING = ("__eq__", "__hash__")
 
 
 def _refuse_setting(_: Any, name: str, __: object) -> None:

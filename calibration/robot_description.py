@@ -11,7 +11,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from calibration.errors import InfrastructureError, InputError
-from calibration.files import read_bytes, temporary_folder
+from calibration.files import read_bytes
+from calibration.temporary_folder import temporary_folder
 from calibration.workflow.text import one_line, shorten
 
 ENDING = ".xacro"

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from calibration.errors import InfrastructureError
-from calibration.files import temporary_folder, write_atomically
+from calibration.files import link_or_copy, write_atomically
+from calibration.temporary_folder import temporary_folder
 from calibration.workflow.signals import Terminated, terminate_cleanly
 
 
@@ -83,6 +84,24 @@ def test_the_old_file_survives_a_failure(tmp_path: Path, monkeypatch: pytest.Mon
         assert str(caught.value) == f"{path}: cannot be written: No space left on device"
     assert path.read_text() == "old"
     assert names(tmp_path) == ["results.json"]
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_a_file_is_linked_or_where_that_is_impossible_copied(
+    linked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, target = tmp_path / "source", tmp_path / "folder" / "target"
+    source.write_bytes(bytes(range(256)) * 10_000)  # several parts
+
+    def refused(*_: object) -> None:
+        raise OSError("no links")
+
+    if not linked:
+        monkeypatch.setattr(Path, "hardlink_to", refused)
+    link_or_copy(source, target)
+    assert target.read_bytes() == source.read_bytes()
+    assert target.samefile(source) == linked
+    assert names(target.parent) == ["target"]
 
 
 @pytest.mark.parametrize(("module", "function"), [(tempfile, "mkdtemp"), (shutil, "rmtree")])

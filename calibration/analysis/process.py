@@ -25,12 +25,12 @@ from calibration.analysis.settings import SUPPRESSIONS, AnalysisSettings
 from calibration.analysis.suppressions import Suppression, read_suppressions, sift
 from calibration.errors import ExitCode, InputError
 from calibration.execution.sizes import parse_seconds
-from calibration.files import temporary_folder
 from calibration.git.changes import find_base
 from calibration.git.event import Event
 from calibration.git.repository import Repository
 from calibration.records import field, record
 from calibration.report import FILES, Report, count_of, publish, remove_results
+from calibration.temporary_folder import temporary_folder
 from calibration.workflow import Runner
 from calibration.workflow.text import did_you_mean, shorten
 

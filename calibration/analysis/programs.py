@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.errors import InfrastructureError
-from calibration.files import temporary_folder
+from calibration.temporary_folder import temporary_folder
 from calibration.workflow.text import one_line, shorten
 
 MAX_OUTPUT = 200_000_000

@@ -9,7 +9,7 @@ from calibration.commands.parameters import TEXT_LIST, path
 from calibration.dataset.reading import read_dataset
 from calibration.errors import ExitCode, InputError
 from calibration.exports.files import exported
-from calibration.exports.formats import FORMATS, URDF
+from calibration.exports.names import FORMATS, URDF
 from calibration.files import write_atomically
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.text import did_you_mean, one_line

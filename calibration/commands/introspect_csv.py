@@ -10,7 +10,7 @@ import click
 from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.commands.record_options import record_options
 from calibration.errors import ExitCode, InputError
-from calibration.files import matching
+from calibration.file_patterns import matching
 from calibration.frozen import frozen
 from calibration.introspection.report import report
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked

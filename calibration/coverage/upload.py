@@ -20,12 +20,14 @@ from calibration.coverage.sources import Sources, find_sources
 from calibration.coverage.tests import Tests, measured_environment, measurement, run_tests
 from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.execution.sizes import parse_seconds
-from calibration.files import matching, temporary_folder, write_atomically
+from calibration.file_patterns import matching
+from calibration.files import write_atomically
 from calibration.git.changes import changed_lines, find_base
 from calibration.git.event import Event
 from calibration.git.repository import Repository
 from calibration.records import between, field, record
 from calibration.report import FILES, publish, remove_results
+from calibration.temporary_folder import temporary_folder
 from calibration.workflow import Runner, set_outputs
 from calibration.workflow.text import one_line
 

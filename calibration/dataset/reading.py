@@ -1,11 +1,10 @@
 """Read datasets: ATOM's JSON, versions 2.0 and 3.0, checked completely before any computation."""
 
-import gc
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from calibration.collector import no_collector
 from calibration.dataset.changes import KEY, changed_document
 from calibration.dataset.configuration import Configuration, parse_configuration
 from calibration.dataset.document import Node, read_json, shown
@@ -46,25 +45,13 @@ def read_dataset(path: Path | str, data: Path | None = None, given: Path | None 
         InputError: the file does not exist, or something in it is missing or wrong; the message
             names the file, the keys that lead there, what was found and what was expected.
     """
-    with _no_collector():
+    with no_collector():
         return _read(_file(Path(path)), data, given and _file(given))
 
 
 def _file(path: Path) -> Path:
     inside = os.path.isdir(path)  # noqa: PTH112 (Path.is_dir raises where a folder may not be looked into)
     return path / FILE_NAME if inside else path
-
-
-@contextmanager
-def _no_collector() -> Iterator[None]:
-    """Disable the garbage collector while a document is parsed: it would scan it repeatedly and find nothing."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def _read(path: Path, data: Path | None, given: Path | None) -> Dataset:

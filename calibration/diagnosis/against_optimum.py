@@ -14,7 +14,6 @@ same errors agree to a small fraction of a standard deviation. The distance is r
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
-from statistics import NormalDist
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.cost import cost_of
 from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
+from calibration.estimation.significance import score_of_tail
 from calibration.estimation.wrong_views import without
 from calibration.evaluation.truth import PoseError, TruthError, error_against
 from calibration.frozen import frozen
@@ -63,7 +63,7 @@ class OurOptimum:
         By the approximation of E. B. Wilson and M. M. Hilferty ("The distribution of chi-square", 1931).
         """
         ninth = 2 / (9 * self.parameters)
-        return float(self.parameters * (1 - ninth + NormalDist().inv_cdf(1 - RARE) * np.sqrt(ninth)) ** 3)
+        return float(self.parameters * (1 - ninth + score_of_tail(RARE) * np.sqrt(ninth)) ** 3)
 
     @cached_property
     def cost(self) -> float:

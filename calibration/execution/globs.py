@@ -7,7 +7,7 @@ from functools import cached_property
 
 from calibration.frozen import frozen
 
-_WILDCARD = re.compile(r"[*?\[]")
+_WILDCARD = r"[*?\[]"
 
 
 @frozen
@@ -43,7 +43,7 @@ class Glob:
     @cached_property
     def _split(self) -> int:
         """Number of parts before the first wildcard."""
-        return next((i for i, part in enumerate(self._parts) if _WILDCARD.search(part)), len(self._parts))
+        return next((i for i, part in enumerate(self._parts) if re.search(_WILDCARD, part)), len(self._parts))
 
     @cached_property
     def _patterns(self) -> tuple[re.Pattern[str] | None, ...]:

@@ -14,8 +14,8 @@ from calibration.workflow.text import did_you_mean, shorten
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,62}")
 """Container name, which is also its host name, and part of file names."""
-_JOB_NAME_PART = re.compile(r"[A-Za-z0-9_+=,@][A-Za-z0-9_+=,@ .:-]{0,127}")
-_VARIABLE = re.compile(r"[^=\0]+")
+_JOB_NAME_PART = r"[A-Za-z0-9_+=,@][A-Za-z0-9_+=,@ .:-]{0,127}"
+_VARIABLE = r"[^=\0]+"
 _ENGINE_SOCKETS = ("/var/run/docker.sock", "/run/docker.sock")
 _MOST_PORT = 65535
 _LEAST_MEMORY = 6 * 1024**2
@@ -52,7 +52,7 @@ def check_job(job: Job) -> None:
     """
     where = f"job '{shorten(job.name)}'"
     parts = job.name.split("/")
-    if not all(_JOB_NAME_PART.fullmatch(part) for part in parts) or {".", ".."} & set(parts) or len(parts) > 8:
+    if not all(re.fullmatch(_JOB_NAME_PART, part) for part in parts) or {".", ".."} & set(parts) or len(parts) > 8:
         raise InputError(f"{where}: this is no name for a job: letters, digits and _ + = , @ : . - with / between")
     if not 1 <= len(job.containers) <= _MOST_CONTAINERS:
         raise InputError(f"{where}: it has {len(job.containers)} containers, expected 1 to {_MOST_CONTAINERS}")
@@ -125,7 +125,7 @@ def _problems(container: Container) -> Iterator[str]:
 
 def _in_texts(container: Container) -> Iterator[str]:
     for key, value in container.environment.items():
-        if not _VARIABLE.fullmatch(key) or "\0" in value:
+        if not re.fullmatch(_VARIABLE, key) or "\0" in value:
             yield f"environment: '{shorten(key)}' is no name of a variable, or its value has a NUL character"
     for name in sorted(container.secrets - set(container.environment)):
         yield f"secrets: '{shorten(name)}' is no variable of its environment"

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from calibration.errors import InputError
 from calibration.workflow.text import did_you_mean, shorten
 
-_BRACES = re.compile(r"\{\{|\}\}|\{([^{}]*)\}|[{}]")
+_BRACES = r"\{\{|\}\}|\{([^{}]*)\}|[{}]"
 
 
 def fill(arguments: Sequence[str], values: Mapping[str, str], where: str) -> tuple[str, ...]:
@@ -32,7 +32,7 @@ def fill(arguments: Sequence[str], values: Mapping[str, str], where: str) -> tup
             f"(known: {', '.join(values) or 'none'}; write {{{{ and }}}} for braces)"
         )
 
-    return tuple(_BRACES.sub(replacement, argument) for argument in arguments)
+    return tuple(re.sub(_BRACES, replacement, argument) for argument in arguments)
 
 
 def split_command(command: str | Sequence[str], where: str) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ MASTER = "master"
 """Name of the container with the ROS master."""
 PORT = 11311
 _LOOPBACK = "127.0.0.1"
-_ADDRESS = re.compile(r"(?P<before>https?://)(?P<host>[^/:]+)(?P<after>.*)")
+_ADDRESS = r"(?P<before>https?://)(?P<host>[^/:]+)(?P<after>.*)"
 
 
 def with_ros(job: Job, version: RosVersion, image: str | None = None) -> Job:
@@ -67,7 +67,7 @@ def on_one_address(job: Job) -> Job:
         environment = dict(container.environment)
         if environment.get("ROS_HOSTNAME") in names:
             environment["ROS_HOSTNAME"] = _LOOPBACK
-        master = _ADDRESS.fullmatch(environment.get("ROS_MASTER_URI", ""))
+        master = re.fullmatch(_ADDRESS, environment.get("ROS_MASTER_URI", ""))
         if master is not None and master["host"] in names:
             environment["ROS_MASTER_URI"] = f"{master['before']}{_LOOPBACK}{master['after']}"
         return replace(container, environment=environment)

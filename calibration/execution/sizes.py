@@ -7,9 +7,9 @@ from typing import Annotated
 from calibration.errors import InputError
 from calibration.records import Converted
 
-_BYTES = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([kmgt]?)(?:i?b)?", re.IGNORECASE)
-_TIMES = re.compile(r"(?:[0-9]+(?:\.[0-9]+)?(?:ms|s|m|h|d)\s*)+")
-_TIME = re.compile(r"([0-9]+(?:\.[0-9]+)?)(ms|s|m|h|d)")
+_BYTES = r"([0-9]+(?:\.[0-9]+)?)\s*([kmgt]?)(?:i?b)?"
+_TIMES = r"(?:[0-9]+(?:\.[0-9]+)?(?:ms|s|m|h|d)\s*)+"
+_TIME = r"([0-9]+(?:\.[0-9]+)?)(ms|s|m|h|d)"
 _SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 _MOST_BYTES = 2**60
 _MOST_SECONDS = 366 * 86400.0
@@ -21,7 +21,7 @@ def parse_bytes(value: object, where: str) -> int:
     Raises:
         InputError: it is not a size above 0; the message names the key.
     """
-    match = _BYTES.fullmatch(str(value).strip()) if _is_amount(value) else None
+    match = re.fullmatch(_BYTES, str(value).strip(), re.IGNORECASE) if _is_amount(value) else None
     if match is not None:
         found = int(float(match[1]) * 1024 ** " kmgt".index(match[2].lower() or " "))
         if 0 < found <= _MOST_BYTES:
@@ -38,8 +38,8 @@ def parse_seconds(value: object, where: str) -> float:
     text = str(value).strip().lower() if _is_amount(value) else ""
     if re.fullmatch(r"[0-9]+(\.[0-9]+)?", text):
         text += "s"
-    if _TIMES.fullmatch(text):
-        found = math.fsum(float(number) * _SECONDS[unit] for number, unit in _TIME.findall(text))
+    if re.fullmatch(_TIMES, text):
+        found = math.fsum(float(number) * _SECONDS[unit] for number, unit in re.findall(_TIME, text))
         if 0 < found <= _MOST_SECONDS:
             return found
     raise InputError(f"{where}: found {value!r}, expected a time such as 90s, 10m or 1h30m, of at most a year")

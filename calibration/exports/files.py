@@ -6,7 +6,8 @@ from pathlib import Path
 from calibration.dataset.model import Dataset
 from calibration.errors import InputError
 from calibration.exports.calibrated import Calibrated, calibrated
-from calibration.exports.formats import FORMATS, URDF
+from calibration.exports.formats import FILES
+from calibration.exports.names import FORMATS, URDF
 from calibration.exports.urdf import calibrated_urdf
 from calibration.robot_description import read_robot_description
 
@@ -40,11 +41,11 @@ def _texts(of: Calibrated, formats: Sequence[str]) -> tuple[dict[str, bytes], li
     """Return the files by name, and, if all formats are requested, those that the dataset does not support."""
     files: dict[str, bytes] = {}
     notes = []
-    for name, each in FORMATS.items():
+    for name in FORMATS:
         if formats and name not in formats:
             continue
         try:
-            files |= {file: text.encode() for file, text in each.files(of).items()}
+            files |= {file: text.encode() for file, text in FILES[name](of).items()}
         except InputError as error:
             if formats:
                 raise

@@ -1,7 +1,6 @@
-"""Table of the export formats: names, help, and the functions that write their files."""
+"""Table of the export formats: the functions that write their files."""
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
 
 from calibration.exports.calibrated import Calibrated
 from calibration.exports.cameras import camera_info, kalibr_camchain, opencv_storage
@@ -14,33 +13,20 @@ from calibration.exports.transforms import (
     xacro_properties,
 )
 
-URDF = "urdf"
-"""The only format that needs an input file: the robot's URDF."""
-
-
-class Format(NamedTuple):
-    """Export format, one or several files."""
-
-    what: str
-    """Description of the format, for help texts."""
-    files: Callable[[Calibrated], Mapping[str, str]]
-    """Function that returns the texts of the files by name."""
-
-
-FORMATS: Mapping[str, Format] = {
-    "xacro": Format("properties for xacro macros", lambda of: {"calibrated.yaml": xacro_properties(of)}),
-    "ros1": Format("static transforms for roslaunch", lambda of: {"calibrated.ros1.launch": ros1_launch(of)}),
-    "ros2": Format("static transforms for ros2 launch", lambda of: {"calibrated.launch.py": ros2_launch(of)}),
-    "ros2-xml": Format("the same as XML", lambda of: {"calibrated.launch.xml": ros2_xml(of)}),
-    "tf-static": Format("messages of /tf_static", lambda of: {"tf_static.yaml": tf_static(of)}),
-    "autoware": Format("Autoware's sensors_calibration.yaml and sensor_kit_calibration.yaml", autoware),
-    "camera-info": Format(
-        "camera_info of each camera",
-        lambda of: {f"{file_name(name)}.yaml": camera_info(camera, name) for name, camera in of.cameras.items()},
-    ),
-    "kalibr": Format("Kalibr's camchain", lambda of: {"camchain.yaml": kalibr_camchain(of)}),
-    "opencv": Format("OpenCV's FileStorage", lambda of: {"opencv.yml": opencv_storage(of)}),
+FILES: Mapping[str, Callable[[Calibrated], Mapping[str, str]]] = {
+    "xacro": lambda of: {"calibrated.yaml": xacro_properties(of)},
+    "ros1": lambda of: {"calibrated.ros1.launch": ros1_launch(of)},
+    "ros2": lambda of: {"calibrated.launch.py": ros2_launch(of)},
+    "ros2-xml": lambda of: {"calibrated.launch.xml": ros2_xml(of)},
+    "tf-static": lambda of: {"tf_static.yaml": tf_static(of)},
+    "autoware": autoware,
+    "camera-info": lambda of: {
+        f"{file_name(name)}.yaml": camera_info(camera, name) for name, camera in of.cameras.items()
+    },
+    "kalibr": lambda of: {"camchain.yaml": kalibr_camchain(of)},
+    "opencv": lambda of: {"opencv.yml": opencv_storage(of)},
 }
+"""Function of each of `calibration.exports.names.FORMATS` that returns the texts of its files by name."""
 
 
 def file_name(name: str) -> str:

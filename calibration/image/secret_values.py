@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from calibration.errors import InputError
-from calibration.files import read_bytes, temporary_folder
+from calibration.files import read_bytes
 from calibration.image.specification import Secret
+from calibration.temporary_folder import temporary_folder
 from calibration.workflow import Runner, add_mask
 
 MAX_BYTES = 500 * 1024

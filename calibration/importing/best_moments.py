@@ -13,12 +13,12 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.design import choose, informations
 from calibration.estimation.options import Options
 from calibration.estimation.result import Solution
-from calibration.files import temporary_folder
 from calibration.geometry.types import Array, BoolArray
 from calibration.importing.document import dataset_document
 from calibration.importing.recorded import Recorded, imported_moments
 from calibration.importing.stillness import BagMoment, evenly
 from calibration.simulation.collection.record import image_cells
+from calibration.temporary_folder import temporary_folder
 
 CANDIDATES = 1000
 """Limit of the moments to choose from; of more, evenly spaced ones are taken."""

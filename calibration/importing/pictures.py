@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Literal
 
 from calibration.errors import InputError
-from calibration.files import matching, read_bytes
+from calibration.file_patterns import matching
+from calibration.files import read_bytes
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 """Endings of image files, in lower case."""

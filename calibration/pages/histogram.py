@@ -43,7 +43,7 @@ def histogram(name: str, values: Array, sigma: float, unit: str) -> Html:
         class_="bar",
     )
     curve = element(
-        "path", d=path([np.array((x(v), y(n))) for v, n in zip(edges, density, strict=True)]), class_="stated"
+        "path", d=path([(x(v), y(n)) for v, n in zip(edges.tolist(), density, strict=True)]), class_="stated"
     )
     axis = element("path", d=f"M{MARGIN} {y(0):.1f}H{WIDTH - 10}", class_="axis")
     marks = [text(at, HEIGHT - MARGIN + 16, label) for at, label in x.marks()]

@@ -26,10 +26,12 @@ def overlay(title: str, jpeg: bytes | None, size: tuple[int, int], seen: Array, 
     height = size[1] * scale
     address = "" if jpeg is None else f"data:image/jpeg;base64,{b64encode(jpeg).decode('ascii')}"
     picture = element("image", href=address, width=WIDTH, height=height) if address else Html("")
-    crosses = "".join(f"M{x - ARM:.1f} {y:.1f}h{2 * ARM:g}m-{ARM:g}-{ARM:g}v{2 * ARM:g}" for x, y in seen * scale)
+    crosses = "".join(
+        f"M{x - ARM:.1f} {y:.1f}h{2 * ARM:g}m-{ARM:g}-{ARM:g}v{2 * ARM:g}" for x, y in (seen * scale).tolist()
+    )
     circles = "".join(
         f"M{x - ARM:.1f} {y:.1f}a{ARM:g} {ARM:g} 0 1 0 {2 * ARM:g} 0a{ARM:g} {ARM:g} 0 1 0 -{2 * ARM:g} 0"
-        for x, y in expected * scale
+        for x, y in (expected * scale).tolist()
     )
     return drawing(
         WIDTH,

@@ -36,5 +36,6 @@ def residual_plane(name: str, size: tuple[int, int], pixels: Array, residuals: A
 
 
 def _vectors(at: Array, to: Array, class_: str) -> Html:
-    d = "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in zip(at, to, strict=True))
+    ends = np.concatenate([at, to], axis=-1).tolist()
+    d = "".join(f"M{x:.1f} {y:.1f}L{u:.1f} {v:.1f}" for x, y, u, v in ends)
     return element("path", d=d, class_=class_) if d else Html("")

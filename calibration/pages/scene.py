@@ -136,4 +136,4 @@ def _seen(points: Array) -> Array:
 
 
 def _rounded(values: Array) -> list[float]:
-    return [round(float(v), 4) + 0.0 for v in values]
+    return [round(v, 4) + 0.0 for v in values.tolist()]

@@ -62,6 +62,6 @@ def thinned(count: int, most: int) -> IntArray:
     return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(np.int64)
 
 
-def path(points: Sequence[Array] | Array, closed: bool = False) -> str:
+def path(points: Sequence[Sequence[float]] | Array, closed: bool = False) -> str:
     """Return the ``d`` of a path through points (N, 2)."""
-    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
+    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in np.asarray(points).tolist()) + ("Z" if closed else "")

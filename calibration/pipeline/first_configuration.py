@@ -18,13 +18,13 @@ from calibration.errors import InputError
 from calibration.estimation.options import Options
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.evaluation.measured_poses import COLUMNS
-from calibration.files import temporary_folder
 from calibration.importing.document import ESTIMATED, ROUGH
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.running_cell import run_cell
 from calibration.pipeline.system import System
+from calibration.temporary_folder import temporary_folder
 
 SHARED = 3
 """Minimum of collections in which two sensors see a pattern, for a table of both."""

@@ -268,10 +268,11 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
         names += [name for name in (cell.table, cell.dataset, own) if name]
         names += [str(Path(own).with_name(INTRINSICS))] if own else []
     names += [f"{each.folder}/{name}" for each in earlier.exports for name in each.files]
-    inside = [name for name in names if (output / name).resolve().is_relative_to(output.resolve())]
+    whole = output.resolve()
+    inside = {name: file for name in names if (file := (output / name).resolve()).is_relative_to(whole)}
     needed = {path.resolve() for path in inputs}
-    for name in inside:
-        if (output / name).resolve() in needed:
+    for name, file in inside.items():
+        if file in needed:
             raise InputError(
                 f"{output / name}: this input is an earlier result in the output folder; choose another output"
             )

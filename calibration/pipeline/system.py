@@ -7,7 +7,7 @@ from calibration.baseline.verdict import Accepted
 from calibration.diagnosis.limits import Limits
 from calibration.errors import InputError
 from calibration.estimation.options import Options
-from calibration.exports.formats import FORMATS, URDF
+from calibration.exports.names import FORMATS, URDF
 from calibration.introspection.rule_set import RuleEntry, RuleSet, checked, unfolded
 from calibration.pipeline.matrix.software import Software, checked_software
 from calibration.records import (

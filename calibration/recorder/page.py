@@ -18,7 +18,6 @@ import numpy as np
 import viser
 
 from calibration.errors import CalibrationError, InputError
-from calibration.files import temporary_folder
 from calibration.geometry.transforms import from_quaternion
 from calibration.geometry.types import Array
 from calibration.labelling.detection import Image
@@ -30,6 +29,7 @@ from calibration.recorder.scene import KEPT, LOST, UNKNOWN, RobotScene, view_poi
 from calibration.recorder.session import Session, joined
 from calibration.simulation.motion.sequence import Motion, read_motion
 from calibration.simulation.placement import place
+from calibration.temporary_folder import temporary_folder
 
 PAUSE = 1.0
 """Pause between two poses of a sequence that is played, s."""

@@ -10,7 +10,7 @@ from defusedxml.ElementTree import parse
 from calibration.__main__ import main, run_action
 from calibration.commands.introspect_csv import command
 from calibration.errors import InputError
-from calibration.files import matching
+from calibration.file_patterns import matching
 
 RMS = "RMS (pix)"
 ATOM = """Collection #,RMS (pix),X err (pix),Y err (pix),Trans (mm),Rot (deg)

@@ -12,7 +12,8 @@ from defusedxml.ElementTree import fromstring
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
 from calibration.exports.calibrated import Calibrated, calibrated
-from calibration.exports.formats import FORMATS, file_name
+from calibration.exports.formats import FILES, file_name
+from calibration.exports.names import FORMATS
 from calibration.geometry.distortion import Rational
 from calibration.geometry.rotations import from_quaternion, from_rpy
 from calibration.geometry.transforms import from_xyz_rpy, inverse, transform
@@ -27,7 +28,7 @@ def of() -> Calibrated:
 
 
 def text(of: Calibrated, name: str) -> str:
-    [found] = FORMATS[name].files(of).values()
+    [found] = FILES[name](of).values()
     return found
 
 
@@ -60,6 +61,10 @@ def test_the_launch_file_of_ros_1(of: Calibrated) -> None:
     equal(of, found)
 
 
+def test_every_format_has_its_files() -> None:
+    assert tuple(FILES) == FORMATS
+
+
 def test_messages_of_tf_static(of: Calibrated) -> None:
     found = {}
     for each in yaml.safe_load(text(of, "tf-static"))["transforms"]:
@@ -71,7 +76,7 @@ def test_messages_of_tf_static(of: Calibrated) -> None:
 def test_autoware_has_what_hangs_on_the_base_apart(of: Calibrated) -> None:
     edges = list(of.transforms)
     other = replace(of, transforms={**of.transforms, ("base_link", "kit"): of.transforms[edges[0]]})
-    files = {name: yaml.safe_load(text) for name, text in FORMATS["autoware"].files(other).items()}
+    files = {name: yaml.safe_load(text) for name, text in FILES["autoware"](other).items()}
     assert list(files["sensors_calibration.yaml"]) == ["base_link"]
     for parent, child in edges:
         found = files["sensor_kit_calibration.yaml"][parent][child]
@@ -88,7 +93,7 @@ def test_properties_for_xacro(of: Calibrated) -> None:
 
 def test_a_camera_info_projects_as_the_camera_does(of: Calibrated) -> None:
     points = np.random.default_rng(1).normal(0, 0.3, (20, 3)) + np.array([0.0, 0.0, 2.0])
-    for name, content in FORMATS["camera-info"].files(of).items():
+    for name, content in FILES["camera-info"](of).items():
         document = yaml.safe_load(content)
         camera = of.cameras[document["camera_name"]]
         assert name == f"camera_info_{document['camera_name']}.yaml"
@@ -117,7 +122,7 @@ def test_kalibr_has_each_camera_from_the_one_before(of: Calibrated) -> None:
     name, camera = next(iter(of.cameras.items()))
     rational = replace(of, cameras={name: replace(camera, distortion=Rational(0.1, 0, 0, 0, 0.01))})
     with pytest.raises(InputError, match=f"camera '{name}': Kalibr has radtan"):
-        FORMATS["kalibr"].files(rational)
+        FILES["kalibr"](rational)
 
 
 @pytest.mark.parametrize("hostile", ['"/><evil/>', "a\nb", "a'b", "{{x}}", "a: [b", "${x}", "$(eval 1)", "../../up"])

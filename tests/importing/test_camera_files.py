@@ -9,7 +9,7 @@ import yaml
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
 from calibration.exports.calibrated import calibrated
-from calibration.exports.formats import FORMATS
+from calibration.exports.formats import FILES
 from calibration.geometry.distortion import MODELS
 from calibration.geometry.transforms import inverse
 from calibration.importing.camera_files import read_lens
@@ -19,7 +19,7 @@ from tests.importing.conftest import DATASETS, camera_info
 @pytest.mark.parametrize("kind", ["camera-info", "kalibr", "opencv"])
 def test_what_export_writes_is_read(tmp_path: Path, kind: str) -> None:
     dataset = read_dataset(DATASETS / "t2rgb")
-    ((_, text),) = list(FORMATS[kind].files(calibrated(dataset)).items())[:1]
+    ((_, text),) = list(FILES[kind](calibrated(dataset)).items())[:1]
     (tmp_path / "file.yaml").write_text(text)
     names = {"kalibr": "cam0", "opencv": next(iter(dataset.sensors))}
     lens = read_lens(tmp_path / "file.yaml", names.get(kind))
@@ -62,7 +62,7 @@ def test_a_fisheye_of_kalibr(tmp_path: Path) -> None:
 def test_baselines_of_a_camchain_are_poses_in_its_first_camera(tmp_path: Path) -> None:
     dataset = read_dataset(DATASETS / "t2rgb")
     of = calibrated(dataset)
-    (text,) = FORMATS["kalibr"].files(of).values()
+    (text,) = FILES["kalibr"](of).values()
     chain = yaml.safe_load(text)
     chain["cam2"], chain["cam10"] = chain["cam1"], chain["cam0"]
     (tmp_path / "chain.yaml").write_text(yaml.safe_dump(chain))
@@ -79,7 +79,7 @@ def test_baselines_of_a_camchain_are_poses_in_its_first_camera(tmp_path: Path) -
     "baseline", [[], 1, [[1, 0, 0, 0]], [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], [[0] * 4] * 4]
 )
 def test_a_baseline_that_is_none_is_named(tmp_path: Path, baseline: object) -> None:
-    (text,) = FORMATS["kalibr"].files(calibrated(read_dataset(DATASETS / "t2rgb"))).values()
+    (text,) = FILES["kalibr"](calibrated(read_dataset(DATASETS / "t2rgb"))).values()
     chain = yaml.safe_load(text)
     chain["cam1"]["T_cn_cnm1"] = baseline
     (tmp_path / "chain.yaml").write_text(yaml.safe_dump(chain))

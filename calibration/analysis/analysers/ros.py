@@ -12,7 +12,7 @@ from calibration.analysis.analysers.analyser import Analyser
 from calibration.analysis.copies import MAX_FILES, Copy
 from calibration.analysis.finding import Finding
 from calibration.analysis.programs import run_program
-from calibration.files import temporary_folder
+from calibration.temporary_folder import temporary_folder
 
 _FILES = re.compile(
     r"(.*/)?(package\.xml|CMakeLists\.txt|setup\.(py|cfg)|calibration\.yml|config\.yml|dataset\.json)"

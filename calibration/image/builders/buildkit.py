@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import IO
 
 from calibration.errors import InfrastructureError, InputError
-from calibration.files import temporary_folder
 from calibration.image.builders.build_log import LAST_LINES, BuildLog
 from calibration.image.builders.failure import build_problem
 from calibration.image.builders.programs import Program, docker_environment, lines_of
@@ -22,6 +21,7 @@ from calibration.image.builders.request import BuildRequest
 from calibration.image.secret_values import secret_files
 from calibration.registries.credentials import Credentials
 from calibration.registries.reference import DOCKER_HUB
+from calibration.temporary_folder import temporary_folder
 
 
 def write_login(credentials: Credentials, folder: Path) -> dict[str, str]:

@@ -21,7 +21,7 @@ from calibration.execution.job import Job
 from calibration.execution.job_folder import ARTIFACTS, LOGS
 from calibration.execution.outcome import JobOutcome
 from calibration.execution.tasks import Task, run_tasks
-from calibration.files import read_bytes, temporary_folder, write_atomically
+from calibration.files import read_bytes, write_atomically
 from calibration.json_file import parse_json
 from calibration.pipeline.collection.applications import MOTION, PLAYER, REPORT, collection_job, dataset_place
 from calibration.pipeline.collection.report import report
@@ -40,6 +40,7 @@ from calibration.simulation.players import check_motion, player_file
 from calibration.simulation.scenarios.run import finished_result
 from calibration.simulation.scenarios.scenario import ScenarioResult, scenario_id
 from calibration.simulation.system import MOTION_FILE, System, read_system
+from calibration.temporary_folder import temporary_folder
 from calibration.workflow.text import one_line, shorten
 
 NO_FILE = "missing"

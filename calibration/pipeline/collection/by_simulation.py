@@ -19,7 +19,7 @@ from calibration.execution.job_folder import ARTIFACTS, LOGS
 from calibration.execution.outcome import JobOutcome
 from calibration.execution.tasks import run_tasks
 from calibration.execution.workspace import identity, workspace
-from calibration.files import read_bytes, temporary_folder, write_atomically
+from calibration.files import read_bytes, write_atomically
 from calibration.pipeline.collection.applications import INPUTS
 from calibration.pipeline.collection.report import report
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioRequest
@@ -46,6 +46,7 @@ from calibration.simulation.scenarios.run import (
 from calibration.simulation.scenarios.scenario import ScenarioResult, parse_id
 from calibration.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.simulation.system import MOTION_FILE, System, read_system
+from calibration.temporary_folder import temporary_folder
 from calibration.workflow.text import one_line, shorten
 
 CONTAINER = "scenario"

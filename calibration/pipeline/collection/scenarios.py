@@ -12,10 +12,10 @@ from calibration.execution.job import Job
 from calibration.execution.job_folder import LOGS
 from calibration.execution.outcome import JobOutcome
 from calibration.execution.tasks import Task, run_tasks
-from calibration.files import temporary_folder
 from calibration.pipeline.collection.scenario_file import read_scenario, write_scenario
 from calibration.pipeline.collection.scenario_report import REPORT_FILES
 from calibration.simulation.scenarios.scenario import ScenarioResult
+from calibration.temporary_folder import temporary_folder
 
 SCENARIOS = "scenarios"
 """Folder of the datasets, with a folder for each scenario."""

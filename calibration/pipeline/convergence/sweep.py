@@ -23,13 +23,13 @@ from calibration.estimation.options import Start
 from calibration.execution.backends import ExecutionTarget
 from calibration.execution.tasks import run_tasks
 from calibration.execution.workspace import identity, workspace
-from calibration.files import temporary_folder
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.cell_verdict import judge_cells
 from calibration.pipeline.matrix.matrix import Done, Matrix, matrix_tasks
 from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.system import System
 from calibration.records import document_of, read
+from calibration.temporary_folder import temporary_folder
 
 CELLS = "cells"
 """Folder, in the output folder, of the files of the team's software."""

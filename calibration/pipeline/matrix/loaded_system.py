@@ -18,11 +18,11 @@ from calibration.diagnosis.limits import Limits
 from calibration.estimation.calibrate import Calibrator
 from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
-from calibration.evaluation.specification import Evaluation
 from calibration.frozen import frozen
 from calibration.latest import Latest
 
 if TYPE_CHECKING:
+    from calibration.evaluation.specification import Evaluation
     from calibration.pipeline.matrix.running_cell import Evaluated
     from calibration.pipeline.system import Datasets
 
@@ -34,7 +34,7 @@ class LoadedSystem:
     name: str
     dataset: Dataset
     truth: Truth | None
-    evaluation: Evaluation | None
+    evaluation: "Evaluation | None"
     options: Options = dataclass_field(default_factory=Options)
     """Options of our engine."""
     limits: Limits = dataclass_field(default_factory=Limits)

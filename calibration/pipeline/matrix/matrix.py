@@ -6,10 +6,11 @@ got worse".
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calibration.dataset.changes import refuse_changes
 from calibration.dataset.model import Dataset
@@ -17,10 +18,8 @@ from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
 from calibration.errors import InputError
 from calibration.estimation.starting_noise import StartingNoise
-from calibration.evaluation.specification import parse_evaluation
 from calibration.execution.backends import ExecutionTarget
 from calibration.execution.tasks import Task, run_tasks
-from calibration.files import temporary_folder
 from calibration.frozen import frozen
 from calibration.pipeline.matrix.cell import Cell, Comparison, noise_folder
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
@@ -29,9 +28,11 @@ from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.other_method import other_method
 from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
 from calibration.pipeline.matrix.software import Software
-from calibration.pipeline.matrix.software_cell import software_task
 from calibration.pipeline.system import NoiseGrid, System
 from calibration.workflow.text import did_you_mean
+
+if TYPE_CHECKING:
+    from calibration.evaluation.specification import Evaluation
 
 Done = Callable[[int, int, CellResult], None]
 """Callback after each task: number of finished tasks, number of all tasks, result."""
@@ -160,23 +161,29 @@ def matrix_tasks(matrix: Matrix, output: Path, containers: Path) -> Iterator[Mat
         Task.call(each.folder, partial(run_comparison, each, loaded[each.system], output))
         for each in matrix.comparisons
     ]
-    cells, references = [], []
-    with ExitStack() as stack:
-        starts = containers
-        if matrix.software:
-            containers.mkdir(parents=True, exist_ok=True)
-            starts = stack.enter_context(temporary_folder(prefix=".starts-", parent=containers))
-        for number, cell in enumerate(matrix.cells):
+    datasets = {name: system.dataset for name, system in loaded.items()}
+    with _software_tasks(matrix, loaded, containers) as theirs:
+        cells, references = [], []
+        for cell in matrix.cells:
             system = loaded[cell.system]
             if cell.system not in matrix.software:
                 cells.append(Task.call(cell.folder, partial(run_cell, cell, system, output)))
                 continue
-            software = matrix.software[cell.system]
-            cells.append(software_task(cell, system, software, starts / str(number), containers))
+            cells.append(theirs[cell])
             folder = f"{cell.system}/{OUR_METHOD}/{noise_folder(cell.noise)}"  # next to those of the cells
             references.append(Task.call(folder, partial(run_cell, cell, system, output, folder)))
-        datasets = {name: system.dataset for name, system in loaded.items()}
         yield MatrixTasks(cells, references, comparisons, datasets)
+
+
+def _software_tasks(
+    matrix: Matrix, loaded: Mapping[str, LoadedSystem], output: Path
+) -> AbstractContextManager[Mapping[Cell, Task[CellResult]]]:
+    """Create the tasks of the cells that a team's software calibrates; see `software_tasks`."""
+    if not matrix.software:
+        return nullcontext({})
+    from calibration.pipeline.matrix.software_cell import software_tasks  # most matrices have none
+
+    return software_tasks(matrix.cells, loaded, matrix.software, output)
 
 
 def load(system: System) -> LoadedSystem:
@@ -189,7 +196,7 @@ def load(system: System) -> LoadedSystem:
     dataset = read_dataset(system.dataset)
     truth = choose_truth(dataset, system.truth)
     _check_methods(system)
-    evaluation = parse_evaluation(system.evaluate) if system.evaluate else None
+    evaluation = _evaluation(system.evaluate) if system.evaluate else None
     for sensor in evaluation.sensors if evaluation else ():
         if missing := sensor not in dataset.sensors and dataset.missing_files_of(sensor):
             raise InputError(
@@ -213,6 +220,13 @@ def load(system: System) -> LoadedSystem:
     if system.rules is not None and system.software is None:  # other software's table may have any columns
         check_rules(system.rules, loaded)
     return loaded
+
+
+def _evaluation(text: str) -> "Evaluation":
+    """Parse a system's table; see `parse_evaluation`."""
+    from calibration.evaluation.specification import parse_evaluation  # with the modules of all kinds of tables
+
+    return parse_evaluation(text)
 
 
 def _check_methods(system: System) -> None:

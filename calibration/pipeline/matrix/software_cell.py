@@ -1,7 +1,8 @@
 """Cells that a team's software calibrates: each a job in containers, judged by its output files."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -31,6 +32,7 @@ from calibration.pipeline.matrix.cell_result import CellResult, nothing_yet
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import distance_from_truth
 from calibration.pipeline.matrix.software import DATASET, NO_DATASET, SOFTWARE, START, Software, job_of
+from calibration.temporary_folder import temporary_folder
 
 RMS = "RMS (pix)"
 """Column of a table whose average is a cell's ``rms_px``."""
@@ -41,7 +43,32 @@ NOT_VERIFIED = Finding(
 )
 
 
-def software_task(cell: Cell, system: LoadedSystem, software: Software, start: Path, output: Path) -> Task[CellResult]:
+@contextmanager
+def software_tasks(
+    cells: Sequence[Cell], systems: Mapping[str, LoadedSystem], software: Mapping[str, Software], output: Path
+) -> Iterator[Mapping[Cell, Task[CellResult]]]:
+    """Create the tasks of the cells of systems with software; the files that it reads exist inside the ``with`` block.
+
+    Args:
+        cells: the initial guesses of all systems.
+        systems: their data.
+        software: the containers, of some systems.
+        output: the folder of the jobs.
+
+    Raises:
+        InputError: a command has an unknown placeholder.
+        InfrastructureError: a file cannot be written.
+    """
+    output.mkdir(parents=True, exist_ok=True)
+    with temporary_folder(prefix=".starts-", parent=output) as starts:
+        yield {
+            cell: _task(cell, systems[cell.system], software[cell.system], starts / str(number), output)
+            for number, cell in enumerate(cells)
+            if cell.system in software
+        }
+
+
+def _task(cell: Cell, system: LoadedSystem, software: Software, start: Path, output: Path) -> Task[CellResult]:
     """Return the task of one cell, and write the dataset with its noisy initial guess.
 
     A failure of the software is stored in the result, so that the other cells continue.

@@ -36,17 +36,18 @@ def in_space(dataset: Dataset, before: Dataset | None) -> Html:
         dataset: calibrated; its first collection is drawn, and the patterns of some of the others.
         before: the given dataset.
     """
+    first = dataset.with_collections([0])
     lines = [Line(outline, "pattern") for outline in _patterns(dataset)]
-    places = [T[:3, 3] for sensor in dataset.sensors.values() if (T := _place(dataset, sensor.frame)) is not None]
+    places = [T[:3, 3] for sensor in dataset.sensors.values() if (T := _place(first, sensor.frame)) is not None]
     if not places:
         return Html("")
     everything = np.concatenate([np.stack(places), *(line.points for line in lines)])
     depth = DEPTH * max(float(np.linalg.norm(np.ptp(everything, axis=0))), SMALLEST)
-    lines += [Line(link, "robot") for link in _links(dataset)]
-    lines += [Line(outline, "before") for _, outline in _sensors(before, depth)] if before else []
+    lines += [Line(link, "robot") for link in _links(first)]
+    lines += [Line(outline, "before") for _, outline in _sensors(before.with_collections([0]), depth)] if before else []
     lines += [
         Line(outline, "range" if sensor.camera is None else "camera", sensor.name)
-        for sensor, outline in _sensors(dataset, depth)
+        for sensor, outline in _sensors(first, depth)
     ]
     title = f"Sensors, patterns and links in the first of {len(dataset.collections)} collections"
     return join([element("h3", "In space"), element("figure", scene(lines, title), _legend(lines))])
@@ -62,18 +63,18 @@ def _legend(lines: list[Line]) -> Html:
     return element("figcaption", *entries, class_="legend")
 
 
-def _place(dataset: Dataset, frame: str) -> Array | None:
-    """Return ``T_world_frame`` (4, 4) in the first collection; None if it is unknown."""
+def _place(first: Dataset, frame: str) -> Array | None:
+    """Return ``T_world_frame`` (4, 4) in a dataset's only collection; None if it is unknown."""
     try:
-        T = dataset.with_collections([0]).transform(dataset.world, frame)[0]
+        T = first.transform(first.world, frame)[0]
     except CalibrationError:
         return None
     return T if np.isfinite(T).all() else None
 
 
-def _sensors(dataset: Dataset, depth: float) -> Iterator[tuple[Sensor, Array]]:
-    for sensor in dataset.sensors.values():
-        if (T := _place(dataset, sensor.frame)) is not None:
+def _sensors(first: Dataset, depth: float) -> Iterator[tuple[Sensor, Array]]:
+    for sensor in first.sensors.values():
+        if (T := _place(first, sensor.frame)) is not None:
             yield sensor, apply(T, _frustum(sensor, depth) if sensor.camera else _circle(depth))
 
 
@@ -101,15 +102,13 @@ def _patterns(dataset: Dataset) -> Iterator[Array]:
         (x0, y0, _), (x1, y1, _) = pattern.corners.min(axis=0), pattern.corners.max(axis=0)
         outline = np.array([(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0), (x0, y0, 0)])
         for i in chosen:
-            alone = dataset.with_collections([i])
-            if (T := _place(alone, pattern.link)) is not None:
+            if (T := _place(dataset.with_collections([i]), pattern.link)) is not None:
                 yield apply(T, outline)
 
 
-def _links(dataset: Dataset) -> Iterator[Array]:
+def _links(first: Dataset) -> Iterator[Array]:
     """Iterate over the origins (2, 3) of consecutive frames."""
-    patterns = {pattern.link for pattern in dataset.patterns.values()}
-    first = dataset.with_collections([0])
+    patterns = {pattern.link for pattern in first.patterns.values()}
     for parent, child in first.transforms:
         ends = [_place(first, frame) for frame in (parent, child)]
         if child in patterns or ends[0] is None or ends[1] is None:

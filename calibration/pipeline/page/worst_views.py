@@ -1,6 +1,5 @@
 """Part of the page: the images with the largest residuals, with their corners."""
 
-import heapq
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -37,7 +36,8 @@ def worst_views(
         given: the given dataset, with its images, if available.
     """
     views = [(float(value), i, name) for name, each in rms.items() for i, value in enumerate(each) if value == value]
-    figures = [_figure(dataset, found[name], name, i, value, given) for value, i, name in heapq.nlargest(SHOWN, views)]
+    worst = sorted(views, reverse=True)[:SHOWN]
+    figures = [_figure(dataset, found[name], name, i, value, given) for value, i, name in worst]
     if figures:
         yield element("h3", "The views that fit worst")
         yield element("div", *figures, class_="figures")

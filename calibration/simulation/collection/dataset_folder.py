@@ -10,12 +10,13 @@ from calibration.dataset import truth
 from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.writing import write_document
 from calibration.errors import InfrastructureError, InputError
-from calibration.files import link_or_copy, temporary_folder, write_atomically
+from calibration.files import link_or_copy, write_atomically
 from calibration.simulation.collection.document import dataset_document, truth_document
 from calibration.simulation.collection.record import Record
 from calibration.simulation.motion.sequence import motion_document
 from calibration.simulation.placement import Play
 from calibration.simulation.system import MOTION_FILE
+from calibration.temporary_folder import temporary_folder
 
 
 def write_dataset(new: Path, play: Play, kept: Sequence[Record], files: Path) -> None:

@@ -10,7 +10,6 @@ from calibration.dataset.reading import FILE_NAME
 from calibration.dataset.writing import write_document
 from calibration.errors import InputError
 from calibration.execution.tasks import Task
-from calibration.files import temporary_folder
 from calibration.simulation.collection.capture import Requirements
 from calibration.simulation.collection.document import dataset_document, truth_document
 from calibration.simulation.collection.poses import collect_pose, kept
@@ -21,6 +20,7 @@ from calibration.simulation.placement import Play, play
 from calibration.simulation.scenarios.scenario import Scenario, ScenarioResult, content_hash
 from calibration.simulation.scenarios.scenario_set import ScenarioSet
 from calibration.simulation.scenarios.world import build_world, scenario_motion
+from calibration.temporary_folder import temporary_folder
 
 
 def scenario_play(scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> Play:
