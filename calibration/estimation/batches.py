@@ -266,8 +266,8 @@ def _span(slices: Sequence[slice]) -> Columns:
     return np.concatenate([np.arange(each.start, each.stop) for each in slices])
 
 
-def index_of(first: Columns, *others: Columns) -> tuple[Columns, ...]:
+def index_of(*axes: Columns) -> tuple[Columns, ...]:
     """Return the index of a block of rows and columns: slices, which are fast, if the parameters are contiguous."""
-    if all(isinstance(each, slice) for each in others):
-        return first, *others
-    return np.ix_(*(np.arange(each.start, each.stop) if isinstance(each, slice) else each for each in (first, *others)))
+    if sum(not isinstance(each, slice) for each in axes) < 2:
+        return axes
+    return np.ix_(*(np.arange(each.start, each.stop) if isinstance(each, slice) else each for each in axes))

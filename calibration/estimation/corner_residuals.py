@@ -28,6 +28,12 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import LAST_STEP
 from calibration.geometry.types import Array, BoolArray, IntArray
 
+LENS = ("skew", "prism_x", "prism_y")
+"""Errors of a lens that its model has no coefficients for: non-perpendicular axes, thin prism along x and y.
+
+``u = fx (x + skew y + prism_x r^2)``, ``v = fy (y + prism_y r^2)`` with distorted (x, y)
+(J. Weng et al., "Camera calibration with distortion models and accuracy evaluation", 1992).
+"""
 ROUGH_STEP = 1e-3
 """Termination of `calibration.geometry.distortion.Distortion.undistort` for an initial guess: accurate to 1e-6."""
 
@@ -46,7 +52,7 @@ class CornerTerm:
     """(V, K); None if every view sees every corner."""
 
     free: tuple[int, ...] = ()
-    """Free intrinsics, by their indices in `Camera.intrinsics`."""
+    """Free intrinsics, by their indices in `Camera.intrinsics`; those of `LENS` follow."""
     kind: NoiseKind = "pixel"
     dimension: int = 2
 
@@ -108,16 +114,15 @@ class CornerTerm:
                 H[part], g[part] = _hessian_and_gradient(T[part, :3, :3], found, self._monomials_of(part))
         return cost, H, g
 
-    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
+    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> Array:
         """See `calibration.estimation.views.Term`."""
         out = np.empty((len(T), 7 + len(self.free) + spare, 2, self.length))
-        for part in chunks(len(T), self.length):
-            self._fill(out[part], T[part], self._projected(T[part], part, scale, huber), scale)
+        self._fill(out, T, self._projected(T, views, scale, huber), scale)
         return out
 
-    def places(self, T: Array) -> Array:
-        """See `calibration.estimation.views.Term`."""
-        return np.broadcast_to(np.swapaxes(self.corners, -1, -2), (len(T), 3, self.length))
+    def places(self, T: Array, views: slice) -> Array:
+        """See `calibration.estimation.views.Term`; the same in all views."""
+        return self.corners.T[None]
 
     def magnitudes(self, T: Array) -> Array:
         """(V, K): distance from each label to the projected corner (px); NaN if not seen or behind."""
@@ -157,6 +162,12 @@ class CornerTerm:
     def _in_plane(self) -> Array:
         """(..., 3, K): 1, X and Y of the corners."""
         return np.ascontiguousarray(np.swapaxes(self._monomials[..., :3], -1, -2))
+
+    @cached_property
+    def _levers(self) -> Array:
+        """(..., 2, 2 K): Y and -X of the corners, twice."""
+        X, Y = self.corners[..., 0], self.corners[..., 1]
+        return np.stack([np.concatenate([Y, Y], -1), np.concatenate([-X, -X], -1)], -2)
 
     def _normalised(self, T: Array, part: slice) -> tuple[Array, Array, BoolArray]:
         """Return normalised coordinates (2, v, K), inverse depth (v, K), and a mask of points in front of the camera.
@@ -210,14 +221,13 @@ class CornerTerm:
 
     def _fill(self, rows: Array, T: Array, found: "_Projected", scale: float) -> None:
         """Fill the first 6 + m and the last of weighted rows (v, r, 2, K)."""
-        X, Y = self.corners[..., 0], self.corners[..., 1]  # rows are asked for of one pattern only
-        along = np.moveaxis(rows, 2, 0)  # (2, v, r, K)
-        bx, by, bz = found.by_translation(T[:, :3, :3])
-        along[:, :, 0], along[:, :, 1], along[:, :, 2] = bx, by, bz
-        np.multiply(bz, Y, out=along[:, :, 3])
-        np.multiply(bz, -X, out=along[:, :, 4])
-        np.subtract(X * by, Y * bx, out=along[:, :, 5])
-        along[:, :, -1] = found.residuals
+        both = rows.reshape(*rows.shape[:2], -1)  # axes of the image, side by side
+        np.matmul(np.swapaxes(T[:, :3, :3], 1, 2), found.by_translation, out=both[:, :3])
+        np.multiply(both[:, 2:3], self._levers, out=both[:, 3:5])
+        turned = both[:, :2] * self._levers
+        np.add(turned[:, 0], turned[:, 1], out=both[:, 5])
+        np.negative(both[:, 5], out=both[:, 5])
+        rows[:, -1] = np.swapaxes(found.residuals, 0, 1)
         if self.free:
             own = rows[:, 6 : 6 + len(self.free)]
             self._fill_intrinsics(own, found, scale)
@@ -228,6 +238,10 @@ class CornerTerm:
         """Fill (v, m, 2, K) rows: the derivative of both image axes by each of the free intrinsics."""
         fx, fy = self.camera.fx / scale, self.camera.fy / scale
         coefficients = self.camera.distortion.derivatives(*found.normalised) if max(self.free) > 3 else []
+        if max(self.free) > 3 + len(coefficients):
+            x, y = found.distorted
+            r2 = x * x + y * y
+            coefficients += [(y, _NONE), (r2, _NONE), (_NONE, r2)]
         for k, parameter in enumerate(self.free):
             if parameter > 3:
                 dx, dy = coefficients[parameter - 4]
@@ -240,6 +254,9 @@ class CornerTerm:
                     np.divide(found.distorted[axis], scale, out=rows[:, k, axis])
                 else:
                     rows[:, k, axis] = 1 / scale
+
+
+_NONE = np.zeros(1)
 
 
 @frozen(eq=False)
@@ -259,16 +276,16 @@ class _Projected:
     weight: Array | None
     """(v, K): by which residuals and slopes are multiplied; None for 1."""
 
-    def by_translation(self, R: Array) -> Array:
-        """Return b (3, 2, v, K): the derivatives of both residuals by a translation along each axis of the pattern.
-
-        Args:
-            R: (v, 3, 3), rotations of ``T_camera_pattern``.
-        """
+    @property
+    def by_translation(self) -> Array:
+        """(v, 3, 2 K): derivatives of both residuals, side by side, by a translation along each axis of the camera."""
         right, down, (x, y) = self.slopes[:, 0], self.slopes[:, 1], self.normalised
-        a = (right, down, -(right * x + down * y))
-        turned = [R[:, i].T[:, None, :, None] * a[i] for i in range(3)]
-        return turned[0] + turned[1] + turned[2]
+        _, v, K = right.shape
+        a = np.empty((v, 3, 2, K))
+        along = np.moveaxis(a, 0, 2)
+        along[0], along[1] = right, down
+        np.negative(right * x + down * y, out=along[2])
+        return a.reshape(v, 3, 2 * K)
 
 
 def _hessian_and_gradient(R: Array, found: _Projected, monomials: Array) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.residuals import chunks
 from calibration.estimation.result import Solution
 from calibration.frozen import frozen
 from calibration.geometry.types import Array, BoolArray
@@ -36,6 +37,7 @@ def label_errors(solution: Solution) -> Iterator[LabelErrors]:
         T = problem.poses(group, solution.values)
         for term in problem.terms(group, solution.values):
             scale = weighting.scales[term.kind]
-            errors = scale * term.rows(T, scale, weighting.huber)[:, -1]
-            points = T[:, :3, :3] @ term.places(T) + T[:, :3, 3:]
+            parts = chunks(len(T), term.length)
+            errors = np.concatenate([term.rows(T[part], part, scale, weighting.huber)[:, -1] for part in parts]) * scale
+            points = T[:, :3, :3] @ term.places(T, slice(None)) + T[:, :3, 3:]
             yield LabelErrors(group.sensor, group.pattern, term.kind, errors, np.isfinite(term.magnitudes(T)), points)

@@ -51,11 +51,12 @@ class PoseTerm:
             squares[:] = self.magnitudes(T) ** 2
         return cost, *squeezed(rows)
 
-    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
+    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> Array:
         """See `calibration.estimation.views.Term`."""
-        return spread(self._weighted_rows(T, scale, huber)[1], np.empty((len(T), 7 + spare, 3)))[..., None]
+        rows = self.take(views)._weighted_rows(T, scale, huber)[1]
+        return spread(rows, np.empty((len(T), 7 + spare, 3)))[..., None]
 
-    def places(self, T: Array) -> Array:
+    def places(self, T: Array, views: slice) -> Array:
         """See `calibration.estimation.views.Term`: the pattern's centre."""
         return np.zeros((len(T), 3, 1))
 

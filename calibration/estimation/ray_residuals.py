@@ -99,19 +99,18 @@ class RangeTerm(_Rays):
                 squares[part, there.stop :] = np.nan
         return cost, H, g
 
-    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
+    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> Array:
         """See `calibration.estimation.views.Term`."""
+        meeting = _Meeting(T, self.rays[views], self.ranges[views])
+        rows = self._rows(meeting, self.present[views], scale, huber)[1]
         out = np.empty((len(T), 7 + spare, 1, self.length))
-        out[:, [0, 1, 5]] = 0.0
-        for part in chunks(len(T), self.length):
-            meeting = _Meeting(T[part], self.rays[part], self.ranges[part])
-            rows = self._rows(meeting, self.present[part], scale, huber)[1]
-            out[part, 2:5, 0], out[part, -1, 0] = rows[:, :3], rows[:, 3]
+        out[:, :2] = out[:, 5:6] = 0.0
+        out[:, 2:5, 0], out[:, -1, 0] = rows[:, :3], rows[:, 3]
         return out
 
-    def places(self, T: Array) -> Array:
+    def places(self, T: Array, views: slice) -> Array:
         """See `calibration.estimation.views.Term`."""
-        return _Meeting(T, self.rays, self.ranges).hits
+        return _Meeting(T, self.rays[views], self.ranges[views]).hits
 
     def magnitudes(self, T: Array) -> Array:
         """(V, L): absolute range error in m; NaN without a point."""
@@ -163,14 +162,14 @@ class BorderTerm(_Rays):
         cost, rows = self._weighted_rows(T, scale, huber, squares)
         return cost, *squeezed(rows)
 
-    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
+    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> Array:
         """See `calibration.estimation.views.Term`."""
-        rows = self._weighted_rows(T, scale, huber)[1]
+        rows = self.take(views)._weighted_rows(T, scale, huber)[1]
         return spread(rows, np.empty((len(T), 7 + spare, rows.shape[-1])))[:, :, None]
 
-    def places(self, T: Array) -> Array:
+    def places(self, T: Array, views: slice) -> Array:
         """See `calibration.estimation.views.Term`; on the nearest border line."""
-        places = _Meeting(T, self.rays, self.ranges).hits
+        places = _Meeting(T, self.rays[views], self.ranges[views]).hits
         signed, side = self._distances(places)
         places[:, :2] -= signed[:, None] * np.moveaxis(self.normals[side], -1, 1)
         return places
