@@ -114,15 +114,11 @@ class CornerTerm:
                 H[part], g[part] = _hessian_and_gradient(T[part, :3, :3], found, self._monomials_of(part))
         return cost, H, g
 
-    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> Array:
+    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
         """See `calibration.estimation.views.Term`."""
         out = np.empty((len(T), 7 + len(self.free) + spare, 2, self.length))
         self._fill(out, T, self._projected(T, views, scale, huber), scale)
-        return out
-
-    def places(self, T: Array, views: slice) -> Array:
-        """See `calibration.estimation.views.Term`; the same in all views."""
-        return self.corners.T[None]
+        return out, self.corners.T[None]
 
     def magnitudes(self, T: Array) -> Array:
         """(V, K): distance from each label to the projected corner (px); NaN if not seen or behind."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.corner_residuals import LENS, CornerTerm
-from calibration.estimation.normal_equations import Weighting
+from calibration.estimation.normal_equations import ONE_THREAD, Weighting
 from calibration.estimation.pose_residuals import PoseTerm
 from calibration.estimation.ray_residuals import BorderTerm
 from calibration.estimation.residuals import CHUNK
@@ -33,10 +33,8 @@ SHAPE = (*BENT, "border")
 RANGING = ("bias", "scale", "elevation", "sweep_x", "sweep_y", "sweep_z")
 """Columns of a LiDAR or a depth camera: range offset (m) and scale, elevation offset of its beams
 (rad), and motion during a sweep (m per revolution, in its own frame)."""
-
-
 LABELS = 2 * CHUNK
-"""Labels per pass: their rows fit into a third-level cache."""
+"""Labels per pass: fewer calls for rows that don't fit into the second-level cache anyway."""
 
 
 @frozen
@@ -54,11 +52,6 @@ class ColumnNames:
         if self.poses:
             return ()
         return (*self.camera.parameters, *LENS) if self.camera else RANGING
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of all columns after those of the pose."""
-        return (*self.of_sensor, *self.of_pattern)
 
     @cached_property
     def of_pattern(self) -> tuple[str, ...]:
@@ -90,21 +83,25 @@ def products(
 
 
 def _products(rows: Array) -> Array:
-    """Return the products of rows (v, C, n) with each other."""
-    products: Array = rows @ rows.transpose(0, 2, 1)
-    return products
+    """Return the products of rows (v, C, n) with each other; in parts, for which BLAS starts no threads."""
+    _, C, n = rows.shape
+    step = max(1, ONE_THREAD // C**2)
+    first, *others = (
+        part @ part.transpose(0, 2, 1) for part in (rows[..., start : start + step] for start in range(0, n, step))
+    )
+    return sum(others, first)
 
 
 def _columns(term: Term, pattern: Pattern, T: Array, views: slice, weighting: Weighting) -> Array:
     """Return all columns of the labels as rows (v, 6 + E + 1, d L), weighted; the last are the residuals."""
     scale, huber = weighting.scales[term.kind], weighting.huber
     if isinstance(term, CornerTerm):
-        rows = term.rows(T, views, scale, huber, len(BENT))
-        _fill_bent(rows[:, -1 - len(BENT) : -1], rows[:, :3], term.places(T, views), pattern)
+        rows, places = term.rows(T, views, scale, huber, len(BENT))
+        _fill_bent(rows[:, -1 - len(BENT) : -1], rows[:, :3], places, pattern)
     elif isinstance(term, PoseTerm):
-        rows = term.rows(T, views, scale, huber)
+        rows, _ = term.rows(T, views, scale, huber)
     else:
-        rows, places = term.rows(T, views, scale, huber, len(RANGING) + len(SHAPE)), term.places(T, views)
+        rows, places = term.rows(T, views, scale, huber, len(RANGING) + len(SHAPE))
         _fill_ranging(rows[:, POSE : POSE + len(RANGING)], rows[:, :3], T, places)
         _fill_bent(rows[:, -1 - len(SHAPE) : -2], rows[:, :3], places, pattern)
         _fill_border(rows[:, -2], rows[:, :2], term, places)
@@ -118,15 +115,15 @@ def _fill_ranging(out: Array, pull: Array, T: Array, places: Array) -> None:
     scale, it would explain the noise itself.
     """
     ends = T[:, :3, :3] @ places + T[:, :3, 3:]
-    pull = np.einsum("vij,vjdl->vidl", T[:, :3, :3], pull)  # along the sensor's axes
+    pull = T[:, :3, :3] @ pull[:, :, 0]  # along the sensor's axes
     length = np.maximum(np.linalg.norm(ends, axis=1, keepdims=True), 1e-9)
     x, y, z = (ends[:, i] for i in range(3))
     flat = np.maximum(np.hypot(x, y), 1e-9)
     higher = np.stack([-x * z / flat, -y * z / flat, flat], 1)
     turn = np.arctan2(y, x) / (2 * np.pi)
     for k, each in enumerate((ends / length, ends, -higher)):
-        out[:, k] = (pull * each[:, :, None]).sum(1)
-    np.multiply(pull, -turn[:, None, None], out=out[:, 3:])
+        out[:, k, 0] = (pull * each).sum(1)
+    np.multiply(pull, -turn[:, None], out=out[:, 3:, 0])
 
 
 def _fill_bent(out: Array, pull: Array, places: Array, pattern: Pattern) -> None:

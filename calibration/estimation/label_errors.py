@@ -37,7 +37,16 @@ def label_errors(solution: Solution) -> Iterator[LabelErrors]:
         T = problem.poses(group, solution.values)
         for term in problem.terms(group, solution.values):
             scale = weighting.scales[term.kind]
-            parts = chunks(len(T), term.length)
-            errors = np.concatenate([term.rows(T[part], part, scale, weighting.huber)[:, -1] for part in parts]) * scale
-            points = T[:, :3, :3] @ term.places(T, slice(None)) + T[:, :3, 3:]
-            yield LabelErrors(group.sensor, group.pattern, term.kind, errors, np.isfinite(term.magnitudes(T)), points)
+            errors, points = [], []
+            for part in chunks(len(T), term.length):
+                rows, places = term.rows(T[part], part, scale, weighting.huber)
+                errors.append(scale * rows[:, -1])
+                points.append(T[part, :3, :3] @ places + T[part, :3, 3:])
+            yield LabelErrors(
+                group.sensor,
+                group.pattern,
+                term.kind,
+                np.concatenate(errors),
+                np.isfinite(term.magnitudes(T)),
+                np.concatenate(points),
+            )

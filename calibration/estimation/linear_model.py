@@ -17,9 +17,9 @@ import numpy as np
 
 from calibration.dataset.model import Dataset
 from calibration.estimation.assumptions import Assumptions
-from calibration.estimation.batches import Columns, batches, table_of
+from calibration.estimation.batches import batches, table_of
 from calibration.estimation.blocks import Values
-from calibration.estimation.cluster_sums import ClusterSums
+from calibration.estimation.cluster_sums import ClusterSums, Design
 from calibration.estimation.distinct import distinct
 from calibration.estimation.held import (
     Cause,
@@ -112,8 +112,8 @@ def linear_model(
     sums = ClusterSums.zeros(clusters, ends[-1] + 1, P)
     table = table_of(problem.blocks, values)
     for seen in groups:
-        A, W, local, Y = _design(problem, seen, found, places, table, values)
-        sums.add(seen, problem.terms(seen.group, values), weighting, A, W, local, Y)
+        design = _design(problem, seen, found, places, table, values)
+        sums.add(seen, problem.terms(seen.group, values), weighting, design)
     alone = np.einsum("kii->i", sums.G)
     G = sums.eliminated()
     kept = [i for i, at in enumerate(places) if alone[at].any()]
@@ -134,13 +134,8 @@ def linear_model(
 
 def _design(
     problem: Problem, seen: SeenGroup, found: Sequence[Cause], places: Sequence[slice], table: Array, values: Values
-) -> tuple[Array, Array, Columns, Array]:
-    """Return the columns of a group's views: shared parameters and causes, and local ones.
-
-    Returns:
-        Twists A (V, 6, a) of the poses; the model's columns as combinations W (a + E + 1, C + 1) of these, of the
-        labels' columns and the residuals; columns of the local parameters, and their twists (V, 6, p).
-    """
+) -> Design:
+    """Return the columns of a group's views."""
     blocks, shared, own = problem.blocks, problem.shared_parameters, problem.local_parameters
     spans = batches(blocks, [seen.group], problem.collections, shared, own)
     (part,) = spans[0].parts
@@ -151,15 +146,17 @@ def _design(
         if moved is not None:
             columns.append(np.arange(at.start, at.stop))
             twists.append(moved)
-    moving = np.concatenate(columns)
-    labels = {label: len(moving) + i for i, label in enumerate(seen.labels)}
-    W = np.zeros((len(moving) + len(labels) + 1, places[-1].stop + 1))
-    W[np.arange(len(moving)), moving] = W[-1, -1] = 1.0
-    for column, weights in _combinations(problem, seen, found, places):
-        for label, weight in weights.items():
-            if label in labels:
-                W[labels[label], column] = weight
-    return np.concatenate(twists, -1), W, part.local_at, J[:, :, part.local]
+    rows = {label: i for i, label in enumerate(seen.labels)}
+    combined = [
+        (column, {rows[label]: weight for label, weight in weights.items() if label in rows})
+        for column, weights in _combinations(problem, seen, found, places)
+    ]
+    combined = [each for each in combined if each[1]] + [(places[-1].stop, {len(rows): 1.0})]  # the residuals
+    W = np.zeros((len(rows) + 1, len(combined)))
+    for k, (_, weights) in enumerate(combined):
+        W[list(weights), k] = list(weights.values())
+    columns.append(np.array([column for column, _ in combined]))
+    return Design(np.concatenate(columns), np.concatenate(twists, -1), W, part.local_at, J[:, :, part.local])
 
 
 def _combinations(

@@ -192,7 +192,7 @@ def _add(
         v, collections = part.views, part.collections
         equations.cost[collections] += cost[v]
         left, right = (np.ascontiguousarray(each[v, :6, part.shared]) for each in (A, MA))
-        equations.H_shared[part.in_shared] += _sum_of_products(left, right)
+        equations.H_shared[part.in_shared] += sum_of_products(left, right)
         equations.g_shared[part.shared_at] += left.reshape(6 * len(left), -1).T @ np.ravel(m[v, :6])
         if part.has_local:
             own = np.swapaxes(A[v, :, part.local], 1, 2)
@@ -211,9 +211,9 @@ def _add(
                 equations.H_mixed[index_of(collections, intrinsics, part.local_at)] += mixed[:, :, part.local]
 
 
-def _sum_of_products(A: Array, MA: Array) -> Array:
-    """Sum ``A^T MA`` (v, 6, k) over views, by few products of tall matrices."""
-    left, right = A.reshape(6 * len(A), -1), MA.reshape(6 * len(A), -1)
+def sum_of_products(A: Array, MA: Array) -> Array:
+    """Sum ``A^T MA`` (v, p, k) over views, by few products of tall matrices."""
+    left, right = (each.reshape(each.shape[0] * each.shape[1], -1) for each in (A, MA))
     rows = max(1, ONE_THREAD // max(1, left.shape[1] * right.shape[1]))
     total: Array = left[:rows].T @ right[:rows]
     for start in range(rows, len(left), rows):

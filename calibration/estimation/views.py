@@ -113,17 +113,12 @@ class Term(Protocol):
             squares: (V, L), filled with the squared `magnitudes` where it is given.
         """
 
-    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> Array:
+    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
         """Weighted rows (v, 7 + m + spare, d, L): of the twist, of the m free intrinsics, spare ones, the residuals.
 
         `linearise` gives their products. Arguments as there, but of a part of the views, T (v, 4, 4); d is `dimension`,
-        the spare rows are left for the caller.
-        """
-
-    def places(self, T: Array, views: slice) -> Array:
-        """Return the positions of the labels on the pattern, m, in its frame at poses (v, 4, 4) of a part of the views.
-
-        (v, 3, L), or (1, 3, L) if they are the same in all views.
+        the spare rows are left for the caller. Also the expected positions of the labels on the pattern, m, in its
+        frame: (v, 3, L), or (1, 3, L) if they are the same in all views.
         """
 
     def magnitudes(self, T: Array) -> Array:

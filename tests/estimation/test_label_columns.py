@@ -121,7 +121,8 @@ def test_a_column_is_the_derivative_of_the_labels_errors(dataset: Dataset, senso
     T, pattern = poses(dataset, sensor), dataset.patterns["board"]
     camera = dataset.sensors[sensor].camera
     M = np.concatenate([part for _, part in products(terms_of(dataset, sensor), camera, pattern, T, WEIGHTING)])
-    at = POSE + ColumnNames(camera).names.index(name)
+    names = ColumnNames(camera)
+    at = POSE + (*names.of_sensor, *names.of_pattern).index(name)
     m = M[:, :, -1]
     strength = np.sqrt(M[:, at, at])
     step = 1e-3 / strength.max()
