@@ -23,8 +23,9 @@ Linearised = tuple[Array, Array, Array]
 
 
 # glibc maps fresh pages for every array above a threshold, and mapping them costs more than filling them. The threshold
-# rises to the size of an array that is freed (M_MMAP_THRESHOLD in mallopt(3)): arrays up to 16 MB now reuse pages.
-np.empty(16 << 20, np.uint8)
+# rises to the size of an array that is freed, at most 32 MB, and twice as much freed memory is kept for later arrays
+# (M_MMAP_THRESHOLD and M_TRIM_THRESHOLD in mallopt(3)): they now reuse pages, in one calibration after another too.
+np.empty(31 << 20, np.uint8)
 
 
 def robust(squared: Array, huber: float | None) -> tuple[Array, Array | None]:
