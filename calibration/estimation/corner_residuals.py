@@ -107,16 +107,16 @@ class CornerTerm:
             found = self._projected(T[part], part, scale, huber, into)
             cost[part] = found.cost
             if self.free:
-                rows = np.empty((len(found.cost), size + 1, 2, self.length))
+                rows = np.empty((size + 1, len(found.cost), 2, self.length))
                 self._fill(rows, T[part], found, scale)
-                H[part], g[part] = squeezed(rows.reshape(len(rows), size + 1, -1))
+                H[part], g[part] = squeezed(np.swapaxes(rows.reshape(*rows.shape[:2], -1), 0, 1))
             else:
                 H[part], g[part] = _hessian_and_gradient(T[part, :3, :3], found, self._monomials_of(part))
         return cost, H, g
 
     def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
         """See `calibration.estimation.views.Term`."""
-        out = np.empty((len(T), 7 + len(self.free) + spare, 2, self.length))
+        out = np.empty((7 + len(self.free) + spare, len(T), 2, self.length))
         self._fill(out, T, self._projected(T, views, scale, huber), scale)
         return out, self.corners.T[None]
 
@@ -161,9 +161,9 @@ class CornerTerm:
 
     @cached_property
     def _levers(self) -> Array:
-        """(..., 2, 2 K): Y and -X of the corners, twice."""
+        """(2, ..., 2 K): Y and -X of the corners, twice."""
         X, Y = self.corners[..., 0], self.corners[..., 1]
-        return np.stack([np.concatenate([Y, Y], -1), np.concatenate([-X, -X], -1)], -2)
+        return np.stack([np.concatenate([Y, Y], -1), np.concatenate([-X, -X], -1)])
 
     def _normalised(self, T: Array, part: slice) -> tuple[Array, Array, BoolArray]:
         """Return normalised coordinates (2, v, K), inverse depth (v, K), and a mask of points in front of the camera.
@@ -216,22 +216,22 @@ class CornerTerm:
         return _Projected(cost, normalised, distorted, residuals, slopes, weight)
 
     def _fill(self, rows: Array, T: Array, found: "_Projected", scale: float) -> None:
-        """Fill the first 6 + m and the last of weighted rows (v, r, 2, K)."""
-        both = rows.reshape(*rows.shape[:2], -1)  # axes of the image, side by side
-        np.matmul(np.swapaxes(T[:, :3, :3], 1, 2), found.by_translation, out=both[:, :3])
-        np.multiply(both[:, 2:3], self._levers, out=both[:, 3:5])
-        turned = both[:, :2] * self._levers
-        np.add(turned[:, 0], turned[:, 1], out=both[:, 5])
-        np.negative(both[:, 5], out=both[:, 5])
-        rows[:, -1] = np.swapaxes(found.residuals, 0, 1)
+        """Fill the first 6 + m and the last of weighted rows (r, v, 2, K)."""
+        both, Y, minus_X = rows.reshape(*rows.shape[:2], -1), *self._levers  # axes of the image, side by side
+        np.matmul(np.swapaxes(T[:, :3, :3], 1, 2), found.by_translation, out=np.swapaxes(both[:3], 0, 1))
+        np.multiply(both[2], Y, out=both[3])
+        np.multiply(both[2], minus_X, out=both[4])
+        np.multiply(both[0], -Y, out=both[5])
+        both[5] -= both[1] * minus_X
+        rows[-1] = np.swapaxes(found.residuals, 0, 1)
         if self.free:
-            own = rows[:, 6 : 6 + len(self.free)]
+            own = rows[6 : 6 + len(self.free)]
             self._fill_intrinsics(own, found, scale)
             if found.weight is not None:
-                own *= found.weight[:, None, None]
+                own *= found.weight[:, None]
 
     def _fill_intrinsics(self, rows: Array, found: "_Projected", scale: float) -> None:
-        """Fill (v, m, 2, K) rows: the derivative of both image axes by each of the free intrinsics."""
+        """Fill (m, v, 2, K) rows: the derivative of both image axes by each of the free intrinsics."""
         fx, fy = self.camera.fx / scale, self.camera.fy / scale
         coefficients = self.camera.distortion.derivatives(*found.normalised) if max(self.free) > 3 else []
         if max(self.free) > 3 + len(coefficients):
@@ -241,15 +241,15 @@ class CornerTerm:
         for k, parameter in enumerate(self.free):
             if parameter > 3:
                 dx, dy = coefficients[parameter - 4]
-                np.multiply(dx, fx, out=rows[:, k, 0])
-                np.multiply(dy, fy, out=rows[:, k, 1])
+                np.multiply(dx, fx, out=rows[k, :, 0])
+                np.multiply(dy, fy, out=rows[k, :, 1])
             else:
                 axis = parameter % 2
-                rows[:, k, 1 - axis] = 0.0
+                rows[k, :, 1 - axis] = 0.0
                 if parameter < 2:
-                    np.divide(found.distorted[axis], scale, out=rows[:, k, axis])
+                    np.divide(found.distorted[axis], scale, out=rows[k, :, axis])
                 else:
-                    rows[:, k, axis] = 1 / scale
+                    rows[k, :, axis] = 1 / scale
 
 
 _NONE = np.zeros(1)

@@ -83,61 +83,57 @@ def products(
 
 
 def _products(rows: Array) -> Array:
-    """Return the products of rows (v, C, n) with each other; in parts, for which BLAS starts no threads."""
-    _, C, n = rows.shape
+    """Return the products (v, C, C) of rows (C, v, n); in parts, for which BLAS starts no threads."""
+    C, _, n = rows.shape
     step = max(1, ONE_THREAD // C**2)
-    first, *others = (
-        part @ part.transpose(0, 2, 1) for part in (rows[..., start : start + step] for start in range(0, n, step))
-    )
+    parts = (rows[..., start : start + step] for start in range(0, n, step))
+    first, *others = (part.transpose(1, 0, 2) @ part.transpose(1, 2, 0) for part in parts)
     return sum(others, first)
 
 
 def _columns(term: Term, pattern: Pattern, T: Array, views: slice, weighting: Weighting) -> Array:
-    """Return all columns of the labels as rows (v, 6 + E + 1, d L), weighted; the last are the residuals."""
+    """Return all columns of the labels as rows (6 + E + 1, v, d L), weighted; the last are the residuals."""
     scale, huber = weighting.scales[term.kind], weighting.huber
     if isinstance(term, CornerTerm):
         rows, places = term.rows(T, views, scale, huber, len(BENT))
-        _fill_bent(rows[:, -1 - len(BENT) : -1], rows[:, :3], places, pattern)
+        _fill_bent(rows[-1 - len(BENT) : -1], rows[:3], places, pattern)
     elif isinstance(term, PoseTerm):
         rows, _ = term.rows(T, views, scale, huber)
     else:
         rows, places = term.rows(T, views, scale, huber, len(RANGING) + len(SHAPE))
-        _fill_ranging(rows[:, POSE : POSE + len(RANGING)], rows[:, :3], T, places)
-        _fill_bent(rows[:, -1 - len(SHAPE) : -2], rows[:, :3], places, pattern)
-        _fill_border(rows[:, -2], rows[:, :2], term, places)
+        _fill_ranging(rows[POSE : POSE + len(RANGING)], rows[:3], T, places)
+        _fill_bent(rows[-1 - len(SHAPE) : -2], rows[:3], places, pattern)
+        _fill_border(rows[-2], rows[:2], term, places)
     return rows.reshape(*rows.shape[:2], -1)
 
 
 def _fill_ranging(out: Array, pull: Array, T: Array, places: Array) -> None:
-    """Fill the columns of `RANGING` (V, 6, 1, L).
+    """Fill the columns of `RANGING` (6, v, 1, L).
 
     They are computed at the expected ends of the rays, not at the measured ones: with noise in the column of the
     scale, it would explain the noise itself.
     """
-    ends = T[:, :3, :3] @ places + T[:, :3, 3:]
-    pull = T[:, :3, :3] @ pull[:, :, 0]  # along the sensor's axes
-    length = np.maximum(np.linalg.norm(ends, axis=1, keepdims=True), 1e-9)
-    x, y, z = (ends[:, i] for i in range(3))
+    ends = np.swapaxes(T[:, :3, :3] @ places + T[:, :3, 3:], 0, 1)
+    pull = np.swapaxes(T[:, :3, :3] @ np.swapaxes(pull[:, :, 0], 0, 1), 0, 1)  # along the sensor's axes
+    x, y, z = ends
     flat = np.maximum(np.hypot(x, y), 1e-9)
-    higher = np.stack([-x * z / flat, -y * z / flat, flat], 1)
-    turn = np.arctan2(y, x) / (2 * np.pi)
-    for k, each in enumerate((ends / length, ends, -higher)):
-        out[:, k, 0] = (pull * each).sum(1)
-    np.multiply(pull, -turn[:, None], out=out[:, 3:, 0])
+    lower = np.stack([x * z / flat, y * z / flat, -flat])
+    along = (pull * ends).sum(0)
+    np.divide(along, np.maximum(np.linalg.norm(ends, axis=0), 1e-9), out=out[0, :, 0])
+    out[1, :, 0] = along
+    out[2, :, 0] = (pull * lower).sum(0)
+    np.multiply(pull, np.arctan2(y, x) / (-2 * np.pi), out=out[3:, :, 0])
 
 
 def _fill_bent(out: Array, pull: Array, places: Array, pattern: Pattern) -> None:
-    """Fill the columns of `BENT` (v, 5, d, L), of labels at some places (v, 3, L), or (1, 3, L), on the pattern."""
+    """Fill the columns of `BENT` (5, v, d, L), of labels at some places (v, 3, L), or (1, 3, L), on the pattern."""
     low, high = pattern.outline.min(0), pattern.outline.max(0)
     middle, half = pattern.outline.mean(0) - pattern.centre[:2], (high - low) / 2
     x, y = places[:, 0], places[:, 1]
     a, b = (x - middle[0]) / half[0], (y - middle[1]) / half[1]
-    factors = np.stack([x, y, a * a - 1, b * b - 1, a * b], 1)
-    v, _, d, L = pull.shape
-    factors = np.tile(factors, d)  # longer rows, which numpy is faster with
-    out, pull = out.reshape(v, -1, d * L), pull.reshape(v, 3, d * L)
-    np.multiply(pull[:, :2], factors[:, :2], out=out[:, :2])
-    np.multiply(pull[:, 2:], factors[:, 2:], out=out[:, 2:])
+    d, out, pull = out.shape[2], out.reshape(*out.shape[:2], -1), pull.reshape(*pull.shape[:2], -1)
+    for k, (axis, factor) in enumerate(((0, x), (1, y), (2, a * a - 1), (2, b * b - 1), (2, a * b))):
+        np.multiply(pull[axis], np.tile(factor, d), out=out[k])
 
 
 def _fill_border(out: Array, pull: Array, term: Term, places: Array) -> None:
@@ -145,5 +141,5 @@ def _fill_border(out: Array, pull: Array, term: Term, places: Array) -> None:
     out[:] = 0.0
     if isinstance(term, BorderTerm):
         nearest = (np.einsum("si,vil->vls", term.normals, places[:, :2]) - term.offsets).argmax(-1)
-        outward = np.moveaxis(term.normals[nearest], -1, 1)
-        out[:] = pull[:, 0] * outward[:, None, 0] + pull[:, 1] * outward[:, None, 1]
+        outward = term.normals[nearest]
+        out[:, 0] = pull[0, :, 0] * outward[..., 0] + pull[1, :, 0] * outward[..., 1]

@@ -40,7 +40,7 @@ def label_errors(solution: Solution) -> Iterator[LabelErrors]:
             errors, points = [], []
             for part in chunks(len(T), term.length):
                 rows, places = term.rows(T[part], part, scale, weighting.huber)
-                errors.append(scale * rows[:, -1])
+                errors.append(scale * rows[-1])
                 points.append(T[part, :3, :3] @ places + T[part, :3, 3:])
             yield LabelErrors(
                 group.sensor,

@@ -103,9 +103,9 @@ class RangeTerm(_Rays):
         """See `calibration.estimation.views.Term`."""
         meeting = _Meeting(T, self.rays[views], self.ranges[views])
         rows = self._rows(meeting, self.present[views], scale, huber)[1]
-        out = np.empty((len(T), 7 + spare, 1, self.length))
-        out[:, :2] = out[:, 5:6] = 0.0
-        out[:, 2:5, 0], out[:, -1, 0] = rows[:, :3], rows[:, 3]
+        out = np.empty((7 + spare, len(T), 1, self.length))
+        out[:2] = out[5] = 0.0
+        out[2:5, :, 0], out[-1, :, 0] = np.swapaxes(rows[:, :3], 0, 1), rows[:, 3]
         return out, meeting.hits
 
     def magnitudes(self, T: Array) -> Array:
@@ -161,7 +161,7 @@ class BorderTerm(_Rays):
     def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
         """See `calibration.estimation.views.Term`; on the nearest border line."""
         _, rows, places = self.take(views)._weighted_rows(T, scale, huber)
-        return spread(rows, np.empty((len(T), 7 + spare, rows.shape[-1])))[:, :, None], places
+        return spread(rows, np.empty((7 + spare, len(T), rows.shape[-1])))[:, :, None], places
 
     def _weighted_rows(
         self, T: Array, scale: float, huber: float | None, squares: Array | None = None

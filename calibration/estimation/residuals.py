@@ -46,8 +46,8 @@ def robust(squared: Array, huber: float | None) -> tuple[Array, Array | None]:
 
 
 def spread(rows: Array, out: Array) -> Array:
-    """Fill the first six and the last of more rows (v, r, L) with rows (v, 7, L)."""
-    out[:, :6], out[:, -1] = rows[:, :6], rows[:, 6]
+    """Fill the first six and the last of more rows (r, v, L) with rows (v, 7, L)."""
+    out[:6], out[-1] = np.swapaxes(rows[:, :6], 0, 1), rows[:, 6]
     return out
 
 

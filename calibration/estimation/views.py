@@ -114,7 +114,7 @@ class Term(Protocol):
         """
 
     def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
-        """Weighted rows (v, 7 + m + spare, d, L): of the twist, of the m free intrinsics, spare ones, the residuals.
+        """Weighted rows (7 + m + spare, v, d, L): of the twist, of the m free intrinsics, spare ones, the residuals.
 
         `linearise` gives their products. Arguments as there, but of a part of the views, T (v, 4, 4); d is `dimension`,
         the spare rows are left for the caller. Also the expected positions of the labels on the pattern, m, in its
