@@ -182,8 +182,7 @@ def _causes(problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], ass
     patterns = dict.fromkeys(group.pattern.name for group in groups if group.pattern.fixed)
     return [
         *causes(dataset, groups, assume, free, known),
-        *(lag(dataset.sensors[name]) for name in seen),
-        *(moved_sensor(dataset.sensors[name]) for name in seen),
+        *(cause(dataset.sensors[name]) for name in seen for cause in (lag, moved_sensor)),
         *(moved_pattern(dataset.patterns[name]) for name in patterns),
     ]
 
