@@ -1,7 +1,8 @@
 """Linear model of a calibration at its optimum, of calibrated and fixed parameters.
 
 The normal equations are extended by columns of fixed parameters (`calibration.estimation.held`), and the local
-parameters of each collection are eliminated by the Schur complement, as in `calibration.estimation.normal_equations`.
+parameters of each collection are eliminated by the Schur complement, as in `calibration.estimation.normal_equations`
+(`calibration.estimation.cluster_sums`).
 The result is one small matrix and vector for each cluster k of collections c::
 
     G_k = sum_c (Z_c^T Z_c - Z_c^T Y_c (Y_c^T Y_c)^-1 Y_c^T Z_c)        g_k likewise of Z_c^T r
