@@ -309,8 +309,8 @@ def _any(columns: Columns) -> bool:
     return not isinstance(columns, slice) or columns.stop > columns.start
 
 
-def index_of(first: Columns, *others: Columns) -> tuple[Columns, ...]:
+def index_of(*axes: Columns) -> tuple[Columns, ...]:
     """Return the index of a block of rows and columns: slices, which are fast, if the parameters are contiguous."""
-    if all(isinstance(each, slice) for each in others):
-        return first, *others
-    return np.ix_(*(np.arange(each.start, each.stop) if isinstance(each, slice) else each for each in (first, *others)))
+    if sum(not isinstance(each, slice) for each in axes) < 2:
+        return axes
+    return np.ix_(*(np.arange(each.start, each.stop) if isinstance(each, slice) else each for each in axes))

@@ -30,6 +30,12 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import LAST_STEP
 from calibration.geometry.types import Array, BoolArray, IntArray
 
+LENS = ("skew", "prism_x", "prism_y")
+"""Errors of a lens that its model has no coefficients for: non-perpendicular axes, thin prism along x and y.
+
+``u = fx (x + skew y + prism_x r^2)``, ``v = fy (y + prism_y r^2)`` with distorted (x, y)
+(J. Weng et al., "Camera calibration with distortion models and accuracy evaluation", 1992).
+"""
 ROUGH_STEP = 1e-3
 """Termination of `calibration.geometry.distortion.Distortion.undistort` for an initial guess: accurate to 1e-6."""
 
@@ -51,7 +57,7 @@ class CornerTerm:
     """(V, K); None if every view sees every corner."""
 
     free: tuple[int, ...] = ()
-    """Free intrinsics, by their indices in `Camera.intrinsics`."""
+    """Free intrinsics, by their indices in `Camera.intrinsics`; those of `LENS` follow."""
     kind: NoiseKind = "pixel"
     dimension: int = 2
 
@@ -107,23 +113,18 @@ class CornerTerm:
             found = self._projected(T[part], part, 1.0, threshold, into)
             cost[part] = found.cost
             if self.free:
-                rows = np.empty((len(found.cost), size + 1, 2, self.length))
+                rows = np.empty((size + 1, len(found.cost), 2, self.length))
                 self._fill(rows, T[part], found, 1.0)
-                H[part], g[part] = squeezed(rows.reshape(len(rows), size + 1, -1))
+                H[part], g[part] = squeezed(np.swapaxes(rows.reshape(*rows.shape[:2], -1), 0, 1))
             else:
                 H[part], g[part] = _hessian_and_gradient(T[part, :3, :3], found, self._monomials_of(part))
         return (cost, H, g) if scale == 1.0 else (cost / variance, H / variance, g / variance)
 
-    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
+    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
         """See `calibration.estimation.views.Term`."""
-        out = np.empty((len(T), 7 + len(self.free) + spare, 2, self.length))
-        for part in chunks(len(T), self.length):
-            self._fill(out[part], T[part], self._projected(T[part], part, scale, huber), scale)
-        return out
-
-    def places(self, T: Array) -> Array:
-        """See `calibration.estimation.views.Term`."""
-        return np.broadcast_to(np.swapaxes(self.corners, -1, -2), (len(T), 3, self.length))
+        out = np.empty((7 + len(self.free) + spare, len(T), 2, self.length))
+        self._fill(out, T, self._projected(T, views, scale, huber), scale)
+        return out, self.corners.T[None]
 
     def magnitudes(self, T: Array) -> Array:
         """(V, K): distance from each label to the projected corner (px); NaN if not seen or behind."""
@@ -164,6 +165,12 @@ class CornerTerm:
         """(..., 4, K): X, Y, 0 and 1 of the corners."""
         X, Y = self.corners[..., 0], self.corners[..., 1]
         return np.stack([X, Y, np.zeros_like(X), np.ones_like(X)], -2)
+
+    @cached_property
+    def _levers(self) -> Array:
+        """(2, ..., 2 K): Y and -X of the corners, twice."""
+        X, Y = self.corners[..., 0], self.corners[..., 1]
+        return np.stack([np.concatenate([Y, Y], -1), np.concatenate([-X, -X], -1)])
 
     def _normalised(self, T: Array, part: slice) -> tuple[Array, Array, BoolArray | None]:
         """Return normalised coordinates (2, v, K), inverse depth (v, K), and a mask of points behind the camera.
@@ -217,36 +224,43 @@ class CornerTerm:
         return _Projected(cost, normalised, distorted, residuals, slopes, weight)
 
     def _fill(self, rows: Array, T: Array, found: "_Projected", scale: float) -> None:
-        """Fill the first 6 + m and the last of weighted rows (v, r, 2, K)."""
-        X, Y = self.corners[..., 0], self.corners[..., 1]  # rows are asked for of one pattern only
-        b = rows[:, :3]
-        np.matmul(T[:, :3, :3].transpose(0, 2, 1), found.by_translation(), out=b.reshape(len(T), 3, -1))
-        np.multiply(b[:, 2], Y, out=rows[:, 3])
-        np.multiply(b[:, 2], -X, out=rows[:, 4])
-        np.subtract(b[:, 1] * X, b[:, 0] * Y, out=rows[:, 5])
-        rows[:, -1] = found.residuals.transpose(1, 0, 2)
+        """Fill the first 6 + m and the last of weighted rows (r, v, 2, K)."""
+        both, Y, minus_X = rows.reshape(*rows.shape[:2], -1), *self._levers  # axes of the image, side by side
+        np.matmul(np.swapaxes(T[:, :3, :3], 1, 2), found.by_translation(), out=np.swapaxes(both[:3], 0, 1))
+        np.multiply(both[2], Y, out=both[3])
+        np.multiply(both[2], minus_X, out=both[4])
+        np.multiply(both[0], -Y, out=both[5])
+        both[5] -= both[1] * minus_X
+        rows[-1] = np.swapaxes(found.residuals, 0, 1)
         if self.free:
-            own = rows[:, 6 : 6 + len(self.free)]
+            own = rows[6 : 6 + len(self.free)]
             self._fill_intrinsics(own, found, scale)
             if found.weight is not None:
-                own *= found.weight[:, None, None]
+                own *= found.weight[:, None]
 
     def _fill_intrinsics(self, rows: Array, found: "_Projected", scale: float) -> None:
-        """Fill (v, m, 2, K) rows: the derivative of both image axes by each of the free intrinsics."""
+        """Fill (m, v, 2, K) rows: the derivative of both image axes by each of the free intrinsics."""
         fx, fy = self.camera.fx / scale, self.camera.fy / scale
         coefficients = self.camera.distortion.derivatives(*found.normalised) if max(self.free) > 3 else []
+        if max(self.free) > 3 + len(coefficients):
+            x, y = found.distorted
+            r2 = x * x + y * y
+            coefficients += [(y, _NONE), (r2, _NONE), (_NONE, r2)]
         for k, parameter in enumerate(self.free):
             if parameter > 3:
                 dx, dy = coefficients[parameter - 4]
-                np.multiply(dx, fx, out=rows[:, k, 0])
-                np.multiply(dy, fy, out=rows[:, k, 1])
+                np.multiply(dx, fx, out=rows[k, :, 0])
+                np.multiply(dy, fy, out=rows[k, :, 1])
             else:
                 axis = parameter % 2
-                rows[:, k, 1 - axis] = 0.0
+                rows[k, :, 1 - axis] = 0.0
                 if parameter < 2:
-                    np.divide(found.distorted[axis], scale, out=rows[:, k, axis])
+                    np.divide(found.distorted[axis], scale, out=rows[k, :, axis])
                 else:
-                    rows[:, k, axis] = 1 / scale
+                    rows[k, :, axis] = 1 / scale
+
+
+_NONE = np.zeros(1)
 
 
 @frozen(eq=False)

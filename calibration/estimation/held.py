@@ -13,9 +13,11 @@ import numpy as np
 from calibration.dataset.model import Dataset, Edge, Sensor
 from calibration.dataset.pattern import Pattern
 from calibration.estimation.assumptions import Assumptions
-from calibration.estimation.label_columns import LENS, POSE, ColumnNames
+from calibration.estimation.corner_residuals import LENS
+from calibration.estimation.label_columns import ColumnNames
 from calibration.estimation.views import ViewGroup
 from calibration.frozen import frozen
+from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import Step
 from calibration.geometry.transforms import adjoint, inverse, local
@@ -46,9 +48,12 @@ class SeenGroup:
     """``T_sensor_child`` (V, 4, 4) of each edge in the chain."""
 
     @property
-    def width(self) -> int:
-        """Number of columns, 6 + E."""
-        return POSE + len(self.names.names)
+    def labels(self) -> list["Label"]:
+        """(E,): the columns of its labels after those of the pose."""
+        return [
+            *((self.sensor.name, name) for name in self.names.of_sensor),
+            *((self.pattern.name, name) for name in self.names.of_pattern),
+        ]
 
     @cached_property
     def _from_sensor(self) -> Array:
@@ -65,11 +70,12 @@ class SeenGroup:
         return -moved if step.inverted else moved
 
 
-Weights = dict[str, float]
-"""Weights of a group's own columns, by name."""
-Columns = Callable[[SeenGroup], Array | None]
-"""Function of a group's views that returns the columns of a cause: twists of the pose (V, 6, k), or
-combinations (6 + E, k) of a view's columns after those of the pose; None for no effect."""
+Label = tuple[str, str]
+"""Column of labels: the sensor's or pattern's name, and its own."""
+Weights = dict[Label, float]
+"""Combination of such columns, the same in all views."""
+Twists = Callable[[SeenGroup], Array | None]
+"""Function of a group's views that returns twists of the pose (V, 6, k); None for no effect."""
 
 
 @frozen(eq=False)
@@ -81,9 +87,10 @@ class Cause:
     subject: str
     """Sensor, pattern or transform."""
     unit: Unit
-    columns: Columns
     assumed: tuple[float, ...]
     """(k,): assumed standard deviation of each parameter."""
+    effect: Twists | tuple[Weights, ...]
+    """Of each parameter: motion of the poses, or a column of the labels."""
     counts: bool = True
     """Whether it adds to the covariance of the result; False if another cause covers the same error."""
 
@@ -121,7 +128,7 @@ def causes(
         if not each.names.poses
         for cause in _of_sensor(each, assume, free.get(name, ()), assumed=name not in known)
     ]
-    cameras = [name for name, each in seen.items() if each.names.camera is not None]
+    cameras = {name: each.names.camera for name, each in seen.items() if each.names.camera is not None}
     if len(cameras) > 1 and not free:
         found += _of_all_cameras(cameras, assume)
     for name in dict.fromkeys(each.pattern.name for each in groups if not each.names.poses):
@@ -138,10 +145,9 @@ def causes(
 def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], assumed: bool) -> Iterator[Cause]:
     sensor, camera = seen.sensor.name, seen.names.camera
 
-    def cause(kind: str, unit: Unit, sigma: float, *weights: Weights, counts: bool = True) -> Iterator[Cause]:
+    def cause(kind: str, unit: Unit, sigma: float, *weights: dict[str, float], counts: bool = True) -> Iterator[Cause]:
         if not all(parameter in free for each in weights for parameter in each):
-            columns = _combinations(weights, lambda group: group.sensor.name == sensor)
-            yield Cause(kind, sensor, unit, columns, (sigma,) * len(weights), counts and assumed)
+            yield Cause(kind, sensor, unit, (sigma,) * len(weights), _labels(sensor, weights), counts and assumed)
 
     if camera is None:
         yield from cause("range bias", "m", assume.range_bias, {"bias": 1.0})
@@ -160,21 +166,18 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], assume
     beyond = [each for each in names if each in ("k3", "k4") and each not in free] + list(LENS[1:])
     yield from cause("lens model", "1", assume.distortion, *({each: 1.0} for each in beyond), counts=False)
     for kind, coefficients in (("radial distortion", ("k1", "k2")), ("tangential distortion", ("p1", "p2"))):
-        weights: list[Weights] = [{name: 1.0} for name in coefficients if name in names]
+        weights = [{name: 1.0} for name in coefficients if name in names]
         if weights:
             yield from cause(kind, "1", assume.distortion, *weights)
 
 
-def _of_all_cameras(names: Sequence[str], assume: Assumptions) -> Iterator[Cause]:
+def _of_all_cameras(cameras: Mapping[str, Camera], assume: Assumptions) -> Iterator[Cause]:
     """Common errors of all cameras, of one type and calibrated in one way; they explain less of each one alone."""
-    subject = " and ".join(names) if len(names) < 4 else "all cameras"
+    subject = " and ".join(cameras) if len(cameras) < 4 else "all cameras"
 
-    def cause(kind: str, unit: Unit, sigma: float, weights: Callable[[Camera], Weights]) -> Cause:
-        def columns(group: SeenGroup) -> Array | None:
-            camera = group.names.camera
-            return group.names.selection(weights(camera)) if camera is not None else None
-
-        return Cause(kind, subject, unit, columns, (sigma,), counts=False)
+    def cause(kind: str, unit: Unit, sigma: float, of: Callable[[Camera], dict[str, float]]) -> Cause:
+        weights = {(name, own): w for name, camera in cameras.items() for own, w in of(camera).items()}
+        return Cause(kind, subject, unit, (sigma,), (weights,), counts=False)
 
     yield cause("focal length", "1", assume.focal_length, lambda camera: {"fx": camera.fx, "fy": camera.fy})
     yield cause("pixel convention", "px", assume.principal_point, lambda _: {"cx": 1.0, "cy": 1.0})
@@ -182,9 +185,8 @@ def _of_all_cameras(names: Sequence[str], assume: Assumptions) -> Iterator[Cause
 
 
 def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Cause]:
-    def cause(kind: str, unit: Unit, assumed: float, *weights: Weights, counts: bool = True) -> Cause:
-        columns = _combinations(weights, lambda group: group.pattern.name == name)
-        return Cause(kind, name, unit, columns, (assumed,) * len(weights), counts)
+    def cause(kind: str, unit: Unit, assumed: float, *weights: dict[str, float], counts: bool = True) -> Cause:
+        return Cause(kind, name, unit, (assumed,) * len(weights), _labels(name, weights), counts)
 
     yield cause("size", "1", assume.pattern_size, {"size_x": 1.0, "size_y": 1.0})
     yield cause("stretch", "1", assume.pattern_stretch, {"size_x": 0.5, "size_y": -0.5})
@@ -196,43 +198,33 @@ def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Ca
         yield cause("border", "m", assume.border, {"border": 1.0})
 
 
-def _combinations(weights: Sequence[Weights], concerns: Callable[[SeenGroup], bool]) -> Columns:
-    """Return combinations of a group's own columns, in the groups concerned."""
-
-    def columns(group: SeenGroup) -> Array | None:
-        if group.names.poses or not concerns(group):
-            return None
-        return np.concatenate([group.names.selection(each) for each in weights], -1)
-
-    return columns
+def _labels(subject: str, weights: Sequence[dict[str, float]]) -> tuple[Weights, ...]:
+    """Return combinations of the columns of one sensor or pattern."""
+    return tuple({(subject, name): weight for name, weight in each.items()} for each in weights)
 
 
 def _of_moving_edge(edge: Edge, T: Array, assume: Assumptions) -> Iterator[Cause]:
     name = "-".join(edge)
     sigma = (assume.arm_translation,) * 3 + (assume.arm_rotation,) * 3
-    yield Cause("link", name, "m", lambda group: group.twist(edge), sigma)
+    yield Cause("link", name, "m", sigma, lambda group: group.twist(edge))
     axis = joint_axis(T)
     if axis is None:
         lengths = _lengths(T)
-        yield Cause("lengths", name, "1", _on_views(edge, lengths), (0.0,))
+        yield Cause("lengths", name, "1", (0.0,), _on_views(edge, lengths))
         return
     direction, position, prismatic = axis
     unit: Unit = "m" if prismatic else "rad"
     one = assume.arm_translation if prismatic else assume.arm_rotation
     back = np.sign(np.diff(position, prepend=position[:1])) / 2
     constant = np.broadcast_to(direction, (len(T), 6))[..., None]
-    yield Cause("encoder offset", name, unit, _on_views(edge, constant), (one,), counts=False)
-    yield Cause("encoder gain", name, "1", _on_views(edge, constant * position[:, None, None]), (0.0,))
-    yield Cause("backlash", name, unit, _on_views(edge, constant * back[:, None, None]), (one,), counts=False)
+    yield Cause("encoder offset", name, unit, (one,), _on_views(edge, constant), counts=False)
+    yield Cause("encoder gain", name, "1", (0.0,), _on_views(edge, constant * position[:, None, None]))
+    yield Cause("backlash", name, unit, (one,), _on_views(edge, constant * back[:, None, None]), counts=False)
 
 
-def _on_views(edge: Edge, twists: Array) -> Columns:
-    """Return the columns of twists (N, 6, k) in an edge's child frame, one for each collection."""
-
-    def columns(group: SeenGroup) -> Array | None:
-        return group.twist(edge, twists[group.group.collections])
-
-    return columns
+def _on_views(edge: Edge, twists: Array) -> Twists:
+    """Return the effect of twists (N, 6, k) in an edge's child frame, one for each collection."""
+    return lambda group: group.twist(edge, twists[group.group.collections])
 
 
 def _lengths(T: Array) -> Array:
@@ -269,34 +261,28 @@ def joint_axis(T: Array) -> tuple[Array, Array, bool] | None:
 def moved_sensor(sensor: Sensor) -> Cause:
     """Cause of a displaced sensor, apart from others that may share its transform."""
 
-    def columns(group: SeenGroup) -> Array | None:
+    def twists(group: SeenGroup) -> Array | None:
         return group.twist(sensor.edge) if group.sensor.name == sensor.name else None
 
-    return Cause(PLACE, sensor.name, "m", columns, (0.0,) * 6, counts=False)
+    return Cause(PLACE, sensor.name, "m", (0.0,) * 6, twists, counts=False)
 
 
 def moved_pattern(pattern: Pattern) -> Cause:
     """Cause of a displaced fixed pattern."""
 
-    def columns(group: SeenGroup) -> Array | None:
+    def twists(group: SeenGroup) -> Array | None:
         return np.tile(np.eye(6), (len(group.T), 1, 1)) if group.pattern.name == pattern.name else None
 
-    return Cause(PLACE, pattern.name, "m", columns, (0.0,) * 6, counts=False)
+    return Cause(PLACE, pattern.name, "m", (0.0,) * 6, twists, counts=False)
 
 
-def lag(sensor: Sensor, velocities: dict[tuple[str, str], Array]) -> Cause:
-    """Cause of a sensor whose labels have a time offset, in steps between collections.
+def lag(sensor: Sensor) -> Cause:
+    """Cause of a sensor whose labels have a time offset, in steps between collections."""
 
-    Args:
-        sensor: the sensor.
-        velocities: by sensor and pattern, the twists (V, 6) of the pose in the pattern's frame, per step.
-    """
+    def twists(group: SeenGroup) -> Array | None:
+        return velocities(group)[..., None] if group.sensor.name == sensor.name else None
 
-    def columns(group: SeenGroup) -> Array | None:
-        found = velocities.get((group.sensor.name, group.pattern.name))
-        return found[..., None] if found is not None and group.sensor.name == sensor.name else None
-
-    return Cause("lag", sensor.name, "collections", columns, (0.0,), counts=False)
+    return Cause("lag", sensor.name, "collections", (0.0,), twists, counts=False)
 
 
 def velocities(seen: SeenGroup) -> Array:
@@ -304,11 +290,13 @@ def velocities(seen: SeenGroup) -> Array:
 
     By central differences; at the ends by one-sided ones.
     """
-    before = np.concatenate([seen.T[:1], seen.T[:-1]])
-    after = np.concatenate([seen.T[1:], seen.T[-1:]])
-    both = np.full(len(seen.T), 2.0)
-    both[[0, -1]] = 1.0
-    twists: Array = (local(seen.T, after) - local(seen.T, before)) / both[:, None]
+    R, t = seen.T[:, :3, :3], seen.T[:, :3, 3]
+    steps = np.zeros((len(t) + 1, 6))  # before each view, and after the last: none at the ends
+    steps[1:-1, :3] = np.diff(t, axis=0)
+    steps[1:-1, 3:] = rotations.log(np.swapaxes(R[:-1], 1, 2) @ R[1:])  # a turn's vector is the same in both frames
+    twists = steps[:-1] + steps[1:]
+    twists[:, :3] = (twists[:, None, :3] @ R)[:, 0]
+    twists[1:-1] /= 2
     return twists
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
+from calibration.estimation.residuals import chunks
 from calibration.estimation.result import Solution
 from calibration.frozen import frozen
 from calibration.geometry.types import Array, BoolArray
@@ -36,6 +37,16 @@ def label_errors(solution: Solution) -> Iterator[LabelErrors]:
         T = problem.poses(group, solution.values)
         for term in problem.terms(group, solution.values):
             scale = weighting.scales[term.kind]
-            errors = scale * term.rows(T, scale, weighting.huber)[:, -1]
-            points = T[:, :3, :3] @ term.places(T) + T[:, :3, 3:]
-            yield LabelErrors(group.sensor, group.pattern, term.kind, errors, np.isfinite(term.magnitudes(T)), points)
+            errors, points = [], []
+            for part in chunks(len(T), term.length):
+                rows, places = term.rows(T[part], part, scale, weighting.huber)
+                errors.append(scale * rows[-1])
+                points.append(T[part, :3, :3] @ places + T[part, :3, 3:])
+            yield LabelErrors(
+                group.sensor,
+                group.pattern,
+                term.kind,
+                np.concatenate(errors),
+                np.isfinite(term.magnitudes(T)),
+                np.concatenate(points),
+            )

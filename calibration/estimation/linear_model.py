@@ -1,7 +1,8 @@
 """Linear model of a calibration at its optimum, of calibrated and fixed parameters.
 
 The normal equations are extended by columns of fixed parameters (`calibration.estimation.held`), and the local
-parameters of each collection are eliminated by the Schur complement, as in `calibration.estimation.normal_equations`.
+parameters of each collection are eliminated by the Schur complement, as in `calibration.estimation.normal_equations`
+(`calibration.estimation.cluster_sums`).
 The result is one small matrix and vector for each cluster k of collections c::
 
     G_k = sum_c (Z_c^T Z_c - Z_c^T Y_c (Y_c^T Y_c)^-1 Y_c^T Z_c)        g_k likewise of Z_c^T r
@@ -10,9 +11,8 @@ with the columns Z of the S calibrated shared parameters and of the causes, Y of
 All questions on fixed parameters are answered from these, without another pass over the labels.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 
@@ -20,27 +20,25 @@ from calibration.dataset.model import Dataset
 from calibration.estimation.assumptions import Assumptions
 from calibration.estimation.batches import batches, table_of
 from calibration.estimation.blocks import Values
+from calibration.estimation.cluster_sums import ClusterSums, Design
 from calibration.estimation.distinct import distinct
 from calibration.estimation.held import (
     Cause,
     SeenGroup,
+    Weights,
     causes,
     lag,
     moved_pattern,
     moved_sensor,
     seen_groups,
-    velocities,
 )
-from calibration.estimation.label_columns import POSE, squeeze
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.problem import Problem
-from calibration.estimation.views import Term
 from calibration.frozen import frozen
 from calibration.geometry.types import Array, IntArray
 
 MOST_CLUSTERS = 100
 """Limit of the number of clusters; more give no better estimate of the collections' disagreement."""
-VIEWS_AT_A_TIME = 128
 
 
 @frozen(eq=False)
@@ -106,42 +104,74 @@ def linear_model(
     groups = seen_groups(dataset, problem.groups, [problem.poses(group, values) for group in problem.groups])
     found = _causes(problem, dataset, groups, assume)
     usual = found if assume == Assumptions() else _causes(problem, dataset, groups, Assumptions())
-    typical = [cause.assumed for cause in usual]
     S, P = problem.sizes
-    N = problem.collections
+    if S == 0:
+        raise AssertionError("nothing is calibrated")
     ends = np.cumsum([S, *(cause.size for cause in found)]).tolist()
     places = [slice(*ends[i : i + 2]) for i in range(len(found))]
-    clusters = _at_most(np.arange(N) if clusters is None else clusters, MOST_CLUSTERS)
-    sums = _Sums.zeros(int(clusters.max()) + 1, N, ends[-1], P)
+    clusters = _at_most(np.arange(problem.collections) if clusters is None else clusters, MOST_CLUSTERS)
+    sums = ClusterSums.zeros(clusters, ends[-1] + 1, P)
     table = table_of(problem.blocks, values)
     for seen in groups:
-        start = 0
-        for batch in batches(problem.blocks, [seen.group], N, problem.shared_parameters, problem.local_parameters):
-            _, A = batch.linearise(table, values)
-            J_shared, J_local = batch.spread(A, (S, P), slice(0, 0))
-            span = slice(start, start := start + len(A))
-            design = _design(problem, seen, found, places, J_shared, span)
-            terms = problem.terms(seen.group.take(span), values)
-            _add(sums, seen, span, terms, weighting, design, J_local, clusters)
-    G, g = sums.G, sums.g
-    alone = np.einsum("kii->i", G)
-    if P:
-        _eliminate(sums, clusters)
-    prior = _priors(problem, values)
-    kept = [i for i, at in enumerate(places) if G[:, at, at].any()]
-    columns = np.concatenate([np.arange(S), *(np.arange(places[i].start, places[i].stop) for i in kept)]).astype(int)
+        design = _design(problem, seen, found, places, table, values)
+        sums.add(seen, problem.terms(seen.group, values), weighting, design)
+    alone = np.einsum("kii->i", sums.G)
+    G = sums.eliminated()
+    kept = [i for i, at in enumerate(places) if alone[at].any()]
+    columns = np.concatenate([np.arange(S), *(np.arange(places[i].start, places[i].stop) for i in kept)])
     ends = np.cumsum([S, *(found[i].size for i in kept)]).tolist()
     return LinearModel(
         S,
         tuple(found[i] for i in kept),
         tuple(slice(*ends[k : k + 2]) for k in range(len(kept))),
-        tuple(typical[i] for i in kept),
+        tuple(usual[i].assumed for i in kept),
         G[:, columns[:, None], columns],
-        g[:, columns],
-        prior,
+        G[:, columns, -1],
+        _priors(problem, values),
         clusters,
         alone[columns],
     )
+
+
+def _design(
+    problem: Problem, seen: SeenGroup, found: Sequence[Cause], places: Sequence[slice], table: Array, values: Values
+) -> Design:
+    """Return the columns of a group's views."""
+    blocks, shared, own = problem.blocks, problem.shared_parameters, problem.local_parameters
+    spans = batches(blocks, [seen.group], problem.collections, shared, own)
+    (part,) = spans[0].parts
+    J = np.concatenate([batch.linearise(table, values)[1] for batch in spans])
+    columns, twists = [np.arange(problem.sizes[0])[part.shared_at]], [J[:, :, part.shared]]
+    for cause, at in zip(found, places, strict=True):
+        moved = cause.effect(seen) if callable(cause.effect) else None
+        if moved is not None:
+            columns.append(np.arange(at.start, at.stop))
+            twists.append(moved)
+    rows = {label: i for i, label in enumerate(seen.labels)}
+    combined = [
+        (column, {rows[label]: weight for label, weight in weights.items() if label in rows})
+        for column, weights in _combinations(problem, seen, found, places)
+    ]
+    combined = [each for each in combined if each[1]] + [(places[-1].stop, {len(rows): 1.0})]  # the residuals
+    W = np.zeros((len(rows) + 1, len(combined)))
+    for k, (_, weights) in enumerate(combined):
+        W[list(weights), k] = list(weights.values())
+    columns.append(np.array([column for column, _ in combined]))
+    return Design(np.concatenate(columns), np.concatenate(twists, -1), W, part.local_at, J[:, :, part.local])
+
+
+def _combinations(
+    problem: Problem, seen: SeenGroup, found: Sequence[Cause], places: Sequence[slice]
+) -> Iterator[tuple[int, Weights]]:
+    """Yield the model's columns that are combinations of the labels' own."""
+    block = seen.group.intrinsics
+    intrinsics = None if block is None or problem.blocks[block].held else problem.blocks[block].intrinsics
+    if block is not None and intrinsics is not None:
+        for column, name in enumerate(intrinsics.free, problem.shared_parameters[block].start):
+            yield column, {(intrinsics.sensor, name): 1.0}
+    for cause, at in zip(found, places, strict=True):
+        if not callable(cause.effect):
+            yield from enumerate(cause.effect, at.start)
 
 
 def _causes(problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], assume: Assumptions) -> list[Cause]:
@@ -150,12 +180,10 @@ def _causes(problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], ass
     free = {each.sensor: each.free for each, held in intrinsics if not held}
     known = [each.sensor for each, held in intrinsics if held and each.prior]
     seen = dict.fromkeys(group.group.sensor for group in groups)
-    speeds = {(group.sensor.name, group.pattern.name): velocities(group) for group in groups}
     patterns = dict.fromkeys(group.pattern.name for group in groups if group.pattern.fixed)
     return [
         *causes(dataset, groups, assume, free, known),
-        *(lag(dataset.sensors[name], speeds) for name in seen),
-        *(moved_sensor(dataset.sensors[name]) for name in seen),
+        *(cause(dataset.sensors[name]) for name in seen for cause in (lag, moved_sensor)),
         *(moved_pattern(dataset.patterns[name]) for name in patterns),
     ]
 
@@ -165,140 +193,6 @@ def _at_most(clusters: IntArray, most: int) -> IntArray:
     _, clusters = distinct(clusters)
     count = int(clusters.max()) + 1
     return clusters * most // count if count > most else clusters
-
-
-@frozen(eq=False)
-class _Sums:
-    """Sums of the products of all columns, filled by `_add`."""
-
-    G: Array
-    """(K, C, C), over clusters."""
-    g: Array
-    """(K, C)."""
-    mixed: Array
-    """(N, C, P), over collections."""
-    H_local: Array
-    """(N, P, P)."""
-    g_local: Array
-    """(N, P)."""
-
-    @classmethod
-    def zeros(cls, K: int, N: int, C: int, P: int) -> Self:
-        """Before any view."""
-        return cls(np.zeros((K, C, C)), np.zeros((K, C)), np.zeros((N, C, P)), np.zeros((N, P, P)), np.zeros((N, P)))
-
-
-@frozen(eq=False)
-class _Design:
-    """Derivatives of some views by the columns of the model: of their pose, and of the view's other columns."""
-
-    moving: IntArray
-    """(a,): columns that move the pose."""
-    twists: Array
-    """(V, 6, a): by these twists."""
-    steady: IntArray
-    """(b,): columns that are the same combination of a view's other columns in all views."""
-    weights: Array
-    """(E, b): that combination."""
-
-
-def _design(
-    problem: Problem, seen: SeenGroup, found: Sequence[Cause], places: Sequence[slice], J: Array, span: slice
-) -> _Design:
-    """Return the design of a span of a group's views; J (V, 6, S) is the Jacobian by the shared parameters."""
-    if J.shape[-1] == 0:
-        raise AssertionError("nothing is calibrated")
-    used = np.flatnonzero(np.abs(J).max((0, 1)) > 0)
-    moving, twists = [used], [J[:, :, used]]
-    steady, weights = [np.zeros(0, int)], [np.zeros((seen.width, 0))]
-    block = seen.group.intrinsics
-    if block is not None and not problem.blocks[block].held:
-        intrinsics = problem.blocks[block].intrinsics
-        if intrinsics is None:
-            raise AssertionError("a group's block of intrinsics has none")
-        steady.append(np.arange(problem.sizes[0])[problem.shared_parameters[block]])
-        weights += [seen.names.selection({name: 1.0}) for name in intrinsics.free]
-    for cause, at in zip(found, places, strict=True):
-        columns = cause.columns(seen)
-        if columns is None:
-            continue
-        own, parts = (moving, twists) if columns.ndim == 3 else (steady, weights)
-        own.append(np.arange(at.start, at.stop))
-        parts.append(columns[span] if columns.ndim == 3 else columns)
-    return _Design(
-        np.concatenate(moving), np.concatenate(twists, -1), np.concatenate(steady), np.concatenate(weights, -1)[POSE:]
-    )
-
-
-def _add(
-    sums: _Sums,
-    seen: SeenGroup,
-    span: slice,
-    terms: Sequence[Term],
-    weighting: Weighting,
-    design: _Design,
-    J_local: Array,
-    clusters: IntArray,
-) -> None:
-    """Add a span of a group's views to the sums over clusters and collections."""
-    columns, T = np.concatenate([design.moving, design.steady]), seen.T[span]
-    a, W = len(design.moving), design.weights
-    for first in range(0, len(T), VIEWS_AT_A_TIME):
-        part = slice(first, first + VIEWS_AT_A_TIME)
-        M, m = squeeze([term.take(part) for term in terms], seen.names.camera, seen.pattern, T[part], weighting)
-        collections = seen.group.collections[span][part]
-        A = design.twists[part]
-        At, MA = np.swapaxes(A, 1, 2), M[:, :, :POSE] @ A
-        which, sum_up = _by_cluster(clusters[collections])
-        G = np.empty((len(which), len(columns), len(columns)))
-        G[:, :a, :a] = sum_up(At @ MA[:, :POSE])
-        G[:, a:, :a] = W.T @ sum_up(MA[:, POSE:])
-        G[:, :a, a:] = np.swapaxes(G[:, a:, :a], 1, 2)
-        G[:, a:, a:] = W.T @ sum_up(M[:, POSE:, POSE:]) @ W
-        sums.G[which[:, None, None], columns[:, None], columns] += G
-        sums.g[which[:, None], design.moving] += sum_up((At @ m[:, :POSE, None])[..., 0])
-        sums.g[which[:, None], design.steady] += sum_up(m[:, POSE:]) @ W
-        Y = J_local[part]
-        if Y.shape[-1]:
-            Yt = np.swapaxes(Y, 1, 2)
-            sums.H_local[collections] += Yt @ M[:, :POSE, :POSE] @ Y
-            sums.g_local[collections] += (Yt @ m[:, :POSE, None])[..., 0]
-            sums.mixed[collections[:, None], design.moving] += np.swapaxes(MA[:, :POSE], 1, 2) @ Y
-            sums.mixed[collections[:, None], design.steady] += W.T @ (M[:, POSE:, :POSE] @ Y)
-
-
-def _by_cluster(clusters: IntArray) -> tuple[IntArray, Callable[[Array], Array]]:
-    """Return the clusters of views (v,), ascending, and a function that sums (v, ...) over each."""
-    order = clusters.argsort(kind="stable")
-    ranked = clusters[order]
-    starts = np.flatnonzero(np.diff(ranked, prepend=-1))
-    in_order = bool((order == np.arange(len(order))).all())
-
-    def sum_up(values: Array) -> Array:
-        values = values if in_order else values[order]
-        return values if len(starts) == len(values) else np.add.reduceat(values, starts)
-
-    return ranked[starts], sum_up
-
-
-def _eliminate(sums: _Sums, clusters: IntArray) -> None:
-    """Eliminate the local parameters from the sums of each cluster."""
-    H_local, mixed = sums.H_local, sums.mixed
-    index = np.arange(H_local.shape[-1])
-    diagonal = H_local[:, index, index]
-    H_local[:, index, index] = np.where(diagonal == 0.0, 1.0, diagonal)
-    solved = np.linalg.inv(H_local) @ np.concatenate([np.swapaxes(mixed, 1, 2), sums.g_local[..., None]], -1)
-    order = clusters.argsort(kind="stable")
-    starts = np.flatnonzero(np.diff(clusters[order], prepend=-1))
-    taken = np.empty((len(starts), mixed.shape[1], solved.shape[-1]))
-    if len(starts) == len(order):
-        np.matmul(mixed[order], solved[order], out=taken)
-    else:
-        for k, of in enumerate(np.split(order, starts[1:])):
-            left = np.swapaxes(mixed[of], 0, 1).reshape(mixed.shape[1], -1)
-            np.matmul(left, solved[of].reshape(-1, solved.shape[-1]), out=taken[k])
-    np.subtract(sums.G, 0.5 * (taken[..., :-1] + np.swapaxes(taken[..., :-1], 1, 2)), out=sums.G)
-    np.subtract(sums.g, taken[..., -1], out=sums.g)
 
 
 def _priors(problem: Problem, values: Values) -> Array:

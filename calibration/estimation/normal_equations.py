@@ -141,7 +141,7 @@ def assemble(problem: Problem, values: Values, weighting: Weighting, squares: Sq
         T, A = batch.linearise(table, values)
         cost, M, m = linearise(problem.terms(batch, values), T, weighting, squares)
         _add(equations, batch, A, cost, M, m, problem.intrinsics_at(batch))
-    _fill_unobserved(equations.H_local)
+    fill_unobserved(equations.H_local)
     return _with_priors(equations, problem, values)
 
 
@@ -249,7 +249,7 @@ def _damped(H: Array, damping: float | Array) -> Array:
     return out
 
 
-def _fill_unobserved(H_local: Array) -> None:
+def fill_unobserved(H_local: Array) -> None:
     """Set a unit Hessian for local blocks that no view of their collection depends on, so that their step is zero."""
     diagonal = diagonal_of(H_local)
     diagonal[diagonal == 0.0] = 1.0

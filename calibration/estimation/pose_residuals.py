@@ -51,13 +51,10 @@ class PoseTerm:
             squares[:] = self.magnitudes(T) ** 2
         return cost, *squeezed(rows)
 
-    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
-        """See `calibration.estimation.views.Term`."""
-        return spread(self._weighted_rows(T, scale, huber)[1], np.empty((len(T), 7 + spare, 3)))[..., None]
-
-    def places(self, T: Array) -> Array:
-        """See `calibration.estimation.views.Term`: the pattern's centre."""
-        return np.zeros((len(T), 3, 1))
+    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
+        """See `calibration.estimation.views.Term`; at the pattern's centre."""
+        rows = self.take(views)._weighted_rows(T, scale, huber)[1]
+        return spread(rows, np.empty((7 + spare, len(T), 3)))[..., None], np.zeros((1, 3, 1))
 
     def magnitudes(self, T: Array) -> Array:
         """(V, 1): distance in m, or angle in rad."""

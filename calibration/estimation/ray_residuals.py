@@ -110,20 +110,14 @@ class RangeTerm(_Rays):
                 squares[views, there.stop :] = np.nan
         return cost / variance, H / variance, g / variance
 
-    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
+    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
         """See `calibration.estimation.views.Term`."""
-        out = np.empty((len(T), 7 + spare, 1, self.length))
-        out[:, [0, 1, 5]] = 0.0
-        for part in chunks(len(T), self.length):
-            meeting = _Meeting(T[part], self.rays[part], self.ranges[part])
-            threshold = None if huber is None else huber * scale
-            rows = self._rows(meeting, self.present[part], threshold)[1] / scale
-            out[part, 2:5, 0], out[part, -1, 0] = rows[:, :3], rows[:, 3]
-        return out
-
-    def places(self, T: Array) -> Array:
-        """See `calibration.estimation.views.Term`."""
-        return _Meeting(T, self.rays, self.ranges).hits
+        meeting = _Meeting(T, self.rays[views], self.ranges[views])
+        rows = self._rows(meeting, self.present[views], None if huber is None else huber * scale)[1] / scale
+        out = np.empty((7 + spare, len(T), 1, self.length))
+        out[:2] = out[5] = 0.0
+        out[2:5, :, 0], out[-1, :, 0] = np.swapaxes(rows[:, :3], 0, 1), rows[:, 3]
+        return out, meeting.hits
 
     def magnitudes(self, T: Array) -> Array:
         """(V, L): absolute range error in m; NaN without a point."""
@@ -181,26 +175,18 @@ class BorderTerm(_Rays):
             df = c s^2 dh + h s^2 (1 - 2 c^2 s^2) dc
             dx = -dt - dw x x - u df
         """
-        cost, rows = self._weighted_rows(T, scale, huber, squares)
+        cost, rows, _ = self._weighted_rows(T, scale, huber, squares)
         return cost, *squeezed(rows)
 
-    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
-        """See `calibration.estimation.views.Term`."""
-        rows = self._weighted_rows(T, scale, huber)[1]
-        return spread(rows, np.empty((len(T), 7 + spare, rows.shape[-1])))[:, :, None]
-
-    def places(self, T: Array) -> Array:
+    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
         """See `calibration.estimation.views.Term`; on the nearest border line."""
-        places = _Meeting(T, self.rays, self.ranges).hits
-        signed, mx, my = self._distances(places)
-        places[:, 0] -= signed * mx
-        places[:, 1] -= signed * my
-        return places
+        _, rows, places = self.take(views)._weighted_rows(T, scale, huber)
+        return spread(rows, np.empty((7 + spare, len(T), rows.shape[-1])))[:, :, None], places
 
     def _weighted_rows(
         self, T: Array, scale: float, huber: float | None, squares: Array | None = None
-    ) -> tuple[Array, Array]:
-        """Return cost (V,) and rows (V, 7, L), as derived in `linearise`."""
+    ) -> tuple[Array, Array, Array]:
+        """Return cost (V,) and rows (V, 7, L), as derived in `linearise`; places on the border (V, 3, L)."""
         meeting = _Meeting(T, self.rays, self.ranges)
         u, q, x = meeting.directions, meeting.points, meeting.hits
         signed, mx, my = self._distances(x)
@@ -220,7 +206,9 @@ class BorderTerm(_Rays):
         J[:, 6] = np.where(self.present, J[:, 6], 0.0)
         cost, weight = robust(J[:, 6] ** 2, huber)
         J *= (self.present if weight is None else self.present * weight)[:, None]
-        return cost, J
+        x[:, 0] -= signed * mx
+        x[:, 1] -= signed * my
+        return cost, J, x
 
     def magnitudes(self, T: Array) -> Array:
         """(V, L): distance to the nearest border line over the range, rad; NaN without a ray."""

@@ -23,8 +23,9 @@ Linearised = tuple[Array, Array, Array]
 
 
 # glibc maps fresh pages for every array above a threshold, and mapping them costs more than filling them. The threshold
-# rises to the size of an array that is freed (M_MMAP_THRESHOLD in mallopt(3)): arrays up to 16 MB now reuse pages.
-np.empty(16 << 20, np.uint8)
+# rises to the size of an array that is freed, at most 32 MB, and twice as much freed memory is kept for later arrays
+# (M_MMAP_THRESHOLD and M_TRIM_THRESHOLD in mallopt(3)): they now reuse pages, in one calibration after another too.
+np.empty(31 << 20, np.uint8)
 
 
 def robust(squared: Array, huber: float | None) -> tuple[Array, Array | None]:
@@ -56,8 +57,8 @@ def total_loss(squared: Array, scale: float, huber: float | None) -> float:
 
 
 def spread(rows: Array, out: Array) -> Array:
-    """Fill the first six and the last of more rows (v, r, L) with rows (v, 7, L)."""
-    out[:, :6], out[:, -1] = rows[:, :6], rows[:, 6]
+    """Fill the first six and the last of more rows (r, v, L) with rows (v, 7, L)."""
+    out[:6], out[-1] = np.swapaxes(rows[:, :6], 0, 1), rows[:, 6]
     return out
 
 

@@ -113,14 +113,13 @@ class Term(Protocol):
             squares: (V, L), filled with the squared `magnitudes` where it is given.
         """
 
-    def rows(self, T: Array, scale: float, huber: float | None, spare: int = 0) -> Array:
-        """Weighted rows (V, 7 + m + spare, d, L): of the twist, of the m free intrinsics, spare ones, the residuals.
+    def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
+        """Weighted rows (7 + m + spare, v, d, L): of the twist, of the m free intrinsics, spare ones, the residuals.
 
-        `linearise` gives their products. Arguments as there; d is `dimension`, the spare rows are left for the caller.
+        `linearise` gives their products. Arguments as there, but of a part of the views, T (v, 4, 4); d is `dimension`,
+        the spare rows are left for the caller. Also the expected positions of the labels on the pattern, m, in its
+        frame: (v, 3, L), or (1, 3, L) if they are the same in all views.
         """
-
-    def places(self, T: Array) -> Array:
-        """Return the positions of the labels on the pattern (V, 3, L), m, in its frame at poses (V, 4, 4)."""
 
     def magnitudes(self, T: Array) -> Array:
         """Norm (V, L) of each label's residual in px, m or rad; NaN without a label."""

@@ -57,7 +57,8 @@ def test_a_link_turns_what_hangs_on_it() -> None:
     for k in range(6):
         expected = moved_by(dataset, groups, retract(T, STEP * np.eye(6)[k]))
         for group, twist in zip(groups, expected, strict=True):
-            columns = cause.columns(group)
+            assert callable(cause.effect)
+            columns = cause.effect(group)
             assert columns is not None
             np.testing.assert_allclose(columns[:, :6, k], twist, atol=1e-4)
 
@@ -69,7 +70,8 @@ def test_lengths_of_an_arm_scale_its_translations() -> None:
     T = dataset.transforms[arm_edge(dataset)].copy()
     T[:, :3, 3] *= 1 + STEP
     for group, twist in zip(groups, moved_by(dataset, groups, T), strict=True):
-        columns = cause.columns(group)
+        assert callable(cause.effect)
+        columns = cause.effect(group)
         assert columns is not None
         np.testing.assert_allclose(columns[:, :6, 0], twist, atol=1e-4)
 

@@ -7,7 +7,8 @@ import pytest
 
 from calibration.dataset.model import CornerLabels, Dataset, PointLabels
 from calibration.estimation.build import build
-from calibration.estimation.label_columns import LENS, POSE, RANGING, SHAPE, ColumnNames, squeeze
+from calibration.estimation.corner_residuals import LENS
+from calibration.estimation.label_columns import BENT, POSE, RANGING, SHAPE, ColumnNames, products
 from calibration.estimation.normal_equations import Weighting
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply, inverse, retract, translation
@@ -111,7 +112,7 @@ def _correction(name: str, points: Array, T: Array, pattern, half: Array, middle
 @pytest.mark.parametrize(
     ("dataset", "sensor", "name"),
     [
-        *((CAMERA, "left", name) for name in (*WIDE.parameters, *LENS, *SHAPE[:-1])),
+        *((CAMERA, "left", name) for name in (*WIDE.parameters, *LENS, *BENT)),
         *((LIDAR, "lidar", name) for name in (*RANGING, *SHAPE)),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
@@ -119,8 +120,10 @@ def _correction(name: str, points: Array, T: Array, pattern, half: Array, middle
 def test_a_column_is_the_derivative_of_the_labels_errors(dataset: Dataset, sensor: str, name: str) -> None:
     T, pattern = poses(dataset, sensor), dataset.patterns["board"]
     camera = dataset.sensors[sensor].camera
-    M, m = squeeze(terms_of(dataset, sensor), camera, pattern, T, WEIGHTING)
-    at = POSE + ColumnNames(camera).names.index(name)
+    M = np.concatenate([part for _, part in products(terms_of(dataset, sensor), camera, pattern, T, WEIGHTING)])
+    names = ColumnNames(camera)
+    at = POSE + (*names.of_sensor, *names.of_pattern).index(name)
+    m = M[:, :, -1]
     strength = np.sqrt(M[:, at, at])
     step = 1e-3 / strength.max()
     up, down = (cost(changed(dataset, sensor, name, s, T), sensor, T, pattern.centre) for s in (step, -step))

@@ -1,0 +1,132 @@
+"""Sums of products of columns over clusters of collections, with the local parameters of each collection eliminated."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Self
+
+import numpy as np
+
+from calibration.estimation.batches import Columns, index_of
+from calibration.estimation.held import SeenGroup
+from calibration.estimation.label_columns import POSE, products
+from calibration.estimation.normal_equations import Weighting, fill_unobserved
+from calibration.estimation.one_thread import sum_of_products
+from calibration.estimation.views import Term
+from calibration.frozen import frozen
+from calibration.geometry.types import Array, IntArray
+
+
+@frozen(eq=False)
+class Design:
+    """Columns of a group's views: those that move their poses, then combinations of those of their labels."""
+
+    columns: IntArray
+    """(n,): their places among all columns."""
+    twists: Array
+    """(V, 6, a): of the poses, by the first ones."""
+    weights: Array
+    """(E + 1, n - a): the others, as combinations of the labels' columns and the residuals."""
+    local: Columns
+    """Places of the local ones."""
+    local_twists: Array
+    """(V, 6, p)."""
+
+
+@frozen(eq=False)
+class ClusterSums:
+    """Sums of products of B columns, the last of them the residuals, and of P local ones, filled by `add`."""
+
+    clusters: IntArray
+    """(N,): of each collection."""
+    G: Array
+    """(K, B, B), over clusters."""
+    mixed: Array
+    """(N, P, B), over collections."""
+    local: Array
+    """(N, P, P)."""
+
+    @classmethod
+    def zeros(cls, clusters: IntArray, columns: int, local: int) -> Self:
+        """Before any view."""
+        K, N = int(clusters.max()) + 1, len(clusters)
+        zeros = (np.zeros(shape) for shape in ((K, columns, columns), (N, local, columns), (N, local, local)))
+        return cls(clusters, *zeros)
+
+    def add(
+        self,
+        seen: SeenGroup,
+        terms: Sequence[Term],
+        weighting: Weighting,
+        design: Design,
+    ) -> None:
+        """Add the views of a group, with its labels and their weights."""
+        order = _in_order(self.clusters[seen.group.collections])
+        collections, T = seen.group.collections[order], seen.T[order]
+        A, Y, W = design.twists[order], design.local_twists[order], design.weights
+        clusters = self.clusters[collections]
+        starts = _starts(clusters)
+        a, n = A.shape[-1], len(design.columns)
+        M, right = np.empty((len(T), POSE, POSE)), np.empty((len(T), POSE, n))
+        L = np.zeros((len(starts), len(W), len(W)))
+        terms = [term.take(order) for term in terms]
+        for views, found in products(terms, seen.names.camera, seen.pattern, T, weighting):
+            M[views] = found[:, :POSE, :POSE]
+            np.matmul(found[:, :POSE, POSE:], W, out=right[views, :, a:])
+            begins = _starts(clusters[views])
+            at = np.searchsorted(clusters[starts], clusters[views][begins])
+            L[at] += np.add.reduceat(found[:, POSE:, POSE:], begins)
+        np.matmul(M, A, out=right[:, :, :a])
+        G = np.empty((len(starts), n, n))
+        G[:, :a] = _products(A, right, starts)
+        G[:, a:, :a] = np.swapaxes(G[:, :a, a:], 1, 2)
+        G[:, a:, a:] = W.T @ L @ W
+        Yt, where, rows = np.swapaxes(Y, 1, 2), _as_slice(clusters[starts]), _as_slice(collections)
+        self.local[index_of(rows, design.local, design.local)] += Yt @ M @ Y
+        mixed, spans = Yt @ right, _spans(design.columns)
+        for i, to_i in spans:
+            self.mixed[index_of(rows, design.local, to_i)] += mixed[:, :, i]
+            for j, to_j in spans:
+                self.G[index_of(where, to_i, to_j)] += G[:, i, j]
+
+    def eliminated(self) -> Array:
+        """Return the sums over clusters (K, B, B) with the local columns eliminated."""
+        if not self.local.shape[-1]:
+            return self.G
+        fill_unobserved(self.local)
+        solved = np.linalg.inv(self.local) @ self.mixed
+        order = _in_order(self.clusters)
+        taken = _products(self.mixed[order], solved[order], _starts(self.clusters[order]))
+        return self.G - 0.5 * (taken + np.swapaxes(taken, 1, 2))
+
+
+def _in_order(clusters: IntArray) -> IntArray | slice:
+    """Return the index that sorts clusters (n,); all, as a slice, if they are sorted."""
+    return slice(None) if (np.diff(clusters) >= 0).all() else clusters.argsort(kind="stable")
+
+
+def _starts(clusters: IntArray) -> IntArray:
+    """Return where runs of equal ones begin among sorted clusters (n,)."""
+    return np.flatnonzero(np.diff(clusters, prepend=-1))
+
+
+def _as_slice(indices: IntArray) -> Columns:
+    """Return ascending indices as a slice if they are contiguous, which is faster."""
+    steps = np.diff(indices)
+    return slice(int(indices[0]), int(indices[-1]) + 1) if (steps == 1).all() else indices
+
+
+def _spans(columns: IntArray) -> list[tuple[slice, slice]]:
+    """Return contiguous columns (n,) as slices, of the n and of all columns."""
+    ends = [0, *(np.flatnonzero(np.diff(columns) != 1) + 1).tolist(), len(columns)]
+    return [(slice(i, j), slice(int(columns[i]), int(columns[i]) + j - i)) for i, j in pairwise(ends)]
+
+
+def _products(left: Array, right: Array, starts: IntArray) -> Array:
+    """Return the sums (k, a, b) of ``left^T right``, (n, p, a) and (n, p, b), over runs that begin at ``starts``."""
+    if len(starts) == len(left):
+        return np.swapaxes(left, 1, 2) @ right
+    out = np.empty((len(starts), left.shape[-1], right.shape[-1]))
+    for k, (i, j) in enumerate(pairwise([*starts.tolist(), len(left)])):
+        tall = (each[i:j].reshape(-1, each.shape[-1]) for each in (left, right))
+        out[k] = sum_of_products(*tall)
+    return out
