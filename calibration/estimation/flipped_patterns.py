@@ -42,7 +42,7 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
     expected = np.zeros(problem.collections)
     for group in problem.groups:
         for term in group.terms:
-            np.add.at(expected, group.collections, term.counts * term.dimension)
+            expected[group.collections] += term.counts * term.dimension
     ratio = cost / np.maximum(expected, 1)
     suspicious = ratio > SUSPICIOUS * median(ratio[expected > 0])
     suspicious |= _ambiguous(problem, values, weighting)
@@ -65,26 +65,36 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
 
 def _ambiguous(problem: Problem, values: Values, weighting: Weighting) -> BoolArray:
     """Return a mask (N,) of collections where every camera sees nearly the same if the pattern is mirrored for it."""
-    worst = np.zeros(problem.collections)
-    seen = np.zeros(problem.collections, bool)
+    possible, seen = np.ones(problem.collections, bool), np.zeros(problem.collections, bool)
     for group in problem.groups:
-        term = problem.terms(group, values)[0]
-        mirrored = _mirrored(problem, group, values) if isinstance(term, CornerTerm) else None
-        if mirrored is not None:
-            magnitudes = term.magnitudes(problem.poses(group, mirrored)) / weighting.scales[term.kind]
-            cost = np.nansum(magnitudes**2, -1) / (term.counts * term.dimension)
-            worst[group.collections] = np.maximum(worst[group.collections], cost)
+        if isinstance(group.terms[0], CornerTerm) and _moving(problem, group) is not None:
             seen[group.collections] = True
-    ambiguous: BoolArray = seen & (worst < AMBIGUOUS)
-    return ambiguous
+            left = possible[group.collections]
+            views = group if left.all() else group.take(np.flatnonzero(left))
+            if len(views.collections):
+                possible[views.collections] = _nearly_same(problem, views, values, weighting)
+    return possible & seen
+
+
+def _nearly_same(problem: Problem, group: ViewGroup, values: Values, weighting: Weighting) -> BoolArray:
+    """Return a mask (V,) of a group's views that would look nearly the same if the pattern were mirrored."""
+    term = problem.terms(group, values)[0]
+    magnitudes = term.magnitudes(mirrored_poses(problem.poses(group, values), np.zeros(3)))
+    squares = np.nan_to_num(magnitudes / weighting.scales[term.kind], copy=False) ** 2
+    same: BoolArray = squares.sum(-1) < AMBIGUOUS * term.counts * term.dimension
+    return same
+
+
+def _moving(problem: Problem, group: ViewGroup) -> int | None:
+    """Return the position in a group's chain of the only link that moves; None if none or several do."""
+    moving = [k for k, link in enumerate(group.chain.links) if link.block in problem.local]
+    return moving[0] if len(moving) == 1 else None
 
 
 def _mirrored(problem: Problem, group: ViewGroup, values: Values) -> Values | None:
     """Set the moving block in a group's chain such that the pattern is mirrored in each of its views."""
-    moving = [k for k, link in enumerate(group.chain.links) if link.block in problem.local]
-    if len(moving) != 1:
+    if (k := _moving(problem, group)) is None:
         return None
-    (k,) = moving
     links = group.chain.links
     mirrored = mirrored_poses(problem.poses(group, values), np.zeros(3))
     parts = (group.chain.part(-1, k), group.chain.part(k, len(links)))
