@@ -111,7 +111,7 @@ def view_residuals(setup: Setup, values: Values) -> tuple[ViewResiduals, ...]:
     residuals = []
     for group in setup.problem.groups:
         T = setup.problem.poses(group, values)
-        collections = tuple(keys[i] for i in group.collections)
+        collections = tuple(keys[i] for i in group.collections.tolist())
         residuals += [
             ViewResiduals(group.sensor, group.pattern, term.kind, collections, term.magnitudes(T))
             for term in setup.problem.terms(group, values)

@@ -170,6 +170,8 @@ class _Search:
         Raises:
             UndeterminedError: all that is left is a robot with insufficient motion.
         """
+        if all(known.all() for known in self._known):
+            return False
         if self._moving() or self._averaged():
             return True
         sights = [*self._sights, *self._over_moving_patterns()]
@@ -226,9 +228,10 @@ class _Search:
             best = np.zeros(self.problem.collections, int)
             for sight in self._sights:
                 at = [k for k, link in enumerate(sight.chain.links) if link.block == local]
-                if at and sight.seen is not None and set(self._unknown(sight)) <= set(at):
+                missing = ~self._known[local][sight.collections]
+                if at and missing.any() and sight.seen is not None and set(self._unknown(sight)) <= set(at):
                     candidates, usable = self._solved_for(sight, sight.seen, at[0])
-                    better = usable & ~self._known[local][sight.collections]
+                    better = usable & missing
                     better &= sight.counts > best[sight.collections]
                     where = sight.collections[better]
                     self._transforms[local][where] = candidates[better]

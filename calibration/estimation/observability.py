@@ -96,6 +96,7 @@ def open_directions(
     """
     S = equations.schur
     parts = [(i, motion) for i in problem.shared for motion in problem.blocks[i].parameters.motions(size)]
+    largest = max(motion.extent for _, motion in parts)
     unit = problem.units(size)
     information, directions = np.linalg.eigh(unit[:, None] * S * unit)
     undetermined, weak = [], []
@@ -103,6 +104,8 @@ def open_directions(
         singular = value <= SINGULAR * information[-1]
         sigma = np.inf if singular else 1 / np.sqrt(value)
         hopeless = singular or sigma > HOPELESS
+        if not hopeless and sigma * largest <= WEAK:
+            continue
         named = _named(parts, direction, sigma, INVOLVED if hopeless else MOVING)
         if hopeless:
             undetermined.append(named)
@@ -117,6 +120,8 @@ def _weak_intrinsics(problem: Problem, equations: NormalEquations) -> list[WeakD
     At the labels, parameters may be degenerate with each other; where the image has no labels they are not.
     """
     weak = []
+    if not any(problem.blocks[block].intrinsics for block in problem.shared):
+        return []
     covariance = covariances(problem, equations)
     for block in problem.shared:
         if (intrinsics := problem.blocks[block].intrinsics) is not None:

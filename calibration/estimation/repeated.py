@@ -63,13 +63,15 @@ def _apart(view: Array, i: IntArray, j: IntArray) -> BoolArray:
 
 
 def _candidates(view: Array) -> tuple[IntArray, IntArray]:
-    """Pairs of rows i, j, j < i, of a view (N, F) whose first coordinates allow that they are near."""
+    """Pairs of rows i, j, j < i, of a view (N, F) whose first two coordinates allow that they are near."""
     order = view[:, 0].argsort(kind="stable")[: np.isfinite(view[:, 0]).sum()]
     ranked = view[order, 0]
     counts = np.searchsorted(ranked, ranked + np.sqrt(view.shape[-1]), side="right") - np.arange(len(order)) - 1
     first = np.repeat(np.arange(len(order)), counts)
     second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
     a, b = order[first], order[second]
+    close = np.abs(view[a, 1] - view[b, 1]) <= np.sqrt(view.shape[-1])
+    a, b = a[close], b[close]
     return np.maximum(a, b), np.minimum(a, b)
 
 
@@ -80,29 +82,27 @@ def _views(dataset: Dataset, pixels: float) -> list[Array]:
         corners = np.column_stack([pattern.outline, np.zeros(len(pattern.outline))])
         for sensor in dataset.sensors.values():
             at = _seen(dataset, name, sensor.name)
-            if not at.any():
+            if not len(at):
                 continue
-            T = dataset.with_collections(np.flatnonzero(at).tolist()).transform(sensor.frame, pattern.link)
-            points = apply(T, corners)
+            points = apply(dataset.transform(sensor.frame, pattern.link, at), corners)
             if sensor.camera and sensor.modality.has_corners:
                 z = np.maximum(points[..., 2:], 1e-3)  # the border may be behind the camera
                 focal = np.array([sensor.camera.fx, sensor.camera.fy])
                 near = focal * points[..., :2] / z / max(pixels, NEAR_PIXELS)
             else:
                 near = points / NEAR_METRES
-            view = np.full((len(at), near[0].size), np.nan)
-            view[at] = near.reshape(len(T), -1)
+            view = np.full((len(dataset.collections), near[0].size), np.nan)
+            view[at] = near.reshape(len(at), -1)
             found.append(view)
     return found
 
 
-def _seen(dataset: Dataset, pattern: str, sensor: str) -> BoolArray:
-    """Return a mask (N,) of the collections in which a sensor saw a pattern that has a pose there."""
+def _seen(dataset: Dataset, pattern: str, sensor: str) -> IntArray:
+    """Return the collections (V,) in which a sensor saw a pattern that has a pose there."""
     board = dataset.patterns[pattern]
-    seen = np.zeros(len(dataset.collections), bool)
-    seen[[i for i, _ in dataset.detections(pattern, sensor)]] = True
+    seen = np.array([i for i, c in enumerate(dataset.collections) if (pattern, sensor) in c.labels], int)
     pose = dataset.transforms.get((board.parent_link, board.link))
-    return seen if pose is None else seen & np.isfinite(pose[:, 0, 0])
+    return seen if pose is None else seen[np.isfinite(pose[seen, 0, 0])]
 
 
 def _moving(dataset: Dataset) -> list[Array]:

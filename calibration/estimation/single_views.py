@@ -91,10 +91,12 @@ def robust_poses(term: CornerTerm) -> Array:
     a robust loss.
     """
     T = term.linear_poses.copy()
-    good = np.isfinite(T[:, 0, 0])
+    given = np.isfinite(T[:, 0, 0])
     with np.errstate(invalid="ignore"):
-        error = np.sqrt(np.nanmean(term.magnitudes(T)[good] ** 2, -1))
-    bad = np.flatnonzero(good)[~(error <= min(2 * median(error), POOR_FIT))]
+        squares = term.magnitudes(T) ** 2
+        there = ~np.isnan(squares)
+        rms = np.sqrt(np.where(there, squares, 0.0).sum(-1) / np.count_nonzero(there, axis=-1))
+        bad = np.flatnonzero(given & ~(rms <= min(2 * median(rms[given]), POOR_FIT)))
     if len(bad):
         T[bad], _ = refined_poses(term.take(bad), T[bad], huber=2.0, until=SETTLING)
     return T
