@@ -37,17 +37,13 @@ def planar_poses(rays: Array, corners: Array, seen: BoolArray | None = None) -> 
         (V, 4, 4); NaN for a view with fewer than four seen corners, with all of them but at most
         one on a line, or whose image is a line or a point.
     """
-    T = np.empty((len(rays), 4, 4))
+    parts = [slice(start, start + _CHUNK) for start in range(0, max(1, len(rays)), _CHUNK)]
     with np.errstate(divide="ignore", invalid="ignore"):
-        basis = _basis(corners, np.ones((1, len(corners)), bool))
-        for start in range(0, len(rays), _CHUNK):
-            views = slice(start, start + _CHUNK)
-            if seen is None:
-                T[views] = _poses(rays[views], basis)
-            else:
-                here = seen[views]
-                T[views] = _poses(np.where(here[:, None], rays[views], 0.0), _basis(corners, here))
-    return T
+        if seen is None:
+            basis = _basis(corners, np.ones((1, len(corners)), bool))
+            return np.concatenate([_poses(rays[part], basis) for part in parts])
+        known = np.where(seen[:, None], rays, 0.0)
+        return np.concatenate([_poses(known[part], _basis(corners, seen[part])) for part in parts])
 
 
 def determines_pose(corners: Array, seen: BoolArray) -> BoolArray:
@@ -74,7 +70,7 @@ class _Basis:
     W: Array
     """(V, 2, 2): the matrix from corners relative to it to (q1, q2), 1/m."""
     monomials: Array
-    """(V, K, 6): 1, q1, q2, q1^2, q1 q2 and q2^2."""
+    """(V, 6, K): 1, q1, q2, q1^2, q1 q2 and q2^2."""
     usable: BoolArray
     """(V,): whether a homography is determined."""
 
@@ -90,29 +86,35 @@ def _basis(corners: Array, seen: BoolArray) -> _Basis:
     q = (flat.T - middle[..., None]) / size  # (V, 2, K)
     moments = (q * weights[:, None]) @ np.swapaxes(q, -1, -2) / count[..., None]
     W = _inverse_sqrt(moments)
-    q1, q2 = np.moveaxis(W @ q, 1, 0)
-    monomials = np.stack([np.ones_like(q1), q1, q2, q1 * q1, q1 * q2, q2 * q2], -1)
+    monomials = np.ones((*q.shape[:1], 6, len(corners)))
+    q = np.matmul(W, q, out=monomials[:, 1:3])
+    np.multiply(q[:, :1], q, out=monomials[:, 3:5])
+    np.multiply(q[:, 1], q[:, 1], out=monomials[:, 5])
     # with more than one corner off a line, the pattern is determined also as its own image, x = q1 and y = q2
-    products = np.swapaxes(monomials * weights[..., None], -1, -2) @ monomials
-    _, G = _fits(np.stack([products[:, 1], products[:, 2], products[:, 3] + products[:, 5]], 1), count)
+    image = np.concatenate([q, monomials[:, 3:4] + monomials[:, 5:]], 1) * weights[:, None]
+    _, G = _fits(image @ monomials.swapaxes(1, 2), count)
     usable = (count[:, 0] >= 4) & _regular(moments) & _regular(G[:, 1:, 1:])
     return _Basis(weights, count, origin + middle, W / size, monomials, usable)
 
 
 def _poses(rays: Array, basis: _Basis) -> Array:
-    """`planar_poses` for a chunk of views, whose rays (V, 2, K) are finite where a corner is not seen.
+    """`planar_poses` for a chunk of views, whose rays (V, 2, K) are 0 where a corner is not seen.
 
     All sums over corners are those of x, y and x^2 + y^2 of the rays times the monomials: products of matrices, and
     only one if all views have seen all corners.
     """
     count = basis.count
-    centre = (rays * basis.seen[:, None]).sum(-1) / count
-    offset = (rays - centre[..., None]) * basis.seen[:, None]
-    factors = np.concatenate([offset, (offset * offset).sum(1, keepdims=True)], 1)
+    centre = rays.sum(-1) / count
+    factors = np.empty((len(rays), 3, rays.shape[-1]))
+    offset = np.subtract(rays, centre[..., None], out=factors[:, :2])
+    if not basis.seen.all():
+        offset *= basis.seen[:, None]
+    np.multiply(offset[:, 0], offset[:, 0], out=factors[:, 2])
+    factors[:, 2] += offset[:, 1] * offset[:, 1]
     if len(basis.monomials) == 1:
-        sums = (factors.reshape(-1, rays.shape[-1]) @ basis.monomials[0]).reshape(-1, 3, 6)
+        sums = (factors.reshape(-1, rays.shape[-1]) @ basis.monomials[0].T).reshape(-1, 3, 6)
     else:
-        sums = factors @ basis.monomials
+        sums = factors @ basis.monomials.swapaxes(1, 2)
     fits, G = _fits(sums, count)
     c = -_solve2(G[:, 1:, 1:], G[:, 1:, 0])
     H = np.ones((len(rays), 3, 3))  # columns for 1, q1, q2
