@@ -210,7 +210,7 @@ class Dataset:
     def with_transforms(self, transforms: Mapping[Edge, Array]) -> "Dataset":
         """Return a new dataset with some edges replaced or added; each (4, 4), for all collections, or (N, 4, 4)."""
         shape = (len(self.collections), 4, 4)
-        changed = {edge: np.broadcast_to(T, shape) for edge, T in transforms.items()}
+        changed = {edge: T if T.shape == shape else np.broadcast_to(T, shape) for edge, T in transforms.items()}
         return replace(self, transforms={**self.transforms, **changed})
 
     def with_joints(self, values: Mapping[str, Array]) -> "Dataset":

@@ -51,7 +51,8 @@ def calibrated_dataset(setup: Setup, values: Values, dataset: Dataset) -> Datase
         if block.intrinsics and not block.held
     }
     moved = dataset.with_transforms({**transforms_of(setup, values), **moving})
-    return moved.with_joints(joints).with_cameras(cameras)
+    moved = moved.with_joints(joints) if joints else moved
+    return moved.with_cameras(cameras) if cameras else moved
 
 
 def calibrated_joints(

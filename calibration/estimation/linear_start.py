@@ -17,7 +17,7 @@ Directions that the equations do not determine are taken from the given guess, w
 and intrinsics start from their nominal parameters: they are small corrections, and no equation is linear in them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -141,13 +141,17 @@ class _Sight:
         )
 
 
-def _sight(group: ViewGroup) -> _Sight:
-    term = group.terms[0]
-    seen = term.measured if isinstance(term, PoseTerm) else None
-    if isinstance(term, CornerTerm):
-        seen = robust_poses(term)
-    points = term if isinstance(term, RangeTerm) else None
-    return _Sight(group.sensor, group.pattern, group.chain, group.collections, term.counts, seen, points)
+def _sights(groups: Sequence[ViewGroup]) -> list[_Sight]:
+    """Return the views of groups, with the poses in those of cameras."""
+    corners = {i: term for i, group in enumerate(groups) if isinstance(term := group.terms[0], CornerTerm)}
+    seen = dict(zip(corners, robust_poses([*corners.values()]), strict=True))
+    sights = []
+    for i, group in enumerate(groups):
+        term = group.terms[0]
+        pose = term.measured if isinstance(term, PoseTerm) else seen.get(i)
+        points = term if isinstance(term, RangeTerm) else None
+        sights.append(_Sight(group.sensor, group.pattern, group.chain, group.collections, term.counts, pose, points))
+    return sights
 
 
 class _Search:
@@ -162,7 +166,7 @@ class _Search:
         N = self.problem.collections
         self._known = [np.full(N, i not in unknown) for i in range(len(values))]
         """By block: mask (N,) of the collections in which it is known."""
-        self._sights = [_sight(group) for group in self.problem.groups]
+        self._sights = _sights(self.problem.groups)
 
     def find(self) -> bool:
         """Solve for one more unknown by linear algebra; False if there is none.

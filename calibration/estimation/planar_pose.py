@@ -219,7 +219,7 @@ def mean_pose(T: Array, weights: ArrayLike | None = None) -> Array:
     middle = w @ matrices / w.sum()
     for _ in range(20):
         difference = matrices - middle
-        distance = np.sqrt((difference * difference).sum(-1))
+        distance = np.sqrt(np.einsum("ni,ni->n", difference, difference))
         nearness = w / np.maximum(distance, 0.05 * median(distance) + 1e-12)
         step = nearness @ difference / nearness.sum()
         middle = middle + step

@@ -422,7 +422,7 @@ def _apart(verdict: _Verdict, collection: int) -> tuple[float, float]:
         values = local_poses(replace(verdict.setup, problem=replace(one, groups=(camera,))), values)
     T, term = one.poses(other, values)[0], other.terms[0]
     if isinstance(term, CornerTerm | PoseTerm):
-        seen = robust_poses(term) if isinstance(term, CornerTerm) else term.measured
+        (seen,) = robust_poses([term]) if isinstance(term, CornerTerm) else (term.measured,)
         t, r = distance(T, seen[0])
         return float(t), float(r)
     if not isinstance(term, RangeTerm):
