@@ -4,7 +4,7 @@ import numpy as np
 
 from calibration.estimation.blocks import Values
 from calibration.estimation.corner_residuals import CornerTerm
-from calibration.estimation.least_squares import choose, settle
+from calibration.estimation.least_squares import settle
 from calibration.estimation.median import median
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.planar_pose import mirrored_poses
@@ -47,20 +47,33 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
     suspicious = ratio > SUSPICIOUS * median(ratio[expected > 0])
     suspicious |= _ambiguous(problem, values, weighting)
     flipped = np.zeros(problem.collections, bool)
-    if not problem.local or not suspicious.any():
+    which = np.flatnonzero(suspicious)
+    starts = _mirrored_in_each_camera(problem, values, suspicious) if problem.local and len(which) else []
+    if not starts:
         return values, flipped
-    part = problem.seen_in(suspicious)
-    for group in part.groups:
-        if isinstance(group.terms[0], CornerTerm):
-            mirrored = _mirrored(problem, group, values)
-            if mirrored is not None:
-                enough = 0.99 * cost - BETTER
-                settled, settled_cost = settle(part, mirrored, weighting, suspicious, below=enough)
-                better = suspicious & (settled_cost < enough)
-                values = choose(problem, better, settled, values)
-                cost = np.where(better, settled_cost, cost)
-                flipped |= better
-    return values, flipped
+    enough = 0.99 * cost[which] - BETTER
+    n, several = len(which), np.tile(which, len(starts))  # from all starts at once: these are few collections
+    start = tuple(
+        np.concatenate([each[i][which] for each in starts]) if block.per_collection else values[i]
+        for i, block in enumerate(problem.blocks)
+    )
+    below = np.tile(enough, len(starts))
+    settled, costs = settle(problem.repeating(several), start, weighting, np.ones(len(several), bool), below=below)
+    costs = np.where(np.isnan(costs), np.inf, costs).reshape(-1, n)
+    best = costs.argmin(0)
+    better = costs.min(0) < enough
+    flipped[which[better]] = True
+    out = list(values)
+    for i in problem.local:
+        out[i] = out[i].copy()
+        out[i][which[better]] = settled[i][(best * n + np.arange(n))[better]]
+    return tuple(out), flipped
+
+
+def _mirrored_in_each_camera(problem: Problem, values: Values, which: BoolArray) -> list[Values]:
+    """Return the values with the pattern mirrored for each of the cameras that see it in some collections (N,)."""
+    groups = (group for group in problem.seen_in(which).groups if isinstance(group.terms[0], CornerTerm))
+    return [mirrored for group in groups if (mirrored := _mirrored(problem, group, values)) is not None]
 
 
 def _ambiguous(problem: Problem, values: Values, weighting: Weighting) -> BoolArray:
