@@ -179,16 +179,15 @@ def _simplified(T: Array | None) -> Array | None:
 
 def _terms(sensor: Sensor, pattern: Pattern, labels: list[Labels]) -> tuple[Term, ...]:
     corners = [label for label in labels if isinstance(label, CornerLabels)]
-    points = [label for label in labels if isinstance(label, PointLabels)]
+    if corners:
+        if sensor.camera is None:
+            raise InputError(f"sensor '{sensor.name}' has corner labels but no camera intrinsics")
+        return (corner_term(sensor.camera, pattern, corners),)
     poses = [label.T for label in labels if isinstance(label, PoseLabels)]
     if poses:
         measured = np.stack(poses) @ translation(pattern.centre)
         return PoseTerm(measured, "pose_translation"), PoseTerm(measured, "pose_rotation")
-    if not corners:
-        return _point_terms(sensor, pattern, points)
-    if sensor.camera is None:
-        raise InputError(f"sensor '{sensor.name}' has corner labels but no camera intrinsics")
-    return (corner_term(sensor.camera, pattern, corners),)
+    return _point_terms(sensor, pattern, [label for label in labels if isinstance(label, PointLabels)])
 
 
 def _point_terms(sensor: Sensor, pattern: Pattern, labels: list[PointLabels]) -> tuple[Term, ...]:

@@ -130,8 +130,9 @@ def rejected_labels(
     labels = {collection.key: collection.labels for collection in dataset.collections}
     rejected = []
     for r in residuals:
-        limit = 2 * huber * weighting.scales[r.kind]
-        for v, k in zip(*np.nonzero(np.nan_to_num(r.magnitudes) > limit), strict=True):
+        with np.errstate(invalid="ignore"):
+            beyond = r.magnitudes > 2 * huber * weighting.scales[r.kind]
+        for v, k in zip(*np.nonzero(beyond), strict=True):
             view, magnitude = labels[r.collections[v]][r.pattern, r.sensor], float(r.magnitudes[v, k])
             label = int(view.limits[k] if isinstance(view, PointLabels) and r.kind in BORDERS else k)
             rejected.append(RejectedLabel(r.collections[v], r.sensor, r.pattern, r.kind, label, magnitude))

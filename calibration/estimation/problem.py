@@ -70,6 +70,8 @@ class Problem:
 
     def seen_in(self, which: BoolArray) -> "Problem":
         """Return the problem with only the views of some of its collections (N,)."""
+        if which.all():
+            return self
         groups = (group.take(np.flatnonzero(which[group.collections])) for group in self.groups)
         return replace(self, groups=tuple(group for group in groups if len(group.collections)))
 

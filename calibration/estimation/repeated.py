@@ -28,10 +28,10 @@ def repeated_collections(dataset: Dataset, pixel: float | None) -> IntArray:
         dataset: calibrated, so that patterns have their poses.
         pixel: the standard deviation of the corners, px; None without any.
     """
-    views = _views(dataset, NEAR * (pixel or 0.0))
-    moving = _moving(dataset)
     clusters = np.arange(len(dataset.collections))
-    for k, first in _near(views):
+    near = _near(_views(dataset, NEAR * (pixel or 0.0)))
+    moving = _moving(dataset) if near else []
+    for k, first in near:
         if (
             clusters[k] == k
             and clusters[first] == first
@@ -43,13 +43,16 @@ def repeated_collections(dataset: Dataset, pixel: float | None) -> IntArray:
 
 def _near(views: Sequence[Array]) -> list[tuple[int, int]]:
     """Pairs (i, j), j < i, ascending, of rows that are near in each of the views (N, F) which has both, and in one."""
-    N = max((len(view) for view in views), default=0)
+    N = len(views[0]) if views else 0
     numbers = [np.zeros(0, int)]
     for view in views:
         i, j = _candidates(view)
         near = ~_apart(view, i, j)
         numbers.append(i[near] * N + j[near])
-    i, j = np.divmod(distinct(np.concatenate(numbers))[0], max(N, 1))
+    together = np.concatenate(numbers)
+    if not len(together):
+        return []
+    i, j = np.divmod(distinct(together)[0], N)
     near = np.ones(len(i), bool)
     for view in views:
         near &= ~_apart(view, i, j)
