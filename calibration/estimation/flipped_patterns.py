@@ -11,7 +11,7 @@ from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.problem import Problem
 from calibration.estimation.views import ViewGroup
 from calibration.geometry.transforms import inverse
-from calibration.geometry.types import Array, BoolArray
+from calibration.geometry.types import Array, BoolArray, IntArray
 
 SUSPICIOUS = 1.5
 """Collections whose cost per residual exceeds this multiple of the median are tried with the pattern flipped."""
@@ -52,22 +52,42 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
     if not starts:
         return values, flipped
     enough = 0.99 * cost[which] - BETTER
-    n, several = len(which), np.tile(which, len(starts))  # from all starts at once: these are few collections
-    start = tuple(
-        np.concatenate([each[i][which] for each in starts]) if block.per_collection else values[i]
-        for i, block in enumerate(problem.blocks)
-    )
-    below = np.tile(enough, len(starts))
-    settled, costs = settle(problem.repeating(several), start, weighting, np.ones(len(several), bool), below=below)
-    costs = np.where(np.isnan(costs), np.inf, costs).reshape(-1, n)
-    best = costs.argmin(0)
-    better = costs.min(0) < enough
+    settled, settled_cost = _best_settled(problem, starts, which, weighting, enough)
+    better = settled_cost < enough
     flipped[which[better]] = True
     out = list(values)
     for i in problem.local:
         out[i] = out[i].copy()
-        out[i][which[better]] = settled[i][(best * n + np.arange(n))[better]]
+        out[i][flipped] = settled[i][better]
     return tuple(out), flipped
+
+
+def _best_settled(
+    problem: Problem, starts: list[Values], which: IntArray, weighting: Weighting, below: Array
+) -> tuple[Values, Array]:
+    """Minimise over the local blocks of some collections (n,) from several starts, at once as they are few.
+
+    Args:
+        problem: the problem.
+        starts: where to start.
+        which: the collections, (n,).
+        weighting: what residuals weigh.
+        below: (n,), costs at which the minima become of interest.
+
+    Returns:
+        The values in these collections alone, of each those with the lowest cost, and that cost (n,).
+    """
+    several = np.tile(which, len(starts))
+    start = tuple(
+        np.concatenate([values[i][which] for values in starts]) if block.per_collection else starts[0][i]
+        for i, block in enumerate(problem.blocks)
+    )
+    everywhere, limits = np.ones(len(several), bool), np.tile(below, len(starts))
+    settled, cost = settle(problem.repeating(several), start, weighting, everywhere, below=limits)
+    costs = np.where(np.isnan(cost), np.inf, cost).reshape(len(starts), -1)
+    best = costs.argmin(0) * len(which) + np.arange(len(which))
+    found = (T[best] if block.per_collection else T for T, block in zip(settled, problem.blocks, strict=True))
+    return tuple(found), costs.min(0)
 
 
 def _mirrored_in_each_camera(problem: Problem, values: Values, which: BoolArray) -> list[Values]:
