@@ -176,18 +176,20 @@ class Dataset:
         """Keys of the collections, such as "000"."""
         return tuple(collection.key for collection in self.collections)
 
-    def transform(self, start: str, end: str) -> Array:
-        """Return ``T_start_end`` (N, 4, 4) in every collection.
+    def transform(self, start: str, end: str, collections: IntArray | None = None) -> Array:
+        """Return ``T_start_end`` (N, 4, 4) in every collection, or (V, 4, 4) in some, by their indices.
 
         Raises:
             InputError: a frame is unknown, not connected, or a transform between them is missing in a collection.
         """
-        T = np.broadcast_to(np.eye(4), (len(self.collections), 4, 4))
+        some = np.arange(len(self.collections)) if collections is None else collections
+        T = np.broadcast_to(np.eye(4), (len(some), 4, 4))
         for step in self.tree.path(start, end):
             edge = self.transforms[step.parent, step.child]
+            edge = edge if collections is None else edge[collections]
             missing = np.isnan(edge[:, 0, 0])
             if missing.any():
-                key = self.keys[int(missing.argmax())]
+                key = self.keys[some[missing.argmax()]]
                 raise InputError(f"{self.path}: collections/{key}/transforms: no '{step.parent}-{step.child}'")
             T = T @ (inverse(edge) if step.inverted else edge)
         return T
@@ -208,7 +210,7 @@ class Dataset:
     def with_transforms(self, transforms: Mapping[Edge, Array]) -> "Dataset":
         """Return a new dataset with some edges replaced or added; each (4, 4), for all collections, or (N, 4, 4)."""
         shape = (len(self.collections), 4, 4)
-        changed = {edge: np.broadcast_to(T, shape) for edge, T in transforms.items()}
+        changed = {edge: T if T.shape == shape else np.broadcast_to(T, shape) for edge, T in transforms.items()}
         return replace(self, transforms={**self.transforms, **changed})
 
     def with_joints(self, values: Mapping[str, Array]) -> "Dataset":

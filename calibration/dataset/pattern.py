@@ -36,13 +36,13 @@ class Pattern:
     outline: Array
     """(4, 2): the corners of the physical border: top left, top right, bottom right, bottom left."""
 
-    @property
+    @cached_property
     def centre(self) -> Array:
         """Mean of the corners (3,)."""
         mean: Array = self.corners.mean(axis=0)
         return mean
 
-    @property
+    @cached_property
     def size(self) -> float:
         """Root-mean-square distance of the corners from their centre, m: the scale of the pattern."""
         return float(np.sqrt(((self.corners - self.centre) ** 2).sum(-1).mean()))

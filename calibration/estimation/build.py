@@ -179,23 +179,22 @@ def _simplified(T: Array | None) -> Array | None:
 
 def _terms(sensor: Sensor, pattern: Pattern, labels: list[Labels]) -> tuple[Term, ...]:
     corners = [label for label in labels if isinstance(label, CornerLabels)]
-    points = [label for label in labels if isinstance(label, PointLabels)]
+    if corners:
+        if sensor.camera is None:
+            raise InputError(f"sensor '{sensor.name}' has corner labels but no camera intrinsics")
+        return (corner_term(sensor.camera, pattern, corners),)
     poses = [label.T for label in labels if isinstance(label, PoseLabels)]
     if poses:
         measured = np.stack(poses) @ translation(pattern.centre)
         return PoseTerm(measured, "pose_translation"), PoseTerm(measured, "pose_rotation")
-    if not corners:
-        return _point_terms(sensor, pattern, points)
-    if sensor.camera is None:
-        raise InputError(f"sensor '{sensor.name}' has corner labels but no camera intrinsics")
-    return (corner_term(sensor.camera, pattern, corners),)
+    return _point_terms(sensor, pattern, [label for label in labels if isinstance(label, PointLabels)])
 
 
 def _point_terms(sensor: Sensor, pattern: Pattern, labels: list[PointLabels]) -> tuple[Term, ...]:
     ranges, present, rays = _padded([label.points for label in labels])
     range_kind, border_kind = sensor.modality.point_data.noise
     terms: list[Term] = [RangeTerm(rays, ranges, present, range_kind)]
-    ranges, present, rays = _padded([_border_rays(sensor, label) for label in labels])
+    ranges, present, rays = _padded(_border_rays(sensor, labels))
     if present.any():
         corners = pattern.outline - pattern.centre[:2]
         along = np.roll(corners, -1, axis=0) - corners
@@ -206,10 +205,16 @@ def _point_terms(sensor: Sensor, pattern: Pattern, labels: list[PointLabels]) ->
     return tuple(terms)
 
 
-def _border_rays(sensor: Sensor, label: PointLabels) -> Array:
-    if sensor.camera is None:
-        return border_rays(label.points, label.limits)
-    return depth_border_rays(label.points, label.limits, sensor.camera)
+def _border_rays(sensor: Sensor, labels: list[PointLabels]) -> list[Array]:
+    """Return points (L, 3) on the rays to the border of each view."""
+    if sensor.camera is not None:
+        return [depth_border_rays(label.points, label.limits, sensor.camera) for label in labels]
+    counts = [len(label.points) for label in labels]
+    starts = np.cumsum([0, *counts])
+    points, limits = np.concatenate([label.points for label in labels]), [label.limits for label in labels]
+    at = np.concatenate([each + start for each, start in zip(limits, starts[:-1], strict=True)])
+    rays = border_rays(points, at, np.repeat(np.arange(len(labels)), counts))
+    return np.split(rays, np.cumsum([len(each) for each in limits])[:-1])
 
 
 def _padded(points: list[Array]) -> tuple[Array, BoolArray, Array]:
@@ -217,14 +222,14 @@ def _padded(points: list[Array]) -> tuple[Array, BoolArray, Array]:
 
     NaN points are not present, nor are those at the origin, which LiDARs store for rays without a return.
     """
-    L = max([1, *(len(p) for p in points)])
-    lengths, present = np.ones((len(points), L)), np.zeros((len(points), L), bool)
-    rays = np.zeros((len(points), 3, L))
-    rays[:, 2] = 1.0
-    for v, p in enumerate(points):
-        norms = np.linalg.norm(p, axis=-1)
-        at = np.flatnonzero(norms > 0)
-        lengths[v, at] = norms[at]
-        rays[v][:, at] = (p[at] / lengths[v, at, None]).T
-        present[v, at] = True
-    return lengths, present, rays
+    counts = [len(p) for p in points]
+    V, L = len(points), max([1, *counts])
+    together = np.concatenate(points).T.copy()
+    norms = np.sqrt((together * together).sum(0))
+    own = np.arange(L) < np.array(counts)[:, None]  # the places of each view's points
+    lengths, rays = np.zeros((V, L)), np.zeros((3, V, L))
+    lengths[own], rays[:, own] = norms, together
+    present = lengths > 0
+    lengths[~present] = 1.0
+    rays[:, ~present] = np.array([0.0, 0.0, 1.0])[:, None]
+    return lengths, present, np.ascontiguousarray((rays / lengths).swapaxes(0, 1))

@@ -51,7 +51,8 @@ def calibrated_dataset(setup: Setup, values: Values, dataset: Dataset) -> Datase
         if block.intrinsics and not block.held
     }
     moved = dataset.with_transforms({**transforms_of(setup, values), **moving})
-    return moved.with_joints(joints).with_cameras(cameras)
+    moved = moved.with_joints(joints) if joints else moved
+    return moved.with_cameras(cameras) if cameras else moved
 
 
 def calibrated_joints(
@@ -111,7 +112,7 @@ def view_residuals(setup: Setup, values: Values) -> tuple[ViewResiduals, ...]:
     residuals = []
     for group in setup.problem.groups:
         T = setup.problem.poses(group, values)
-        collections = tuple(keys[i] for i in group.collections)
+        collections = tuple(keys[i] for i in group.collections.tolist())
         residuals += [
             ViewResiduals(group.sensor, group.pattern, term.kind, collections, term.magnitudes(T))
             for term in setup.problem.terms(group, values)
@@ -129,8 +130,9 @@ def rejected_labels(
     labels = {collection.key: collection.labels for collection in dataset.collections}
     rejected = []
     for r in residuals:
-        limit = 2 * huber * weighting.scales[r.kind]
-        for v, k in zip(*np.nonzero(np.nan_to_num(r.magnitudes) > limit), strict=True):
+        with np.errstate(invalid="ignore"):
+            beyond = r.magnitudes > 2 * huber * weighting.scales[r.kind]
+        for v, k in zip(*np.nonzero(beyond), strict=True):
             view, magnitude = labels[r.collections[v]][r.pattern, r.sensor], float(r.magnitudes[v, k])
             label = int(view.limits[k] if isinstance(view, PointLabels) and r.kind in BORDERS else k)
             rejected.append(RejectedLabel(r.collections[v], r.sensor, r.pattern, r.kind, label, magnitude))

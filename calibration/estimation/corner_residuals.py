@@ -85,15 +85,14 @@ class CornerTerm:
     @cached_property
     def linear_poses(self) -> Array:
         """``T_camera_centre`` (V, 4, 4) of each view by its homography; NaN where its corners give none."""
-        T = np.empty((len(self.pixels), 4, 4))
+        rays = np.empty_like(self.pixels)
         for views in chunks(*self.pixels.shape[::2]):
-            rays = self._rays(views, ROUGH_STEP)
-            seen = None if self.seen is None else self.seen[views]
-            if np.isnan(rays).any():  # a label where the distortion has no inverse must not cost its whole view
-                usable: BoolArray = np.asarray(np.isfinite(rays).all(1))
-                seen = usable if seen is None else seen & usable
-            T[views] = planar_poses(rays, self.corners, seen)
-        return T
+            rays[views] = self._rays(views, ROUGH_STEP)
+        seen = self.seen
+        if np.isnan(rays).any():  # a label where the distortion has no inverse must not cost its whole view
+            usable: BoolArray = np.asarray(np.isfinite(rays).all(1))
+            seen = usable if seen is None else seen & usable
+        return planar_poses(rays, self.corners, seen)
 
     def take(self, views: IntArray | slice) -> "CornerTerm":
         """Return the term of only some of the views."""

@@ -60,16 +60,18 @@ def error_bars(
     C = np.linalg.inv(A)
     C = 0.5 * (C + C.T)
     clustered, effective, decisive = _clustered(model, C)
+    moves = -C @ model.total[:S]  # by a unit of each column
+    squares = np.stack([(moves[blocks[block]][:3] ** 2).sum(0) for block in poses] or [np.zeros(len(model.total))])
     worth, held, considered = {}, {}, np.zeros((S, S)) if considered is None else considered
     for cause, at, typical in zip(model.causes, model.places, model.typical, strict=True):
         if cause.counts:
-            moves = -C @ model.total[:S, at]
-            moved = moves * np.array(cause.assumed)
-            considered = considered + moved @ moved.T
+            usual = cause.assumed
             if any(cause.assumed):
-                held[cause.name] = moved
-            usual = moves * np.array(cause.assumed if any(cause.assumed) else typical)
-            worth[cause.name] = max((float(np.linalg.norm(usual[blocks[block]][:3])) for block in poses), default=0.0)
+                held[cause.name] = moved = moves[:, at] * np.array(cause.assumed)
+                considered = considered + moved @ moved.T
+            else:
+                usual = typical
+            worth[cause.name] = float(np.sqrt((squares[:, at] @ np.square(usual)).max()))
     labels, expected, total = {}, {}, {}
     for block, at in blocks.items():
         own = C[at, at]
@@ -89,8 +91,8 @@ def _clustered(model: LinearModel, C: Array) -> tuple[Array, float, float]:
     pull = model.g[:, :S] @ root
     w, U = np.linalg.eigh(np.eye(S) - share)
     left = np.maximum(w, DECISIVE)
-    change = np.einsum("kij,kj,klj,kl->ki", U, 1 / np.sqrt(left), U, pull)
-    leverages = np.trace(share, axis1=1, axis2=2)
+    change = (U @ ((pull[:, None] @ U)[:, 0] / np.sqrt(left))[..., None])[..., 0]
+    leverages = np.einsum("kii->k", share)
     effective = float(leverages.sum() ** 2 / (leverages**2).sum())
     V = root @ (change.T @ change) @ root.T
     return V, effective, float(1 - w.min())

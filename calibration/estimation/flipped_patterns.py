@@ -4,14 +4,14 @@ import numpy as np
 
 from calibration.estimation.blocks import Values
 from calibration.estimation.corner_residuals import CornerTerm
-from calibration.estimation.least_squares import choose, settle
+from calibration.estimation.least_squares import settle
 from calibration.estimation.median import median
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.problem import Problem
 from calibration.estimation.views import ViewGroup
 from calibration.geometry.transforms import inverse
-from calibration.geometry.types import Array, BoolArray
+from calibration.geometry.types import Array, BoolArray, IntArray
 
 SUSPICIOUS = 1.5
 """Collections whose cost per residual exceeds this multiple of the median are tried with the pattern flipped."""
@@ -42,49 +42,92 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
     expected = np.zeros(problem.collections)
     for group in problem.groups:
         for term in group.terms:
-            np.add.at(expected, group.collections, term.counts * term.dimension)
+            expected[group.collections] += term.counts * term.dimension
     ratio = cost / np.maximum(expected, 1)
     suspicious = ratio > SUSPICIOUS * median(ratio[expected > 0])
     suspicious |= _ambiguous(problem, values, weighting)
     flipped = np.zeros(problem.collections, bool)
-    if not problem.local or not suspicious.any():
+    which = np.flatnonzero(suspicious)
+    starts = _mirrored_in_each_camera(problem, values, suspicious) if problem.local and len(which) else []
+    if not starts:
         return values, flipped
-    part = problem.seen_in(suspicious)
-    for group in part.groups:
-        if isinstance(group.terms[0], CornerTerm):
-            mirrored = _mirrored(problem, group, values)
-            if mirrored is not None:
-                enough = 0.99 * cost - BETTER
-                settled, settled_cost = settle(part, mirrored, weighting, suspicious, below=enough)
-                better = suspicious & (settled_cost < enough)
-                values = choose(problem, better, settled, values)
-                cost = np.where(better, settled_cost, cost)
-                flipped |= better
-    return values, flipped
+    enough = 0.99 * cost[which] - BETTER
+    settled, settled_cost = _best_settled(problem, starts, which, weighting, enough)
+    better = settled_cost < enough
+    flipped[which[better]] = True
+    out = list(values)
+    for i in problem.local:
+        out[i] = out[i].copy()
+        out[i][flipped] = settled[i][better]
+    return tuple(out), flipped
+
+
+def _best_settled(
+    problem: Problem, starts: list[Values], which: IntArray, weighting: Weighting, below: Array
+) -> tuple[Values, Array]:
+    """Minimise over the local blocks of some collections (n,) from several starts, at once as they are few.
+
+    Args:
+        problem: the problem.
+        starts: where to start.
+        which: the collections, (n,).
+        weighting: what residuals weigh.
+        below: (n,), costs at which the minima become of interest.
+
+    Returns:
+        The values in these collections alone, of each those with the lowest cost, and that cost (n,).
+    """
+    several = np.tile(which, len(starts))
+    start = tuple(
+        np.concatenate([values[i][which] for values in starts]) if block.per_collection else starts[0][i]
+        for i, block in enumerate(problem.blocks)
+    )
+    everywhere, limits = np.ones(len(several), bool), np.tile(below, len(starts))
+    settled, cost = settle(problem.repeating(several), start, weighting, everywhere, below=limits)
+    costs = np.where(np.isnan(cost), np.inf, cost).reshape(len(starts), -1)
+    best = costs.argmin(0) * len(which) + np.arange(len(which))
+    found = (T[best] if block.per_collection else T for T, block in zip(settled, problem.blocks, strict=True))
+    return tuple(found), costs.min(0)
+
+
+def _mirrored_in_each_camera(problem: Problem, values: Values, which: BoolArray) -> list[Values]:
+    """Return the values with the pattern mirrored for each of the cameras that see it in some collections (N,)."""
+    groups = (group for group in problem.seen_in(which).groups if isinstance(group.terms[0], CornerTerm))
+    return [mirrored for group in groups if (mirrored := _mirrored(problem, group, values)) is not None]
 
 
 def _ambiguous(problem: Problem, values: Values, weighting: Weighting) -> BoolArray:
     """Return a mask (N,) of collections where every camera sees nearly the same if the pattern is mirrored for it."""
-    worst = np.zeros(problem.collections)
-    seen = np.zeros(problem.collections, bool)
+    possible, seen = np.ones(problem.collections, bool), np.zeros(problem.collections, bool)
     for group in problem.groups:
-        term = problem.terms(group, values)[0]
-        mirrored = _mirrored(problem, group, values) if isinstance(term, CornerTerm) else None
-        if mirrored is not None:
-            magnitudes = term.magnitudes(problem.poses(group, mirrored)) / weighting.scales[term.kind]
-            cost = np.nansum(magnitudes**2, -1) / (term.counts * term.dimension)
-            worst[group.collections] = np.maximum(worst[group.collections], cost)
+        if isinstance(group.terms[0], CornerTerm) and _moving(problem, group) is not None:
             seen[group.collections] = True
-    ambiguous: BoolArray = seen & (worst < AMBIGUOUS)
-    return ambiguous
+            left = possible[group.collections]
+            views = group if left.all() else group.take(np.flatnonzero(left))
+            if len(views.collections):
+                possible[views.collections] = _nearly_same(problem, views, values, weighting)
+    return possible & seen
+
+
+def _nearly_same(problem: Problem, group: ViewGroup, values: Values, weighting: Weighting) -> BoolArray:
+    """Return a mask (V,) of a group's views that would look nearly the same if the pattern were mirrored."""
+    term = problem.terms(group, values)[0]
+    magnitudes = term.magnitudes(mirrored_poses(problem.poses(group, values), np.zeros(3)))
+    squares = np.nan_to_num(magnitudes / weighting.scales[term.kind], copy=False) ** 2
+    same: BoolArray = squares.sum(-1) < AMBIGUOUS * term.counts * term.dimension
+    return same
+
+
+def _moving(problem: Problem, group: ViewGroup) -> int | None:
+    """Return the position in a group's chain of the only link that moves; None if none or several do."""
+    moving = [k for k, link in enumerate(group.chain.links) if link.block in problem.local]
+    return moving[0] if len(moving) == 1 else None
 
 
 def _mirrored(problem: Problem, group: ViewGroup, values: Values) -> Values | None:
     """Set the moving block in a group's chain such that the pattern is mirrored in each of its views."""
-    moving = [k for k, link in enumerate(group.chain.links) if link.block in problem.local]
-    if len(moving) != 1:
+    if (k := _moving(problem, group)) is None:
         return None
-    (k,) = moving
     links = group.chain.links
     mirrored = mirrored_poses(problem.poses(group, values), np.zeros(3))
     parts = (group.chain.part(-1, k), group.chain.part(k, len(links)))

@@ -42,7 +42,7 @@ class Guesses:
 
     @cached_property
     def _exact(self) -> Values:
-        return initial_values(self.setup)
+        return initial_values(self.setup, self._sights)
 
     @cached_property
     def _sights(self) -> tuple[Sight, ...]:

@@ -1,18 +1,24 @@
 """Values of all blocks by the dataset, before the patterns' poses are known."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calibration.estimation.blocks import Values
 from calibration.estimation.build import Setup
-from calibration.estimation.linear_start import place_gauge_patterns
+from calibration.estimation.linear_start import Sight, place_gauge_patterns
 from calibration.geometry.transforms import translation
 from calibration.geometry.types import Array
 
 
-def initial_values(setup: Setup) -> Values:
+def initial_values(setup: Setup, seen: Sequence[Sight] | None = None) -> Values:
     """Return the transforms of the first collection, and the nominal parameters of joints and intrinsics.
 
     Patterns have no pose yet, unless they are fixed.
+
+    Args:
+        setup: the problem.
+        seen: `sights` of the problem.
     """
     dataset, joints = setup.dataset, {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     values: list[Array] = []
@@ -28,4 +34,4 @@ def initial_values(setup: Setup) -> Values:
         elif block.edge:
             T = dataset.transforms[block.edge] if block.per_collection else dataset.transform(*block.edge)[0]
             values.append(T @ translation(pattern.centre) if pattern else T)
-    return place_gauge_patterns(setup, tuple(values))
+    return place_gauge_patterns(setup, tuple(values), seen)

@@ -35,7 +35,7 @@ from calibration.estimation.ray_residuals import RangeTerm
 from calibration.estimation.robot_world import RobotWorld, solve_robot_world_robustly
 from calibration.estimation.scan_alignment import align_scans, scan_equations
 from calibration.estimation.single_views import robust_poses
-from calibration.estimation.views import Chain, Link, ViewGroup
+from calibration.estimation.views import Chain, Link
 from calibration.frozen import frozen
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
@@ -113,13 +113,13 @@ def free_patterns(setup: Setup) -> set[int]:
     return {i for i in patterns if not setup.problem.blocks[i].held}
 
 
-def place_gauge_patterns(setup: Setup, values: Values) -> Values:
+def place_gauge_patterns(setup: Setup, values: Values, seen: Sequence["Sight"] | None = None) -> Values:
     """Set the patterns that fix the gauge to the poses in the cameras' views, with all other blocks fixed."""
     held = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.gauge_patterns}
     if not held:
         return values
     blocks = tuple(replace(b, held=b.held and i not in held) for i, b in enumerate(setup.problem.blocks))
-    placed = pattern_poses(replace(setup, problem=replace(setup.problem, blocks=blocks)), values)
+    placed = pattern_poses(replace(setup, problem=replace(setup.problem, blocks=blocks)), values, seen)
     return tuple(placed[i] if i in held else value for i, value in enumerate(values))
 
 
@@ -155,16 +155,15 @@ class Sight:
 
 def sights(problem: Problem) -> tuple[Sight, ...]:
     """Return the views of each group, with the poses or points that their labels alone determine."""
-    return tuple(map(_sight, problem.groups))
-
-
-def _sight(group: ViewGroup) -> Sight:
-    term = group.terms[0]
-    seen = term.measured if isinstance(term, PoseTerm) else None
-    if isinstance(term, CornerTerm):
-        seen = robust_poses(term)
-    points = term if isinstance(term, RangeTerm) else None
-    return Sight(group.sensor, group.pattern, group.chain, group.collections, term.counts, seen, points)
+    terms = [group.terms[0] for group in problem.groups]
+    corners = {i: term for i, term in enumerate(terms) if isinstance(term, CornerTerm)}
+    seen = dict(zip(corners, robust_poses([*corners.values()]), strict=True))
+    found = []
+    for i, (group, term) in enumerate(zip(problem.groups, terms, strict=True)):
+        pose = term.measured if isinstance(term, PoseTerm) else seen.get(i)
+        points = term if isinstance(term, RangeTerm) else None
+        found.append(Sight(group.sensor, group.pattern, group.chain, group.collections, term.counts, pose, points))
+    return tuple(found)
 
 
 class _Search:
@@ -187,6 +186,8 @@ class _Search:
         Raises:
             UndeterminedError: all that is left is a robot with insufficient motion.
         """
+        if all(known.all() for known in self._known):
+            return False
         if self._moving() or self._averaged():
             return True
         sights = [*self._sights, *self._over_moving_patterns()]
@@ -243,9 +244,10 @@ class _Search:
             best = np.zeros(self.problem.collections, int)
             for sight in self._sights:
                 at = [k for k, link in enumerate(sight.chain.links) if link.block == local]
-                if at and sight.seen is not None and set(self._unknown(sight)) <= set(at):
+                missing = ~self._known[local][sight.collections]
+                if at and missing.any() and sight.seen is not None and set(self._unknown(sight)) <= set(at):
                     candidates, usable = self._solved_for(sight, sight.seen, at[0])
-                    better = usable & ~self._known[local][sight.collections]
+                    better = usable & missing
                     better &= sight.counts > best[sight.collections]
                     where = sight.collections[better]
                     self._transforms[local][where] = candidates[better]

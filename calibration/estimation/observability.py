@@ -1,5 +1,6 @@
 """Observability of the unknowns: their covariance, and the directions that the data do not determine."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 
@@ -96,6 +97,7 @@ def open_directions(
     """
     S = equations.schur
     parts = [(i, motion) for i in problem.shared for motion in problem.blocks[i].parameters.motions(size)]
+    largest = max(motion.extent for _, motion in parts)
     unit = problem.units(size)
     information, directions = np.linalg.eigh(unit[:, None] * S * unit)
     undetermined, weak = [], []
@@ -103,6 +105,8 @@ def open_directions(
         singular = value <= SINGULAR * information[-1]
         sigma = np.inf if singular else 1 / np.sqrt(value)
         hopeless = singular or sigma > HOPELESS
+        if not hopeless and sigma * largest <= WEAK:
+            continue
         named = _named(parts, direction, sigma, INVOLVED if hopeless else MOVING)
         if hopeless:
             undetermined.append(named)
@@ -117,6 +121,8 @@ def _weak_intrinsics(problem: Problem, equations: NormalEquations) -> list[WeakD
     At the labels, parameters may be degenerate with each other; where the image has no labels they are not.
     """
     weak = []
+    if not any(problem.blocks[block].intrinsics for block in problem.shared):
+        return []
     covariance = covariances(problem, equations)
     for block in problem.shared:
         if (intrinsics := problem.blocks[block].intrinsics) is not None:
@@ -185,26 +191,44 @@ def determined_parameters(
     """Return the number of parameters that the labels of each kind have determined; they sum to all parameters.
 
     A kind's share is ``trace(M C)`` over its views, with M the information of its labels on the view's
-    pose and C that pose's covariance (W. Foerstner's redundancy numbers, 1979).
+    pose and C that pose's covariance (W. Foerstner's redundancy numbers, 1979). The kind with most labels has what the
+    others leave.
     """
-    kinds = {term.kind for group in problem.groups for term in group.terms}
-    S, _ = problem.sizes
-    if len(kinds) == 1:
-        observed = sum(np.count_nonzero(problem.collections_with(block)) for block in problem.local)
-        return {kinds.pop(): S + 6.0 * observed - _known_beforehand(problem, values, equations)}
+    labels: Counter[NoiseKind] = Counter()
+    for group in problem.groups:
+        for term in group.terms:
+            labels[term.kind] += int(term.counts.sum())
+    most, *others = (kind for kind, _ in labels.most_common())
+    observed = sum(np.count_nonzero(problem.collections_with(block)) for block in problem.local)
+    total = problem.sizes[0] + 6.0 * observed - _known_beforehand(problem, values, equations)
+    shares = _shares(problem, values, equations, weighting, others) if others else {}
+    return {most: total - sum(shares.values()), **shares}
+
+
+def _shares(
+    problem: Problem,
+    values: Values,
+    equations: NormalEquations,
+    weighting: Weighting,
+    kinds: Sequence[NoiseKind],
+) -> dict[NoiseKind, float]:
+    """Return the number of parameters that some kinds of labels have determined."""
     shares = dict.fromkeys(kinds, 0.0)
     schur_inverse, local_inverse = np.linalg.inv(equations.schur), np.linalg.inv(equations.H_local)
     gain = np.linalg.solve(equations.H_local, np.swapaxes(equations.H_mixed, 1, 2))  # (N, P, S)
     table = table_of(problem.blocks, values)
     for batch in problem.batches:
+        terms = [term for term in problem.terms(batch, values) if term.kind in shares]
+        if not terms:
+            continue
         T, A = batch.linearise(table, values)
         J_shared, J_local = batch.spread(A, problem.sizes, problem.intrinsics_at(batch))
         J = J_shared - J_local @ gain[batch.collections]
         C = J @ schur_inverse @ np.swapaxes(J, 1, 2)
         C += J_local @ local_inverse[batch.collections] @ np.swapaxes(J_local, 1, 2)
-        for term in problem.terms(batch, values):
+        for term in terms:
             _, M, _ = term.linearise(T, weighting.scales[term.kind], weighting.huber)
-            shares[term.kind] += float(np.einsum("vij,vji->", M, C))
+            shares[term.kind] += float((M * C).sum())  # both are symmetric
     return shares
 
 

@@ -9,6 +9,7 @@ pose gets NaN.
 import numpy as np
 
 from calibration.estimation.median import median
+from calibration.frozen import frozen
 from calibration.geometry import rotations
 from calibration.geometry.transforms import apply, transform
 from calibration.geometry.types import Array, ArrayLike, BoolArray
@@ -36,79 +37,123 @@ def planar_poses(rays: Array, corners: Array, seen: BoolArray | None = None) -> 
         (V, 4, 4); NaN for a view with fewer than four seen corners, with all of them but at most
         one on a line, or whose image is a line or a point.
     """
-    T = np.empty((len(rays), 4, 4))
-    for start in range(0, len(rays), _CHUNK):
-        views = slice(start, start + _CHUNK)
-        T[views] = _planar_poses(rays[views], corners[:, :2], None if seen is None else seen[views])
+    parts = [slice(start, start + _CHUNK) for start in range(0, max(1, len(rays)), _CHUNK)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if seen is None:
+            basis = _basis(corners, np.ones((1, len(corners)), bool))
+            return np.concatenate([_poses(rays[part], basis) for part in parts])
+        known = np.where(seen[:, None], rays, 0.0)
+        return np.concatenate([_poses(known[part], _basis(corners, seen[part])) for part in parts])
+
+
+def determines_pose(corners: Array, seen: BoolArray) -> BoolArray:
+    """Return a mask (V,) of the views whose corners determine a pose: at least four, and not all but one on a line.
+
+    Args:
+        corners: (K, 3), in the pattern's frame, z = 0, m.
+        seen: (V, K), which corners each view has.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return _basis(corners, seen).usable
+
+
+@frozen(eq=False)
+class _Basis:
+    """Orthogonal functions 1, q1 and q2 of the seen corners, each of norm sqrt(count); V is 1 if all views see all."""
+
+    seen: Array
+    """(V, K): 1 for each seen corner, else 0."""
+    count: Array
+    """(V, 1): number of seen corners."""
+    centre: Array
+    """(V, 2): their mean, m."""
+    W: Array
+    """(V, 2, 2): the matrix from corners relative to it to (q1, q2), 1/m."""
+    monomials: Array
+    """(V, 6, K): 1, q1, q2, q1^2, q1 q2 and q2^2."""
+    usable: BoolArray
+    """(V,): whether a homography is determined."""
+
+
+def _basis(corners: Array, seen: BoolArray) -> _Basis:
+    """Return the basis for views (V, K) of corners (K, 3)."""
+    weights = seen.astype(float)
+    count = weights.sum(-1)[:, None]
+    origin = corners[:, :2].mean(0)
+    flat = corners[:, :2] - origin
+    size = np.sqrt((flat * flat).sum(-1).mean()) or 1.0
+    middle = weights @ flat / count
+    q = (flat.T - middle[..., None]) / size  # (V, 2, K)
+    moments = (q * weights[:, None]) @ np.swapaxes(q, -1, -2) / count[..., None]
+    W = _inverse_sqrt(moments)
+    monomials = np.ones((*q.shape[:1], 6, len(corners)))
+    q = np.matmul(W, q, out=monomials[:, 1:3])
+    np.multiply(q[:, :1], q, out=monomials[:, 3:5])
+    np.multiply(q[:, 1], q[:, 1], out=monomials[:, 5])
+    # with more than one corner off a line, the pattern is determined also as its own image, x = q1 and y = q2
+    image = np.concatenate([q, monomials[:, 3:4] + monomials[:, 5:]], 1) * weights[:, None]
+    _, G = _fits(image @ monomials.swapaxes(1, 2), count)
+    usable = (count[:, 0] >= 4) & _regular(moments) & _regular(G[:, 1:, 1:])
+    return _Basis(weights, count, origin + middle, W / size, monomials, usable)
+
+
+def _poses(rays: Array, basis: _Basis) -> Array:
+    """`planar_poses` for a chunk of views, whose rays (V, 2, K) are 0 where a corner is not seen.
+
+    All sums over corners are those of x, y and x^2 + y^2 of the rays times the monomials: products of matrices, and
+    only one if all views have seen all corners.
+    """
+    count = basis.count
+    centre = rays.sum(-1) / count
+    factors = np.empty((len(rays), 3, rays.shape[-1]))
+    offset = np.subtract(rays, centre[..., None], out=factors[:, :2])
+    if not basis.seen.all():
+        offset *= basis.seen[:, None]
+    np.multiply(offset[:, 0], offset[:, 0], out=factors[:, 2])
+    factors[:, 2] += offset[:, 1] * offset[:, 1]
+    if len(basis.monomials) == 1:
+        sums = (factors.reshape(-1, rays.shape[-1]) @ basis.monomials[0].T).reshape(-1, 3, 6)
+    else:
+        sums = factors @ basis.monomials.swapaxes(1, 2)
+    fits, G = _fits(sums, count)
+    c = -_solve2(G[:, 1:, 1:], G[:, 1:, 0])
+    H = np.ones((len(rays), 3, 3))  # columns for 1, q1, q2
+    H[:, 2, 1:] = c
+    H[:, :2] = fits[:, :, 0] + c[:, :1, None] * fits[:, :, 1] + c[:, 1:, None] * fits[:, :, 2]
+    H[:, :2] += centre[..., None] * H[:, 2:]
+
+    B = H[..., 1:] @ basis.W  # columns in metres
+    S = B.swapaxes(-1, -2) @ B
+    root = _inverse_sqrt(S)
+    axes = B @ root
+    scale = 0.5 * (root * S).sum((-1, -2))  # the mean singular value of B
+    T = np.zeros((len(rays), 4, 4))
+    T[:, :3, :2] = axes
+    T[:, :3, 2] = np.cross(axes[..., 0], axes[..., 1])
+    T[:, :3, 3] = H[..., 0] / scale[:, None] - (axes @ basis.centre[..., None])[..., 0]
+    T[:, 3, 3] = 1.0
+
+    spread = sums[:, 2, 0] / count[:, 0]
+    usable = basis.usable & (spread > 1e-16 * (1 + (centre * centre).sum(-1))) & _regular(S)
+    T[~usable] = np.nan
     return T
 
 
-def _planar_poses(rays: Array, corners: Array, seen: BoolArray | None) -> Array:
-    """`planar_poses` for a chunk of views; the corners are (K, 2).
+def _fits(sums: Array, count: Array) -> tuple[Array, Array]:
+    """Fit ``x h3 = h1``, ``y h3 = h2`` to the corners of each view, for any h3.
 
-    All sums over corners are sums of 1, x, y and x^2 + y^2 of the rays times the monomials (1, a, b, a^2, ab, b^2) of
-    the corners, which are the same in all views: one product of matrices.
+    Args:
+        sums: (V, 3, 6), of x, y and x^2 + y^2 times the monomials.
+        count: (V, 1), numbers of corners.
+
+    Returns:
+        (V, 2, 3, 3), the matrices from h3 to the best h1 and h2; and (V, 3, 3), the matrix of what remains of the
+        squared errors, a quadratic form of h3.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        origin, size = corners.mean(0), np.sqrt(corners.var(0).sum()) or 1.0
-        a, b = ((corners - origin) / size).T
-        monomials = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], -1)  # (K, 6)
-        weights = np.ones((1, len(corners))) if seen is None else seen.astype(float)
-        rays = rays if seen is None else np.where(seen[:, None], rays, 0.0)
-        count = weights.sum(-1)
-        middle = rays.sum(-1) / count[:, None]
-        offset = rays - middle[..., None] if seen is None else (rays - middle[..., None]) * weights[:, None]
-
-        of_corners = _second_moments(weights @ monomials)
-        centre = of_corners[:, 0, 1:] / count[:, None]
-        moments = of_corners[:, 1:, 1:] / count[:, None, None] - centre[:, :, None] * centre[:, None]
-        W = _inverse_sqrt(moments)
-        to_basis = np.zeros((len(W), 3, 3))  # from (1, a, b) to (1, q1, q2), each of norm sqrt(count)
-        to_basis[:, 0, 0] = 1.0
-        to_basis[:, 1:, 1:] = W
-        to_basis[:, 1:, 0] = -(W @ centre[..., None])[..., 0]
-
-        sums = np.concatenate([offset, (offset * offset).sum(1, keepdims=True)], 1) @ monomials
-        in_basis = to_basis[:, None] @ _second_moments(sums) @ to_basis.swapaxes(-1, -2)[:, None]
-        fits = in_basis[:, :2].swapaxes(1, 2) / count[:, None, None, None]  # (V, 3, 2, 3)
-        flat = fits.reshape(len(fits), 3, 6)
-        G = in_basis[:, 2] - count[:, None, None] * (flat @ flat.swapaxes(-1, -2))
-        h3 = np.ones((len(rays), 3))
-        h3[:, 1:] = -_solve2(G[:, 1:, 1:], G[:, 1:, 0])
-        h12 = np.einsum("vi,vijk->vjk", h3, fits) + middle[..., None] * h3[:, None]
-        H = np.concatenate([h12, h3[:, None]], 1)  # columns for 1, q1, q2
-
-        B = H[..., 1:] @ (W / size)  # columns in metres
-        S = B.swapaxes(-1, -2) @ B
-        root = _inverse_sqrt(S)
-        R = np.empty((len(rays), 3, 3))
-        R[..., :2] = B @ root
-        R[..., 2] = np.cross(R[..., 0], R[..., 1])
-        scale = 0.5 * (root * S).sum((-1, -2))  # the mean singular value of B
-        t = H[..., 0] / scale[:, None] - (R[..., :2] @ (origin + size * centre)[..., None])[..., 0]
-
-        spread = sums[:, 2, 0] / count
-        usable = (count >= 4) & _regular(moments) & _in_two_directions(to_basis, monomials, weights)
-        usable = usable & (spread > 1e-16 * (1 + (middle * middle).sum(-1))) & _regular(S)
-    return np.where(usable[:, None, None], transform(R, t), np.nan)
-
-
-def _second_moments(sums: Array) -> Array:
-    """Sums (..., 6) of the monomials (1, a, b, a^2, ab, b^2) as the matrices (..., 3, 3) of (1, a, b)(1, a, b)^T."""
-    matrices: Array = sums[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
-    return matrices
-
-
-def _in_two_directions(to_basis: Array, monomials: Array, weights: Array) -> BoolArray:
-    """Return a mask (V,) of the views with more than one corner off a line: otherwise the homography is ambiguous."""
-    basis = (to_basis @ monomials[:, :3].T) * weights[:, None]  # (V, 3, K)
-    q = basis[:, 1:]
-    products = basis[:, :, None] * q[:, None]  # (V, 3, 2, K)
-    count = weights.sum(-1)[:, None, None]
-    flat = products.reshape(len(q), 3, -1)
-    fits = (products.reshape(len(q), 6, -1) @ basis.swapaxes(-1, -2) / count).reshape(len(q), 3, 6)
-    G = flat @ flat.swapaxes(-1, -2) - count * (fits @ fits.swapaxes(-1, -2))
-    return _regular(G[:, 1:, 1:])
+    products = sums[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]  # times (1, q1, q2)(1, q1, q2)^T
+    fits = products[:, :2] / count[..., None, None]
+    rows = fits.swapaxes(1, 2).reshape(-1, 3, 6)
+    return fits, products[:, 2] - count[..., None] * (rows @ rows.swapaxes(-1, -2))
 
 
 def _inverse_sqrt(S: Array) -> Array:
@@ -160,9 +205,9 @@ def mirrored_poses(T: Array, centre: Array) -> Array:
 def mean_pose(T: Array, weights: ArrayLike | None = None) -> Array:
     """Return a robust mean of poses (n, 4, 4).
 
-    The rotation minimises the sum of chordal distances (not squared; iteratively reweighted from
-    the least-squares mean: R. Hartley et al., "L1 rotation averaging using the Weiszfeld algorithm",
-    2011), the translation is the median of each coordinate.
+    The rotation is the one nearest to the geometric median of the matrices, which minimises the sum of distances (not
+    squared; iteratively reweighted from their mean: E. Weiszfeld, 1937; of rotations R. Hartley et al., "L1 rotation
+    averaging using the Weiszfeld algorithm", 2011). The translation is the median of each coordinate.
 
     Raises:
         ValueError: there is no pose.
@@ -170,14 +215,17 @@ def mean_pose(T: Array, weights: ArrayLike | None = None) -> Array:
     if not len(T):
         raise ValueError("the mean of no poses")
     w = np.ones(len(T)) if weights is None else np.asarray(weights, float)
-    R = rotations.nearest(np.einsum("n,nij->ij", w, T[:, :3, :3]))
+    matrices = T[:, :3, :3].reshape(-1, 9)
+    middle = w @ matrices / w.sum()
     for _ in range(20):
-        distance = np.linalg.norm(T[:, :3, :3] - R, axis=(1, 2))
+        difference = matrices - middle
+        distance = np.sqrt(np.einsum("ni,ni->n", difference, difference))
         nearness = w / np.maximum(distance, 0.05 * median(distance) + 1e-12)
-        previous, R = R, rotations.nearest(np.einsum("n,nij->ij", nearness, T[:, :3, :3]))
-        if np.linalg.norm(R - previous) < 1e-6:
+        step = nearness @ difference / nearness.sum()
+        middle = middle + step
+        if np.abs(step).max() < 1e-6:
             break
-    return transform(R, _median(T[:, :3, 3], w))
+    return transform(rotations.nearest(middle.reshape(3, 3)), _median(T[:, :3, 3], w))
 
 
 def _median(values: Array, weights: Array) -> Array:

@@ -60,7 +60,8 @@ def align_planes(normals: Array, offsets: Array, before: Array, after: Array, gu
     d = offsets + (n * back[:, :3, 3]).sum(-1)
     m, p = after[:, :3, 2], after[:, :3, 3]  # the pattern's normal and centre in X's child frame
     by_guess = np.sign((n * (m @ guess[:3, :3].T)).sum(-1))
-    candidates = [_aligned(n * sign[:, None], d * sign, m, p, guess) for sign in (np.ones(len(n)), by_guess)]
+    signs = [np.ones(len(n))] if (by_guess > 0).all() else [np.ones(len(n)), by_guess]
+    candidates = [_aligned(n * sign[:, None], d * sign, m, p, guess) for sign in signs]
     return min(candidates, key=lambda found: found[1])[0]
 
 

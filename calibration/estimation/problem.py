@@ -11,7 +11,7 @@ from calibration.estimation.blocks import Block, Pose, Values
 from calibration.estimation.views import Term, ViewGroup
 from calibration.frozen import frozen
 from calibration.geometry.transforms import retract
-from calibration.geometry.types import Array, BoolArray
+from calibration.geometry.types import Array, BoolArray, IntArray
 
 
 @frozen(eq=False)
@@ -70,8 +70,21 @@ class Problem:
 
     def seen_in(self, which: BoolArray) -> "Problem":
         """Return the problem with only the views of some of its collections (N,)."""
+        if which.all():
+            return self
         groups = (group.take(np.flatnonzero(which[group.collections])) for group in self.groups)
         return replace(self, groups=tuple(group for group in groups if len(group.collections)))
+
+    def repeating(self, which: IntArray) -> "Problem":
+        """Return the problem of some of its collections (n,), each as often as it occurs, in this order."""
+        groups = []
+        for group in self.groups:
+            place = np.full(self.collections, -1)
+            place[group.collections] = np.arange(len(group.collections))
+            seen = np.flatnonzero(place[which] >= 0)
+            if len(seen):
+                groups.append(replace(group.take(place[which[seen]]), collections=seen))
+        return Problem(self.blocks, tuple(groups), len(which))
 
     def collections_with(self, block: int) -> BoolArray:
         """Return a mask (N,) of the collections with a view that depends on the transform of a block."""

@@ -28,10 +28,10 @@ def repeated_collections(dataset: Dataset, pixel: float | None) -> IntArray:
         dataset: calibrated, so that patterns have their poses.
         pixel: the standard deviation of the corners, px; None without any.
     """
-    views = _views(dataset, NEAR * (pixel or 0.0))
-    moving = _moving(dataset)
     clusters = np.arange(len(dataset.collections))
-    for k, first in _near(views):
+    near = _near(_views(dataset, NEAR * (pixel or 0.0)))
+    moving = _moving(dataset) if near else []
+    for k, first in near:
         if (
             clusters[k] == k
             and clusters[first] == first
@@ -43,13 +43,16 @@ def repeated_collections(dataset: Dataset, pixel: float | None) -> IntArray:
 
 def _near(views: Sequence[Array]) -> list[tuple[int, int]]:
     """Pairs (i, j), j < i, ascending, of rows that are near in each of the views (N, F) which has both, and in one."""
-    N = max((len(view) for view in views), default=0)
+    N = len(views[0]) if views else 0
     numbers = [np.zeros(0, int)]
     for view in views:
         i, j = _candidates(view)
         near = ~_apart(view, i, j)
         numbers.append(i[near] * N + j[near])
-    i, j = np.divmod(distinct(np.concatenate(numbers))[0], max(N, 1))
+    together = np.concatenate(numbers)
+    if not len(together):
+        return []
+    i, j = np.divmod(distinct(together)[0], N)
     near = np.ones(len(i), bool)
     for view in views:
         near &= ~_apart(view, i, j)
@@ -63,13 +66,15 @@ def _apart(view: Array, i: IntArray, j: IntArray) -> BoolArray:
 
 
 def _candidates(view: Array) -> tuple[IntArray, IntArray]:
-    """Pairs of rows i, j, j < i, of a view (N, F) whose first coordinates allow that they are near."""
+    """Pairs of rows i, j, j < i, of a view (N, F) whose first two coordinates allow that they are near."""
     order = view[:, 0].argsort(kind="stable")[: np.isfinite(view[:, 0]).sum()]
     ranked = view[order, 0]
     counts = np.searchsorted(ranked, ranked + np.sqrt(view.shape[-1]), side="right") - np.arange(len(order)) - 1
     first = np.repeat(np.arange(len(order)), counts)
     second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
     a, b = order[first], order[second]
+    close = np.abs(view[a, 1] - view[b, 1]) <= np.sqrt(view.shape[-1])
+    a, b = a[close], b[close]
     return np.maximum(a, b), np.minimum(a, b)
 
 
@@ -80,29 +85,27 @@ def _views(dataset: Dataset, pixels: float) -> list[Array]:
         corners = np.column_stack([pattern.outline, np.zeros(len(pattern.outline))])
         for sensor in dataset.sensors.values():
             at = _seen(dataset, name, sensor.name)
-            if not at.any():
+            if not len(at):
                 continue
-            T = dataset.with_collections(np.flatnonzero(at).tolist()).transform(sensor.frame, pattern.link)
-            points = apply(T, corners)
+            points = apply(dataset.transform(sensor.frame, pattern.link, at), corners)
             if sensor.camera and sensor.modality.has_corners:
                 z = np.maximum(points[..., 2:], 1e-3)  # the border may be behind the camera
                 focal = np.array([sensor.camera.fx, sensor.camera.fy])
                 near = focal * points[..., :2] / z / max(pixels, NEAR_PIXELS)
             else:
                 near = points / NEAR_METRES
-            view = np.full((len(at), near[0].size), np.nan)
-            view[at] = near.reshape(len(T), -1)
+            view = np.full((len(dataset.collections), near[0].size), np.nan)
+            view[at] = near.reshape(len(at), -1)
             found.append(view)
     return found
 
 
-def _seen(dataset: Dataset, pattern: str, sensor: str) -> BoolArray:
-    """Return a mask (N,) of the collections in which a sensor saw a pattern that has a pose there."""
+def _seen(dataset: Dataset, pattern: str, sensor: str) -> IntArray:
+    """Return the collections (V,) in which a sensor saw a pattern that has a pose there."""
     board = dataset.patterns[pattern]
-    seen = np.zeros(len(dataset.collections), bool)
-    seen[[i for i, _ in dataset.detections(pattern, sensor)]] = True
+    seen = np.array([i for i, c in enumerate(dataset.collections) if (pattern, sensor) in c.labels], int)
     pose = dataset.transforms.get((board.parent_link, board.link))
-    return seen if pose is None else seen & np.isfinite(pose[:, 0, 0])
+    return seen if pose is None else seen[np.isfinite(pose[seen, 0, 0])]
 
 
 def _moving(dataset: Dataset) -> list[Array]:

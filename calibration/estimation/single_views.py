@@ -19,7 +19,7 @@ from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.problem import Problem
 from calibration.estimation.views import Chain, Link, ViewGroup
 from calibration.geometry.cameras import Camera
-from calibration.geometry.types import Array, BoolArray
+from calibration.geometry.types import Array, BoolArray, IntArray
 
 THOROUGHLY = Termination(decrease=1e-12, iterations=100)
 """To machine precision: written results must not depend on where a solver stops."""
@@ -31,14 +31,18 @@ POOR_FIT = 1.5
 
 def corner_term(camera: Camera, pattern: Pattern, views: Sequence[CornerLabels]) -> CornerTerm:
     """Return the term of a camera's views of a pattern."""
-    K = len(pattern.corners)
-    pixels, seen = np.zeros((len(views), 2, K)), np.zeros((len(views), K), bool)
+    V, K = len(views), len(pattern.corners)
+    corners = pattern.corners - pattern.centre
+    pixels, seen = np.zeros((V, 2, K)), np.zeros((V, K), bool)
     if views:
-        of = np.repeat(np.arange(len(views)), [len(labels.ids) for labels in views])
+        labelled = np.concatenate([labels.pixels for labels in views])
         ids = np.concatenate([labels.ids for labels in views])
-        pixels[of, :, ids] = np.concatenate([labels.pixels for labels in views])
+        if len(ids) == V * K and (ids.reshape(V, K) == np.arange(K)).all():  # the usual case, at a third of the cost
+            return CornerTerm(camera, corners, np.ascontiguousarray(labelled.reshape(V, K, 2).swapaxes(1, 2)), None)
+        of = np.repeat(np.arange(V), [len(labels.ids) for labels in views])
+        pixels[of, :, ids] = labelled
         seen[of, ids] = True
-    return CornerTerm(camera, pattern.corners - pattern.centre, pixels, None if seen.all() else seen)
+    return CornerTerm(camera, corners, pixels, None if seen.all() else seen)
 
 
 def refined_poses(
@@ -56,16 +60,23 @@ def refined_poses(
         The poses (V, 4, 4), and the root mean square error (V,) of each view in pixels, of the robust
         loss where there is one; NaN for a pattern behind the camera.
     """
-    V = len(T)
+    return _refined([term], T, huber, until)
+
+
+def _refined(terms: Sequence[CornerTerm], T: Array, huber: float | None, until: Termination) -> tuple[Array, Array]:
+    """`refined_poses` of the views of several cameras together, one after the other."""
     chain = Chain(None, (Link(0, inverted=False),))
-    group = ViewGroup("camera", "pattern", np.arange(V), chain, (term,))
-    problem = Problem((Block("view", per_collection=True),), (group,), V)
+    counts = np.concatenate([term.counts for term in terms])
+    ends = np.cumsum([len(term.counts) for term in terms])
+    views = np.split(np.arange(len(T)), ends[:-1])
+    groups = [ViewGroup("camera", "pattern", at, chain, (term,)) for at, term in zip(views, terms, strict=True)]
+    problem = Problem((Block("view", per_collection=True),), tuple(groups), len(T))
     given: BoolArray = np.isfinite(T[:, 0, 0])
     start = np.where(given[:, None, None], T, np.eye(4))
     with np.errstate(invalid="ignore", over="ignore"):
         (found,), cost = settle(problem, (start,), Weighting({"pixel": 1.0}, huber), given, until)
         usable = given & np.isfinite(cost)
-        rms = np.sqrt(cost / np.maximum(term.counts, 1))
+        rms = np.sqrt(cost / np.maximum(counts, 1))
     return np.where(usable[:, None, None], found, np.nan), np.where(usable, rms, np.nan)
 
 
@@ -80,17 +91,30 @@ def fitted_poses(term: CornerTerm) -> tuple[Array, Array]:
     return np.where(flipped[:, None, None], mirrored, T), np.where(flipped, mirrored_rms, rms)
 
 
-def robust_poses(term: CornerTerm) -> Array:
+def robust_poses(terms: Sequence[CornerTerm]) -> list[Array]:
     """Estimate ``T_camera_centre`` (V, 4, 4) of each view by itself; NaN if its corners do not determine it.
 
     Views that the linear solution fits badly, because of outliers or few corners, are refined with
     a robust loss.
+
+    Args:
+        terms: of each camera and pattern.
     """
-    T = term.linear_poses.copy()
-    good = np.isfinite(T[:, 0, 0])
+    poses = [term.linear_poses.copy() for term in terms]
+    bad = [_fitted_badly(term, T) for term, T in zip(terms, poses, strict=True)]
+    if some := [i for i, views in enumerate(bad) if len(views)]:
+        start = np.concatenate([poses[i][bad[i]] for i in some])
+        refined, _ = _refined([terms[i].take(bad[i]) for i in some], start, huber=2.0, until=SETTLING)
+        for i, T in zip(some, np.split(refined, np.cumsum([len(bad[i]) for i in some])[:-1]), strict=True):
+            poses[i][bad[i]] = T
+    return poses
+
+
+def _fitted_badly(term: CornerTerm, T: Array) -> IntArray:
+    """Return the views with far larger residuals at some poses (V, 4, 4) than the others, or NaN ones."""
+    given = np.isfinite(T[:, 0, 0])
     with np.errstate(invalid="ignore"):
-        error = np.sqrt(np.nanmean(term.magnitudes(T)[good] ** 2, -1))
-    bad = np.flatnonzero(good)[~(error <= min(2 * median(error), POOR_FIT))]
-    if len(bad):
-        T[bad], _ = refined_poses(term.take(bad), T[bad], huber=2.0, until=SETTLING)
-    return T
+        squares = term.magnitudes(T) ** 2
+        there = ~np.isnan(squares)
+        rms = np.sqrt(np.where(there, squares, 0.0).sum(-1) / np.count_nonzero(there, axis=-1))
+        return np.flatnonzero(given & ~(rms <= min(2 * median(rms[given]), POOR_FIT)))

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.dataset.modalities import Modality
 from calibration.dataset.model import CornerLabels, Dataset, Labels, PointLabels, PoseLabels
 from calibration.errors import InputError, UndeterminedError
-from calibration.estimation.planar_pose import planar_poses
+from calibration.estimation.planar_pose import determines_pose
+from calibration.geometry.types import IntArray
 
 MINIMUM_CORNERS = 4
 """Minimum of corners: fewer do not determine a pattern's pose, and would add flipped ones."""
@@ -26,28 +26,26 @@ def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
         InputError: a sensor has no labels left.
         UndeterminedError: fewer than two collections are left.
     """
-    ignored: list[str] = []
-    on_lines = _on_lines(dataset)
-    modalities = {name: sensor.modality for name, sensor in dataset.sensors.items()}
-    kept: list[Mapping[tuple[str, str], Labels]] = []
-    for i, collection in enumerate(dataset.collections):
-        labels = collection.labels
-        faults = {key: fault for key, label in labels.items() if (fault := _too_few(label, modalities[key[1]]))}
-        if on_lines:
-            faults = {key: on_lines[i, *key] for key in labels if (i, *key) in on_lines} | faults
-        kept.append({key: label for key, label in labels.items() if key not in faults} if faults else labels)
-        ignored += [f"collection {collection.key}, {key[1]}: {faults[key]}" for key in labels if key in faults]
-    if any(modality.points for modality in modalities.values()):
+    faults = _faults(dataset)
+    kept: list[Mapping[tuple[str, str], Labels]] = [collection.labels for collection in dataset.collections]
+    ignored = []
+    for i in sorted({i for i, _ in faults}):
+        labels = kept[i]
+        ignored += [f"collection {dataset.keys[i]}, {k[1]}: {faults[i, k]}" for k in labels if (i, k) in faults]
+        kept[i] = {key: label for key, label in labels.items() if (i, key) not in faults}
+    modalities = [sensor.modality for sensor in dataset.sensors.values()]
+    if any(modality.points for modality in modalities):
         fixed = {p for labels in kept for p in _seen_by_cameras(labels) if dataset.patterns[p].fixed}
         for i, collection in enumerate(dataset.collections):
             known = fixed | _seen_by_cameras(kept[i])
             if unknown := [key for key in kept[i] if key[0] not in known]:
                 kept[i] = {key: label for key, label in kept[i].items() if key not in unknown}
                 ignored += [f"collection {collection.key}, {key[1]}: no camera saw '{key[0]}'" for key in unknown]
+    views = set().union(*kept)
     for sensor in dataset.sensors:
-        if not any(s == sensor for labels in kept for _, s in labels):
+        if not any(s == sensor for _, s in views):
             raise InputError(f"{dataset.path}: sensor '{sensor}': no collection has enough labels of it")
-    seen = {pattern for labels in kept for pattern, _ in labels}
+    seen = {pattern for pattern, _ in views}
     ignored += [
         f"pattern '{name}': no collection has enough labels of it" for name in dataset.patterns if name not in seen
     ]
@@ -57,6 +55,8 @@ def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
             f"{dataset.path}: {len(keep)} collection has labels; at least 2 are needed, because one view of a flat "
             f"pattern cannot be told from its mirror image"
         )
+    if not ignored and len(keep) == len(kept):
+        return dataset, ()
     usable = replace(
         dataset,
         patterns={name: pattern for name, pattern in dataset.patterns.items() if name in seen},
@@ -73,34 +73,27 @@ def _seen_by_cameras(labels: Mapping[tuple[str, str], Labels]) -> set[str]:
     return {pattern for (pattern, _), label in labels.items() if isinstance(label, CornerLabels | PoseLabels)}
 
 
-def _too_few(label: Labels, modality: Modality) -> str:
-    """Return the reason why labels are too few for a view of a sensor; empty if they are enough."""
-    if isinstance(label, CornerLabels):
-        count, minimum, what = len(label.ids), MINIMUM_CORNERS, "corners"
-    elif isinstance(label, PointLabels):
-        count, minimum, what = len(label.points), modality.point_data.minimum, "points"
-    else:
-        return ""
-    return f"{count} {what}, at least {minimum} are needed" if count < minimum else ""
-
-
-def _on_lines(dataset: Dataset) -> dict[tuple[int, str, str], str]:
-    """Return the views (collection, pattern, sensor) with an ambiguous pose: all corners but at most one on a line."""
-    found: dict[tuple[int, str, str], str] = {}
-    for name, pattern in dataset.patterns.items():
-        K = len(pattern.corners)
-        partial = {
-            (i, *key): label.ids
-            for i, collection in enumerate(dataset.collections)
-            for key, label in collection.labels.items()
-            if key[0] == name and isinstance(label, CornerLabels) and MINIMUM_CORNERS <= len(label.ids) < K
-        }
-        seen = np.zeros((len(partial), K), bool)
-        for row, ids in zip(seen, partial.values(), strict=True):
+def _faults(dataset: Dataset) -> dict[tuple[int, tuple[str, str]], str]:
+    """Return the labels that determine too little, by collection and by (pattern, sensor), with the reasons."""
+    K = {name: len(pattern.corners) for name, pattern in dataset.patterns.items()}
+    faults = {}
+    partial: dict[str, dict[tuple[int, tuple[str, str]], IntArray]] = {}
+    for i, collection in enumerate(dataset.collections):
+        for key, label in collection.labels.items():
+            if isinstance(label, CornerLabels):
+                count = len(label.ids)
+                if count < MINIMUM_CORNERS:
+                    faults[i, key] = f"{count} corners, at least {MINIMUM_CORNERS} are needed"
+                elif count < K[key[0]]:
+                    partial.setdefault(key[0], {})[i, key] = label.ids
+            elif isinstance(label, PointLabels):
+                count, minimum = len(label.points), dataset.sensors[key[1]].modality.point_data.minimum
+                if count < minimum:
+                    faults[i, key] = f"{count} points, at least {minimum} are needed"
+    for pattern, views in partial.items():
+        seen = np.zeros((len(views), K[pattern]), bool)
+        for row, ids in zip(seen, views.values(), strict=True):
             row[ids] = True
-        straight_ahead = np.broadcast_to(pattern.corners[:, :2].T, (len(partial), 2, K))
-        poses = planar_poses(straight_ahead, pattern.corners, seen)
-        found |= {
-            view: "its corners lie on a line" for view, T in zip(partial, poses, strict=True) if np.isnan(T[0, 0])
-        }
-    return found
+        usable = determines_pose(dataset.patterns[pattern].corners, seen)
+        faults |= {view: "its corners lie on a line" for view, ok in zip(views, usable, strict=True) if not ok}
+    return faults

@@ -111,41 +111,29 @@ def without(dataset: Dataset, dropped: Sequence[DroppedView]) -> Dataset:
 
 def _nearer(problem: Problem, start: Values) -> Values | None:
     """Return values closer to the optimum than the initial ones; None if all views fit well."""
-    first = tuple(replace(group, terms=group.terms[:1]) for group in problem.groups)
-    kinds = {group.terms[0].kind for group in first}
-    nearby = replace(problem, groups=first)
-    if _none_noticeable(nearby, start):
+    if _all_fit(problem, start):
         return None
-    noise = [_noise(group) for group in first]
-    if _all_fit(nearby, start, noise):
-        return None
+    nearby = replace(problem, groups=tuple(replace(group, terms=group.terms[:1]) for group in problem.groups))
+    kinds = {group.terms[0].kind for group in nearby.groups}
     weighting = Weighting({kind: NOTICEABLE[kind] / 2 for kind in kinds}, HUBER)
     nearer = minimise(nearby, start, weighting, IMPROVING).values
-    return None if _all_fit(nearby, nearer, noise) else nearer
+    return None if _all_fit(nearby, nearer) else nearer
 
 
-def _none_noticeable(problem: Problem, values: Values) -> bool:
-    """Whether the median residual of every view is not noticeable, by its mean square, which needs no sorting.
-
-    At least half of the residuals are as large as their median m, so their mean square is at least m^2 / 2.
-    """
-    for group in problem.groups:
-        (term,) = problem.terms(group, values)
-        magnitudes = term.magnitudes(problem.poses(group, values))
-        there = np.isfinite(magnitudes)
-        squares = np.einsum("vl,vl->v", *(2 * [magnitudes if there.all() else np.where(there, magnitudes, 0.0)]))
-        all_there = np.count_nonzero(there, axis=-1) == term.counts
-        if not (all_there & (2 * squares <= NOTICEABLE[term.kind] ** 2 * term.counts)).all():
-            return False
-    return True
+def _all_fit(problem: Problem, values: Values) -> bool:
+    """Whether all views fit well."""
+    return all(_fits(problem, group, values) for group in problem.groups)
 
 
-def _all_fit(problem: Problem, values: Values, noise: Sequence[float]) -> bool:
-    """Whether no view has a noticeable residual."""
-    return all(
-        (_medians(problem, group, values) <= max(NOTICEABLE[group.terms[0].kind], ABOVE_NOISE * of_group)).all()
-        for group, of_group in zip(problem.groups, noise, strict=True)
-    )
+def _fits(problem: Problem, group: ViewGroup, values: Values) -> bool:
+    """Whether the median residual of each of a group's views is not noticeable, or not above the noise inside them."""
+    term, *_ = problem.terms(group, values)
+    magnitudes, middle = term.magnitudes(problem.poses(group, values)), (term.counts - 1) // 2
+
+    def below(limit: float) -> bool:
+        return bool((np.count_nonzero(magnitudes <= limit, axis=-1) > middle).all())
+
+    return below(NOTICEABLE[term.kind]) or below(ABOVE_NOISE * _noise(group))
 
 
 def _noise(group: ViewGroup) -> float:
@@ -434,7 +422,7 @@ def _apart(verdict: _Verdict, collection: int) -> tuple[float, float]:
         values = local_poses(replace(verdict.setup, problem=replace(one, groups=(camera,))), values)
     T, term = one.poses(other, values)[0], other.terms[0]
     if isinstance(term, CornerTerm | PoseTerm):
-        seen = robust_poses(term) if isinstance(term, CornerTerm) else term.measured
+        (seen,) = robust_poses([term]) if isinstance(term, CornerTerm) else (term.measured,)
         t, r = distance(T, seen[0])
         return float(t), float(r)
     if not isinstance(term, RangeTerm):

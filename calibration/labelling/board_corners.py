@@ -10,7 +10,7 @@ Positions are in the board's unit: the side of a square, or of a tag.
 import numpy as np
 
 from calibration.dataset.model import CornerLabels
-from calibration.estimation.planar_pose import planar_poses
+from calibration.estimation.planar_pose import determines_pose
 from calibration.geometry.types import Array, IntArray
 from calibration.labelling.board_image import fits_neighbours, predict
 from calibration.labelling.detection import Image, NotDetected
@@ -90,4 +90,4 @@ def enough(corners: Array, ids: IntArray, pixels: Array) -> CornerLabels | NotDe
 def _open_pose(corners: Array) -> bool:
     """Whether the pose of the board is ambiguous by corners (K, 2): all but at most one are on a line."""
     flat = np.column_stack([corners, np.zeros(len(corners))])
-    return bool(np.isnan(planar_poses(corners.T[None], flat)[0, 0, 0]))
+    return not determines_pose(flat, np.ones((1, len(flat)), bool))[0]

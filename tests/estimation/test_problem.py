@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from calibration.estimation.batches import table_of
 from calibration.estimation.blocks import Block, FreeJoint, Values
 from calibration.estimation.corner_residuals import CornerTerm
+from calibration.estimation.normal_equations import Weighting, assemble
 from calibration.estimation.problem import Problem
 from calibration.estimation.views import Chain, Link, ViewGroup
 from calibration.geometry.cameras import Camera
@@ -169,3 +170,16 @@ def test_views_of_several_cameras_and_patterns_cost_what_they_cost_alone():
         alone = [term.linearise(at, 0.5, huber) for term, at in zip(terms, T, strict=True)]
         for whole, *parts in zip(together, *alone, strict=True):
             np.testing.assert_allclose(whole, np.concatenate(parts), rtol=1e-12, atol=1e-9)
+
+
+def test_repeated_collections_have_the_poses_and_costs_of_the_originals() -> None:
+    problem, values = tangled(noise=0.3)
+    which = np.array([3, 0, 3, 1])
+
+    many = problem.repeating(which)
+
+    repeated = tuple(T[which] if b.per_collection else T for b, T in zip(problem.blocks, values, strict=True))
+    weighting = Weighting({term.kind: 1.0 for group in problem.groups for term in group.terms}, None)
+    cost = assemble(problem, values, weighting).cost
+    assert cost[which].min() > 0
+    np.testing.assert_allclose(assemble(many, repeated, weighting).cost, cost[which], rtol=1e-9)
