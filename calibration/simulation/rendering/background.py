@@ -26,10 +26,9 @@ _EDGE = 6
 """Pixels that differ from a neighbour by more grey levels are supersampled."""
 _CELLS = 125
 """Number of cells per batch, whose rays fit into the cache."""
-_LENS_BATCH = 1000
-"""Number of pixels whose samples' rays are computed at once."""
-_PIXELS = 6 * _LENS_BATCH
-"""Number of pixels that are supersampled at once."""
+_PIXELS = 3000
+"""Number of pixels that are supersampled at once. A lens is inverted by iterations that end for all of them at once, so
+the last bits of a ray depend on it."""
 
 
 class Background:
@@ -41,8 +40,8 @@ class Background:
         self._sight = Sight.of(self._facets, self._cells.bounds)
         (self._mixed,) = np.nonzero(self._sight.only == UNDECIDED)
         """Cells that see several facets."""
-        self._hit = self._sight.hit(self._cells.rays[:, self._mixed], self._mixed)
-        """(mixed, K): facets of their pixels' centres."""
+        self._hit, self._limit = self._sight.hit(self._cells.rays.take(self._mixed, axis=1), self._mixed)
+        """(mixed, K): facets of their pixels' centres, and how far from there they are still hit; see `Sight.hit`."""
 
     def is_beyond(self, part: tuple[slice, slice], depths: Sequence[Array]) -> bool:
         """Whether the background in rows and columns of the image is surely farther than all finite depths, m."""
@@ -77,23 +76,35 @@ class Background:
             made = colour.astype(np.float32).reshape(3, len(some), *CELL)
             in_cells(steps)[where], in_cells(levels)[where] = in_steps(made), _in_levels(made)
         found = np.asarray(cv2.merge(list(steps[:, :height, :width])), np.uint16)
-        rows, columns = np.divmod(_uneven(levels[:, :height, :width]), width)
-        for first in range(0, len(rows), _PIXELS):
-            pixels = rows[first : first + _PIXELS], columns[first : first + _PIXELS]
-            mean = self.colours(self._samples(*pixels), *pixels).sum(axis=1) / SAMPLES
-            found[pixels] = in_steps(mean.astype(np.float32)).T
+        uneven = _uneven(levels[:, :height, :width])
+        only = self._only(*np.divmod(uneven, width))
+        for index in (UNDECIDED, *self._varying):  # the samples of a pixel that sees another have one colour
+            for pixels in _batches(uneven[only == index], _PIXELS):
+                mean = in_steps(self._means(index, *np.divmod(pixels, width)).astype(np.float32))
+                for plane, values in zip(found.reshape(-1, 3).T, mean, strict=True):
+                    plane[pixels] = values
         found.flags.writeable = False
         return found
 
-    def _samples(self, rows: IntArray, columns: IntArray) -> Array:
-        """Return the rays (3, SAMPLES, n) of the samples of pixels.
+    def _means(self, index: int, rows: IntArray, columns: IntArray) -> Array:
+        """Return the mean colours (3, n) of the samples of pixels that see a facet of `_varying`, or are undecided."""
+        samples = sample_rays(self._camera, rows, columns)
+        if index == UNDECIDED:
+            hit, _ = self._sight.hit(samples.swapaxes(1, 2), self._cells.of_pixels(rows, columns))
+            seen = self._along(samples, hit.T)
+        else:
+            seen = self._colours_of(index, samples.reshape(3, -1)).reshape(samples.shape)
+        mean: Array = seen.sum(axis=1) / SAMPLES
+        return mean
 
-        A lens is inverted by iterations that end for a batch at once, so the last bits depend on the batches.
-        """
-        found = np.empty((3, SAMPLES, len(rows)))
-        for first in range(0, len(rows), _LENS_BATCH):
-            some = slice(first, first + _LENS_BATCH)
-            found[..., some] = sample_rays(self._camera, rows[some], columns[some])
+    def _only(self, rows: IntArray, columns: IntArray) -> IntArray:
+        """Return the only facets (n,) that pixels see, or `UNDECIDED`."""
+        cell = self._cells.of_pixels(rows, columns)
+        found: IntArray = self._sight.only[cell]
+        (several,) = np.nonzero(found == UNDECIDED)
+        rows, columns, cell = rows[several], columns[several], cell[several]
+        place = np.searchsorted(self._mixed, cell), rows % CELL[0] * CELL[1] + columns % CELL[1]
+        found[several] = np.where(self._limit[place] > self._cells.reach[cell], self._hit[place], UNDECIDED)
         return found
 
     def colours(self, rays: Array, rows: IntArray, columns: IntArray) -> Array:
@@ -101,16 +112,16 @@ class Background:
         cell = self._cells.of_pixels(rows, columns)
         hit = np.repeat(self._sight.only[None, cell], rays.shape[1], axis=0)
         (mixed,) = np.nonzero(hit[0] == UNDECIDED)
-        hit[:, mixed] = self._sight.hit(rays[:, :, mixed].swapaxes(1, 2), cell[mixed]).T
+        hit[:, mixed] = self._sight.hit(rays[:, :, mixed].swapaxes(1, 2), cell[mixed])[0].T
         return self._along(rays, hit)
 
     def _varying_cells(self) -> Iterator[tuple[IntArray, Array]]:
         """Yield batches of cells (n,) that are not of one colour, and the colours (3, n * K) of their pixels."""
         for index in self._varying:
             for some in _batches(np.flatnonzero(self._sight.only == index)):
-                yield some, self._colours_of(index, self._cells.rays[:, some].reshape(3, -1))
+                yield some, self._colours_of(index, self._cells.rays.take(some, axis=1).reshape(3, -1))
         for some in _batches(np.arange(len(self._mixed))):
-            yield self._mixed[some], self._along(self._cells.rays[:, self._mixed[some]], self._hit[some])
+            yield self._mixed[some], self._along(self._cells.rays.take(self._mixed[some], axis=1), self._hit[some])
 
     def _along(self, rays: Array, hit: NDArray[np.integer[Any]]) -> Array:
         """Return the colours (3, ...) along rays (3, ...) that hit facets (...)."""
@@ -119,7 +130,8 @@ class Background:
         for index in (UNDECIDED, *self._varying):
             where = np.flatnonzero(facet == index)
             if len(where):
-                found[:, where] = self._colours_of(index, flat.take(where, axis=1))
+                for plane, values in zip(found, self._colours_of(index, flat.take(where, axis=1)), strict=True):
+                    plane[where] = values
         return found.reshape(rays.shape)
 
     @cached_property
@@ -178,9 +190,9 @@ def _in_levels(colour: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.clip(colour, 0, 255).astype(np.uint8)
 
 
-def _batches(some: IntArray) -> Iterator[IntArray]:
-    for first in range(0, len(some), _CELLS):
-        yield some[first : first + _CELLS]
+def _batches(some: IntArray, size: int = _CELLS) -> Iterator[IntArray]:
+    for first in range(0, len(some), size):
+        yield some[first : first + size]
 
 
 def _enlarged(values: NDArray[Any]) -> NDArray[Any]:

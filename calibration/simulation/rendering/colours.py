@@ -10,7 +10,7 @@ from calibration.geometry.types import Array, IntArray
 from calibration.simulation.scene import GROUND, NOTHING, Box, Scene, turned
 
 _TILE = 0.5
-"""Size of the ground's tiles, m."""
+"""Size of the ground's tiles, m; a power of two, so that its inverse is exact."""
 _TILE_CONTRAST = 0.05
 _GROUND = (124.0, 128.0, 130.0)
 _HORIZON, _ZENITH = np.array([196.0, 192.0, 188.0]), np.array([188.0, 170.0, 152.0])
@@ -75,9 +75,8 @@ def _tiles(start: float, directions: Array, distance: Array) -> Array:
     """Return the indices (N,) of the tiles along an axis of the world, limited to a million."""
     place = distance * directions
     place += start
-    place /= _TILE
-    np.maximum(place, -1e6, out=place)
-    np.minimum(place, 1e6, out=place)
+    place *= 1 / _TILE
+    np.clip(place, -1e6, 1e6, out=place)
     return np.floor(place, out=place)
 
 

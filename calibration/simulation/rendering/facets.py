@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray, IntArray
-from calibration.simulation.scene import GROUND, Box, Scene, between_faces, cast_at_ground
+from calibration.simulation.scene import GROUND, Box, Scene, between_faces
 
 UNDECIDED = -1
 """Index of a facet that is not known."""
 _MARGIN = 1e-8
 """Limit of the values that have no sign, relative to the coordinates of a ray; rounding errors are a hundredth of it
 at most."""
+_LEAST_SLOPE = 0.5
+"""Least slope of an edge's function that is scaled to 1; only edges far from the camera's axis have less."""
 _TOUCH = 1e-5
 """Limit of a camera's distance to a plane or an edge, relative to its coordinates: from nearer they are not known."""
 
@@ -48,13 +50,10 @@ class Bounds:
         return cls((low + high) / 2, (high - low) / 2, _MARGIN * (1 + far))
 
     def range(self, functions: Array) -> tuple[Array, Array]:
-        """Minima and maxima (F, N) of linear functions (F, 3), each widened by the margin."""
-        a, b, c = functions.T[..., None]
-        value = a * self.middle[0]
-        value += b * self.middle[1]
-        value += c
-        reach = np.abs(a) * self.half[0]
-        reach += np.abs(b) * self.half[1]
+        """Minima and maxima (F, N) of linear functions (F, 3), each widened by the margin, which covers rounding."""
+        value = functions[:, :2] @ self.middle
+        value += functions[:, 2:]
+        reach = np.abs(functions[:, :2]) @ self.half
         reach += self.margin
         return value - reach, value + reach
 
@@ -76,7 +75,7 @@ class Facet:
         """Return the distances (...) along rays (3, ...) in the world frame that hit it, as `Scene.hit` does."""
         if self.surface == GROUND:
             assert scene.ground is not None  # noqa: S101 (it is seen)
-            return cast_at_ground(scene.ground, origin, directions)
+            return np.asarray((scene.ground - origin[2]) / directions[2])
         enter, leave = between_faces(scene.boxes[self.surface], self.face // 3, origin, directions)
         return np.where(enter > 0, enter, leave)
 
@@ -134,7 +133,8 @@ class Sight:
     """What a camera sees of M facets in N rectangles."""
 
     functions: Array
-    """(M, 5, 3): edges and nearness, the latter relative to the largest of all, so that no value is above 1."""
+    """(M, 5, 3): edges and nearness, scaled so that no value, and no difference of two nearnesses, changes by more than
+    the x or the y of a ray, whichever changes more."""
     may: BoolArray
     """(M + 1, N): whether a facet may be seen; the last is none of them."""
     crossed: BoolArray
@@ -148,9 +148,10 @@ class Sight:
     def of(cls, some: list[Facet], bounds: Bounds) -> "Sight":
         """Find what is seen in rectangles."""
         nearness = np.array([each.nearness for each in some]).reshape(-1, 3)
-        lengths = np.sqrt((nearness * nearness).sum(axis=1))
+        lengths = 2 * np.abs(nearness).sum(axis=1)
         scale = lengths[~np.isnan(lengths)].max(initial=0.0) or 1.0
         edges = np.array([each.edges for each in some]).reshape(-1, 4, 3)
+        edges /= np.maximum(np.abs(edges[..., :2]).sum(axis=2, keepdims=True), _LEAST_SLOPE)
         functions = np.concatenate([edges, nearness[:, None] / scale], axis=1)
         shape = len(some), bounds.margin.size
         may, crossed = np.ones((shape[0] + 1, shape[1]), bool), np.empty((shape[0], 4, shape[1]), bool)
@@ -161,7 +162,7 @@ class Sight:
             inside = ~crossed[index].any(axis=0)
             may[index] = ~(high[:4] < 0).any(axis=0)
             may[-1] &= ~inside
-            np.maximum(nearest, low[4], out=nearest, where=inside)
+            np.maximum(nearest, np.where(inside, low[4], 0.0), out=nearest)
         may &= ~(near < nearest)
         with np.errstate(divide="ignore"):
             depth = 1 / (scale * np.where(may, near, 0.0).max(axis=0))
@@ -172,32 +173,37 @@ class Sight:
         """(N,): the only facet that is seen, M for none of them, or `UNDECIDED`."""
         return np.where(self.may.sum(axis=0) == 1, self.may.argmax(axis=0), UNDECIDED)
 
-    def hit(self, rays: Array, where: IntArray) -> NDArray[np.int16]:
-        """Return the facets (n, K) that rays hit, M for none of them, or `UNDECIDED`.
+    def hit(self, rays: Array, where: IntArray) -> tuple[NDArray[np.int16], Array]:
+        """Find the facets that rays hit.
 
         Args:
             rays: (3, n, K), in the camera's frame: (x, y, 1).
             where: (n,), the rectangles that they are in.
+
+        Returns:
+            The facets (n, K), M for none of them, or `UNDECIDED`; and limits (n, K): rays of the rectangle whose x and
+            y differ by less hit the same facet. NaN, or 0 and below, if it is not decided.
         """
-        xy, may, margin = np.ascontiguousarray(rays[:2]), self.may[:, where], self.margin[where, None]
+        xy, may, used = np.ascontiguousarray(rays[:2]), self.may.take(where, axis=1), np.zeros(self.margin.shape, bool)
+        used[where] = True
         found, nearest = np.full(xy.shape[1:], len(may) - 1, np.int16), np.zeros(xy.shape[1:])
+        limit = np.full(nearest.shape, np.inf)
         for index, (*edges, nearness_of) in enumerate(self.functions):
             (some,) = np.nonzero(may[index])
             if not len(some):
                 continue
-            (x, y), before, facet = xy.take(some, axis=1), nearest.take(some, axis=0), found.take(some, axis=0)
+            (x, y), before = xy.take(some, axis=1), nearest.take(some, axis=0)
             now = _values(nearness_of, x, y)
             lead = now - before
-            for number in np.flatnonzero(self.crossed[index][:, where[some]].any(axis=1)):
+            for number in np.flatnonzero((self.crossed[index] & self.may[index] & used).any(axis=1)):
                 np.minimum(lead, _values(edges[number], x, y), out=lead)
             hit = lead > 0
-            np.copyto(before, now, where=hit)
-            np.copyto(facet, index, where=hit)
-            decided = np.abs(lead, out=lead) > margin[some]
-            if not decided.all():
-                before[~decided], facet[~decided] = np.inf, UNDECIDED  # no other is nearer
-            nearest[some], found[some] = before, facet
-        return found
+            nearest[some] = np.where(hit, now, before)
+            found[some] = np.where(hit, np.int16(index), found.take(some, axis=0))
+            limit[some] = np.minimum(limit.take(some, axis=0), np.abs(lead, out=lead))
+        limit -= self.margin[where, None]
+        found[~(limit > 0)] = UNDECIDED
+        return found, limit
 
 
 def _values(function: Array, x: Array, y: Array) -> Array:

@@ -16,6 +16,8 @@ SAMPLES = 16
 """Number of samples of a pixel that sees several surfaces."""
 CELL = (8, 16)
 """Height and width of a cell of the image, px."""
+_REACH = 0.5
+"""Limit of a sample's distance to its pixel's centre, px; more than the distance, because rays are not quite even."""
 _OFFSETS = [((i + 0.5) / SAMPLES - 0.5, (int(f"{i:04b}"[::-1], 2) + 0.5) / SAMPLES - 0.5) for i in range(SAMPLES)]
 """(y, x) of the samples from the pixel's centre, px: J. M. Hammersley's points (1960). No two share one of 16 rows
 or columns, so an edge along an axis is found to 1/16 px."""
@@ -44,6 +46,8 @@ class Cells:
     """Rows and columns of cells."""
     rays: Array
     """(3, N, K), of the pixels' centres; those beyond the image are equal to the nearest in it."""
+    reach: Array
+    """(N,): limit of the differences in x and in y of a sample's ray to its pixel's; NaN as in `bounds`."""
     bounds: Bounds
     """Of all that the cells see."""
 
@@ -69,7 +73,9 @@ def cells(camera: Camera) -> Cells:
     found.flags.writeable = False
     # a pixel reaches half of the way to its neighbours
     with_margin = sliding_window_view(wider, (CELL[0] + 2, CELL[1] + 2), axis=(1, 2))[:, :: CELL[0], :: CELL[1]]
-    return Cells(size, shape, found, Bounds.of(with_margin.reshape(*found.shape[:2], -1)))
+    bounds = Bounds.of(with_margin.reshape(*found.shape[:2], -1))
+    right, down = (np.abs(np.diff(with_margin[:2], axis=axis)).max(axis=(-2, -1)) for axis in (-1, -2))
+    return Cells(size, shape, found, _REACH * (right + down).max(axis=0).ravel(), bounds)
 
 
 def in_cells(images: NDArray[Any]) -> NDArray[Any]:

@@ -31,7 +31,7 @@ def seen(scene: Scene, T: Array, rays: Array) -> tuple[Sight, Array, Array]:
     """What is seen in the rectangles around bundles of rays, and the facets and depths that each ray hits."""
     some = facets(scene, T)
     sight = Sight.of(some, Bounds.of(rays))
-    hit = sight.hit(rays, np.arange(rays.shape[1]))
+    hit, _ = sight.hit(rays, np.arange(rays.shape[1]))
     world, depth = turned(T, rays), np.full(hit.shape, np.inf)
     for index, facet in enumerate(some):
         depth[hit == index] = facet.distance(scene, T[:3, 3], world[:, hit == index])
@@ -77,6 +77,23 @@ def test_where_only_one_is_seen_every_ray_hits_it_and_none_is_nearer_than_the_bo
         assert not (~sight.may[hit, np.arange(30)[:, None]] & (hit != UNDECIDED)).any()
     assert alone > 300
     assert np.median(share) > 0.7
+
+
+def test_rays_within_the_limit_of_another_hit_the_same() -> None:
+    random, within, share = np.random.default_rng(7), 0, []
+    for _ in range(40):
+        scene, rays = random_scene(random), bundles(random, 30)
+        T = from_xyz_rpy(random.normal(scale=1.5, size=3), random.uniform(-3, 3, 3))
+        hit, limit = Sight.of(facets(scene, T), Bounds.of(rays)).hit(rays, np.arange(30))
+        apart = np.abs(rays[:2, :, :, None] - rays[:2, :, None]).max(axis=0)
+        near = (apart < limit[..., None]) & (hit[:, None] != UNDECIDED)
+        assert (hit[..., None] == hit[:, None])[near].all()
+        within += int(near.sum())
+        other = np.where(hit[..., None] != hit[:, None], apart, np.inf).min(axis=2)
+        seen = np.isfinite(other)
+        share += (limit[seen] / other[seen]).tolist()
+    assert within > 0.1 * 40 * 30 * 50 * 50
+    assert np.median(share) > 0.1
 
 
 def test_on_an_edge_nothing_is_decided() -> None:

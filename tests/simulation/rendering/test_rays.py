@@ -52,6 +52,11 @@ def test_cells_cover_the_image_and_the_samples_of_its_pixels() -> None:
         assert set(cell.tolist()) == set(range(found.rays.shape[1]))
         low, high = found.bounds.middle - found.bounds.half, found.bounds.middle + found.bounds.half
         assert ((samples[:2] >= low[:, None, cell]) & (samples[:2] <= high[:, None, cell])).all()
+        reach = (
+            np.abs(samples[:2] - rays(of)[:2, None, 1:-1, 1:-1].reshape(2, 1, -1)).max(axis=(0, 1)) / found.reach[cell]
+        )
+        assert reach.min() > 0.6
+        assert reach.max() < 1
         for row, column in ((0, 0), (17, 23), (29, 49)):
             of_cell = found.rays[:, found.of_pixels(np.array(row), np.array(column))]
             assert (of_cell == rays(of)[:, row + 1, column + 1, None]).all(axis=0).any()
