@@ -115,7 +115,7 @@ def _constructor(cls: Any) -> Callable[..., None]:
     factories = {e.name: e.default_factory for e in fields if e.default_factory is not dataclasses.MISSING}
     has_slots, has_more = "__slots__" in vars(cls), hasattr(cls, "__post_init__")
 
-    def constructor(self: Any, /, *given: Any, **named: Any) -> None:
+    def completed(given: tuple[Any, ...], named: dict[str, Any]) -> dict[str, Any]:
         values = dict(zip(positional, given, strict=False))
         values.update(named)
         if len(values) < len(given) + len(named):
@@ -126,8 +126,14 @@ def _constructor(cls: Any) -> Callable[..., None]:
                 values[name] = factories[name]()
         if values.keys() != names:
             raise TypeError(f"{cls.__qualname__}.__init__() {_difference(set(values), names)}")
+        return values
+
+    def constructor(self: Any, /, *given: Any, **named: Any) -> None:
+        all_in_order = len(given) == len(positional) == len(names) and not named  # most often, and fast
+        values = zip(positional, given, strict=True) if all_in_order else completed(given, named).items()
         if has_slots:
-            _set_slots(self, values)
+            for name, value in values:
+                object.__setattr__(self, name, value)
         else:
             self.__dict__.update(values)
         if has_more:

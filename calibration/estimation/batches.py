@@ -25,6 +25,7 @@ VIEWS_AT_A_TIME = 1024
 VIEWS_OF_SEVERAL_CAMERAS = 128
 """Views per pass: numbers that differ from view to view cost more per view, so saved calls matter less."""
 Columns = slice | IntArray
+_HERE = np.eye(4)
 
 
 @frozen(eq=False)
@@ -139,7 +140,7 @@ class Batch:
             T = times(inverse(X) if step.inverted else X, after)
             if step.parameters is not None and not step.is_own_twist:
                 T_child_pattern = T if step.inverted else after
-                there = np.eye(4) if T_child_pattern is None else T_child_pattern
+                there = _HERE if T_child_pattern is None else T_child_pattern
                 columns = step.parameters.jacobian(there.reshape(-1, 4, 4), values[step.block])
                 J[:, :, step.columns] = -columns if step.inverted else columns
         return per_view(times(self.before, T), self.views), J
