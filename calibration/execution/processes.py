@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -22,6 +23,10 @@ PR_SET_PDEATHSIG = 1
 """Linux's prctl option for a signal when the parent dies."""
 THREADS = 64 << 20
 """Bytes of address space: the stacks of the pool's two threads (8 MB each), their heaps, and some more."""
+BATCH = 0.03
+"""Seconds of work that a worker is sent at once; after a signal it finishes them."""
+MOST_IN_BATCH = 16
+"""Functions in it, of which the last worker may have all that remain."""
 _work: Sequence[Callable[[], Any]] = ()
 """The functions to call, set in a worker only: inherited from the parent with the data that they reference."""
 
@@ -34,22 +39,26 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
     try:
         # A queue, because a signal may interrupt waiting on it: waiting on futures holds locks that the
         # pool's own thread needs to end.
-        finished: SimpleQueue[Future[Result]] = SimpleQueue()
-        running: dict[Future[Result], int] = {}
+        finished: SimpleQueue[Future[list[Result]]] = SimpleQueue()
+        running: dict[Future[list[Result]], tuple[int, ...]] = {}
         waiting = iter(range(len(work)))
+        pace = _Pace(workers)
 
-        def submit(count: int) -> None:
-            for index in islice(waiting, count):
+        def submit() -> None:
+            if batch := tuple(islice(waiting, pace.batch)):
                 with held_back():  # the first submission forks the workers
-                    future = pool.submit(_run_in_worker, index)
-                running[future] = index
+                    future = pool.submit(_run_in_worker, batch)
+                running[future] = batch
                 future.add_done_callback(finished.put)
 
-        submit(4 * workers)
+        for _ in range(4 * workers):
+            submit()
         while running:
             future = finished.get()
-            submit(1)
-            yield running.pop(future), future.result()
+            batch = running.pop(future)
+            pace.finished += len(batch)
+            submit()
+            yield from zip(batch, future.result(), strict=True)
     except BrokenProcessPool as error:
         message = "a worker process died (killed, or out of memory); try fewer with jobs"
         raise InfrastructureError(message) from error
@@ -59,6 +68,23 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
         # an interrupted shutdown leaves workers running, and Python would wait for them at exit.
         with held_back():
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+class _Pace:
+    """How many functions a worker is sent at once: sending one takes as long as a cell of a small matrix."""
+
+    def __init__(self, workers: int) -> None:
+        """Begin before the first of some workers."""
+        self._workers, self._begin = workers, time.monotonic()
+        self.finished = 0
+
+    @property
+    def batch(self) -> int:
+        """As many as take `BATCH` by the time that those before have taken; one before any has finished."""
+        if not self.finished:
+            return 1
+        seconds = (time.monotonic() - self._begin) * self._workers / self.finished
+        return MOST_IN_BATCH if seconds * MOST_IN_BATCH < BATCH else max(1, int(BATCH / seconds))
 
 
 def _require_room_for_threads() -> None:
@@ -85,5 +111,5 @@ def _begin(work: Sequence[Callable[[], Any]], parent: int) -> None:
     _work = work
 
 
-def _run_in_worker(index: int) -> Any:
-    return _work[index]()
+def _run_in_worker(batch: Sequence[int]) -> list[Any]:
+    return [_work[index]() for index in batch]

@@ -7,11 +7,14 @@ import sys
 import time
 from collections.abc import Callable, Generator, Iterable
 from functools import partial
+from itertools import groupby
+from types import SimpleNamespace
 from typing import TypeVar
 
 import pytest
 
 from calibration.errors import InfrastructureError, InputError
+from calibration.execution import processes
 from calibration.execution.embedded import Embedded
 
 Item = TypeVar("Item")
@@ -29,6 +32,34 @@ def test_every_function_once_whatever_the_number_of_processes(workers: int) -> N
     offset = 10  # workers inherit the closure
     found = dict(in_parallel(lambda item: item + offset, range(57), workers))
     assert found == {i: i + 10 for i in range(57)}
+
+
+def test_quick_functions_are_sent_several_at_once() -> None:
+    """Those of one batch are called one after the other, so results of one process follow each other."""
+    pids = [pid for _, pid in in_parallel(lambda _: os.getpid(), range(400), 2)]
+    assert max(len(list(group)) for _, group in groupby(pids)) >= 8
+
+
+@pytest.mark.parametrize(("finished", "seconds", "batch"), [(0, 1.0, 1), (10, 1.0, 1), (100, 0.2, 7), (900, 0.2, 16)])
+def test_the_size_of_a_batch_follows_the_pace(
+    monkeypatch: pytest.MonkeyPatch, finished: int, seconds: float, batch: int
+) -> None:
+    now = iter([5.0, 5.0 + seconds])
+    monkeypatch.setattr(processes, "time", SimpleNamespace(monotonic=lambda: next(now)))
+    pace = processes._Pace(2)
+    pace.finished = finished
+    assert pace.batch == batch
+
+
+def test_an_error_in_a_batch_reaches_the_caller() -> None:
+    def refuse(item: int) -> int:
+        if item == 390:
+            raise InputError("planted")
+        return item
+
+    found = []
+    with pytest.raises(InputError, match="planted"):
+        found.extend(in_parallel(refuse, range(400), 2))
 
 
 def test_nothing_to_do() -> None:
@@ -72,6 +103,7 @@ def test_who_stops_early_leaves_no_process() -> None:
 def test_a_signal_while_a_worker_is_forked_is_not_lost(number: signal.Signals) -> None:
     program = f"""
 import os, signal
+from calibration.execution import processes
 from calibration.execution.embedded import Embedded
 from calibration.workflow.signals import terminate_cleanly
 asked = []
