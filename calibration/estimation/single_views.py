@@ -23,8 +23,6 @@ from calibration.geometry.types import Array, BoolArray, IntArray
 
 THOROUGHLY = Termination(decrease=1e-12, iterations=100)
 """To machine precision: written results must not depend on where a solver stops."""
-
-
 POOR_FIT = 1.5
 """RMS (px) of a view after its linear pose, above which it may have outliers."""
 
