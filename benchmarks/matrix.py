@@ -72,19 +72,27 @@ def measure(quick: bool) -> Iterator[Row]:
         note += f"; before: {before.seconds / cells / before.unit:.1f}"
     yield Row("matrix/a cell", now.seconds / cells / now.unit, "x json.loads", Bar(high=8), note)
     given = _matrix(ROOT, path, cells, 2, ("--start", "given", *NEAR))
-    note = "each cell from its noisy guess, so that no two calibrations are equal to the last bit"
+    note = "each cell from its noisy guess, until it arrives at the optimum"
     yield Row("matrix/a cell, start: given", given.seconds / cells / given.unit, "x json.loads", None, note)
     small = _matrix(ROOT, path, cells, 2, ("--datasets", "changes"))
     yield Row("matrix/a cell, datasets: changes", small.seconds / cells / small.unit, "x json.loads", Bar(high=8))
-    efficiency = alone.seconds / (2 * (now.own + now.workers / 2))
-    note = f"one process {alone.seconds:.1f} s; two {now.workers:.1f} s between them, {now.own:.1f} s beside them"
-    if before:
-        note += f", before {before.own:.1f} s"
-    yield Row("matrix/efficiency", efficiency, "on 2 cores", Bar(low=0.9), note)
+    yield Row("matrix/efficiency", _efficiency(alone, now), "on 2 cores", Bar(low=0.9), _between(alone, now, before))
     many = 200 if quick else 1000
-    large = _matrix(ROOT, path, many, 2)
+    large, large_alone = _matrix(ROOT, path, many, 2), _matrix(ROOT, path, many, 1)
     note = f"{many} cells; each of the two workers {large.worker_mb:.0f} MB"
     yield Row("matrix/memory", large.own_mb, "MB", Bar(high=100), note)
+    note = f"{many} cells: {_between(large_alone, large)}"
+    yield Row("matrix/efficiency, many cells", _efficiency(large_alone, large), "on 2 cores", None, note)
+
+
+def _efficiency(alone: Used, together: Used) -> float:
+    """CPU time of one process, over twice the time that two workers would take on idle cores."""
+    return alone.seconds / (2 * (together.own + together.workers / 2))
+
+
+def _between(alone: Used, together: Used, before: Used | None = None) -> str:
+    note = f"one process {alone.seconds:.1f} s; two {together.workers:.1f} s between them, "
+    return f"{note}{together.own:.1f} s beside them" + (f", before {before.own:.1f} s" if before else "")
 
 
 def _matrix(place: Path, dataset: Path, cells: int, jobs: int, more: Sequence[str] = ()) -> Used:
