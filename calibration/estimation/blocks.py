@@ -8,7 +8,7 @@ from calibration.estimation.intrinsics import FreeIntrinsics
 from calibration.estimation.motion import Motion
 from calibration.frozen import frozen
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
-from calibration.geometry.transforms import inverse, inverse_adjoint, moved_twists, retract
+from calibration.geometry.transforms import inverse_adjoint, retract, twists_in_child
 from calibration.geometry.types import Array
 
 
@@ -63,7 +63,7 @@ class FreeJoint:
 
     def jacobian(self, T_child_pattern: Array, value: Array) -> Array:
         """Jacobian (v, 6, k), like that of a pose."""
-        return moved_twists(inverse(T_child_pattern), self.model.columns(value)[:, self.at])
+        return twists_in_child(T_child_pattern, self.model.columns(value)[:, self.at])
 
     def motions(self, size: float) -> list[Motion]:
         """Return the motions of the parameters, like those of a pose."""

@@ -70,18 +70,18 @@ def inverse_adjoint(T: Array) -> Array:
     return A
 
 
-def moved_twists(T: Array, columns: Array) -> Array:
-    """Return ``adjoint(T) @ columns`` (n, 6, k) for a few twists (6, k) without forming the adjoints (n, 4, 4)."""
-    k = columns.shape[-1]
-    turned = T[:, :3, :3] @ np.concatenate([columns[:3], columns[3:]], -1)
-    dt, dw = turned[..., :k], turned[..., k:]
-    x, y, z = T[:, 0, 3, None], T[:, 1, 3, None], T[:, 2, 3, None]
-    out = np.empty((len(T), 6, k))
-    out[:, 3:] = dw
-    out[:, 0] = dt[:, 0] + y * dw[:, 2] - z * dw[:, 1]
-    out[:, 1] = dt[:, 1] + z * dw[:, 0] - x * dw[:, 2]
-    out[:, 2] = dt[:, 2] + x * dw[:, 1] - y * dw[:, 0]
-    return out
+def twists_in_child(T: Array, twists: Array) -> Array:
+    """Return ``adjoint(inverse(T)) @ twists`` (n, 6, k), for poses (n, 4, 4) and a few twists (6, k).
+
+    A twist (dt, dw) in the parent frame is ``(R^T (dt + dw x t), R^T dw)`` in the child frame.
+    """
+    k = twists.shape[-1]
+    crossed = rotations.hat(twists[3:].T).transpose(2, 1, 0).reshape(3, -1)  # t @ crossed: dw x t, by axis and twist
+    in_parent = np.empty((len(T), 3, 2 * k))
+    in_parent[..., :k] = (T[:, :3, 3] @ crossed).reshape(-1, 3, k) + twists[:3]
+    in_parent[..., k:] = twists[3:]
+    turned = T[:, :3, :3].transpose(0, 2, 1) @ in_parent
+    return turned.reshape(-1, 3, 2, k).transpose(0, 2, 1, 3).reshape(-1, 6, k)
 
 
 def retract(T: Array, twist: Array) -> Array:
