@@ -30,7 +30,7 @@ def frozen(cls: Any = None, /, *, eq: bool = True, kw_only: bool = False, slots:
 
     def declare(cls: Any) -> Any:
         own = {name: value for name, value in vars(cls).items() if name not in ("__dict__", "__weakref__")}
-        made = _with_slots(cls, kw_only) if slots else _without_fields(cls, own, kw_only)
+        made = _with_slots(cls, kw_only) if slots else _with_lazy_fields(cls, own, kw_only)
         made.__setattr__, made.__delattr__ = _refuse_setting, _refuse_deleting
         for name, make in _METHODS.items():
             if name not in own and (eq or name not in _COMPARING):
@@ -57,13 +57,14 @@ def _set_slots(self: Any, state: dict[str, Any]) -> None:
         object.__setattr__(self, name, value)
 
 
-def _without_fields(cls: Any, own: dict[str, Any], kw_only: bool) -> Any:
-    """Make a class a dataclass, and find what `dataclasses` asks of it when that is asked for."""
+def _with_lazy_fields(cls: Any, own: dict[str, Any], kw_only: bool) -> Any:
+    """Make a class a dataclass whose `_LAZY` attributes, which `dataclasses` reads, are found when first read."""
 
     def made() -> Any:  # on a copy, as the class is in use
         copy = type(cls)(cls.__name__, cls.__bases__, own)
-        frozen = any(map(dataclasses.is_dataclass, cls.__bases__))  # as its bases are, else not, which takes longer
-        return dataclasses.dataclass(init=False, repr=False, eq=False, kw_only=kw_only, frozen=frozen)(copy)
+        inherits = any(map(dataclasses.is_dataclass, cls.__bases__))
+        # frozen where its bases are, as they must agree; else not, as two methods would be compiled for that
+        return dataclasses.dataclass(init=False, repr=False, eq=False, kw_only=kw_only, frozen=inherits)(copy)
 
     for name, value in own.items():
         if isinstance(value, dataclasses.Field):
@@ -71,16 +72,17 @@ def _without_fields(cls: Any, own: dict[str, Any], kw_only: bool) -> Any:
                 delattr(cls, name)
             else:
                 setattr(cls, name, value.default)
-    for name in _ASKED:
-        setattr(cls, name, _Asked(cls, name, made))
+    for name in _LAZY:
+        setattr(cls, name, _LazyAttribute(cls, name, made))
     return cls
 
 
-_ASKED = ("__dataclass_fields__", "__dataclass_params__", "__match_args__")
+_LAZY = ("__dataclass_fields__", "__dataclass_params__", "__match_args__")
+"""What `dataclasses.dataclass` adds to a class beside its methods."""
 
 
-class _Asked:
-    """Attribute of a class that is found when it is first asked for, with the others of `_ASKED`."""
+class _LazyAttribute:
+    """Attribute of a class that is found when it is first read, with the others of `_LAZY`."""
 
     def __init__(self, cls: Any, name: str, make: Callable[[], Any]) -> None:
         self._class = cls
@@ -90,7 +92,7 @@ class _Asked:
     def __get__(self, _: object, __: object = None) -> Any:
         made = self._make()
         made.__dataclass_params__.frozen = True
-        for name in _ASKED:
+        for name in _LAZY:
             setattr(self._class, name, getattr(made, name))
         return getattr(made, self._name)
 
@@ -113,7 +115,7 @@ def _constructor(cls: Any) -> Callable[..., None]:
     positional = [each.name for each in fields if not each.kw_only]
     defaults = {each.name: each.default for each in fields if each.default is not dataclasses.MISSING}
     factories = {e.name: e.default_factory for e in fields if e.default_factory is not dataclasses.MISSING}
-    has_slots, has_more = "__slots__" in vars(cls), hasattr(cls, "__post_init__")
+    has_slots, has_post_init = "__slots__" in vars(cls), hasattr(cls, "__post_init__")
 
     def completed(given: tuple[Any, ...], named: dict[str, Any]) -> dict[str, Any]:
         values = dict(zip(positional, given, strict=False))
@@ -136,7 +138,7 @@ def _constructor(cls: Any) -> Callable[..., None]:
                 object.__setattr__(self, name, value)
         else:
             self.__dict__.update(values)
-        if has_more:
+        if has_post_init:
             self.__post_init__()
 
     return constructor

@@ -21,9 +21,10 @@ from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, IntArray
 
 VIEWS_AT_A_TIME = 1024
-"""Limits the temporaries: 1024 views of 50 corners take about 10 MB."""
+"""Most views of a batch, to limit the temporaries: 1024 views of 50 corners take about 10 MB."""
 VIEWS_OF_SEVERAL_CAMERAS = 128
-"""Views per pass: numbers that differ from view to view cost more per view, so saved calls matter less."""
+"""Most views of a batch with several cameras: intrinsics that differ from view to view cost more for each view, so that
+saved calls matter less."""
 Columns = slice | IntArray
 _HERE = np.eye(4)
 
@@ -85,10 +86,10 @@ class Part:
 
 @frozen(eq=False)
 class _Step:
-    """Link of all views of a batch."""
+    """A link at the same position in the chains of all views of a batch."""
 
     rows: IntArray
-    """(V,), or (1,) if it is the same in all: rows of the table of transforms."""
+    """(V,), or (1,) if all views have the same: rows of the table of transforms."""
     inverted: bool
     after: Array | None
     """(4, 4) or (V, 4, 4); None for the identity."""
@@ -107,6 +108,7 @@ class Batch:
     """V views of one or more groups."""
 
     before: Array | None
+    """(4, 4) or (V, 4, 4): constant before the first link; None for the identity."""
     steps: tuple[_Step, ...]
     terms: tuple[Term, ...]
     """Each of all V views; with the nominal intrinsics of a camera."""
@@ -243,8 +245,28 @@ def _batch(
     shared: Mapping[int, slice],
     local: Mapping[int, slice],
 ) -> Batch:
+    """Return the batch of groups of the same form; see `batches`.
+
+    Args:
+        groups: its groups.
+        blocks: all blocks.
+        rows: the first row of each block in the table of transforms.
+        shared: as in `batches`.
+        local: likewise.
+    """
     counts = [len(group.collections) for group in groups]
     ends = np.cumsum([0, *counts]).tolist()
+    steps = _steps(groups, blocks, rows)
+    parts = [_part(group, slice(*ends[i : i + 2]), steps, shared, local) for i, group in enumerate(groups)]
+    corners = [term for group in groups for term in group.terms if isinstance(term, CornerTerm)]
+    terms = groups[0].terms if len(groups) == 1 else (side_by_side(corners),)
+    before = _together([group.chain.before for group in groups], counts)
+    return Batch(before, tuple(steps), terms, tuple(parts), _free_intrinsics(groups[0], blocks))
+
+
+def _steps(groups: Sequence[ViewGroup], blocks: Sequence[Block], rows: IntArray) -> list[_Step]:
+    """Return the links of groups' chains, each as one of all their views."""
+    counts = [len(group.collections) for group in groups]
     steps: list[_Step] = []
     for links in zip(*(group.chain.links for group in groups), strict=True):
         width = steps[-1].columns.stop if steps else 0
@@ -262,25 +284,28 @@ def _batch(
                 is_own_twist=is_last and isinstance(parameters, Pose),
             )
         )
-    parts = []
-    for i, group in enumerate(groups):
-        links = group.chain.links
-        placed = [[k for k, link in enumerate(links) if link.block in of] for of in (shared, local)]
-        parts.append(
-            Part(
-                views=slice(*ends[i : i + 2]),
-                collections=group.collections,
-                shared=_span([steps[k].columns for k in placed[0]]),
-                shared_at=_span([shared[links[k].block] for k in placed[0]]),
-                local=_span([steps[k].columns for k in placed[1]]),
-                local_at=_span([local[links[k].block] for k in placed[1]]),
-                is_own_twist=placed[1] == [len(steps) - 1] and steps[-1].is_own_twist,
-            )
-        )
-    corners = [term for group in groups for term in group.terms if isinstance(term, CornerTerm)]
-    terms = groups[0].terms if len(groups) == 1 else (side_by_side(corners),)
-    before = _together([group.chain.before for group in groups], counts)
-    return Batch(before, tuple(steps), terms, tuple(parts), _free_intrinsics(groups[0], blocks))
+    return steps
+
+
+def _part(
+    group: ViewGroup,
+    views: slice,
+    steps: Sequence[_Step],
+    shared: Mapping[int, slice],
+    local: Mapping[int, slice],
+) -> Part:
+    """Return a group's part of a batch, at ``views``, whose parameters are at ``shared`` and ``local``."""
+    links = group.chain.links
+    of_shared, of_local = ([k for k, link in enumerate(links) if link.block in of] for of in (shared, local))
+    return Part(
+        views=views,
+        collections=group.collections,
+        shared=_span([steps[k].columns for k in of_shared]),
+        shared_at=_span([shared[links[k].block] for k in of_shared]),
+        local=_span([steps[k].columns for k in of_local]),
+        local_at=_span([local[links[k].block] for k in of_local]),
+        is_own_twist=of_local == [len(steps) - 1] and steps[-1].is_own_twist,
+    )
 
 
 def _rows(links: Sequence[Link], groups: Sequence[ViewGroup], blocks: Sequence[Block], rows: IntArray) -> IntArray:

@@ -57,7 +57,7 @@ class Calibrator:
         self._dataset, self._options = dataset, options
         self._of_all_views: Latest[LinearStart, Calibration | _Rest] = Latest(LinearStart.equals)
         self._of_the_rest: Latest[LinearStart, Calibration] = Latest(LinearStart.equals)
-        self._solved: Latest[Setup, Guesses] = Latest(is_)
+        self._of_solved_setup: Latest[Setup, Guesses] = Latest(is_)
 
     def calibrate(self, noise: StartingNoise) -> Calibration:
         """Calibrate from the initial guess with noise.
@@ -116,8 +116,10 @@ class Calibrator:
         return from_given_guess(self._dataset, linear, guesses.given(noise), self._options)
 
     def _guesses_of(self, setup: Setup) -> Guesses:
-        """Return the guesses of the problem that was solved: with all views and coefficients, or without some."""
-        return self._guesses if setup is self._guesses.setup else self._solved.of(setup, lambda: Guesses(setup))
+        """Return the guesses for the problem that was solved: with all views and coefficients, or without some."""
+        if setup is self._guesses.setup:
+            return self._guesses
+        return self._of_solved_setup.of(setup, lambda: Guesses(setup))
 
     @cached_property
     def _guesses(self) -> Guesses:

@@ -17,55 +17,56 @@ from calibration.geometry.types import Array, IntArray
 
 
 @frozen(eq=False)
-class Design:
-    """Columns of a group's views: those that move their poses, then combinations of those of their labels."""
+class GroupColumns:
+    """Columns of the V views of a group: a that move the poses, then combinations of the E columns of labels."""
 
     columns: IntArray
-    """(n,): their places among all columns."""
+    """(n,): their indices among all B columns; the last are the residuals."""
     twists: Array
-    """(V, 6, a): of the poses, by the first ones."""
+    """(V, 6, a): twists of the poses by the first a columns."""
     weights: Array
     """(E + 1, n - a): the others, as combinations of the labels' columns and the residuals."""
     local: Columns
-    """Places of the local ones."""
+    """Indices of the p local columns among all P."""
     local_twists: Array
-    """(V, 6, p)."""
+    """(V, 6, p): twists of the poses by the local columns."""
 
 
 @frozen(eq=False)
 class ClusterSums:
-    """Sums of products of B columns, the last of them the residuals, and of P local ones, filled by `add`."""
+    """Sums of products of B columns, of which the last are the residuals, and of P local ones; `add` adds to them."""
 
     clusters: IntArray
     """(N,): of each collection."""
     G: Array
-    """(K, B, B), over clusters."""
+    """(K, B, B): products of the columns, summed over each cluster."""
     mixed: Array
-    """(N, P, B), over collections."""
+    """(N, P, B): products of the local ones and the columns, summed over each collection."""
     local: Array
-    """(N, P, P)."""
+    """(N, P, P): products of the local ones, likewise."""
 
     @classmethod
     def zeros(cls, clusters: IntArray, columns: int, local: int) -> Self:
-        """Before any view."""
+        """Return sums of no views, of so many columns, and local columns; clusters (N,) are numbered from 0."""
         K, N = int(clusters.max()) + 1, len(clusters)
         zeros = (np.zeros(shape) for shape in ((K, columns, columns), (N, local, columns), (N, local, local)))
         return cls(clusters, *zeros)
 
-    def add(
-        self,
-        seen: SeenGroup,
-        terms: Sequence[Term],
-        weighting: Weighting,
-        design: Design,
-    ) -> None:
-        """Add the views of a group, with its labels and their weights."""
+    def add(self, seen: SeenGroup, terms: Sequence[Term], weighting: Weighting, own: GroupColumns) -> None:
+        """Add the views of a group.
+
+        Args:
+            seen: the group.
+            terms: its labels, with the intrinsics at the optimum.
+            weighting: standard deviations and loss of the residuals.
+            own: its columns.
+        """
         order = _in_order(self.clusters[seen.group.collections])
         collections, T = seen.group.collections[order], seen.T[order]
-        A, Y, W = design.twists[order], design.local_twists[order], design.weights
+        A, Y, W = own.twists[order], own.local_twists[order], own.weights
         clusters = self.clusters[collections]
         starts = _starts(clusters)
-        a, n = A.shape[-1], len(design.columns)
+        a, n = A.shape[-1], len(own.columns)
         M, right = np.empty((len(T), POSE, POSE)), np.empty((len(T), POSE, n))
         L = np.zeros((len(starts), len(W), len(W)))
         terms = [term.take(order) for term in terms]
@@ -81,10 +82,10 @@ class ClusterSums:
         G[:, a:, :a] = np.swapaxes(G[:, :a, a:], 1, 2)
         G[:, a:, a:] = W.T @ L @ W
         Yt, where, rows = np.swapaxes(Y, 1, 2), _as_slice(clusters[starts]), _as_slice(collections)
-        self.local[index_of(rows, design.local, design.local)] += Yt @ M @ Y
-        mixed, spans = Yt @ right, _spans(design.columns)
+        self.local[index_of(rows, own.local, own.local)] += Yt @ M @ Y
+        mixed, spans = Yt @ right, _spans(own.columns)
         for i, to_i in spans:
-            self.mixed[index_of(rows, design.local, to_i)] += mixed[:, :, i]
+            self.mixed[index_of(rows, own.local, to_i)] += mixed[:, :, i]
             for j, to_j in spans:
                 self.G[index_of(where, to_i, to_j)] += G[:, i, j]
 
@@ -105,7 +106,7 @@ def _in_order(clusters: IntArray) -> IntArray | slice:
 
 
 def _starts(clusters: IntArray) -> IntArray:
-    """Return where runs of equal ones begin among sorted clusters (n,)."""
+    """Return the indices at which runs of equal clusters begin, in sorted clusters (n,)."""
     return np.flatnonzero(np.diff(clusters, prepend=-1))
 
 
@@ -116,7 +117,7 @@ def _as_slice(indices: IntArray) -> Columns:
 
 
 def _spans(columns: IntArray) -> list[tuple[slice, slice]]:
-    """Return contiguous columns (n,) as slices, of the n and of all columns."""
+    """Return runs of consecutive columns (n,), as slices of the n and slices of all columns."""
     ends = [0, *(np.flatnonzero(np.diff(columns) != 1) + 1).tolist(), len(columns)]
     return [(slice(i, j), slice(int(columns[i]), int(columns[i]) + j - i)) for i, j in pairwise(ends)]
 

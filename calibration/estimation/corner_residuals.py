@@ -156,7 +156,7 @@ class CornerTerm:
         return np.stack([np.ones_like(X), X, Y, X * X, X * Y, Y * Y], -1)
 
     def _monomials_of(self, part: slice) -> Array:
-        """Return the same of a part of the views."""
+        """Return the monomials (K, 6), or (v, K, 6), of a part of the views."""
         return self._monomials if self.corners.ndim == 2 else self._monomials[part]
 
     @cached_property

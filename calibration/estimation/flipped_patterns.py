@@ -65,17 +65,17 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
 def _best_settled(
     problem: Problem, starts: list[Values], which: IntArray, weighting: Weighting, below: Array
 ) -> tuple[Values, Array]:
-    """Minimise over the local blocks of some collections (n,) from several starts, at once as they are few.
+    """Minimise over the local blocks of some collections (n,) from several starts, all in one problem.
 
     Args:
         problem: the problem.
-        starts: where to start.
+        starts: values of all blocks in all collections.
         which: the collections, (n,).
         weighting: what residuals weigh.
         below: (n,), costs at which the minima become of interest.
 
     Returns:
-        The values in these collections alone, of each those with the lowest cost, and that cost (n,).
+        The values in these collections alone, for each from the start with the lowest minimum, and that cost (n,).
     """
     several = np.tile(which, len(starts))
     start = tuple(

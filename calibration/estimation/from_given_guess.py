@@ -15,17 +15,18 @@ from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 
 SAME_COST = 0.01
-"""Difference of the costs of two optima that are the same: a tenth of a standard deviation. Points at a pattern's
-corner, which may count for either of its edges, make minima beside each other that differ by less."""
+"""Largest difference of the costs of two optima that are the same: a tenth of a standard deviation. Points at a
+pattern's corner, which may count for either of its edges, make minima beside each other that differ by less."""
 NEAR, NEAR_RELATIVE = 1e-4, 1e-6
-"""m, rad or px, and relative: distance of their values. One that is mirrored may have the same cost, not the values."""
+"""Largest difference of their values, in m, rad or px, and relative. A mirrored optimum may have the same cost, but has
+other values."""
 
 
 def from_given_guess(dataset: Dataset, linear: Calibration, guess: Values, options: Options) -> Calibration:
     """Calibrate from a guess.
 
     The optimum of the same labels does not depend on the start. So a minimisation that ends at the optimum from the
-    linear initial guess has the same calibration, to the last bit; its own are only its iterations.
+    linear initial guess returns that calibration, to the last bit; only the number of iterations is its own.
 
     Args:
         dataset: the calibrated dataset.

@@ -6,7 +6,14 @@ from operator import eq
 from calibration.estimation.blocks import Values
 from calibration.estimation.build import Setup
 from calibration.estimation.initial_values import initial_values
-from calibration.estimation.linear_start import LinearStart, Sight, free_patterns, linear_start, pattern_poses, sights
+from calibration.estimation.linear_start import (
+    LinearStart,
+    Sight,
+    free_patterns,
+    linear_start,
+    pattern_poses,
+    sights_of,
+)
 from calibration.estimation.starting_noise import StartingNoise, perturb
 from calibration.latest import Latest
 
@@ -29,7 +36,7 @@ class Guesses:
         return linear_start(self.setup, self._perturbed(noise), self._sights)
 
     def given(self, noise: StartingNoise) -> Values:
-        """Return the noisy guess; as in ATOM, the patterns' poses are those from the guess without noise.
+        """Return the noisy guess; patterns, as in ATOM, are where the cameras see them from the guess without noise.
 
         Raises:
             InputError: no camera sees a fixed pattern.
@@ -38,17 +45,17 @@ class Guesses:
         return tuple(self._patterns[i] if i in patterns else T for i, T in enumerate(self._perturbed(noise)))
 
     def _perturbed(self, noise: StartingNoise) -> Values:
-        return self._noisy.of(noise, lambda: perturb(self.setup, self._exact, noise))
+        return self._noisy.of(noise, lambda: perturb(self.setup, self._without_noise, noise))
 
     @cached_property
-    def _exact(self) -> Values:
+    def _without_noise(self) -> Values:
         return initial_values(self.setup, self._sights)
 
     @cached_property
     def _sights(self) -> tuple[Sight, ...]:
-        return sights(self.setup.problem)
+        return sights_of(self.setup.problem)
 
     @cached_property
     def _patterns(self) -> Values:
-        """The patterns' poses in the cameras' views, with all other blocks at the guess without noise."""
-        return pattern_poses(self.setup, self._exact, self._sights)
+        """Values with the patterns' poses in the cameras' views, and all other blocks at the guess without noise."""
+        return pattern_poses(self.setup, self._without_noise, self._sights)

@@ -48,8 +48,8 @@ class SeenGroup:
     """``T_sensor_child`` (V, 4, 4) of each edge in the chain."""
 
     @property
-    def labels(self) -> list["Label"]:
-        """(E,): the columns of its labels after those of the pose."""
+    def label_columns(self) -> list["LabelColumn"]:
+        """The E columns of its labels after those of the pose."""
         return [
             *((self.sensor.name, name) for name in self.names.of_sensor),
             *((self.pattern.name, name) for name in self.names.of_pattern),
@@ -70,10 +70,10 @@ class SeenGroup:
         return -moved if step.inverted else moved
 
 
-Label = tuple[str, str]
-"""Column of labels: the sensor's or pattern's name, and its own."""
-Weights = dict[Label, float]
-"""Combination of such columns, the same in all views."""
+LabelColumn = tuple[str, str]
+"""Column of labels, see `ColumnNames`: the name of the sensor or pattern, and the column's own."""
+Combination = dict[LabelColumn, float]
+"""Linear combination of columns of labels, by their weights, which are the same in all views."""
 Twists = Callable[[SeenGroup], Array | None]
 """Function of a group's views that returns twists of the pose (V, 6, k); None for no effect."""
 
@@ -89,8 +89,8 @@ class Cause:
     unit: Unit
     assumed: tuple[float, ...]
     """(k,): assumed standard deviation of each parameter."""
-    effect: Twists | tuple[Weights, ...]
-    """Of each parameter: motion of the poses, or a column of the labels."""
+    effect: Twists | tuple[Combination, ...]
+    """Derivatives by the k parameters: twists of the poses, or a combination of the labels' columns for each."""
     counts: bool = True
     """Whether it adds to the covariance of the result; False if another cause covers the same error."""
 
@@ -147,7 +147,7 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], assume
 
     def cause(kind: str, unit: Unit, sigma: float, *weights: dict[str, float], counts: bool = True) -> Iterator[Cause]:
         if not all(parameter in free for each in weights for parameter in each):
-            yield Cause(kind, sensor, unit, (sigma,) * len(weights), _labels(sensor, weights), counts and assumed)
+            yield Cause(kind, sensor, unit, (sigma,) * len(weights), _combinations(sensor, weights), counts and assumed)
 
     if camera is None:
         yield from cause("range bias", "m", assume.range_bias, {"bias": 1.0})
@@ -186,7 +186,7 @@ def _of_all_cameras(cameras: Mapping[str, Camera], assume: Assumptions) -> Itera
 
 def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Cause]:
     def cause(kind: str, unit: Unit, assumed: float, *weights: dict[str, float], counts: bool = True) -> Cause:
-        return Cause(kind, name, unit, (assumed,) * len(weights), _labels(name, weights), counts)
+        return Cause(kind, name, unit, (assumed,) * len(weights), _combinations(name, weights), counts)
 
     yield cause("size", "1", assume.pattern_size, {"size_x": 1.0, "size_y": 1.0})
     yield cause("stretch", "1", assume.pattern_stretch, {"size_x": 0.5, "size_y": -0.5})
@@ -198,7 +198,7 @@ def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Ca
         yield cause("border", "m", assume.border, {"border": 1.0})
 
 
-def _labels(subject: str, weights: Sequence[dict[str, float]]) -> tuple[Weights, ...]:
+def _combinations(subject: str, weights: Sequence[dict[str, float]]) -> tuple[Combination, ...]:
     """Return combinations of the columns of one sensor or pattern."""
     return tuple({(subject, name): weight for name, weight in each.items()} for each in weights)
 

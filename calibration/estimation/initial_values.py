@@ -11,14 +11,14 @@ from calibration.geometry.transforms import translation
 from calibration.geometry.types import Array
 
 
-def initial_values(setup: Setup, seen: Sequence[Sight] | None = None) -> Values:
+def initial_values(setup: Setup, sights: Sequence[Sight] | None = None) -> Values:
     """Return the transforms of the first collection, and the nominal parameters of joints and intrinsics.
 
     Patterns have no pose yet, unless they are fixed.
 
     Args:
         setup: the problem.
-        seen: `sights` of the problem.
+        sights: those of the problem (`sights_of`); computed if None.
     """
     dataset, joints = setup.dataset, {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     values: list[Array] = []
@@ -34,4 +34,4 @@ def initial_values(setup: Setup, seen: Sequence[Sight] | None = None) -> Values:
         elif block.edge:
             T = dataset.transforms[block.edge] if block.per_collection else dataset.transform(*block.edge)[0]
             values.append(T @ translation(pattern.centre) if pattern else T)
-    return place_gauge_patterns(setup, tuple(values), seen)
+    return place_gauge_patterns(setup, tuple(values), sights)

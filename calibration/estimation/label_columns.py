@@ -35,7 +35,7 @@ RANGING = ("bias", "scale", "elevation", "sweep_x", "sweep_y", "sweep_z")
 """Columns of a LiDAR or a depth camera: range offset (m) and scale, elevation offset of its beams
 (rad), and motion during a sweep (m per revolution, in its own frame)."""
 LABELS = 2 * CHUNK
-"""Labels per pass: fewer calls for rows that don't fit into the second-level cache anyway."""
+"""Labels per pass: more than `CHUNK`, as their rows do not fit into the second-level cache anyway."""
 
 
 @frozen
@@ -65,7 +65,9 @@ class ColumnNames:
 def products(
     terms: Sequence[Term], camera: Camera | None, pattern: Pattern, T: Array, weighting: Weighting
 ) -> Iterator[tuple[slice, Array]]:
-    """Yield parts of the views, with the products of their columns and residuals M (v, 6 + E + 1, 6 + E + 1).
+    """Yield parts of the views, with the products of their columns: M (v, 6 + E + 1, 6 + E + 1).
+
+    The columns are the twist, the E of the labels (`ColumnNames`), and the residuals.
 
     Args:
         terms: the labels of the views, with the intrinsics at the optimum.
@@ -93,7 +95,7 @@ def _products(rows: Array) -> Array:
 
 
 def _columns(term: Term, pattern: Pattern, T: Array, views: slice, weighting: Weighting) -> Array:
-    """Return all columns of the labels as rows (6 + E + 1, v, d L), weighted; the last are the residuals."""
+    """Return all columns of v views as weighted rows (6 + E + 1, v, d L); the last are the residuals."""
     scale, huber = weighting.scales[term.kind], weighting.huber
     if isinstance(term, CornerTerm):
         rows, places = term.rows(T, views, scale, huber, len(BENT))

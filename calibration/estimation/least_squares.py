@@ -100,7 +100,7 @@ def minimise(
         weighting: what residuals weigh, at first.
         until: when to stop.
         reweigh: asked at each point for what residuals are to weigh from there on; they keep their weights if None.
-        arrived: asked at each point whether to end there, as its optimum is known; only beside ``reweigh``.
+        arrived: asked at each point whether it is at an optimum that is known already, to end there; needs ``reweigh``.
     """
     until = until or Termination()
 

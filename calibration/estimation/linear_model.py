@@ -1,14 +1,14 @@
 """Linear model of a calibration at its optimum, of calibrated and fixed parameters.
 
-The normal equations are extended by columns of fixed parameters (`calibration.estimation.held`), and the local
-parameters of each collection are eliminated by the Schur complement, as in `calibration.estimation.normal_equations`
-(`calibration.estimation.cluster_sums`).
-The result is one small matrix and vector for each cluster k of collections c::
+The normal equations are extended by columns of fixed parameters (`calibration.estimation.held`), and summed over
+clusters of collections (`calibration.estimation.cluster_sums`), with the local parameters of each collection eliminated
+by the Schur complement, as in `calibration.estimation.normal_equations`. The result is one small matrix and vector for
+each cluster k of collections c::
 
     G_k = sum_c (Z_c^T Z_c - Z_c^T Y_c (Y_c^T Y_c)^-1 Y_c^T Z_c)        g_k likewise of Z_c^T r
 
-with the columns Z of the S calibrated shared parameters and of the causes, Y of the local ones.
-All questions on fixed parameters are answered from these, without another pass over the labels.
+with the columns Z of the S calibrated shared parameters and of the causes, Y of the local ones. All questions on fixed
+parameters are answered from these, without another pass over the labels.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,12 +20,12 @@ from calibration.dataset.model import Dataset
 from calibration.estimation.assumptions import Assumptions
 from calibration.estimation.batches import batches, table_of
 from calibration.estimation.blocks import Values
-from calibration.estimation.cluster_sums import ClusterSums, Design
+from calibration.estimation.cluster_sums import ClusterSums, GroupColumns
 from calibration.estimation.distinct import distinct
 from calibration.estimation.held import (
     Cause,
+    Combination,
     SeenGroup,
-    Weights,
     causes,
     lag,
     moved_pattern,
@@ -113,8 +113,8 @@ def linear_model(
     sums = ClusterSums.zeros(clusters, ends[-1] + 1, P)
     table = table_of(problem.blocks, values)
     for seen in groups:
-        design = _design(problem, seen, found, places, table, values)
-        sums.add(seen, problem.terms(seen.group, values), weighting, design)
+        own = _group_columns(problem, seen, found, places, table, values)
+        sums.add(seen, problem.terms(seen.group, values), weighting, own)
     alone = np.einsum("kii->i", sums.G)
     G = sums.eliminated()
     kept = [i for i, at in enumerate(places) if alone[at].any()]
@@ -133,37 +133,48 @@ def linear_model(
     )
 
 
-def _design(
+def _group_columns(
     problem: Problem, seen: SeenGroup, found: Sequence[Cause], places: Sequence[slice], table: Array, values: Values
-) -> Design:
+) -> GroupColumns:
     """Return the columns of a group's views."""
-    blocks, shared, own = problem.blocks, problem.shared_parameters, problem.local_parameters
-    spans = batches(blocks, [seen.group], problem.collections, shared, own)
-    (part,) = spans[0].parts
-    J = np.concatenate([batch.linearise(table, values)[1] for batch in spans])
+    shared, local = problem.shared_parameters, problem.local_parameters
+    pieces = batches(problem.blocks, [seen.group], problem.collections, shared, local)
+    (part,) = pieces[0].parts
+    J = np.concatenate([batch.linearise(table, values)[1] for batch in pieces])
     columns, twists = [np.arange(problem.sizes[0])[part.shared_at]], [J[:, :, part.shared]]
     for cause, at in zip(found, places, strict=True):
         moved = cause.effect(seen) if callable(cause.effect) else None
         if moved is not None:
             columns.append(np.arange(at.start, at.stop))
             twists.append(moved)
-    rows = {label: i for i, label in enumerate(seen.labels)}
+    combined, W = _combined(problem, seen, found, places)
+    columns.append(combined)
+    return GroupColumns(np.concatenate(columns), np.concatenate(twists, -1), W, part.local_at, J[:, :, part.local])
+
+
+def _combined(
+    problem: Problem, seen: SeenGroup, found: Sequence[Cause], places: Sequence[slice]
+) -> tuple[IntArray, Array]:
+    """Return the model's columns (c,) that a group's E columns of labels and its residuals determine.
+
+    And their weights (E + 1, c). The last of the columns are the residuals.
+    """
+    rows = {column: i for i, column in enumerate(seen.label_columns)}
     combined = [
-        (column, {rows[label]: weight for label, weight in weights.items() if label in rows})
-        for column, weights in _combinations(problem, seen, found, places)
+        (column, {rows[label]: weight for label, weight in combination.items() if label in rows})
+        for column, combination in _combinations(problem, seen, found, places)
     ]
-    combined = [each for each in combined if each[1]] + [(places[-1].stop, {len(rows): 1.0})]  # the residuals
+    combined = [each for each in combined if each[1]] + [(places[-1].stop, {len(rows): 1.0})]
     W = np.zeros((len(rows) + 1, len(combined)))
     for k, (_, weights) in enumerate(combined):
         W[list(weights), k] = list(weights.values())
-    columns.append(np.array([column for column, _ in combined]))
-    return Design(np.concatenate(columns), np.concatenate(twists, -1), W, part.local_at, J[:, :, part.local])
+    return np.array([column for column, _ in combined]), W
 
 
 def _combinations(
     problem: Problem, seen: SeenGroup, found: Sequence[Cause], places: Sequence[slice]
-) -> Iterator[tuple[int, Weights]]:
-    """Yield the model's columns that are combinations of the labels' own."""
+) -> Iterator[tuple[int, Combination]]:
+    """Yield the columns of the model that are combinations of a group's columns of labels, with these."""
     block = seen.group.intrinsics
     intrinsics = None if block is None or problem.blocks[block].held else problem.blocks[block].intrinsics
     if block is not None and intrinsics is not None:

@@ -46,7 +46,7 @@ SINGLE_AXIS = 0.002
 
 @frozen(eq=False)
 class LinearStart:
-    """Initial values, and the blocks taken from the guess."""
+    """Initial values of all blocks, and the names of those that are from the guess."""
 
     values: Values
     guessed: tuple[str, ...]
@@ -58,38 +58,38 @@ class LinearStart:
         return self.guessed == other.guessed and all(a.tobytes() == b.tobytes() for a, b in values)
 
 
-def linear_start(setup: Setup, guess: Values, seen: Sequence["Sight"] | None = None) -> LinearStart:
+def linear_start(setup: Setup, guess: Values, sights: Sequence["Sight"] | None = None) -> LinearStart:
     """Compute initial values for all blocks.
 
     Args:
         setup: the problem.
         guess: a value for each block; of these only fixed ones are used, and those without an
             equation.
-        seen: `sights` of the problem, which do not depend on the guess.
+        sights: those of the problem (`sights_of`), which do not depend on the guess; computed if None.
 
     Raises:
         UndeterminedError: a robot's motion is too small to separate a sensor's mount from the pattern's.
     """
     blocks = setup.problem.blocks
     unknown = {i for i, block in enumerate(blocks) if not block.held and isinstance(block.parameters, Pose)}
-    search = _Search(setup, guess, unknown, seen)
+    search = _Search(setup, guess, unknown, sights)
     while search.find() or search.take_guess():
         pass
     return LinearStart(search.found(), tuple(search.guessed))
 
 
-def pattern_poses(setup: Setup, values: Values, seen: Sequence["Sight"] | None = None) -> Values:
+def pattern_poses(setup: Setup, values: Values, sights: Sequence["Sight"] | None = None) -> Values:
     """Set the patterns' poses to those in the cameras' views, with all other blocks fixed.
 
     Args:
         setup: the problem.
         values: a value for each block.
-        seen: `sights` of the problem.
+        sights: those of the problem (`sights_of`); computed if None.
 
     Raises:
         InputError: no camera sees a fixed pattern.
     """
-    search = _Search(setup, values, free_patterns(setup), seen)
+    search = _Search(setup, values, free_patterns(setup), sights)
     while search.find():
         pass
     return search.found()
@@ -113,13 +113,16 @@ def free_patterns(setup: Setup) -> set[int]:
     return {i for i in patterns if not setup.problem.blocks[i].held}
 
 
-def place_gauge_patterns(setup: Setup, values: Values, seen: Sequence["Sight"] | None = None) -> Values:
-    """Set the patterns that fix the gauge to the poses in the cameras' views, with all other blocks fixed."""
+def place_gauge_patterns(setup: Setup, values: Values, sights: Sequence["Sight"] | None = None) -> Values:
+    """Set the patterns that fix the gauge to the poses in the cameras' views, with all other blocks fixed.
+
+    Args and errors are those of `pattern_poses`.
+    """
     held = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.gauge_patterns}
     if not held:
         return values
     blocks = tuple(replace(b, held=b.held and i not in held) for i, b in enumerate(setup.problem.blocks))
-    placed = pattern_poses(replace(setup, problem=replace(setup.problem, blocks=blocks)), values, seen)
+    placed = pattern_poses(replace(setup, problem=replace(setup.problem, blocks=blocks)), values, sights)
     return tuple(placed[i] if i in held else value for i, value in enumerate(values))
 
 
@@ -153,7 +156,7 @@ class Sight:
         )
 
 
-def sights(problem: Problem) -> tuple[Sight, ...]:
+def sights_of(problem: Problem) -> tuple[Sight, ...]:
     """Return the views of each group, with the poses or points that their labels alone determine."""
     terms = [group.terms[0] for group in problem.groups]
     corners = {i: term for i, term in enumerate(terms) if isinstance(term, CornerTerm)}
@@ -169,7 +172,7 @@ def sights(problem: Problem) -> tuple[Sight, ...]:
 class _Search:
     """Remaining unknowns, and the views that determine them."""
 
-    def __init__(self, setup: Setup, values: Values, unknown: set[int], seen: Sequence[Sight] | None = None) -> None:
+    def __init__(self, setup: Setup, values: Values, unknown: set[int], sights: Sequence[Sight] | None = None) -> None:
         """Start with all blocks known but some, and with the poses in the cameras' views."""
         self.setup, self.problem = setup, setup.problem
         self.guessed: list[str] = []
@@ -178,7 +181,7 @@ class _Search:
         N = self.problem.collections
         self._known = [np.full(N, i not in unknown) for i in range(len(values))]
         """By block: mask (N,) of the collections in which it is known."""
-        self._sights = sights(self.problem) if seen is None else seen
+        self._sights = sights_of(self.problem) if sights is None else sights
 
     def find(self) -> bool:
         """Solve for one more unknown by linear algebra; False if there is none.
@@ -388,7 +391,7 @@ class _Search:
         return usable
 
     def _between(self, sight: Sight, start: int, end: int | None) -> Array:
-        """Return the product (V, 4, 4) between two links of a chain; -1 is its begin, None its end."""
+        """Return the product (V, 4, 4) between two links of a chain; -1 is its start, None its end."""
         part = sight.chain.part(start, len(sight.chain.links) if end is None else end)
         return part.poses(self._transforms, sight.collections)
 

@@ -8,7 +8,7 @@ import numpy as np
 from calibration.geometry.types import Array
 
 MULTIPLICATIONS = 1 << 18
-"""Of one product, up to which OpenBLAS starts no threads."""
+"""Most multiplications in a product of matrices for which OpenBLAS starts no threads."""
 
 
 def product(A: Array, B: Array) -> Array:
@@ -30,5 +30,5 @@ def sum_of_products(A: Array, B: Array) -> Array:
 
 
 def _rows(multiplications: int) -> int:
-    """Return how many rows make a piece, by the multiplications for each."""
+    """Return the number of rows in a piece, where each row takes so many multiplications."""
     return max(1, MULTIPLICATIONS // max(1, multiplications))

@@ -22,12 +22,12 @@ SETTLED = 1e-8
 NEARLY_SETTLED = 1e-3
 """Relative change at which the parameters that each kind of label determines are counted."""
 RECOUNTED = 1e3
-"""They are counted again where the standard deviations have moved by this multiple of their last change since then, so
-that the number, and with it the optimum, does not depend on the start."""
+"""The parameters are counted again once the standard deviations have moved, since the last count, by this multiple of
+their latest change; so the count, and with it the optimum, does not depend on the start."""
 ROUNDS = 30
-"""After so many estimates with nearly settled weights they stay as they are: they go round in circles."""
+"""Number of estimates with nearly settled weights after which the weights stay as they are: they are in a cycle."""
 FEW = 100
-"""From so many collections the first standard deviations are estimated."""
+"""Least number of collections, if there are as many, from which the first standard deviations are estimated."""
 
 
 @frozen(eq=False)
@@ -53,7 +53,8 @@ def optimise(
         values: where to start.
         levels: standard deviations of the labels that are known.
         robust: whether outliers are to have little effect.
-        arrived: asked, while the noise is estimated, whether to end at a point, as its optimum is known.
+        arrived: whether the minimisation has come to an optimum that is known already, and ends; asked at each point
+            while the noise is estimated.
     """
     huber = HUBER if robust else None
     kinds = {term.kind for group in problem.groups for term in group.terms}

@@ -1,9 +1,8 @@
 """Pose of a planar pattern in a camera's frame, from one view by a linear method; all views at once.
 
 Rays are undistorted normalised image coordinates in structure-of-arrays form, (V, 2, K): V views, x
-and y, K corners (`calibration.geometry.cameras.Camera.normalise` gives them). The values of
-view has not seen a corner does not matter, NaN included. A view whose seen corners cannot give a
-pose gets NaN.
+and y, K corners (`calibration.geometry.cameras.Camera.normalise` gives them). The values of a corner
+that a view has not seen have no effect, not even NaN. A view whose seen corners cannot give a pose gets NaN.
 """
 
 import numpy as np

@@ -17,7 +17,7 @@ CHUNK = 19200
 """Labels per chunk: enough to be worth the calls on them, while their numbers fit into a cache; and BLAS starts no
 threads for their product with the (4, 3) numbers of a pose (`calibration.estimation.one_thread`)."""
 VIEWS = 384
-"""Most views per chunk, for the latter reason."""
+"""Most views per chunk, so that BLAS starts no threads for their rotations (v, 9) times (9, 54) numbers either."""
 
 Linearised = tuple[Array, Array, Array]
 

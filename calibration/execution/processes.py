@@ -24,9 +24,9 @@ PR_SET_PDEATHSIG = 1
 THREADS = 64 << 20
 """Bytes of address space: the stacks of the pool's two threads (8 MB each), their heaps, and some more."""
 BATCH = 0.03
-"""Seconds of work that a worker is sent at once; after a signal it finishes them."""
+"""Seconds of work in a batch, the functions that a worker is sent at once; after a signal it finishes its batch."""
 MOST_IN_BATCH = 16
-"""Functions in it, of which the last worker may have all that remain."""
+"""Most functions in a batch: one worker may have the last batch while the others have nothing left to do."""
 _work: Sequence[Callable[[], Any]] = ()
 """The functions to call, set in a worker only: inherited from the parent with the data that they reference."""
 
@@ -45,7 +45,7 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
         pace = _Pace(workers)
 
         def submit() -> None:
-            if batch := tuple(islice(waiting, pace.batch)):
+            if batch := tuple(islice(waiting, pace.batch_size())):
                 with held_back():  # the first submission forks the workers
                     future = pool.submit(_run_in_worker, batch)
                 running[future] = batch
@@ -63,7 +63,7 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
         message = "a worker process died (killed, or out of memory); try fewer with jobs"
         raise InfrastructureError(message) from error
     finally:
-        # Workers finish their current item, also after a signal: one that is killed while it writes its result
+        # Workers finish their current batch, also after a signal: one that is killed while it writes its result
         # leaves a partial message in the pipe, and the pool would wait for the rest. A second signal is delayed too:
         # an interrupted shutdown leaves workers running, and Python would wait for them at exit.
         with held_back():
@@ -71,16 +71,16 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
 
 
 class _Pace:
-    """How many functions a worker is sent at once: sending one takes as long as a cell of a small matrix."""
+    """Pace of the workers, by which batches are sized: sending takes as long as a cell of a small matrix."""
 
     def __init__(self, workers: int) -> None:
-        """Begin before the first of some workers."""
+        """Begin measuring so many workers."""
         self._workers, self._begin = workers, time.monotonic()
         self.finished = 0
+        """Number of functions that have returned."""
 
-    @property
-    def batch(self) -> int:
-        """As many as take `BATCH` by the time that those before have taken; one before any has finished."""
+    def batch_size(self) -> int:
+        """Return how many functions take about `BATCH`, by the mean time so far; 1 before any has returned."""
         if not self.finished:
             return 1
         seconds = (time.monotonic() - self._begin) * self._workers / self.finished

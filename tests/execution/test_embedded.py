@@ -48,7 +48,7 @@ def test_the_size_of_a_batch_follows_the_pace(
     monkeypatch.setattr(processes, "time", SimpleNamespace(monotonic=lambda: next(now)))
     pace = processes._Pace(2)
     pace.finished = finished
-    assert pace.batch == batch
+    assert pace.batch_size() == batch
 
 
 def test_an_error_in_a_batch_reaches_the_caller() -> None:

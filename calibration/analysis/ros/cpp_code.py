@@ -31,7 +31,6 @@ _CALLS: dict[str, tuple[Kind, int]] = {
 _QUALITY = {"create_publisher": 1, "create_subscription": 1}
 _ANY_PARAMETER = ("allow_undeclared_parameters", "automatically_declare_parameters_from_overrides")
 _POINTERS = ("ConstPtr", "Ptr", "SharedPtr", "ConstSharedPtr", "UniquePtr", "Request", "Response")
-_NODE_MAKERS = ("rclcpp::Node::make_shared", "Node", "rclcpp::Node", "ros::init", "LifecycleNode")
 _MOST_BYTES = 2_000_000
 """Limit of a file's size; generated code is larger."""
 _PARSER = Parser(Language(tree_sitter_cpp.language()))

@@ -193,8 +193,14 @@ def nothing_yet(cell: Cell, method: str = OUR_METHOD, start: str | None = None) 
     )
 
 
-def of_cell(result: CellResult, cell: Cell, iterations: int) -> CellResult:
-    """Return the result of another cell with the same calibration as that of this one, found in some iterations."""
+def for_cell(result: CellResult, cell: Cell, iterations: int) -> CellResult:
+    """Return a result as that of another cell, which has come to the same calibration.
+
+    Args:
+        result: the result of the first of these cells.
+        cell: another one of the same system.
+        iterations: number of the solver's iterations from its start.
+    """
     noise, details = cell.noise, result.details
     if details is not None and details.iterations != iterations:
         snapshot = details.snapshot and replace(details.snapshot, iterations=iterations)

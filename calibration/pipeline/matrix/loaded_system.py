@@ -91,7 +91,7 @@ class LoadedSystem:
 
     @cached_property
     def finished(self) -> Latest[Calibration, "Evaluated"]:
-        """What follows from the calibration of its latest cell; most cells have the same one."""
+        """Cache of what follows from the latest cell's calibration, before it is written; most cells have the same."""
         return Latest(Calibration.equals)
 
     @cached_property

@@ -29,9 +29,9 @@ from calibration.pipeline.matrix.cell_details import described, rounded_deviatio
 from calibration.pipeline.matrix.cell_result import (
     CellResult,
     Deviation,
+    for_cell,
     nothing_by_other_method,
     nothing_yet,
-    of_cell,
 )
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.other_method import other_method
@@ -39,7 +39,7 @@ from calibration.pipeline.matrix.other_method import other_method
 
 @frozen(eq=False)
 class Evaluated:
-    """Result of a calibrated dataset, not yet in a folder, and the texts of its files."""
+    """Result of a calibrated dataset, and the texts of its files, before they are written."""
 
     result: CellResult
     table: tuple[str, str] | None = None
@@ -47,7 +47,7 @@ class Evaluated:
     dataset: str | None = None
     """Text of the dataset; None if it is not written."""
     complete: bool = False
-    """Whether there was no error, so that its own results are written beside them."""
+    """Whether all was evaluated without an error; then the result has a folder of its own files."""
 
 
 def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None = None) -> CellResult:
@@ -63,7 +63,7 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
         result = _without_calibration(cell, system, error)
     else:
         result = _written(made, calibration.dataset, system, output, folder or cell.folder, calibration)
-        result = of_cell(result, cell, calibration.iterations)
+        result = for_cell(result, cell, calibration.iterations)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
 
 

@@ -78,7 +78,7 @@ class Background:
         found = np.asarray(cv2.merge(list(steps[:, :height, :width])), np.uint16)
         uneven = _uneven(levels[:, :height, :width])
         only = self._only(*np.divmod(uneven, width))
-        for index in (UNDECIDED, *self._varying):  # the samples of a pixel that sees another have one colour
+        for index in (UNDECIDED, *self._varying):  # all samples of a pixel that sees another facet have its colour
             for pixels in _batches(uneven[only == index], _PIXELS):
                 mean = in_steps(self._means(index, *np.divmod(pixels, width)).astype(np.float32))
                 for plane, values in zip(found.reshape(-1, 3).T, mean, strict=True):
@@ -98,13 +98,13 @@ class Background:
         return mean
 
     def _only(self, rows: IntArray, columns: IntArray) -> IntArray:
-        """Return the only facets (n,) that pixels see, or `UNDECIDED`."""
+        """Return the facet (n,) that all samples of each pixel hit, or `UNDECIDED`."""
         cell = self._cells.of_pixels(rows, columns)
         found: IntArray = self._sight.only[cell]
         (several,) = np.nonzero(found == UNDECIDED)
         rows, columns, cell = rows[several], columns[several], cell[several]
-        place = np.searchsorted(self._mixed, cell), rows % CELL[0] * CELL[1] + columns % CELL[1]
-        found[several] = np.where(self._limit[place] > self._cells.reach[cell], self._hit[place], UNDECIDED)
+        at = np.searchsorted(self._mixed, cell), rows % CELL[0] * CELL[1] + columns % CELL[1]  # of `_hit`
+        found[several] = np.where(self._limit[at] > self._cells.reach[cell], self._hit[at], UNDECIDED)
         return found
 
     def colours(self, rays: Array, rows: IntArray, columns: IntArray) -> Array:

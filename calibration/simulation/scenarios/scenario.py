@@ -19,7 +19,6 @@ from calibration.workflow.text import one_line, shorten
 
 MAX_SEED = 2**53
 """Limit of a seed, so that it is exact in JSON."""
-MAX_INDEX = 10**8
 _ID = re.compile(r"s(0|[1-9][0-9]{0,15})-([0-9]{5,8})")
 _HASH_DIGITS = 12
 _LONGEST_LINE = 1000
