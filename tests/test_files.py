@@ -2,6 +2,7 @@ import os
 import shutil
 import signal
 import tempfile
+from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -119,3 +120,23 @@ def test_a_temporary_folder_is_removed_whenever_a_signal_arrives(
     with pytest.raises(Terminated), terminate_cleanly(), temporary_folder(parent=tmp_path) as folder:
         (folder / "file").touch()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_temporary_folder_is_new_where_it_was_asked_for(tmp_path: Path) -> None:
+    with temporary_folder("some-", tmp_path) as folder, temporary_folder("some-", tmp_path) as other:
+        assert folder != other
+        assert {each.parent for each in (folder, other)} == {tmp_path}
+        assert folder.name.startswith("some-")
+        assert folder.stat().st_mode & 0o777 == 0o700
+    assert names(tmp_path) == []
+
+
+def test_what_cannot_be_removed_is_an_error_or_stays(tmp_path: Path) -> None:
+    for ignore in (False, True):
+        with (
+            nullcontext() if ignore else pytest.raises(NotADirectoryError),
+            temporary_folder(parent=tmp_path, ignore_cleanup_errors=ignore) as folder,
+        ):
+            folder.rmdir()
+            folder.touch()
+        folder.unlink()

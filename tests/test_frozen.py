@@ -82,11 +82,18 @@ def test_it_is_constructed_compared_and_shown_like_a_dataclass(number: int) -> N
     assert dataclasses.replace(Point(3.0), y=4.0).norm == 5.0
     assert dataclasses.asdict(Point(1.0)) == {"x": 1.0, "y": 0.0, "tags": [], "secret": "s"}
     assert Point.__match_args__ == ("x", "y", "tags", "secret")
-    assert Point.y == 0.0
+    assert (Point.y, Point.secret) == (0.0, "s")
     assert not hasattr(Point, "x")
-    with pytest.raises(ValueError, match="negative"):
-        Point(-1.0)
-    for call in (Point, lambda: Point(y=1.0), lambda: Point(1.0, z=2.0), lambda: Point(1.0, x=2.0)):
+    for negative in ((-1.0,), (-1.0, 0.0, [], "s")):
+        with pytest.raises(ValueError, match="negative"):
+            Point(*negative)
+    for call in (
+        Point,
+        lambda: Point(y=1.0),
+        lambda: Point(1.0, z=2.0),
+        lambda: Point(1.0, x=2.0),
+        lambda: Point(1.0, 2.0, [], "s", x=2.0),
+    ):
         with pytest.raises(TypeError, match=r"Point\.__init__\(\)"):
             call()
     with pytest.raises(TypeError, match=r"missing .*x"):
@@ -100,8 +107,9 @@ def test_it_is_constructed_compared_and_shown_like_a_dataclass(number: int) -> N
 @pytest.mark.parametrize("number", [0, 1])
 def test_the_options_are_those_of_a_dataclass(number: int) -> None:
     by_name, by_identity = pair(kw_only=True)[number], pair(eq=False)[number]
-    with pytest.raises(TypeError, match="positional"):
-        by_name(1.0)
+    for given in ((1.0,), (1.0, 2.0, [], "s")):
+        with pytest.raises(TypeError, match="positional"):
+            by_name(*given)
     assert by_name(x=1.0).x == 1.0
     assert by_identity(1.0) != by_identity(1.0)
     assert len({by_identity(1.0), by_identity(1.0)}) == 2
@@ -147,6 +155,13 @@ def test_a_method_of_its_own_is_kept() -> None:
         def __repr__(self) -> str:
             return "mine"
 
+    class Louder(Shown):
+        """That asks its base for a method."""
+
+        def __init__(self, name: str) -> None:
+            super().__init__(name.upper())
+
+    assert [Louder("n").name for _ in range(2)] == ["N", "N"]
     assert repr(Shown("n")) == "mine"
     assert Shown("n") == Shown("n") != Shown("m")
 
@@ -162,6 +177,7 @@ def test_classes_inherit_from_each_other_and_from_type_variables() -> None:
 
     assert isinstance(Plain("n"), Named)
     assert Plain("n").name == "n"
+    assert Plain("n") == Plain("n") != Named("n") != Plain("n")
     with pytest.raises(FrozenInstanceError):
         Longest("n").name = "m"  # type: ignore[misc]
 

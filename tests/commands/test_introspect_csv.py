@@ -162,7 +162,7 @@ def test_bad_input_in_one_file_wins_over_a_violation_in_another() -> None:
     assert main(["introspect-csv", "--file", "t.csv,none.csv", "--column", RMS, "--max", "0"]) == 2
 
 
-def test_files_and_patterns(folder: Path) -> None:
+def test_files_and_patterns(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "a" / "b").mkdir(parents=True)
     for name in ("a/y.csv", "a/b/x.csv", "a/[1].csv"):
         (folder / name).write_text(ATOM)
@@ -177,6 +177,9 @@ def test_files_and_patterns(folder: Path) -> None:
         matching(["/**/x.csv"])  # such as ${{ steps.calibrate.outputs.output }}/**/x.csv with an empty output
     with pytest.raises(InputError, match="no file matches"):
         matching(["?"])  # matches only the folder a
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(InputError, match=r"^a/\*\.txt: the folder a cannot be read"):
+        matching(["a/*.txt"])
 
 
 def test_every_file_is_judged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

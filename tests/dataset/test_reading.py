@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from calibration.collector import no_collector
 from calibration.dataset.configuration import parse_configuration
 from calibration.dataset.document import Node
 from calibration.dataset.modalities import LIDAR3D, RGB
@@ -215,6 +216,9 @@ def test_a_transform_that_some_collections_lack_is_nan_there(tmp_path):
     np.testing.assert_array_equal(T[1, :3, 3], [2, 0, 1])
     with pytest.raises(InputError, match="collections/000/transforms: no 'world-board_link'"):
         dataset.transform("cam_optical", "board_link")
+    np.testing.assert_array_equal(dataset.transform("world", "board_link", np.array([1, 1])), T[[1, 1]])
+    with pytest.raises(InputError, match="collections/000/transforms: no 'world-board_link'"):
+        dataset.transform("cam_optical", "board_link", np.array([1, 0]))
     np.testing.assert_array_equal(dataset.with_collections([1]).transform("world", "board_link"), T[1:])
 
 
@@ -378,6 +382,8 @@ def test_with_collections_gives_another_dataset(dataset):
 
 def test_the_garbage_collector_is_left_as_it_was(tmp_path):
     path = documents.write(tmp_path, documents.document())
+    with no_collector():
+        assert not gc.isenabled()
     assert gc.isenabled()
     read_dataset(path)
     assert gc.isenabled()

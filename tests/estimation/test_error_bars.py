@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 
 from calibration.dataset.model import Dataset
+from calibration.estimation import label_columns
 from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.linear_model import LinearModel, linear_model
+from calibration.estimation.normal_equations import assemble
 from calibration.estimation.result import Calibration
 from calibration.geometry.transforms import local, retract
-from calibration.geometry.types import Array
+from calibration.geometry.types import Array, IntArray
 from tests.estimation import systems
 
 
@@ -102,3 +105,38 @@ def test_contributions_are_in_metres_of_transforms_alone() -> None:
     bars = calibrate(dataset, Options(intrinsics=("all",))).error_bars
     assert bars is not None
     assert 0 < max(bars.worth.values()) < 0.01
+
+
+def with_gaps(sensor: str, _: str, i: int) -> bool:
+    """Whether a sensor sees the pattern; each camera misses some collections."""
+    return i % 5 != ("left", "right", "cam", "lidar").index(sensor)
+
+
+@pytest.mark.parametrize("labels", [1, 10**6])
+@pytest.mark.parametrize("name", ["cameras", "LiDAR", "arm"])
+def test_a_clusters_sums_are_those_of_its_collections(name: str, labels: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the order of the clusters, and however many labels are in a pass."""
+    scenes = {
+        "cameras": systems.stereo(11, pixel_noise=0.3, sees=with_gaps),
+        "LiDAR": systems.camera_and_lidar(11, pixel_noise=0.3, range_noise=0.01, sees=with_gaps),
+        "arm": systems.eye_to_hand(11, pixel_noise=0.3),
+    }
+    solution = calibrate(scenes[name].dataset(1)).solution
+    problem, values = solution.setup.problem, solution.values
+
+    def model(clusters: IntArray) -> LinearModel:
+        return linear_model(problem, values, solution.weighting, solution.dataset, Assumptions(), clusters)
+
+    each = model(np.arange(11))
+    information = assemble(problem, values, solution.weighting).schur
+    S = each.shared
+    np.testing.assert_allclose(each.G.sum(0)[:S, :S], information, atol=1e-9 * np.abs(information).max())
+    monkeypatch.setattr(label_columns, "LABELS", labels)
+    clusters = np.array([0, 1, 2, 0, 1, 2, 3, 3, 2, 0, 1])
+    together = model(clusters)
+    for k in range(4):
+        expected = each.G[clusters == k].sum(0)
+        np.testing.assert_allclose(together.G[k], expected, atol=1e-9 * np.abs(each.G).max())
+        np.testing.assert_allclose(together.G[k], together.G[k].T, atol=1e-12 * np.abs(each.G).max())
+        gradient = each.g[clusters == k].sum(0)
+        np.testing.assert_allclose(together.g[k], gradient, atol=1e-9 * np.abs(each.g).max())

@@ -1,6 +1,6 @@
 """Columns of fixed parameters, against poses that are computed with changed parameters."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from calibration.geometry import rotations
 from calibration.geometry.transforms import from_xyz_rpy, local, retract, transform, translation
 from calibration.geometry.types import Array
 from tests.estimation import systems
+from tests.estimation.scenes import Scene
 
 STEP = 1e-6
 
@@ -49,8 +50,10 @@ def moved_by(dataset: Dataset, groups: Sequence[SeenGroup], changed: Array) -> l
     return moved
 
 
-def test_a_link_turns_what_hangs_on_it() -> None:
-    dataset = systems.eye_to_hand(6, seed=2).dataset(2)
+@pytest.mark.parametrize("scene", [systems.eye_to_hand, systems.eye_in_hand])
+def test_a_link_turns_what_hangs_on_it(scene: Callable[..., Scene]) -> None:
+    """The pattern, or the camera: its chain goes against the link."""
+    dataset = scene(6, seed=2).dataset(2)
     groups = seen(dataset)
     cause = of_kind(causes(dataset, groups, Assumptions(), {}), "link")
     T = dataset.transforms[arm_edge(dataset)]
@@ -63,8 +66,9 @@ def test_a_link_turns_what_hangs_on_it() -> None:
             np.testing.assert_allclose(columns[:, :6, k], twist, atol=1e-4)
 
 
-def test_lengths_of_an_arm_scale_its_translations() -> None:
-    dataset = systems.eye_to_hand(6, seed=2).dataset(2)
+@pytest.mark.parametrize("scene", [systems.eye_to_hand, systems.eye_in_hand])
+def test_lengths_of_an_arm_scale_its_translations(scene: Callable[..., Scene]) -> None:
+    dataset = scene(6, seed=2).dataset(2)
     groups = seen(dataset)
     cause = of_kind(causes(dataset, groups, Assumptions(), {}), "lengths")
     T = dataset.transforms[arm_edge(dataset)].copy()

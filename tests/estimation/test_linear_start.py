@@ -8,6 +8,7 @@ import pytest
 from calibration.dataset.model import CornerLabels, Labels
 from calibration.errors import InputError
 from calibration.estimation.build import Setup, build
+from calibration.estimation.guesses import Guesses
 from calibration.estimation.linear_start import LinearStart, linear_start, pattern_poses
 from calibration.estimation.normal_equations import Weighting, assemble
 from calibration.estimation.single_views import robust_poses
@@ -231,3 +232,22 @@ def test_a_collection_in_which_no_view_gives_a_pose_is_named():
     setup = build(relabelled(stereo(8).dataset(), collapse))
     with pytest.raises(InputError, match="collection 003: no camera view tells the pose of 'board'"):
         start_of(setup)
+
+
+@pytest.mark.parametrize("values", [(np.eye(4), np.array([0.0, 5e-324])), (np.eye(4), np.array([0.0, -0.0]))])
+def test_starts_are_equal_only_to_the_last_bit(values):
+    start = LinearStart((np.eye(4), np.zeros(2)), ("a",))
+    assert start.equals(LinearStart((np.eye(4), np.zeros(2)), ("a",)))
+    assert not start.equals(LinearStart(values, ("a",)))
+    assert not start.equals(LinearStart((np.eye(4), np.zeros(2)), ()))
+
+
+def test_what_no_equation_gives_starts_from_the_noisy_guess():
+    setup = build(camera_and_lidar2d(4).dataset())
+    guesses, scan = Guesses(setup), setup.block(("world", "scan"))
+    for seed in (1, 2):
+        noise = StartingNoise(0.1, 0.1, seed)
+        start = guesses.linear(noise)
+        assert start.guessed == ("world-scan",)
+        np.testing.assert_array_equal(start.values[scan], guesses.given(noise)[scan])
+        assert distance(start.values[scan], true_values(setup)[scan])[0] == pytest.approx(0.1)

@@ -5,19 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.estimation import flipped_patterns, optimisation
 from calibration.estimation.build import Setup, build
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.flipped_patterns import unflipped
-from calibration.estimation.least_squares import minimise
+from calibration.estimation.least_squares import Evaluation, minimise
 from calibration.estimation.linear_start import linear_start
-from calibration.estimation.noise_levels import NoiseLevels, estimate_scales
-from calibration.estimation.normal_equations import Weighting, assemble
+from calibration.estimation.noise_levels import NoiseLevels, estimate_scales, scales_of
+from calibration.estimation.normal_equations import Squares, Weighting, assemble
 from calibration.estimation.optimisation import HUBER, WeightedOptimum, optimise
 from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.problem import Values
 from calibration.geometry.transforms import distance, inverse, translation
-from tests.estimation.scenes import true_values
-from tests.estimation.systems import ALL, ring, stereo, two_bodies
+from tests.estimation.scenes import shaken, true_values
+from tests.estimation.systems import ALL, camera_and_lidar, ring, stereo, two_bodies
 
 NOISY = {"pixel_noise": 0.3, "range_noise": 0.01, "partial": 0.3}
 FLIPPED = [1, 4, 5]
@@ -27,13 +28,14 @@ def optimum(setup: Setup, robust: bool, values: Values | None = None) -> Weighte
     return optimise(setup.problem, values or true_values(setup), NoiseLevels(), robust)
 
 
-def mirrored(setup: Setup, values: Values, which: list[int]) -> Values:
-    """The moving pattern as its mirror image in the first camera that sees it in each of these collections."""
+def mirrored(setup: Setup, values: Values, which: list[int], camera: int = 0) -> Values:
+    """The moving pattern as its mirror image in the first camera that sees it in each of these collections, or -1:
+    the last."""
     out = list(values)
     pattern = setup.block(setup.pattern_edge("board"))
     out[pattern] = values[pattern].copy()
     for i in which:
-        group = next(g for g in setup.problem.groups if i in g.collections and g.terms[0].kind == "pixel")
+        group = [g for g in setup.problem.groups if i in g.collections and g.terms[0].kind == "pixel"][camera]
         v = np.flatnonzero(group.collections == i)
         T = setup.problem.poses(group, values)[v]
         before = T @ inverse(values[pattern][[i]])
@@ -43,10 +45,11 @@ def mirrored(setup: Setup, values: Values, which: list[int]) -> Values:
 
 @pytest.mark.parametrize("scene", [stereo, ring, two_bodies], ids=lambda s: s.__name__)
 @pytest.mark.parametrize("robust", [False, True])
-def test_mirrored_patterns_are_found_and_put_right(scene, robust):
+@pytest.mark.parametrize("camera", [0, -1])
+def test_mirrored_patterns_are_found_and_put_right(scene, robust, camera):
     setup = build(scene(12, **NOISY).dataset(1))
     best = optimum(setup, robust)
-    trapped = minimise(setup.problem, mirrored(setup, best.optimum.values, FLIPPED), best.weighting)
+    trapped = minimise(setup.problem, mirrored(setup, best.optimum.values, FLIPPED, camera), best.weighting)
     pattern = setup.block(setup.pattern_edge("board"))
     stuck = distance(trapped.values[pattern], best.optimum.values[pattern])[1] > 0.3
     assert set(np.flatnonzero(stuck)) <= set(FLIPPED)
@@ -135,3 +138,60 @@ def test_patterns_that_start_mirrored_are_put_right():
         assert result.converged
         assert result.noise_levels.pixel < trapped.weighting.scales["pixel"]
         assert result.noise_levels.pixel == pytest.approx(0.5, rel=0.05)
+
+
+def evaluation(setup: Setup, values: Values, weighting: Weighting) -> Evaluation:
+    squares: Squares = {}
+    return Evaluation(values, weighting, assemble(setup.problem, values, weighting, squares), squares)
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_weights_that_fit_but_for_the_number_of_parameters_have_not_settled(robust):
+    setup = build(stereo(**NOISY).dataset(4))
+    best = optimum(setup, robust)
+    squares = evaluation(setup, best.optimum.values, best.weighting).squares
+    scales = scales_of(setup.problem, squares, {}, robust)
+    now = evaluation(setup, best.optimum.values, Weighting(scales, best.weighting.huber))
+    found = optimisation._Noise(setup.problem, {}, robust)(now)
+    assert found.scales == pytest.approx(dict(best.weighting.scales), rel=1e-3)
+    assert found.scales["pixel"] > 1.01 * scales["pixel"]
+
+
+def test_weights_that_go_round_in_circles_stay_as_they_are_in_the_end():
+    setup = build(stereo(**NOISY).dataset(4))
+    best = optimum(setup, robust=True)
+    squares = evaluation(setup, best.optimum.values, best.weighting).squares
+    found = Weighting(scales_of(setup.problem, squares, {}, True), HUBER)
+    noise, stayed = optimisation._Noise(setup.problem, {}, True), []
+    for k in range(40):
+        scales = {kind: scale * (1 + 1e-5 * (-1) ** k) for kind, scale in found.scales.items()}
+        now = evaluation(setup, best.optimum.values, Weighting(scales, HUBER))
+        found = noise(now)
+        stayed.append(found is now.weighting)
+    assert not any(stayed[:10])
+    assert all(stayed[-5:])
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_several_starts_one_without_a_cost_does_not_count(order):
+    """And each collection has its own limit in all of them."""
+    setup = build(camera_and_lidar(**NOISY).dataset(4))
+    best, which = optimum(setup, robust=True), np.array([1, 4])
+    near = shaken(setup, best.optimum.values, 0.02)
+    near = tuple(
+        T if block.per_collection else known
+        for T, known, block in zip(near, best.optimum.values, setup.problem.blocks, strict=True)
+    )
+    nowhere = tuple(
+        np.full_like(T, np.nan) if block.per_collection else T
+        for T, block in zip(near, setup.problem.blocks, strict=True)
+    )
+    with np.errstate(all="ignore"):
+        values, cost = flipped_patterns._best_settled(
+            setup.problem, [near, nowhere][::order], which, best.weighting, np.array([-1e9, np.inf])[::order]
+        )
+    free = 1 if order == 1 else 0
+    assert cost[free] == pytest.approx(best.optimum.equations.cost[which[free]], abs=0.01)
+    pattern = setup.block(setup.pattern_edge("board"))
+    off = distance(values[pattern], best.optimum.values[pattern][which])
+    assert max(each[free] for each in off) < 1e-3

@@ -85,3 +85,20 @@ def test_translations_that_parallel_planes_leave_open_are_those_of_the_guess(til
     found = align_planes(normals, offsets, np.broadcast_to(np.eye(4), (6, 4, 4)), turned, guess)
     np.testing.assert_allclose(found[:3, 3], [0.4, -0.2, 0.0], atol=1e-9 + 20 * tilt)
     np.testing.assert_allclose(found[:3, 2], [0.0, 0.0, 1.0], atol=1e-9 + 2 * tilt)
+
+
+def test_the_guess_has_no_effect_where_the_planes_determine_all():
+    normals, offsets, before, after, X = measured(12, 5)
+    offsets += 0.003 * np.random.default_rng(0).normal(size=12)
+    guesses = (retract(X, np.random.default_rng(seed).uniform(-0.2, 0.2, 6)) for seed in range(4))
+    found = {align_planes(normals, offsets, before, after, guess).tobytes() for guess in guesses}
+    assert len(found) == 1
+
+
+def test_a_translation_along_the_common_line_of_all_planes_is_that_of_the_guess():
+    turned = transform(rotations.exp(np.linspace(-1, 1, 6)[:, None] * [1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    normals = turned[:, :3, 2]
+    guess = transform(np.eye(3), [0.4, -0.2, 0.3])
+    here = np.broadcast_to(np.eye(4), (6, 4, 4))
+    found = align_planes(normals, normals[:, 2], here, turned, guess)
+    np.testing.assert_allclose(found[:3, 3], [0.4, 0.0, 0.0], atol=1e-9)

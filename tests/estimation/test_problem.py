@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from calibration.estimation.batches import table_of
@@ -14,7 +14,7 @@ from calibration.estimation.normal_equations import Weighting, assemble
 from calibration.estimation.problem import Problem
 from calibration.estimation.views import Chain, Link, ViewGroup
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.distortion import Equidistant, PlumbBob
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel
 from calibration.geometry.transforms import inverse, local, retract
 from calibration.geometry.types import Array
@@ -56,6 +56,8 @@ def twist(before: Array, after: Array) -> Array:
 
 @at_most(25)
 @given(links=LINKS, first=CONSTANTS, joint=st.integers(-1, 3), groups=st.integers(1, 3), seed=st.integers(0, 99))
+@example(links=[(False, None), (True, None)], first=None, joint=-1, groups=3, seed=0)
+@example(links=[(False, None), (False, "one")], first=None, joint=-1, groups=3, seed=0)
 def test_the_jacobians_of_any_chains_are_their_derivatives(links, first, joint, groups, seed):
     """Groups of one form, whatever their blocks are, go in one batch."""
     rng = np.random.default_rng(seed)
@@ -145,6 +147,7 @@ def seen(views: int, camera: Camera, count: int = 30, sensor: str = "s") -> View
         ([seen(70, PINHOLE), seen(70, WIDE, sensor="t"), seen(70, PINHOLE)], [140, 70]),
         ([seen(600, PINHOLE), seen(70, PINHOLE)], [600, 70]),  # many labels
         ([seen(1025, PINHOLE)], [1024, 1]),
+        ([seen(4, PINHOLE), seen(3, replace(PINHOLE, distortion=Equidistant(-0.02, 0.01)))], [4, 3]),  # two models
     ],
 )
 def test_small_groups_go_together_and_big_ones_in_parts(groups, batches):

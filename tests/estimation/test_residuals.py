@@ -158,6 +158,30 @@ def test_the_cost_is_the_sum_of_squared_magnitudes(name):
     assert np.nanmean(errors**2) == pytest.approx(term.dimension * sigma**2, rel=0.35)
 
 
+@EVERY_TERM
+def test_the_squares_are_those_of_the_magnitudes(name):
+    make, sigma = TERMS[name]
+    term = make(sigma)
+    squares = np.full((V, term.length), 7.0)
+    term.linearise(poses(), sigma, 0.8, squares)
+    np.testing.assert_allclose(squares, term.magnitudes(poses()) ** 2, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("huber", [None, 0.8])
+@pytest.mark.parametrize("labels", [2, 10**6])
+def test_views_with_few_points_do_not_cut_those_with_many(huber, labels, monkeypatch):
+    """Views are evaluated in the order of their last points, in one chunk or in several."""
+    monkeypatch.setattr(residuals, "CHUNK", labels)
+    term, T = ranges(0.01), poses()
+    present = np.arange(20) < np.array([20, 3, 11, 7, 1])[:, None]
+    term = replace(term, present=present)
+    magnitudes = term.magnitudes(T)
+    loss = [robust((m[p][None] / 0.01) ** 2, huber)[0].sum() for m, p in zip(magnitudes, present, strict=True)]
+    squares = np.full(present.shape, 7.0)
+    np.testing.assert_allclose(term.linearise(T, 0.01, huber, squares)[0], loss, rtol=1e-12)
+    np.testing.assert_allclose(squares, magnitudes**2, rtol=1e-9)
+
+
 @pytest.mark.parametrize("name", ["partial views", "ranges", "border"])
 def test_what_is_not_there_does_not_matter(name):
     make, sigma = TERMS[name]

@@ -172,3 +172,14 @@ def test_a_label_that_the_distortion_cannot_have_made_does_not_cost_the_view() -
 
     np.testing.assert_allclose(linear, T, atol=1e-9)
     assert distance(T, robust)[0].max() < 1e-3
+
+
+def test_labels_of_all_corners_may_be_in_any_order() -> None:
+    K = len(PATTERN.corners)
+    pixels = np.arange(2.0 * K).reshape(K, 2)
+    views = [CornerLabels(np.arange(K), pixels), CornerLabels(np.arange(K)[::-1], pixels[::-1])]
+
+    labels = corner_term(CAMERA, PATTERN, views)
+
+    assert labels.seen is None
+    np.testing.assert_array_equal(labels.pixels, np.stack([pixels.T, pixels.T]))

@@ -229,3 +229,27 @@ def test_a_corner_far_off_does_not_put_the_pattern_behind_its_camera():
         result = calibrate(relabelled(eye_to_hand(12, pixel_noise=0.3).dataset(), far))
     assert not result.converged
     assert result.reason.endswith("labels lie too far off to be compared with the pattern in collection 002")
+
+
+def test_the_reason_is_that_of_the_whole_system_if_relative_poses_are_not_determined_either():
+    dataset, _ = base_that_turns_about_one_axis(6)
+    two = ("front_left_camera", "front_right_camera")
+    collections = tuple(  # which the cameras see in turn
+        replace(c, labels={key: label for key, label in c.labels.items() if key[1] == two[i % 2]})
+        for i, c in enumerate(dataset.collections)
+    )
+    apart = replace(dataset, sensors={name: dataset.sensors[name] for name in two}, collections=collections)
+    with pytest.raises(UndeterminedError, match="about a single axis only"):
+        calibrate(apart)
+
+
+def test_a_refusal_without_views_that_contradict_the_others_names_them():
+    """Only where its reported poses are wrong does the arm turn about a second axis."""
+    turns = np.concatenate([TURNS * [0.0, 0.6, 0.8], [[0.3, 0.0, 0.0], [-0.3, 0.1, 0.0]]])
+    dataset = replace(rotating(eye_to_hand(14), turns), pixel_noise=0.1).dataset()
+    moved = dataset.transforms["base", "flange"].copy()
+    moved[12:, :2, 3] += [[0.3, 0.0], [0.0, -0.4]]
+    with pytest.raises(
+        UndeterminedError, match=r"single axis only.*\(left out, as .* contradict the others: 012, 013\)"
+    ):
+        calibrate(dataset.with_transforms({("base", "flange"): moved}))

@@ -9,7 +9,7 @@ from calibration.dataset.model import CornerLabels, Dataset, Labels, PointLabels
 from calibration.errors import InputError, UndeterminedError
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.usable_labels import MINIMUM_CORNERS, usable_labels
-from tests.estimation.scenes import board, relabelled
+from tests.estimation.scenes import Scene, board, relabelled
 from tests.estimation.systems import camera_and_lidar, camera_and_lidar2d, eye_in_hand, stereo
 
 
@@ -95,13 +95,9 @@ def test_a_lidar_needs_a_camera_that_sees_the_moving_pattern_at_the_same_moment(
 
 
 def test_a_lidar_needs_a_camera_that_ever_sees_the_fixed_pattern():
-    scene = camera_and_lidar(6)
-    still = board("still", fixed=True, square=0.12)
-    transforms = {**scene.transforms, ("world", "still_link"): scene.transforms["world", "board_link"][0]}
-    both = replace(scene, patterns=[*scene.patterns, still], transforms=transforms)
-    once = replace(both, sees=lambda sensor, pattern, i: sensor == "lidar" or pattern == "board" or i == 2)
+    once = two_boards()
     assert usable_labels(once.dataset())[1] == ()
-    never = replace(both, sees=lambda sensor, pattern, _: sensor == "lidar" or pattern == "board")
+    never = replace(once, sees=lambda sensor, pattern, _: sensor == "lidar" or pattern == "board")
     usable, ignored = usable_labels(never.dataset())
     assert len(ignored) == 7
     assert ignored[-1] == "pattern 'still': no collection has enough labels of it"
@@ -125,3 +121,43 @@ def test_fewer_than_two_collections_left_is_an_error():
         dataset = only(dataset, [0, 1, 2, 3, 4, 5], collection)
     with pytest.raises(UndeterminedError, match="1 collection has labels; at least 2"):
         usable_labels(dataset)
+
+
+def test_a_view_that_leaves_the_pose_open_does_not_count_for_a_lidar():
+    dataset = only(camera_and_lidar(6).dataset(), [0, 1, 7])
+    usable, ignored = usable_labels(dataset)
+    assert ignored == (
+        "collection 002, cam: 3 corners, at least 4 are needed",
+        "collection 002, lidar: no camera saw 'board'",
+    )
+    assert usable.keys == ("000", "001", "003", "004", "005")
+
+
+def two_boards() -> Scene:
+    """Beside the moving pattern a fixed one, which a camera sees in one collection."""
+    scene = camera_and_lidar(6)
+    still = board("still", fixed=True, square=0.12)
+    transforms = {**scene.transforms, ("world", "still_link"): scene.transforms["world", "board_link"][0]}
+    sees = {"sees": lambda sensor, pattern, i: sensor == "lidar" or pattern == "board" or i == 2}
+    return replace(scene, patterns=[*scene.patterns, still], transforms=transforms, **sees)
+
+
+def test_nor_does_it_count_if_the_pattern_is_fixed():
+    dataset = two_boards().dataset()
+    label = dataset.collections[2].labels["still", "cam"]
+    assert isinstance(label, CornerLabels)
+    few = CornerLabels(label.ids[:3], label.pixels[:3])
+    collections = list(dataset.collections)
+    collections[2] = replace(collections[2], labels={**collections[2].labels, ("still", "cam"): few})
+    usable, ignored = usable_labels(replace(dataset, collections=tuple(collections)))
+    assert ignored[0] == "collection 002, cam: 3 corners, at least 4 are needed"
+    assert len(ignored) == 8
+    assert list(usable.patterns) == ["board"]
+
+
+def test_corners_on_a_line_are_found_on_every_pattern():
+    usable, ignored = usable_labels(only(two_boards().dataset(), [0, 1, 2, 3, 4, 5]))
+    assert [text for text in ignored if "cam" in text and "line" in text] == [
+        "collection 002, cam: its corners lie on a line"
+    ] * 2
+    assert list(usable.patterns) == ["board"]

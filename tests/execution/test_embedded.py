@@ -51,6 +51,21 @@ def test_the_size_of_a_batch_follows_the_pace(
     assert pace.batch_size() == batch
 
 
+def test_the_pace_counts_functions_not_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    paces = []
+
+    class Kept(processes._Pace):
+        """Of which we know."""
+
+        def __init__(self, workers: int) -> None:
+            super().__init__(workers)
+            paces.append(self)
+
+    monkeypatch.setattr(processes, "_Pace", Kept)
+    assert len(list(in_parallel(str, range(400), 2))) == 400
+    assert [pace.finished for pace in paces] == [400]
+
+
 def test_an_error_in_a_batch_reaches_the_caller() -> None:
     def refuse(item: int) -> int:
         if item == 390:

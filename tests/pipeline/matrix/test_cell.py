@@ -12,10 +12,12 @@ from calibration.comparison.methods import applicable, method_of
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import truth_of
+from calibration.diagnosis.against_optimum import find_optimum
 from calibration.diagnosis.limits import Limits
 from calibration.errors import ExitCode, InputError
 from calibration.estimation.assumptions import EXACT
 from calibration.estimation.calibrate import Calibrator, calibrate
+from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.options import Options
 from calibration.estimation.starting_noise import StartingNoise
@@ -33,7 +35,7 @@ from calibration.pipeline.result_tables import parameters_table, transforms_tabl
 from calibration.pipeline.results import Results
 from calibration.pipeline.system import NoiseGrid
 from calibration.report import Report
-from tests.estimation.systems import jointed_arm, stereo
+from tests.estimation.systems import jointed_arm, stereo, two_bodies
 from tests.estimation.test_wrong_views import exchanged
 from tests.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
 from tests.pipeline.conftest import DATASETS, T2RGB
@@ -284,3 +286,49 @@ def test_views_that_contradict_the_others_are_red_and_named_and_in_no_table(tmp_
     assert result.dataset is not None
     written = read_dataset(tmp_path / result.dataset)
     assert ("pattern_1", "rgb_world") in written.collections[3].labels
+
+
+def test_its_files_may_be_in_another_folder(tmp_path: Path) -> None:
+    """As those of our engine beside a team's software."""
+    system = loaded("pair", stereo(8, pixel_noise=0.3).dataset())
+    found = run_cell(Cell("pair", StartingNoise()), system, tmp_path, "elsewhere")
+    assert (found.folder, found.dataset) == ("elsewhere", "elsewhere/dataset.json")
+    assert [path.name for path in tmp_path.iterdir()] == ["elsewhere"]
+
+
+def test_a_start_that_is_not_possible_leaves_nothing(tmp_path: Path) -> None:
+    system = replace(loaded("pair", two_bodies(8, pixel_noise=0.3).dataset()), options=Options(start="given"))
+    cells = (Cell("pair", StartingNoise(2.0, 2.0, seed), "given") for seed in range(40))
+    results = (run_cell(cell, system, tmp_path / str(cell.noise.seed)) for cell in cells)
+    found = next(each for each in results if "behind a camera" in str(each.reasons))
+    assert (found.converged, found.error) == (False, None)
+    assert (found.rms_px, found.truth, found.table, found.dataset, found.folder) == (None,) * 5
+    assert not (tmp_path / str(found.seed)).exists()
+
+
+def test_what_cannot_be_evaluated_is_neither_compared_nor_complete(tmp_path: Path) -> None:
+    system = loaded("pair", stereo(8, pixel_noise=0.3).dataset())
+    system = replace(system, evaluation=parse_evaluation("lidar-to-lidar:one:two"))
+    found = run_cell(Cell("pair", StartingNoise()), system, tmp_path)
+    assert (found.converged, found.error, found.folder) == (False, ExitCode.BAD_INPUT, None)
+    assert "no sensor 'one'" in found.reasons[0]
+    assert found.details is not None
+    assert found.details.snapshot is None
+
+
+def test_intrinsics_are_written_only_if_it_converged(tmp_path: Path) -> None:
+    options = Options(start="given", intrinsics=("all",))
+    system = LoadedSystem("t2rgb", read_dataset(DATASETS / "t2rgb"), None, None, options)
+    written: dict[bool, bool] = {}
+    for noise in (StartingNoise(), *(StartingNoise(3.0, 2.5, seed) for seed in range(1, 6))):
+        found = run_cell(Cell("t2rgb", noise, "given"), system, tmp_path)
+        if found.folder is not None:
+            written.setdefault(found.converged, (tmp_path / found.folder / INTRINSICS).exists())
+    assert written == {True: True, False: False}
+
+
+def test_findings_on_another_optimum_are_its_own() -> None:
+    system = loaded("pair", stereo(10, pixel_noise=0.1).dataset())
+    other = find_optimum(exchanged(system.dataset, "left", (3, 8)), system.options)
+    kinds = [{each.kind for each in system.findings_of(optimum)} for optimum in (system.optimum, other)]
+    assert kinds[1] - kinds[0]

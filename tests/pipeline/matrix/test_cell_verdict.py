@@ -8,8 +8,10 @@ import pytest
 from calibration.diagnosis.limits import Limits
 from calibration.errors import ExitCode, InputError
 from calibration.introspection.rule_set import parse_rules
+from calibration.pipeline.judging import judge_results
 from calibration.pipeline.matrix.cell_result import CellResult, Deviation
 from calibration.pipeline.matrix.cell_verdict import judge_cells
+from calibration.pipeline.results import Results
 from calibration.pipeline.system import System
 
 TABLE = "Collection #,RMS (pix)\n000,0.5000\n001,0.7000\nAverages,0.6000\n"
@@ -103,3 +105,17 @@ def test_joints_have_limits_of_their_own(output: Path) -> None:
     assert judged(CELL, output, joint_mm=1).reasons == (
         "joint translation error against the truth: found no value, expected at most 1 mm",
     )
+
+
+def test_only_cells_of_the_given_systems_are_judged_again_and_no_other_method(output: Path) -> None:
+    """Whatever was judged before."""
+    before = replace(CELL, reasons=("judged before",))
+    other, icp = replace(before, system="other"), replace(before, method="icp")
+    system = System("robot", Path("robot"), limits=Limits(rms_px=0.5))
+
+    found = judge_results(Results((before, other), (before, icp, other)), [system], output)
+
+    assert len(found.cells[0].reasons) == 1
+    assert "expected at most 0.5" in found.cells[0].reasons[0]
+    assert found.cells[1] == other
+    assert found.comparisons == (found.cells[0], icp, other)

@@ -150,3 +150,20 @@ def test_without_a_scene_there_is_the_sky() -> None:
     assert (sight.only == 0).all()
     assert (hit == 0).all()
     assert np.isinf(sight.depth).all()
+
+
+@pytest.mark.parametrize("turn", [0.4, 1.0, 1.3])
+def test_the_limit_holds_where_two_steep_walls_cross(turn: float) -> None:
+    """Their nearnesses change the most from ray to ray, in opposite directions."""
+    walls = [
+        Box(T_WORLD_CAMERA @ from_xyz_rpy([0, 0, 3], [0, sign * turn, 0]), np.array([9.0, 9.0, 0.1]))
+        for sign in (1, -1)
+    ]
+    scene = Scene(boxes=tuple(walls))
+    xy = np.random.default_rng(8).uniform(-0.05, 0.05, (2, 1, 400))
+    rays = np.concatenate([xy, np.ones((1, 1, 400))])
+    hit, limit = Sight.of(facets(scene, T_WORLD_CAMERA), Bounds.of(rays)).hit(rays, np.arange(1))
+    apart = np.abs(rays[:2, :, :, None] - rays[:2, :, None]).max(axis=0)
+    near = (apart < limit[..., None]) & (hit[:, None] != UNDECIDED)
+    assert len(set(hit.ravel().tolist()) - {UNDECIDED}) > 1
+    assert (hit[..., None] == hit[:, None])[near].all()
