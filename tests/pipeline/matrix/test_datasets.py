@@ -33,6 +33,14 @@ def test_the_results_do_not_depend_on_it(system: System, tmp_path: Path) -> None
     assert not [*(tmp_path / "none").rglob("dataset.json")]
 
 
+def test_only_a_whole_dataset_has_its_point_clouds_beside_it(tmp_path: Path) -> None:
+    for datasets in ("full", "changes"):
+        [cell, _] = run(tmp_path / datasets, System("rlbot", DATASETS / "rlbot"), datasets, "calibrate").cells
+        clouds = {path.name for path in (tmp_path / datasets / str(cell.dataset)).parent.glob("*.pcd")}
+        expected = {path.name for path in (DATASETS / "rlbot").glob("*.pcd")} if datasets == "full" else set()
+        assert clouds == expected
+
+
 def test_the_page_shows_the_same_with_changes_and_says_why_it_shows_nothing(tmp_path: Path) -> None:
     pages = {}
     for each in ("full", "changes", "none"):
