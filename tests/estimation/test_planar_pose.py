@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.dataset.pattern import grid
-from calibration.estimation.planar_pose import mean_pose, mirrored_poses, planar_poses
+from calibration.estimation.planar_pose import determines_pose, mean_pose, mirrored_poses, planar_poses
 from calibration.geometry import rotations
 from calibration.geometry.transforms import apply, distance, inverse, retract, transform
 from calibration.geometry.types import Array
@@ -176,3 +176,12 @@ def test_an_input_is_not_changed():
     mean_pose(inverse(T))
     np.testing.assert_array_equal(T, before[0])
     np.testing.assert_array_equal(rays, before[1])
+
+
+def test_no_three_corners_determine_a_pose() -> None:
+    """What they leave of the squared errors is rounding, of any shape."""
+    random = np.random.default_rng(0)
+    seen = random.permuted(np.arange(len(CORNERS)) < np.full((100, 1), 3), axis=1)
+    assert set(seen.sum(1)) == {3}
+    assert not determines_pose(CORNERS, seen).any()
+    assert np.isnan(planar_poses(random.normal(size=(100, 2, len(CORNERS))), CORNERS, seen)).all()
