@@ -141,8 +141,9 @@ def test_a_robot_that_dies_is_a_failure(ros: "Container") -> None:
 
 
 def test_a_simulation_that_dies_is_a_failure(ros: "Container") -> None:
+    """It is seen when the next pose is published: on a busy machine the node takes a while to die of the first."""
     start(ros, "mortal")
-    code, _, err = play(ros, "/empty", "--pose-topic", "/mortal/pose", "--timeout", "60")
+    code, _, err = play(ros, "/empty", "--pose-topic", "/mortal/pose", "--timeout", "60", "--settle", "2")
     assert code == 1
     assert err[-1] == "player: nobody listens to /mortal/pose any more: the simulation has ended"
 
