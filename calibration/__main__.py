@@ -20,8 +20,8 @@ from typing import Any, NamedTuple, NoReturn
 import click
 
 from calibration import __version__
-from calibration.collector import no_collector
 from calibration.errors import CalibrationError, ExitCode, solvable
+from calibration.garbage_collector import no_collector
 from calibration.process_end import run_process
 from calibration.workflow import Runner, report_error, stop_commands
 from calibration.workflow.signals import Terminated, terminate_cleanly

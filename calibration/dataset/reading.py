@@ -4,7 +4,6 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from calibration.collector import no_collector
 from calibration.dataset.changes import KEY, changed_document
 from calibration.dataset.configuration import Configuration, parse_configuration
 from calibration.dataset.document import Node, read_json, shown
@@ -16,6 +15,7 @@ from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern, with_explicit_geometry
 from calibration.dataset.sensors import read_sensors
 from calibration.errors import InputError
+from calibration.garbage_collector import no_collector
 from calibration.geometry.types import Array
 
 FILE_NAME = "dataset.json"

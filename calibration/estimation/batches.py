@@ -45,7 +45,8 @@ class Part:
     local_at: Columns
     """Their parameters among those of a collection."""
     is_own_twist: bool
-    """Whether the local ones are the twist of the view's own pose, as those of a moving pattern: an identity."""
+    """Whether the local parameters are the twist of the view's pose itself, as a moving pattern's are: then
+    their Jacobian is the identity."""
 
     @cached_property
     def at(self) -> Columns:
@@ -55,12 +56,12 @@ class Part:
 
     @cached_property
     def has_shared(self) -> bool:
-        """Whether its views depend on shared blocks."""
+        """Whether the poses of its views depend on shared blocks."""
         return _any(self.shared)
 
     @cached_property
     def has_local(self) -> bool:
-        """Whether its views depend on local blocks."""
+        """Whether the poses of its views depend on local blocks."""
         return _any(self.local)
 
     @cached_property
@@ -100,7 +101,7 @@ class _Step:
     columns: slice
     """Its columns in the Jacobian."""
     is_own_twist: bool
-    """Whether its parameters are the twist of the view's own pose."""
+    """Whether its parameters are the twist of the view's pose itself, as a moving pattern's are."""
 
 
 @frozen(eq=False)

@@ -53,7 +53,12 @@ class Calibrator:
     """
 
     def __init__(self, dataset: Dataset, options: Options) -> None:
-        """Begin with the labels, and transforms that serve as the initial guess; they are not changed."""
+        """Create a calibrator.
+
+        Args:
+            dataset: the labels, and transforms that serve as the initial guess. It is not changed.
+            options: options of all its calibrations.
+        """
         self._dataset, self._options = dataset, options
         self._of_all_views: Latest[LinearStart, Calibration | _Rest] = Latest(LinearStart.equals)
         self._of_the_rest: Latest[LinearStart, Calibration] = Latest(LinearStart.equals)
@@ -156,7 +161,7 @@ class Calibrator:
 
 @frozen(eq=False)
 class _Rest:
-    """What remains without views that contradict the others."""
+    """Problem without the views that contradict the others, and these views."""
 
     guesses: Guesses
     dropped: tuple[DroppedView, ...]

@@ -56,7 +56,7 @@ def from_given_guess(dataset: Dataset, linear: Calibration, guess: Values, optio
 
 
 def _near(values: Values, known: Values) -> bool:
-    """Whether all values are near those of a known optimum."""
+    """Whether the values of all blocks are within `NEAR`, or `NEAR_RELATIVE`, of those of a known optimum."""
     return all(np.allclose(a, b, rtol=NEAR_RELATIVE, atol=NEAR) for a, b in zip(values, known, strict=True))
 
 

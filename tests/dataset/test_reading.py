@@ -7,7 +7,6 @@ import sys
 import numpy as np
 import pytest
 
-from calibration.collector import no_collector
 from calibration.dataset.configuration import parse_configuration
 from calibration.dataset.document import Node
 from calibration.dataset.modalities import LIDAR3D, RGB
@@ -15,6 +14,7 @@ from calibration.dataset.model import CornerLabels, PointLabels
 from calibration.dataset.pointcloud import read_points
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
+from calibration.garbage_collector import no_collector
 from calibration.geometry.transforms import from_quaternion
 from tests.dataset import documents
 from tests.dataset.documents import CLOUD, MISSING, changed
