@@ -9,11 +9,12 @@ from typing import Any
 
 import click
 
-from calibration.commands.parameters import path, text
+from calibration.commands.parameters import DEFAULT_ARTIFACT_NAME, artifact_name, path, text
 from calibration.errors import ExitCode
+from calibration.pipeline.distribution.artifacts import name_folders_by_slug, read_plan
 from calibration.pipeline.distribution.cost import cost_of_run
 from calibration.pipeline.distribution.gathering import gather, report_of_run
-from calibration.pipeline.distribution.jobs import parse_needs, parse_seconds
+from calibration.pipeline.distribution.jobs import SUCCESS, parse_needs, parse_seconds
 from calibration.pipeline.page.run_page import report_page
 from calibration.pipeline.results import PAGE_FILE, clear_results
 from calibration.report import publish
@@ -28,18 +29,21 @@ class GatherSettings:
 
     needs: str
     folder: Path
+    plan_sha256: str = ""
+    artifact_name: str = DEFAULT_ARTIFACT_NAME
     output: Path = Path("output")
     began: str | None = None
     """A text, because an invalid time must not fail the command."""
 
 
 @click.command(TITLE)
-@click.option("--needs", required=True, help="Results of the jobs: ${{ toJSON(needs) }}.")
+@click.option("--needs", required=True, help="Result, seconds and error of every job, as JSON.")
 @click.option(
-    "--folder",
-    type=path,
-    required=True,
-    help="Folder with the artifacts of the jobs, each in a folder named by its slug.",
+    "--folder", type=path, required=True, help="Folder with the artifacts of the jobs, each in a folder of its name."
+)
+@click.option("--plan-sha256", type=text, default="", help="Hash of the plan's file, an output of plan-matrix.")
+@click.option(
+    "--artifact-name", type=artifact_name, default=DEFAULT_ARTIFACT_NAME, help="Prefix of the artifact names."
 )
 @click.option("--output", type=path, default=Path("output"), help="Folder for the results of all (output).")
 @click.option("--began", type=text, help="Start time of this job, in seconds since 1970: date +%s.")
@@ -57,7 +61,10 @@ def gather_results(settings: GatherSettings, runner: Runner) -> ExitCode:
     """
     clear_results(settings.output)
     needs = parse_needs(settings.needs)
-    gathered = gather(needs, settings.folder)
+    name_folders_by_slug(settings.folder, settings.artifact_name)
+    planned = needs.results["plan"] == SUCCESS
+    plan = read_plan(settings.folder, settings.plan_sha256) if planned else None
+    gathered = gather(needs, plan, settings.folder)
     code = gathered.exit_code
     promotes = bool(gathered.plan.promote) and code == ExitCode.PASS
     cost = cost_of_run(gathered.plan, needs, settings.folder, _seconds_since(settings.began), promotes=promotes)

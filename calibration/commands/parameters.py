@@ -20,6 +20,7 @@ SYSTEMS = Path("datasets")
 """Folder of named systems, relative to the working directory."""
 EVERYWHERE, IN_ACTIONS = "CALIBRATION_REGISTRY_PASSWORD", "INPUT_REGISTRY_PASSWORD"
 """Variables with a registry password; the first is also read by the command line."""
+DEFAULT_ARTIFACT_NAME = "calibration"
 _TRUTH = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _SEPARATOR = re.compile(r"[,\r\n]")
 _Item = TypeVar("_Item")
@@ -32,6 +33,16 @@ def boolean(value: str | bool) -> bool:
     if truth is None:
         raise click.BadParameter(f"{value!r} is neither true nor false")
     return truth
+
+
+def artifact_name(value: str) -> str:
+    """Parse the prefix of all artifact names of a run; a usage error if it could match artifacts of another run.
+
+    The workflow appends a tilde, and downloads NAME~*: so names contain neither a tilde nor wildcards.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9._-]{1,100}", value):
+        raise click.BadParameter(f"{value!r}: expected up to 100 letters, digits, dots, dashes and underscores")
+    return value
 
 
 def number(value: str | float) -> float:

@@ -1,7 +1,6 @@
 """``plan-matrix``: plan the jobs of the reusable workflow, in its first job."""
 
 import os
-import re
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -9,8 +8,10 @@ from typing import Any
 import click
 
 from calibration.commands.parameters import (
+    DEFAULT_ARTIFACT_NAME,
     PATH_LIST,
     TEXT_LIST,
+    artifact_name,
     boolean_option,
     non_negative,
     path,
@@ -18,10 +19,11 @@ from calibration.commands.parameters import (
 )
 from calibration.commands.record_options import given, record_options
 from calibration.errors import ExitCode, InputError
+from calibration.files import write_atomically
 from calibration.git.event import Event
 from calibration.pipeline.configuration import DEFAULT_FILE, Configuration, read_configuration
 from calibration.pipeline.distribution.plan import JobInputs, Plan, datasets_as_configuration, plan_jobs
-from calibration.pipeline.distribution.plan_outputs import plan_outputs
+from calibration.pipeline.distribution.plan_outputs import plan_outputs, plan_text
 from calibration.pipeline.system import Noise
 from calibration.records import read
 from calibration.workflow import Runner, set_outputs, stop_commands
@@ -47,17 +49,8 @@ class PlanSettings:
     jobs: tuple[str, ...] = ()
     promote: bool = True
     minute_rate: float | None = None
-    artifact_name: str = "calibration"
-
-
-def artifact_name(value: str) -> str:
-    """Parse the prefix of all artifact names of a run; a usage error if it could match artifacts of another run.
-
-    The workflow appends a tilde, and downloads NAME~*: so names contain neither a tilde nor wildcards.
-    """
-    if not re.fullmatch(r"[A-Za-z0-9._-]{1,100}", value):
-        raise click.BadParameter(f"{value!r}: expected up to 100 letters, digits, dots, dashes and underscores")
-    return value
+    artifact_name: str = DEFAULT_ARTIFACT_NAME
+    plan_file: Path | None = None
 
 
 def minute_rate(value: str | float) -> float:
@@ -86,6 +79,7 @@ def minute_rate(value: str | float) -> float:
 @boolean_option("--promote", default=True, help="An image that passes may get its release tags (yes).")
 @click.option("--minute-rate", type=minute_rate, help="Price of a minute of a job, in your currency: 0.006.")
 @click.option("--artifact-name", type=artifact_name, help="Prefix of the artifact names (calibration).")
+@click.option("--plan-file", type=path, help="File for the plan, which gather-results reads.")
 def command(**options: Any) -> ExitCode:
     """Plan the jobs of a workflow: one for each system and pair of noises, as the matrix of a GitHub job."""
     own = {each.name: value for each in fields(PlanSettings) if (value := options.get(each.name)) is not None}
@@ -109,6 +103,8 @@ def plan_matrix(settings: PlanSettings, runner: Runner) -> ExitCode:
         for cell in plan.cells:
             starts = len(cell.starts(plan.seeds))
             runner.log(f"  {cell.name}{'' if starts == 1 else f': {starts} starts in one job'}")
+    if settings.plan_file is not None:
+        write_atomically(settings.plan_file, plan_text(plan))
     set_outputs(runner, outputs)
     return ExitCode.PASS
 

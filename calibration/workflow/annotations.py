@@ -2,11 +2,13 @@
 
 import enum
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
-from calibration.errors import brief
+from calibration.errors import InfrastructureError, brief
 from calibration.frozen import frozen
 from calibration.workflow.commands import workflow_command
+from calibration.workflow.outputs import set_outputs
 from calibration.workflow.runner import Runner
 from calibration.workflow.text import one_line, visible
 
@@ -59,11 +61,13 @@ def annotate(runner: Runner, annotations: Iterable[Annotation]) -> None:
 
 
 def report_error(runner: Runner, message: str) -> None:
-    """Print the error that ends the command in one line on stderr; on GitHub as an annotation too."""
+    """Print the error that ends the command in one line on stderr; on GitHub as an annotation and an output too."""
     message = brief(one_line(message))
     print(f"error: {message}", file=runner.stderr, flush=True)
     if runner.github:
         runner.log(workflow_command("error", message))
+        with suppress(InfrastructureError):  # the error itself has been printed
+            set_outputs(runner, {"error": message})
 
 
 def _command(runner: Runner, annotation: Annotation) -> str:

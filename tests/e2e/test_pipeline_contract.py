@@ -13,7 +13,7 @@ import yaml
 from calibration.__main__ import load_command
 from calibration.commands.plan_matrix import artifact_name
 from calibration.errors import InputError
-from calibration.pipeline.distribution.jobs import FILE, SECONDS
+from calibration.pipeline.distribution.jobs import ERROR, FILE, SECONDS, parse_needs
 from calibration.pipeline.distribution.plan import Plan
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
 from calibration.registries.promotion import promote
@@ -71,15 +71,19 @@ def test_every_variable_of_a_step_is_an_input_of_its_command() -> None:
 
 def test_the_plan_hands_on_all_that_it_says() -> None:
     told = {name: f"${{{{ steps.plan.outputs.{name} }}}}" for name in plan_outputs(Plan())}
-    assert JOBS["plan"]["outputs"] == {**told, SECONDS: "${{ steps.seconds.outputs.seconds }}"}
-    assert set(options("plan-matrix")) <= set(CALL["inputs"])
+    own = {SECONDS: "${{ steps.seconds.outputs.seconds }}", ERROR: "${{ steps.plan.outputs.error }}"}
+    assert JOBS["plan"]["outputs"] == {**told, **own}
+    assert set(options("plan-matrix")) - {"plan-file"} <= set(CALL["inputs"])
 
 
 def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
     verdict = JOBS["verdict"]
-    assert set(verdict["needs"]) == set(JOBS) - {"verdict", "promote"}
+    assert set(verdict["needs"]) == set(JOBS) - {"verdict", "comment", "promote"}
     assert verdict["if"] == "${{ always() }}"
-    assert set(Plan().jobs) == set(JOBS) - {"plan", "coverage", "verdict", "promote"}
+    assert set(Plan().jobs) == set(JOBS) - {"plan", "coverage", "verdict", "comment", "promote"}
+    [told] = [step["env"]["INPUT_NEEDS"] for step in verdict["steps"] if "INPUT_NEEDS" in step.get("env", {})]
+    needs = parse_needs(re.sub(r"\$\{\{ toJSON\(needs\.([\w-]+)\..*?\) \}\}", r'"\1"', told))
+    assert dict(needs.results) == {job: job for job in verdict["needs"]}
     for job in JOBS.values():
         assert "continue-on-error" not in job
         assert all(
@@ -90,7 +94,7 @@ def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
 def test_no_call_gathers_what_another_one_left() -> None:
     """Whatever their names, of those that plan-matrix takes, and a job's slug are."""
     steps = [step["with"] for job in JOBS.values() for step in job["steps"] if "artifact@" in step.get("uses", "")]
-    assert len(steps) == 11
+    assert len(steps) == 18
 
     def names(key: str, call: str) -> list[str]:
         texts = [step[key] for step in steps if key in step]
@@ -102,7 +106,11 @@ def test_no_call_gathers_what_another_one_left() -> None:
     left, patterns = names("name", "calibration-arm"), names("pattern", "calibration")
     assert [name for name in left for pattern in patterns if fnmatch(name, pattern)] == []
     assert set(left) & set(names("name", "calibration")) == set()
-    assert len([name for name in names("name", "calibration") if fnmatch(name, patterns[-1])]) == len(left) - 1
+    gathered = [name for name in names("name", "calibration") if fnmatch(name, "calibration~*")]
+    assert set(left) - {name.replace("calibration~", "calibration-arm~") for name in gathered} == {
+        "calibration-arm",
+        "calibration-arm.html",
+    }
     with pytest.raises(click.BadParameter, match="expected up to 100 letters"):
         artifact_name("calibration~arm")
 
@@ -128,7 +136,7 @@ def test_every_job_measures_itself() -> None:
     """From its first step to its last; where the jobs are of a matrix, until it keeps its results."""
     for name, job in JOBS.items():
         first, *_, last = job["steps"]
-        if name == "promote":  # nobody waits for it
+        if name in ("comment", "promote"):  # nobody waits for them
             continue
         assert first["run"] == 'echo "began=$(date +%s)" >>"$GITHUB_OUTPUT"'
         if name == "verdict":
@@ -165,9 +173,9 @@ def test_a_login_goes_to_the_image_that_it_is_for() -> None:
     [calibrate] = [step for step in JOBS["calibrate"]["steps"] if step.get("name") == "Calibrate"]
     password, user = "secrets.registry-password", "inputs.registry-username"
     given = calibrate["env"]
-    assert given["INPUT_REGISTRY_PASSWORD"] == f"${{{{ matrix.image == 'given' && {password} || '' }}}}"
-    assert given["INPUT_REGISTRY_USERNAME"] == f"${{{{ matrix.image == 'given' && {password} && {user} || '' }}}}"
-    for job in ("calibrate", "collect-data"):
+    assert given["INPUT_REGISTRY_PASSWORD"] == f"${{{{ env.CELL_IMAGE == 'given' && {password} || '' }}}}"
+    assert given["INPUT_REGISTRY_USERNAME"] == f"${{{{ env.CELL_IMAGE == 'given' && {password} && {user} || '' }}}}"
+    for job in ("calibrate-in-image", "collect-data-in-containers"):
         [build] = [step for step in JOBS[job]["steps"] if step.get("name") == "Build the image"]
         assert build["env"]["INPUT_LOAD"] is True
 
@@ -177,8 +185,11 @@ def test_jobs_have_the_time_that_the_caller_gives_their_kind() -> None:
     assert timeouts == {
         "image": "${{ inputs.timeout-minutes }}",
         "calibrate": "${{ inputs.timeout-minutes }}",
+        "calibrate-in-image": "${{ inputs.timeout-minutes }}",
         "calibrate-collected": "${{ inputs.timeout-minutes }}",
+        "calibrate-collected-in-image": "${{ inputs.timeout-minutes }}",
         "collect-data": "${{ inputs.collect-timeout-minutes || inputs.timeout-minutes }}",
+        "collect-data-in-containers": "${{ inputs.collect-timeout-minutes || inputs.timeout-minutes }}",
         "unit-tests": "${{ inputs.tests-timeout-minutes || inputs.timeout-minutes }}",
         "static-analysis": "${{ inputs.timeout-minutes }}",
     }
@@ -197,10 +208,43 @@ def test_permissions_are_small() -> None:
         asked = {name: job["permissions"] for name, job in loaded["jobs"].items() if "permissions" in job}
         more = {name for name, permissions in asked.items() if permissions not in ({}, {"contents": "read"})}
         assert more == ({"release"} if path.name == "release.yml" else set())
-    # These use what the caller gives.
+    # These use what the caller gives: a registry, AWS, the comment.
     assert {name for name, job in JOBS.items() if "permissions" not in job} == {
-        *("image", "calibrate", "collect-data", "calibrate-collected", "verdict", "promote")
+        *("image", "calibrate-in-image", "collect-data-in-containers", "calibrate-collected-in-image"),
+        *("comment", "promote"),
     }
+
+
+def test_a_job_with_the_least_permissions_has_no_secret_but_the_one_that_reads_the_suite() -> None:
+    for name in ("calibrate", "calibrate-collected", "collect-data", "unit-tests", "static-analysis", "verdict"):
+        assert JOBS[name]["permissions"] == {"contents": "read"}
+        text = str([step for step in JOBS[name]["steps"] if step.get("name") != "Calibrate"])
+        assert set(re.findall(r"secrets\.([\w-]+)", text)) <= {"suite-token"}, name
+
+
+def test_a_job_that_may_be_skipped_has_a_name_without_an_expression() -> None:
+    for name, job in JOBS.items():
+        assert ("${{" in job["name"]) is (name in ("plan", "verdict"))
+
+
+def test_a_job_keeps_its_own_folder_alone() -> None:
+    for name, job in JOBS.items():
+        for step in job["steps"]:
+            if "upload-artifact@" in step.get("uses", "") and "~" in step["with"].get("name", ""):
+                slug = step["with"]["name"].partition("~")[2]
+                assert (
+                    step["with"]["path"].splitlines()[0].endswith(f"/{slug}".replace("/plan", "/calibration-plan"))
+                ), name
+    [get] = [step for step in JOBS["verdict"]["steps"] if step.get("name") == "Get the results"]
+    assert "merge-multiple" not in get["with"]
+
+
+def test_every_artifact_has_a_name_of_its_own() -> None:
+    """The default is `artifact`, which `overwrite` would delete though it is the caller's."""
+    for job in JOBS.values():
+        for step in job["steps"]:
+            if "upload-artifact@" in step.get("uses", ""):
+                assert step["with"]["name"].startswith("${{ inputs.artifact-name }}")
 
 
 def test_the_commands_of_the_workflow_are_there() -> None:

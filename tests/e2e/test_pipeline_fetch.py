@@ -45,7 +45,9 @@ class Machine:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
 
-    def fetch(self, repository: str = "", commit: str = "", suite: str = "", token: str = "") -> tuple[int, str]:
+    def fetch(
+        self, repository: str = "", commit: str = "", suite: str = "", token: str = "", *, act: bool = False
+    ) -> tuple[int, str]:
         """Run the step and return its exit code and log."""
         variables = {
             "PATH": os.environ["PATH"],
@@ -60,7 +62,9 @@ class Machine:
         done = subprocess.run(
             ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", script],
             cwd=self.workspace,
-            env=variables | {"REPOSITORY": repository, "COMMIT": commit, "SUITE": suite, "TOKEN": token},
+            env=variables
+            | {"REPOSITORY": repository, "COMMIT": commit, "SUITE": suite, "TOKEN": token}
+            | ({"ACT": "true"} if act else {}),
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -99,12 +103,21 @@ def test_a_second_time_on_the_same_machine(machine: Machine) -> None:
 
 
 @pytest.mark.parametrize("line", [CALL, CALL.replace("uses: {}", "uses: '{}").replace("{}\n", "{}' # main\n")])
-def test_where_nothing_tells_the_callers_own_line_does(line: str, machine: Machine) -> None:
+def test_under_act_which_does_not_tell_the_callers_own_line_does(line: str, machine: Machine) -> None:
     machine.call(line.format("me/suite", "@v1"))
     machine.call(line.format("me/suite", "@v1"), "nightly.yml")
-    code, log = machine.fetch()
+    code, log = machine.fetch(act=True)
     assert code == 0, log
     assert machine.code == "second"
+
+
+def test_a_runner_that_does_not_tell_the_commit_is_refused(machine: Machine) -> None:
+    """The caller's line may name a tag that has moved, and in a fork another repository."""
+    machine.call(CALL.format("me/suite", "@v1"))
+    code, log = machine.fetch()
+    assert code == 2
+    assert "2.334.0" in log
+    assert not (machine.temporary / "calibration-ci-suite").exists()
 
 
 def test_the_input_comes_before_the_callers_line(machine: Machine) -> None:
@@ -117,7 +130,7 @@ def test_this_repositorys_own_pipeline_is_not_fetched(machine: Machine) -> None:
     machine.call(CALL.format(".", ""))
     (machine.workspace / "actions").mkdir()
     (machine.workspace / "actions" / "code").write_text("mine")
-    assert machine.fetch()[0] == 0
+    assert machine.fetch(act=True)[0] == 0
     assert machine.code == "mine"
 
 
@@ -145,7 +158,7 @@ def test_what_is_no_reference_is_refused(suite: str, machine: Machine) -> None:
 def test_a_caller_that_does_not_say_or_says_two_things_is_asked(lines: list[str], machine: Machine) -> None:
     for i, line in enumerate(lines):
         machine.call(line, f"{i}.yml")
-    code, log = machine.fetch()
+    code, log = machine.fetch(act=True)
     assert code == 2
     assert "add to its inputs suite: OWNER/REPOSITORY@REF" in log
 

@@ -91,7 +91,7 @@ def cost_of_run(plan: Plan, needs: Needs, folder: Path, seconds: int | None, *, 
     for job in ("plan", *plan.jobs, *needs.unplanned):  # not in the order of needs, whose keys act sorts by name
         if needs.results.get(job, "skipped") == "skipped":
             continue
-        cells = {"calibrate": plan.at_once, "calibrate-collected": plan.after_collection}.get(job)
+        cells = plan.cells_of_job.get(job)
         if cells is None:
             times.append(JobTime(job, job, needs.seconds.get(job)))
         else:

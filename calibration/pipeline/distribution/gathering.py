@@ -5,11 +5,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from calibration import records
-from calibration.errors import ExitCode, InputError
+from calibration.errors import ExitCode, InputError, brief
 from calibration.pipeline.distribution.cost import Cost, jobs_table, money
 from calibration.pipeline.distribution.jobs import SUCCESS, Needs
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, Plan
-from calibration.pipeline.distribution.plan_outputs import plan_of_outputs
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, nothing_yet
 from calibration.pipeline.matrix.software import SOFTWARE
@@ -19,6 +18,7 @@ from calibration.records import result
 from calibration.report import RESULTS_FILE, Report, Text, reasons_in, verdict_of
 from calibration.report.badge import FILE as BADGE
 from calibration.report.badge import verdict_badge
+from calibration.workflow.text import one_line
 
 NO_RESULT = "its job left no result: see the job's log"
 
@@ -51,17 +51,22 @@ class Gathered:
         return max(found, ExitCode.FAIL) if self.problems else found
 
 
-def gather(needs: Needs, folder: Path) -> Gathered:
+def gather(needs: Needs, plan: Plan | None, folder: Path) -> Gathered:
     """Read the files of the jobs below a folder, each in a folder with its slug, and compare them with the plan.
 
-    Planned results that are missing fail.
+    Of each job only what it was planned to do counts, as code of the repository may have written its files. Planned
+    results that are missing fail.
+
+    Args:
+        needs: results of the jobs.
+        plan: their plan; None if planning failed.
+        folder: their files.
 
     Raises:
         InputError: a file is not a results file, or has unplanned cells.
     """
-    if needs.results["plan"] != SUCCESS:
-        return Gathered(Results(), {"plan": needs.results["plan"]}, (_problem("plan", needs.results["plan"], folder),))
-    plan = plan_of_outputs(needs.plan)
+    if plan is None:
+        return Gathered(Results(), {"plan": needs.results["plan"]}, (_problem("plan", needs, folder),))
     jobs = {"plan": SUCCESS} | {job: needs.results.get(job, "missing") for job, runs in plan.jobs.items() if runs}
     jobs |= {job: result for job, result in needs.unplanned.items() if result != "skipped"}
     parts = [_cells_of(cell, plan, folder) for cell in plan.cells]
@@ -75,23 +80,24 @@ def gather(needs: Needs, folder: Path) -> Gathered:
         tuple({each.system: each for part in parts for each in part.exports}.values()),
     )
     failed = {
-        "calibrate": _any_failed(zip(plan.cells, parts, strict=True), collected=False),
-        "calibrate-collected": _any_failed(zip(plan.cells, parts, strict=True), collected=True),
-        "collect-data": any(each.verdict == "fail" for each in results.collections),
+        cell.job
+        for cell, part in zip(plan.cells, parts, strict=True)
+        if any(found.verdict == "fail" for found in part.cells)
     }
-    lost = [job for job, result in jobs.items() if result != SUCCESS and not failed.get(job)]
-    return Gathered(results, jobs, tuple(_problem(job, jobs[job], folder) for job in lost), plan)
+    if any(each.verdict == "fail" for each in results.collections):
+        failed |= {job for job in jobs if job.startswith("collect-data")}
+    lost = [job for job, result in jobs.items() if result != SUCCESS and job not in failed]
+    needs = replace(needs, results={**needs.results, **jobs})
+    return Gathered(results, jobs, tuple(_problem(job, needs, folder) for job in lost), plan)
 
 
-def _any_failed(parts: Iterable[tuple[JobCell, Results]], *, collected: bool) -> bool:
-    """Whether a cell has failed, of those whose dataset the workflow collects, or of the others."""
-    return any(found.verdict == "fail" for cell, part in parts if cell.collected is collected for found in part.cells)
-
-
-def _problem(job: str, result: str, folder: Path) -> str:
-    """Return the reasons why a job did not succeed, from its own results if there are any."""
+def _problem(job: str, needs: Needs, folder: Path) -> str:
+    """Return the reasons why a job did not succeed: of its own results, or the error that it has reported."""
     if reasons := reasons_in(folder / job):
         return f"{job}: {'; '.join(reasons)}"
+    if error := needs.errors.get(job):
+        return f"{job}: {brief(one_line(error))}"
+    result = needs.results[job]
     what = {"failure": "failed", "cancelled": "was cancelled", "skipped": "did not run"}.get(result, f"is {result}")
     return f"the job {job} {what}: see its log"
 
@@ -133,7 +139,9 @@ def _cells_of(job: JobCell, plan: Plan, folder: Path) -> Results:
         raise InputError(
             f"{folder / job.slug / RESULTS_FILE}: has a result of {name}, which was not planned for this job"
         )
-    return replace(found, cells=tuple(cells))
+    comparisons = tuple(each for each in found.comparisons if each.system == job.system)
+    exports = tuple(each for each in found.exports if each.system == job.system)
+    return replace(found, cells=tuple(cells), comparisons=comparisons, exports=exports, collections=(), image=None)
 
 
 def _start(cell: Cell) -> tuple[str, float, float, int]:

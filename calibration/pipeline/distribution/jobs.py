@@ -5,7 +5,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from calibration.errors import CalibrationError, InputError
 from calibration.files import read_bytes
@@ -15,6 +14,8 @@ UNPLANNED = ("coverage",)
 """Jobs that plan-matrix does not plan, as other inputs of the workflow control them."""
 SECONDS = "seconds"
 """Output with the duration, of a job without a matrix."""
+ERROR = "error"
+"""Output with the line of an error (`calibration.workflow`), of a job that leaves no results."""
 FILE = "job-seconds.txt"
 """File with the duration, beside the results of a job of the matrix, whose outputs GitHub does not keep one by one."""
 _SECONDS = re.compile(r"[0-9]{1,7}")
@@ -23,14 +24,14 @@ _SECONDS = re.compile(r"[0-9]{1,7}")
 
 @dataclass(frozen=True)
 class Needs:
-    """Results of the previous jobs, as in GitHub's ``toJSON(needs)``."""
+    """Results of the previous jobs."""
 
     results: Mapping[str, str] = field(default_factory=dict)
     """Result of each job: success, failure, cancelled or skipped."""
-    plan: Mapping[str, Any] = field(default_factory=dict)
-    """Outputs of plan-matrix; empty if it failed."""
     seconds: Mapping[str, int] = field(default_factory=dict)
     """Durations of the jobs that report them by an output."""
+    errors: Mapping[str, str] = field(default_factory=dict)
+    """Error lines of the jobs that leave no results, and report them by an output."""
 
     @property
     def unplanned(self) -> dict[str, str]:
@@ -39,7 +40,7 @@ class Needs:
 
 
 def parse_needs(text: str) -> Needs:
-    """Parse ``toJSON(needs)``.
+    """Parse the JSON of the previous jobs: an object with the result of each, and with its outputs seconds and error.
 
     Raises:
         InputError: it is invalid, or has no job plan.
@@ -47,13 +48,14 @@ def parse_needs(text: str) -> Needs:
     try:
         jobs = json.loads(text)
         results = {name: str(job["result"]) for name, job in jobs.items()}
-        outputs = {name: dict(job.get("outputs") or {}) for name, job in jobs.items()}
-        plan = dict(jobs["plan"]["outputs"] or {})
+        seconds = {name: found for name, job in jobs.items() if (found := parse_seconds(job.get(SECONDS))) is not None}
+        errors = {name: str(job[ERROR]) for name, job in jobs.items() if job.get(ERROR)}
+        _ = results["plan"]
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise InputError("needs: ${{ toJSON(needs) }} of a job that waits for the job plan was expected") from None
-    plan.pop(SECONDS, None)
-    seconds_by_job = {name: parse_seconds(found.get(SECONDS)) for name, found in outputs.items()}
-    return Needs(results, plan, {name: seconds for name, seconds in seconds_by_job.items() if seconds is not None})
+        raise InputError(
+            'needs: an object with every job was expected, {"plan": {"result": "success", "seconds": "7"}, ...}'
+        ) from None
+    return Needs(results, seconds, errors)
 
 
 def parse_seconds(value: object) -> int | None:

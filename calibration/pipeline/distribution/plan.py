@@ -27,6 +27,10 @@ megabyte in 0.1 to 0.3 s on one core, on GitHub's machines in less than a second
 """
 COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS = "collected-data", "unit-tests", "static-analysis"
 """Slugs of the artifacts of these jobs."""
+PLAN = "plan"
+"""Slug of the plan's own artifact."""
+CALIBRATING_JOBS = ("calibrate", "calibrate-in-image", "calibrate-collected", "calibrate-collected-in-image")
+"""Jobs of the workflow that calibrate. Those in an image have the permissions of the caller, for its registry."""
 ImageSource: TypeAlias = Literal["", "own", "built", "given"]
 """Image of the team's software: none (our engine calibrates), the one that the system names, the one that
 the job builds, the one that the workflow was given.
@@ -52,6 +56,11 @@ class JobCell:
     collected: bool = False
     """Whether the job collect-data collects the dataset."""
 
+    @property
+    def job(self) -> str:
+        """The one of ``CALIBRATING_JOBS`` that calibrates it."""
+        return "calibrate" + "-collected" * self.collected + "-in-image" * bool(self.image)
+
     def starts(self, seeds: Sequence[int]) -> list[Cell]:
         """Return all cells that the job calibrates."""
         return [
@@ -67,13 +76,15 @@ class Plan:
     """Jobs of a run."""
 
     cells: tuple[JobCell, ...] = ()
-    """Cells of the job calibrate, and of the job calibrate-collected."""
+    """Cells of all jobs that calibrate."""
     seeds: tuple[int, ...] = (1,)
     simulations: tuple[str, ...] = ()
-    """Simulations of the job collect-data."""
+    """Simulations that are collected."""
     unit_tests: bool = False
     image: bool = False
     """Whether the image is built and pushed before the cells, so that they only pull it."""
+    collects_in_containers: bool = False
+    """Whether a simulation is one of the team's applications, in place of our own."""
     collects_in_image: bool = False
     """Whether a simulation runs in the image that the pipeline builds."""
     push: bool = False
@@ -85,23 +96,22 @@ class Plan:
     static_analysis: bool = False
 
     @property
-    def at_once(self) -> tuple[JobCell, ...]:
-        """The cells whose dataset exists."""
-        return tuple(cell for cell in self.cells if not cell.collected)
-
-    @property
-    def after_collection(self) -> tuple[JobCell, ...]:
-        """The cells that wait for their dataset."""
-        return tuple(cell for cell in self.cells if cell.collected)
+    def cells_of_job(self) -> Mapping[str, tuple[JobCell, ...]]:
+        """The cells of each job that calibrates."""
+        return {job: tuple(cell for cell in self.cells if cell.job == job) for job in CALIBRATING_JOBS}
 
     @property
     def jobs(self) -> Mapping[str, bool]:
         """Jobs of the workflow that the verdict waits for, and whether each runs."""
+        cells = {job: bool(cells) for job, cells in self.cells_of_job.items()}
         return {
             "image": self.image,
-            "calibrate": bool(self.at_once),
-            "collect-data": bool(self.simulations),
-            "calibrate-collected": bool(self.after_collection),
+            "calibrate": cells["calibrate"],
+            "calibrate-in-image": cells["calibrate-in-image"],
+            "collect-data": bool(self.simulations) and not self.collects_in_containers,
+            "collect-data-in-containers": bool(self.simulations) and self.collects_in_containers,
+            "calibrate-collected": cells["calibrate-collected"],
+            "calibrate-collected-in-image": cells["calibrate-collected-in-image"],
             "unit-tests": self.unit_tests,
             "static-analysis": self.static_analysis,
         }
@@ -193,6 +203,7 @@ def plan_jobs(
         tuple(simulation.name for simulation in collected),
         "unit-tests" in wanted,
         image=image,
+        collects_in_containers=any(simulation.applications.containers for simulation in collected),
         collects_in_image=in_image,
         push=push,
         promote=section.promote if section is not None and image and inputs.promote else (),
@@ -246,7 +257,7 @@ def _cells(systems: Sequence[System], noise: NoiseGrid, inputs: JobInputs, by_pa
             f"{len(noise.rotations)} rotation noises), GitHub takes {MOST_JOBS}: {advice}"
         )
     names = [_name(system.name, t, r) for system, t, r in pairs]
-    taken = (COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS)
+    taken = (PLAN, COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS)
     found = slugs([name.replace(", ", "_").replace(" ", "") for name in names], taken)
     return tuple(
         JobCell(

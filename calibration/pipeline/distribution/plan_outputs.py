@@ -1,100 +1,85 @@
-"""Plan as outputs of a workflow job, and back."""
+"""Plan as outputs of a workflow job for the jobs that follow, and as a file for the last one."""
 
+import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 from calibration.errors import InputError
-from calibration.introspection.numbers import number_text, parse_number
+from calibration.introspection.numbers import number_text
 from calibration.pipeline.distribution.plan import JobCell, Plan
 
-MOST_BYTES = 112 * 1024
-"""Limit of all outputs: the last job gets them in one environment variable, of which Linux allows 128 KiB."""
+MAX_OUTPUT_BYTES = 400 * 1024
+"""Limit of all outputs: GitHub takes 1 MB from a job, and counts two bytes for a character."""
 
 
 def plan_outputs(plan: Plan) -> dict[str, str]:
     """Return the outputs of the job plan, one line each.
+
+    The cells are an object by their names. A matrix has the names alone: GitHub shows all values of a matrix behind the
+    name of a job.
 
     Raises:
         InputError: they are too large.
     """
     outputs = {
         **{job: "true" if runs else "false" for job, runs in plan.jobs.items()},
-        "cells": _json([_entry(cell) for cell in plan.at_once]),
-        "collected-cells": _json([_entry(cell) for cell in plan.after_collection]),
-        "simulations": _json(plan.simulations),
-        "seeds": _json(len(plan.seeds) if plan.seeds == tuple(range(1, len(plan.seeds) + 1)) else plan.seeds),
+        **{f"{job}-names": _json([cell.name for cell in cells]) for job, cells in plan.cells_of_job.items()},
+        "cells": _json({cell.name: _entry(cell) for cell in plan.cells}),
         "collects-in-image": "true" if plan.collects_in_image else "false",
         "push": "true" if plan.push else "false",
         "promote": _json(plan.promote),
-        "minute-rate": _json(plan.minute_rate),
+        "plan-sha256": hashlib.sha256(plan_text(plan).encode()).hexdigest(),
     }
     size = len(_json(outputs).encode())
-    if size > MOST_BYTES:
+    if size > MAX_OUTPUT_BYTES:
         raise InputError(
-            f"the plan takes {size} bytes, {MOST_BYTES} is the limit: set noise-inside-cells: true, or shorten the "
-            "names of the systems and datasets, or the list of seeds"
+            f"the plan takes {size} bytes, {MAX_OUTPUT_BYTES} is the limit: set noise-inside-cells: true, or shorten "
+            "the names of the systems and datasets"
         )
     return outputs
 
 
-def plan_of_outputs(outputs: Mapping[str, Any]) -> Plan:
-    """Parse the plan from these outputs.
+def plan_text(plan: Plan) -> str:
+    """Return the whole plan as JSON, for a file: an environment variable takes 128 KiB at most (MAX_ARG_STRLEN)."""
+    return _json(asdict(plan))
+
+
+def plan_of_text(text: str, sha256: str) -> Plan:
+    """Parse the plan from the text of its file.
+
+    Args:
+        text: content of the file, which came by an artifact.
+        sha256: hash of the file by an output of the job plan, which no other job can change.
 
     Raises:
-        InputError: they are not those of a plan.
+        InputError: it is not the text with this hash.
     """
-    try:
-        seeds = json.loads(outputs["seeds"])
-        plan = Plan(
-            cells=tuple(_cell(entry) for key in ("cells", "collected-cells") for entry in json.loads(outputs[key])),
-            seeds=tuple(range(1, seeds + 1)) if isinstance(seeds, int) else tuple(seeds),
-            simulations=tuple(json.loads(outputs["simulations"])),
-            unit_tests=outputs["unit-tests"] == "true",
-            image=outputs["image"] == "true",
-            collects_in_image=outputs["collects-in-image"] == "true",
-            push=outputs["push"] == "true",
-            promote=tuple(json.loads(outputs["promote"])),
-            minute_rate=parse_number(outputs["minute-rate"]),
-            static_analysis=outputs["static-analysis"] == "true",
-        )
-        if plan_outputs(plan) == dict(outputs):
-            return plan
-    except (KeyError, TypeError, ValueError, AttributeError):
-        pass
-    raise InputError(
-        "the outputs of the job plan are not those of plan-matrix; GitHub drops an output that contains the value of a "
-        "secret: is a secret as short as a number or a system's name?"
-    )
+    if hashlib.sha256(text.encode()).hexdigest() != sha256:
+        raise InputError("found another plan than the job plan has made: has another job replaced its artifact?")
+    document = json.loads(text)
+    cells = tuple(JobCell(**_with_tuples(cell)) for cell in document.pop("cells"))
+    return Plan(cells=cells, **_with_tuples(document))
+
+
+def _with_tuples(document: dict[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
 
 
 def _entry(cell: JobCell) -> dict[str, str]:
     return {
-        "name": cell.name,
         "slug": cell.slug,
         "system": cell.system,
         "dataset": cell.dataset,
-        "translation-noise": _numbers(cell.translations),
-        "rotation-noise": _numbers(cell.rotations),
+        "translation-noise": _comma_separated(cell.translations),
+        "rotation-noise": _comma_separated(cell.rotations),
         "image": cell.image,
         "collected": "true" if cell.collected else "false",
     }
 
 
-def _cell(entry: Mapping[str, Any]) -> JobCell:
-    return JobCell(
-        entry["name"],
-        entry["slug"],
-        entry["system"],
-        tuple(map(float, entry["translation-noise"].split(","))),
-        tuple(map(float, entry["rotation-noise"].split(","))),
-        dataset=entry["dataset"],
-        image=entry["image"],
-        collected=entry["collected"] == "true",
-    )
-
-
-def _numbers(values: Sequence[float]) -> str:
+def _comma_separated(values: Sequence[float]) -> str:
     return ",".join(map(number_text, values))
 
 

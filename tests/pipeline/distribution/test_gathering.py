@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from calibration.errors import ExitCode, InputError
-from calibration.pipeline.distribution.gathering import NO_RESULT, gather
+from calibration.pipeline.distribution.gathering import NO_RESULT, Gathered
+from calibration.pipeline.distribution.gathering import gather as gather_by_needs
 from calibration.pipeline.distribution.jobs import Needs
 from calibration.pipeline.distribution.plan import JobCell, Plan
-from calibration.pipeline.distribution.plan_outputs import plan_outputs
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import write_results
@@ -48,7 +48,12 @@ def result(job: JobCell, seed: int = 1, **changes: Any) -> CellResult:
 def needs(plan: Plan, **results: str) -> Needs:
     found = {job: "success" if runs else "skipped" for job, runs in plan.jobs.items()}
     found |= {job.replace("_", "-"): outcome for job, outcome in results.items()}
-    return Needs({"plan": "success", **found}, plan_outputs(plan))
+    return Needs({"plan": "success", **found})
+
+
+def gather(plan: Plan, folder: Path, **results: str) -> Gathered:
+    """Gather a plan's results; its jobs have succeeded unless told otherwise."""
+    return gather_by_needs(needs(plan, **results), plan, folder)
 
 
 @pytest.fixture
@@ -71,7 +76,7 @@ def test_everything_that_was_planned_is_there(leave: Callable[..., Path], tmp_pa
     leave("later", result(LATER))
     leave("collected-data", collections=(FRESH,), image=image)
 
-    found = gather(needs(WHOLE), tmp_path)
+    found = gather(WHOLE, tmp_path)
 
     assert found.exit_code == ExitCode.PASS
     assert found.problems == ()
@@ -86,7 +91,14 @@ def test_everything_that_was_planned_is_there(leave: Callable[..., Path], tmp_pa
     assert [cell.method for cell in found.results.comparisons] == ["calibration-ci", "shah", "calibration-ci"]
     assert found.results.collections == (replace(FRESH, dataset="collected-data/collected/fresh"),)
     assert found.results.image == image
-    assert set(found.jobs) == {"plan", "image", "calibrate", "collect-data", "calibrate-collected", "unit-tests"}
+    assert set(found.jobs) == {
+        "plan",
+        "image",
+        "calibrate",
+        "collect-data",
+        "calibrate-collected-in-image",
+        "unit-tests",
+    }
 
 
 def test_real_results_are_gathered_unchanged(tmp_path: Path) -> None:
@@ -98,7 +110,7 @@ def test_real_results_are_gathered_unchanged(tmp_path: Path) -> None:
         write_results(Results(part.cells, part.comparisons), tmp_path / slug)
     jobs = (JobCell("", "a", "riwbot", (0.0,), (0.3,)), JobCell("", "b", "riwbot", (0.5,), (0.3,)))
 
-    found = gather(needs(Plan(jobs)), tmp_path).results
+    found = gather(Plan(jobs), tmp_path).results
 
     def essence(cells: tuple[CellResult, ...]) -> list[CellResult]:
         return [replace(cell, details=None, seconds=0, table=None, dataset=None, folder=None) for cell in cells]
@@ -114,7 +126,7 @@ def test_real_results_are_gathered_unchanged(tmp_path: Path) -> None:
 def test_a_cell_that_failed_explains_its_job(leave: Callable[..., Path], tmp_path: Path) -> None:
     leave("one", result(ONE))
     leave("two", result(TWO, reasons=("RMS: found 9 px",)))
-    found = gather(needs(BOTH, calibrate="failure"), tmp_path)
+    found = gather(BOTH, tmp_path, calibrate="failure")
     assert found.exit_code == ExitCode.FAIL
     assert found.problems == ()
     assert found.jobs == {"plan": "success", "calibrate": "failure"}
@@ -123,19 +135,19 @@ def test_a_cell_that_failed_explains_its_job(leave: Callable[..., Path], tmp_pat
 @pytest.mark.parametrize("job", ["success", "failure", "cancelled", "skipped"])
 def test_a_missing_result_is_never_a_pass(job: str, leave: Callable[..., Path], tmp_path: Path) -> None:
     leave("one", result(ONE))
-    found = gather(needs(BOTH, calibrate=job), tmp_path)
+    found = gather(BOTH, tmp_path, calibrate=job)
     assert found.exit_code == ExitCode.INFRASTRUCTURE
     assert [cell.reasons for cell in found.results.cells] == [(), (NO_RESULT,)]
 
 
 def test_a_missing_seed_is_a_missing_result(leave: Callable[..., Path], tmp_path: Path) -> None:
     leave("one", result(ONE, 1))
-    found = gather(needs(Plan((ONE,), seeds=(1, 2))), tmp_path)
+    found = gather(Plan((ONE,), seeds=(1, 2)), tmp_path)
     assert [(cell.seed, cell.verdict) for cell in found.results.cells] == [(1, "pass"), (2, "fail")]
 
 
 def test_nothing_at_all_is_left(tmp_path: Path) -> None:
-    found = gather(needs(WHOLE, image="failure", calibrate="skipped"), tmp_path / "nowhere")
+    found = gather(WHOLE, tmp_path / "nowhere", image="failure", calibrate="skipped")
     assert found.exit_code == ExitCode.INFRASTRUCTURE
     assert all(cell.reasons == (NO_RESULT,) for cell in found.results.cells)
     assert [cell.method for cell in found.results.cells] == ["calibration-ci", "calibration-ci", "software"]
@@ -148,7 +160,7 @@ def test_nothing_at_all_is_left(tmp_path: Path) -> None:
     [
         ({"calibrate": "failure"}, "the job calibrate failed: see its log"),
         ({"calibrate": "cancelled"}, "the job calibrate was cancelled: see its log"),
-        ({"calibrate-collected": "failure"}, "the job calibrate-collected failed: see its log"),
+        ({"calibrate-collected-in-image": "failure"}, "the job calibrate-collected-in-image failed: see its log"),
         ({"collect-data": "skipped"}, "the job collect-data did not run: see its log"),
         ({"unit-tests": "failure"}, "the job unit-tests failed: see its log"),
         ({"unit-tests": "missing"}, "the job unit-tests is missing: see its log"),
@@ -161,15 +173,15 @@ def test_a_job_that_failed_though_its_results_are_fine_is_red(
     for slug, job in (("one", ONE), ("two", TWO), ("later", LATER)):
         leave(slug, result(job))
     leave("collected-data", collections=(FRESH,))
-    found = gather(needs(WHOLE, **results), tmp_path)
+    found = gather(WHOLE, tmp_path, **results)
     assert found.problems == (problem,)
     assert found.exit_code == ExitCode.FAIL
 
 
 def test_an_unplanned_job_that_failed_is_red(leave: Callable[..., Path], tmp_path: Path) -> None:
     leave("one", result(ONE))
-    known = needs(Plan((ONE,), unit_tests=True))
-    found = gather(replace(known, results={"plan": "success", "calibrate": "success"}), tmp_path)
+    known = Needs({"plan": "success", "calibrate": "success"})
+    found = gather_by_needs(known, Plan((ONE,), unit_tests=True), tmp_path)
     assert found.problems == ("the job unit-tests is missing: see its log",)
 
 
@@ -178,26 +190,26 @@ def test_a_failed_job_is_not_hidden_by_a_failed_cell_of_another(leave: Callable[
     leave("two", result(TWO))
     leave("later", result(LATER))
     leave("collected-data", collections=(FRESH,))
-    found = gather(needs(WHOLE, calibrate="failure", calibrate_collected="failure"), tmp_path)
-    assert found.problems == ("the job calibrate-collected failed: see its log",)
+    found = gather(WHOLE, tmp_path, calibrate="failure", calibrate_collected_in_image="failure")
+    assert found.problems == ("the job calibrate-collected-in-image failed: see its log",)
 
 
 @pytest.mark.parametrize("outcome", ["failure", "cancelled", "skipped"])
 def test_a_plan_that_failed_is_red(outcome: str, tmp_path: Path) -> None:
-    found = gather(Needs({"plan": outcome}), tmp_path)
+    found = gather_by_needs(Needs({"plan": outcome}), None, tmp_path)
     assert found.exit_code == ExitCode.FAIL
     assert len(found.problems) == 1
 
 
 def test_only_unit_tests(tmp_path: Path) -> None:
     plan = Plan(unit_tests=True)
-    assert gather(needs(plan), tmp_path).exit_code == ExitCode.PASS
-    assert gather(needs(plan, unit_tests="failure"), tmp_path).exit_code == ExitCode.FAIL
+    assert gather(plan, tmp_path).exit_code == ExitCode.PASS
+    assert gather(plan, tmp_path, unit_tests="failure").exit_code == ExitCode.FAIL
 
 
 @pytest.mark.parametrize(("outcome", "problems"), [("success", 0), ("skipped", 0), ("failure", 1), ("cancelled", 1)])
 def test_an_upload_that_failed_is_red(outcome: str, problems: int, tmp_path: Path) -> None:
-    found = gather(needs(Plan(unit_tests=True), coverage=outcome), tmp_path)
+    found = gather(Plan(unit_tests=True), tmp_path, coverage=outcome)
     assert len(found.problems) == problems
     assert ("coverage" in found.jobs) is (outcome != "skipped")
     assert found.exit_code == (ExitCode.FAIL if problems else ExitCode.PASS)
@@ -206,10 +218,10 @@ def test_an_upload_that_failed_is_red(outcome: str, problems: int, tmp_path: Pat
 def test_what_was_not_planned_is_refused(leave: Callable[..., Path], tmp_path: Path) -> None:
     leave("one", result(ONE), result(TWO))
     with pytest.raises(InputError, match=r"one/results.json: has a result of robot, 0 m, .* which was not"):
-        gather(needs(Plan((ONE,))), tmp_path)
+        gather(Plan((ONE,)), tmp_path)
     leave("collected-data", collections=(FRESH, replace(FRESH, name="more")))
     with pytest.raises(InputError, match=r"collected-data/results.json: has more, which was not planned"):
-        gather(needs(Plan(simulations=("fresh",))), tmp_path)
+        gather(Plan(simulations=("fresh",)), tmp_path)
 
 
 def edited(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
@@ -236,7 +248,7 @@ def test_a_results_file_is_checked_by_its_schema(
 ) -> None:
     edited(leave("one", result(ONE, reasons=("too far off",))), change)
     with pytest.raises(InputError, match=message):
-        gather(needs(Plan((ONE,))), tmp_path)
+        gather(Plan((ONE,)), tmp_path)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "\xff"])
@@ -244,4 +256,21 @@ def test_what_is_no_results_file(text: str, tmp_path: Path) -> None:
     (tmp_path / "one").mkdir()
     (tmp_path / "one" / "results.json").write_text(text, encoding="latin-1")
     with pytest.raises(InputError, match=r"one/results.json: this is not a results file"):
-        gather(needs(Plan((ONE,))), tmp_path)
+        gather(Plan((ONE,)), tmp_path)
+
+
+def test_what_a_job_says_of_others_does_not_count(leave: Callable[..., Path], tmp_path: Path) -> None:
+    """Code of the repository has run in the jobs, and may have written what it liked into their results."""
+    other = result(replace(ONE, system="another robot"))
+    leave("one", result(ONE), comparisons=(other,), collections=(FRESH,), image=ImageResult("evil", "1", True))
+    leave("unit-tests", result(ONE, rms_px=0.0))
+    found = gather(Plan((ONE,), unit_tests=True), tmp_path).results
+    assert (found.comparisons, found.collections, found.image) == ((), (), None)
+    assert found.cells == gather(Plan((ONE,)), tmp_path).results.cells
+
+
+def test_the_error_of_a_job_without_results_is_a_reason(tmp_path: Path) -> None:
+    known = replace(needs(WHOLE, image="failure"), errors={"image": "ghcr.io/me/robot: denied\nby ghcr.io"})
+    [problem] = gather_by_needs(known, WHOLE, tmp_path).problems
+    assert problem.startswith("image: ghcr.io/me/robot: denied")
+    assert "\n" not in problem

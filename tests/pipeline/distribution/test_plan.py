@@ -21,7 +21,7 @@ from calibration.pipeline.distribution.plan import (
     datasets_as_configuration,
     plan_jobs,
 )
-from calibration.pipeline.distribution.plan_outputs import MOST_BYTES, plan_of_outputs, plan_outputs
+from calibration.pipeline.distribution.plan_outputs import MAX_OUTPUT_BYTES, plan_of_text, plan_outputs, plan_text
 from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.system import NoiseGrid, System
 
@@ -68,8 +68,11 @@ def test_every_pair_of_noises_of_every_system_is_a_job() -> None:
     assert dict(plan.jobs) == {
         "image": False,
         "calibrate": True,
+        "calibrate-in-image": False,
         "collect-data": False,
+        "collect-data-in-containers": False,
         "calibrate-collected": False,
+        "calibrate-collected-in-image": False,
         "unit-tests": False,
         "static-analysis": False,
     }
@@ -111,10 +114,18 @@ def test_the_largest_matrix_that_github_takes_and_one_more() -> None:
 
 def test_systems_whose_dataset_is_collected_wait_for_it() -> None:
     plan = planned(ROBOT, COLLECTED, simulations=(FRESH,), noise_inside_cells=True, tests=True, analyse=True)
-    assert [cell.system for cell in plan.at_once] == ["robot"]
-    assert [cell.system for cell in plan.after_collection] == ["fresh"]
+    assert {job: [cell.system for cell in cells] for job, cells in plan.cells_of_job.items() if cells} == {
+        "calibrate": ["robot"],
+        "calibrate-collected": ["fresh"],
+    }
     assert plan.simulations == ("fresh",)
-    assert all(runs for job, runs in plan.jobs.items() if job != "image")
+    assert [job for job, runs in plan.jobs.items() if runs] == [
+        "calibrate",
+        "collect-data",
+        "calibrate-collected",
+        "unit-tests",
+        "static-analysis",
+    ]
     with pytest.raises(InputError, match="'fresh' is made by the job collect-data: add that"):
         planned(ROBOT, COLLECTED, simulations=(FRESH,), jobs=("calibrate",))
     alone = planned(ROBOT, COLLECTED, simulations=(FRESH,), jobs=("collect-data",))
@@ -226,7 +237,7 @@ cells = st.builds(
     st.booleans(),
     st.none() | st.floats(0, 1000),
 )
-def test_a_plan_round_trips_through_its_outputs(
+def test_a_plan_round_trips_through_its_file(
     now: list[JobCell], later: list[JobCell], seeds: list[int], flag: bool, rate: float | None
 ) -> None:
     plan = Plan(
@@ -242,70 +253,55 @@ def test_a_plan_round_trips_through_its_outputs(
     )
     outputs = plan_outputs(plan)
     assert all(value and "\n" not in value and "\r" not in value for value in outputs.values())
-    needs = parse_needs(json.dumps({"plan": {"result": "success", "outputs": {**outputs, "seconds": "7"}}}))
-    assert plan_of_outputs(needs.plan) == plan
-    assert needs.seconds == {"plan": 7}
+    assert plan_of_text(plan_text(plan), outputs["plan-sha256"]) == plan
 
 
-def test_a_plan_that_cannot_travel_is_refused_and_the_largest_can() -> None:
+def test_a_plan_that_is_another_one_is_refused() -> None:
+    plan, other = planned(ROBOT), planned(ARM)
+    for sha256 in (plan_outputs(other)["plan-sha256"], "", "0" * 64):
+        with pytest.raises(InputError, match="another plan"):
+            plan_of_text(plan_text(plan), sha256)
+
+
+def test_the_largest_plan_can_travel_and_a_larger_one_is_refused() -> None:
     long = [replace(ROBOT, name=f"{i:03}".ljust(64, "x")) for i in range(MOST_JOBS)]
-    outputs = plan_outputs(planned(*long, noise=NoiseGrid((0.123,), (0.123,))))
-    assert len(json.dumps(json.dumps({"plan": {"outputs": outputs}}))) < 128 * 1024
-    many_seeds = NoiseGrid((0.0,), (0.0,), tuple(range(0, 60000, 2)))
-    with pytest.raises(InputError, match=f"{MOST_BYTES} is the limit: set noise-inside-cells: true, or shorten"):
-        plan_outputs(planned(ROBOT, noise=many_seeds))
-    assert plan_outputs(planned(ROBOT, noise=NoiseGrid(seeds=tuple(range(1, 100001)))))["seeds"] == "100000"
+    assert plan_outputs(planned(*long, noise=NoiseGrid((0.123,), (0.123,))))
+    longer = [replace(ROBOT, name=f"{i:03}".ljust(1000, "x")) for i in range(MOST_JOBS)]
+    with pytest.raises(InputError, match=f"{MAX_OUTPUT_BYTES} is the limit: set noise-inside-cells: true, or shorten"):
+        plan_outputs(planned(*longer, noise_inside_cells=True))
 
 
-OUTPUTS = plan_outputs(planned(ROBOT))
+def test_every_cell_is_in_the_matrix_of_its_job() -> None:
+    contained = System("software", Path("software"), software=software("robot:1"))
+    outputs = plan_outputs(planned(ROBOT, COLLECTED, contained, simulations=(FRESH,), noise_inside_cells=True))
+    cells = json.loads(outputs["cells"])
+    found = {job.removesuffix("-names"): json.loads(text) for job, text in outputs.items() if job.endswith("-names")}
+    assert found == {
+        "calibrate": ["robot"],
+        "calibrate-in-image": ["software"],
+        "calibrate-collected": ["fresh"],
+        "calibrate-collected-in-image": [],
+    }
+    assert {name: cell["slug"] for name, cell in cells.items()} == {
+        name: name for name in ("robot", "fresh", "software")
+    }
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"cells": ""},
-        {"cells": "[1]"},
-        {"cells": "{}"},
-        {"cells": '[{"name": "a"}]'},
-        {"cells": "[]"},  # though calibrate is to run
-        {"seeds": "x"},
-        {"seeds": "null"},
-        {"simulations": '["a"]'},
-        {"calibrate": "false"},
-        {"more": "x"},
-        {"minute-rate": "NaN"},
-        {"minute-rate": ""},
-        {"promote": "stable"},
-    ],
-)
-def test_outputs_that_are_no_plan_are_refused(change: dict[str, str]) -> None:
-    with pytest.raises(InputError, match="are not those of plan-matrix; GitHub drops an output"):
-        plan_of_outputs({**OUTPUTS, **change})
-
-
-def test_an_output_that_github_dropped_is_noticed() -> None:
-    for name in OUTPUTS:
-        with pytest.raises(InputError, match="secret"):
-            plan_of_outputs({key: value for key, value in OUTPUTS.items() if key != name})
-
-
-NO_NEEDS = ["", "[" * 100_000, "[]", "{}", '{"plan": 1}', '{"plan": {"result": "success"}}', "null", '{"a": {}}']
+NO_NEEDS = ["", "[" * 100_000, "[]", "{}", '{"plan": 1}', '{"plan": {}}', "null", '{"a": {"result": "success"}}']
 
 
 @pytest.mark.parametrize("text", NO_NEEDS)
 def test_needs_that_are_none(text: str) -> None:
-    with pytest.raises(InputError, match="toJSON"):
+    with pytest.raises(InputError, match="needs: an object with every job was expected"):
         parse_needs(text)
 
 
 def test_needs_of_a_plan_that_failed() -> None:
-    text = '{"plan": {"result": "failure", "outputs": null}, "calibrate": {"result": "skipped", "outputs": {}}}'
-    assert parse_needs(text) == Needs({"plan": "failure", "calibrate": "skipped"}, {})
+    text = '{"plan": {"result": "failure", "seconds": null, "error": "no file"}, "calibrate": {"result": "skipped"}}'
+    assert parse_needs(text) == Needs({"plan": "failure", "calibrate": "skipped"}, {}, {"plan": "no file"})
 
 
 def test_needs_whose_seconds_are_none() -> None:
-    jobs = {
-        name: {"result": "success", "outputs": {"seconds": told}}
-        for name, told in {"plan": "x", "image": "-1", "unit-tests": "12", "collect-data": 12}.items()
-    }
+    told = {"plan": "x", "image": "-1", "unit-tests": "12", "collect-data": 12}
+    jobs = {name: {"result": "success", "seconds": seconds} for name, seconds in told.items()}
     assert parse_needs(json.dumps(jobs)).seconds == {"unit-tests": 12}

@@ -34,6 +34,7 @@ def plan(monkeypatch: pytest.MonkeyPatch, **inputs: str) -> dict[str, str]:
     file = Path("outputs")
     file.unlink(missing_ok=True)
     monkeypatch.setenv("GITHUB_OUTPUT", str(file))
+    monkeypatch.setenv("INPUT_PLAN_FILE", "left/calibration~plan/plan.json")
     for name, value in inputs.items():
         monkeypatch.setenv(f"INPUT_{name.upper()}", value)
     assert run_action("plan-matrix") == 0
@@ -43,10 +44,10 @@ def plan(monkeypatch: pytest.MonkeyPatch, **inputs: str) -> dict[str, str]:
 def test_the_plan_of_a_configuration(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     Path("calibration.yml").write_text(CONFIGURATION)
     found = plan(monkeypatch, config="", translation_noise="", noise_inside_cells="false")
-    assert [cell["name"] for cell in json.loads(found["cells"])] == [
+    assert list(json.loads(found["cells"])) == [
         f"{system}, {t} m, 0.3 rad" for system in ("robot", "arm") for t in ("0", "0.5")
     ]
-    assert found["seeds"] == "2"
+    assert json.loads(Path("left/calibration~plan/plan.json").read_text())["seeds"] == [1, 2]
     out = capsys.readouterr().out
     assert "calibrate: yes" in out
     assert "  arm, 0.5 m, 0.3 rad" in out
@@ -62,18 +63,17 @@ def test_inputs_override_the_configuration(monkeypatch: pytest.MonkeyPatch) -> N
         rotation_noise="0",
         seed_list="7,3,7",
     )
-    [cell] = json.loads(found["cells"])
+    [cell] = json.loads(found["cells"]).values()
     assert (cell["system"], cell["translation-noise"], cell["rotation-noise"]) == ("arm", "0.1", "0")
-    assert found["seeds"] == "[7,3]"
+    assert json.loads(Path("left/calibration~plan/plan.json").read_text())["seeds"] == [7, 3]
 
 
 def test_datasets_in_the_place_of_a_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     found = plan(monkeypatch, datasets="data/robot\ndata/my arm", seeds="3")
-    assert [(cell["dataset"], cell["slug"]) for cell in json.loads(found["cells"])] == [
+    assert [(cell["dataset"], cell["slug"]) for cell in json.loads(found["cells"]).values()] == [
         ("data/robot", "robot_0m_0rad"),
         ("data/my arm", "myarm_0m_0rad"),
     ]
-    assert found["seeds"] == "3"
 
 
 def test_unit_tests_need_no_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,9 +127,10 @@ def test_names_of_systems_command_nothing(monkeypatch: pytest.MonkeyPatch, capsy
 
 
 def gather(monkeypatch: pytest.MonkeyPatch, results: dict[str, str], planned: dict[str, str]) -> int:
-    jobs = {"plan": {"result": "success", "outputs": planned}}
-    jobs |= {job: {"result": outcome, "outputs": {}} for job, outcome in results.items()}
-    for name, value in {"NEEDS": json.dumps(jobs, indent=2), "FOLDER": "left", "OUTPUT": "of all"}.items():
+    jobs = {"plan": {"result": "success", "seconds": planned.get("seconds")}}
+    jobs |= {job: {"result": outcome, "seconds": None} for job, outcome in results.items()}
+    inputs = {"NEEDS": json.dumps(jobs, indent=2), "FOLDER": "left", "OUTPUT": "of all"}
+    for name, value in {**inputs, "PLAN_SHA256": planned["plan-sha256"]}.items():
         monkeypatch.setenv(f"INPUT_{name}", value)
     monkeypatch.setenv("GITHUB_OUTPUT", "gathered")
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", "summary.md")
@@ -143,9 +144,9 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     inputs = {"translation_noise": "0.5,0", "rotation_noise": "0.3", "tests": "pytest", "minute_rate": "0.006"}
     inputs["noise_inside_cells"] = "no"
     found = plan(monkeypatch, datasets="robot", **inputs)
-    for cell, job in zip(json.loads(found["cells"]), (ONE, TWO), strict=True):
-        write_results(Results((result(job),)), Path("left", cell["slug"]))
-        Path("left", cell["slug"], "job-seconds.txt").write_text("61\n")
+    for cell, job in zip(json.loads(found["cells"]).values(), (ONE, TWO), strict=True):
+        write_results(Results((result(job),)), Path("left", f"calibration~{cell['slug']}"))
+        Path("left", f"calibration~{cell['slug']}", "job-seconds.txt").write_text("61\n")
     return {**found, "seconds": "7"}
 
 
@@ -190,8 +191,8 @@ def test_a_failed_job_gives_the_reasons_of_its_own_results(
     planned: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reason = "lines that are run: found 50.0 % (1 of 2), expected at least 60 % (minimum)"
-    Path("left", "unit-tests").mkdir(parents=True)
-    Path("left", "unit-tests", "results.json").write_text(
+    Path("left", "calibration~unit-tests").mkdir(parents=True)
+    Path("left", "calibration~unit-tests", "results.json").write_text(
         json.dumps({"schema": 1, "verdict": "fail", "reasons": [reason]})
     )
     assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "failure"}, planned) == 1
@@ -200,7 +201,7 @@ def test_a_failed_job_gives_the_reasons_of_its_own_results(
 
 def test_results_of_an_earlier_run_do_not_stay(planned: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
-    monkeypatch.setenv("INPUT_NEEDS", json.dumps({"plan": {"result": "failure", "outputs": {}}}))
+    monkeypatch.setenv("INPUT_NEEDS", json.dumps({"plan": {"result": "failure"}}))
     Path("gathered").unlink()
     assert run_action("gather-results") == 1
     found = json.loads(Path("of all", "results.json").read_text())
@@ -251,12 +252,43 @@ def test_a_promotion_comes_after_a_verdict_that_is_pass(calibrates: str, monkeyp
     Path("calibration.yml").write_text(IMAGE)
     found = plan(monkeypatch)
     assert found["promote"] == '["stable"]'
-    for cell, job in zip(json.loads(found["cells"]), (ONE, TWO), strict=True):
-        write_results(Results((result(job),)), Path("left", cell["slug"]))
-    code = gather(monkeypatch, {"image": "success", "calibrate": calibrates}, found)
+    for cell, job in zip(json.loads(found["cells"]).values(), (ONE, TWO), strict=True):
+        write_results(Results((result(job),)), Path("left", f"calibration~{cell['slug']}"))
+    code = gather(monkeypatch, {"image": "success", "calibrate-in-image": calibrates}, found)
     assert (code == 0) is ("| promote | to come |" in Path("summary.md").read_text()) is (calibrates == "success")
 
 
 def test_needs_that_are_none_are_bad_input(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["gather-results", "--needs", "x", "--folder", "."]) == 2
-    assert "toJSON(needs)" in capsys.readouterr().err
+    assert "needs: an object with every job" in capsys.readouterr().err
+
+
+def test_results_that_the_unit_tests_have_forged_are_not_read(
+    planned: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slug = next(iter(json.loads(planned["cells"]).values()))["slug"]
+    for path in ("", slug, f"calibration~{slug}"):
+        write_results(Results((result(ONE, rms_px=0.0001),)), Path("left/calibration~unit-tests", path))
+    assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
+    assert [cell["rms_px"] for cell in json.loads(Path("of all/results.json").read_text())["cells"]] == [
+        result(ONE).rms_px,
+        result(TWO).rms_px,
+    ]
+
+
+def test_a_plan_that_another_job_has_replaced_is_refused(
+    planned: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Path("left/calibration~plan/plan.json")
+    path.write_text(path.read_text().replace('"unit_tests":true', '"unit_tests":false'))
+    assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "failure"}, planned) == 2
+    assert "another plan" in capsys.readouterr().err
+
+
+def test_a_plan_that_is_the_only_artifact_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Download-artifact makes no folder for a single one."""
+    found = plan(monkeypatch, tests="pytest -q")
+    Path("left/calibration~plan/plan.json").rename("left/plan.json")
+    assert gather(monkeypatch, {"unit-tests": "success"}, found) == 0
+    Path("left/plan.json").unlink()
+    assert gather(monkeypatch, {"unit-tests": "success"}, found) == 2
