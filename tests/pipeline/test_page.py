@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from calibration.__main__ import main
+from calibration.pipeline.page import run_page
 from calibration.pipeline.page.worst_views import SHOWN
 from tests.recorder.browser import CHROMIUM
 
@@ -120,3 +121,14 @@ def test_a_dataset_that_is_collected_shows_all_its_images(small: Path, tmp_path:
     assert width > 500
     assert Axe().run(page, options={"runOnly": {"type": "tag", "values": list(RULES)}}).violations_count == 0
     page.close()
+
+
+def test_of_more_systems_than_the_page_takes_those_that_failed_are_drawn(
+    report: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_page, "MAX_SECTION_CHARACTERS", 1000)
+    folder = report.parents[1]
+    assert main(["run", "--config", str(folder / "calibration.yml"), "--output", str(tmp_path), "--jobs", "1"]) == 1
+    text = (tmp_path / "report.html").read_text()
+    assert [name for name in CONFIGURATION["systems"] if f'id="system-{name}"' in text] == ["red"]
+    assert "2 of 3 systems are in the tables only" in text

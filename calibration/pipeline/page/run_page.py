@@ -1,7 +1,7 @@
 """Page of a run: the verdict and the tables of all systems, then each system by itself."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +38,8 @@ from calibration.report import Report
 if TYPE_CHECKING:
     from calibration.baseline.history import History
 
+MAX_SECTION_CHARACTERS = 8_000_000
+"""Limit of the sections of all systems together; some 60 000 are one system, and browsers are slow beyond 10 MB."""
 MOST_COMMITS = 50
 """Limit of the shown accepted calibrations, newest first."""
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -63,20 +65,42 @@ def report_page(
     """
     shown = {system: cell for system in results.systems if (cell := _shown(results, system)) is not None}
     systems = {system.name: system for system in matrix.systems} if matrix else {}
-    links = [element("li", element("a", system, href=f"#{_anchor(system)}")) for system in shown]
+    sections = _sections_within_limit(
+        shown, lambda name, cell: _system(name, cell, output, systems.get(name), accepted, (given or {}).get(name))
+    )
+    links = [element("li", element("a", system, href=f"#{_anchor(system)}")) for system in sections]
+    left_out = len(shown) - len(sections)
     tables = (grid, truth_table, precision_table, updates_table, collections_table)
     head = [
         element("h1", "Calibration"),
         verdict_line(report.verdict, report.sentence),
         bullets(report.reasons),
         element("nav", element("ul", *links), aria_label="Systems") if len(links) > 1 else Html(""),
+        element("p", _reason_of_left_out(left_out, len(shown)), class_="soft") if left_out else Html(""),
         *(table(each.columns, each.rows) for each in (make(results) for make in tables)),
     ]
-    sections = [
-        _system(name, cell, output, systems.get(name), accepted, (given or {}).get(name))
-        for name, cell in shown.items()
-    ]
-    return page(f"Calibration: {report.verdict}", [join(head), *sections])
+    return page(f"Calibration: {report.verdict}", [join(head), *sections.values()])
+
+
+def _sections_within_limit(
+    shown: Mapping[str, CellResult], section_of: Callable[[str, CellResult], Html]
+) -> dict[str, Html]:
+    """Return the sections of as many systems as the page takes, in their order; those that failed come first in it."""
+    made: dict[str, Html] = {}
+    characters = 0
+    for name in sorted(shown, key=lambda name: shown[name].verdict == "pass"):
+        made[name] = section_of(name, shown[name])
+        characters += len(made[name])
+        if characters > MAX_SECTION_CHARACTERS:
+            break
+    return {name: made[name] for name in shown if name in made}
+
+
+def _reason_of_left_out(left_out: int, systems: int) -> str:
+    return (
+        f"{left_out} of {systems} systems are in the tables only, as the page would be too large for a browser; "
+        "systems that failed come first. Their results are in results.json."
+    )
 
 
 def _shown(results: Results, system: str) -> CellResult | None:
