@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from calibration import __version__
-from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, label_arrays, label_count
+from calibration.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, label_arrays, label_count
 from calibration.estimation.gauge import RIGID
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.noise_levels import NoiseLevels
@@ -208,6 +208,10 @@ class Snapshot:
     covered: Mapping[str, Annotated[float, between(0, 1)]] = field(
         f"Part of each camera's image, of {CELLS * CELLS} cells, in which there are corners.", default_factory=dict
     )
+    extents: Mapping[str, Positive] = field(
+        "Median extent of the pattern in each camera's image, px; its distance from a LiDAR or a depth camera, m.",
+        default_factory=dict,
+    )
     passed: Count | None = field("Starts that passed.", default=None)
     starts: Count | None = field("Starts in all.", default=None)
     software: tuple[Start, ...] = field("Results of the team's software from each initial guess.", default=())
@@ -265,6 +269,7 @@ class Snapshots:
             iterations=calibration.iterations,
             views=self._views,
             covered=self._covered,
+            extents=self._extents,
         )
 
     def _hashes(self, calibrated: frozenset[Edge]) -> dict[str, str]:
@@ -283,6 +288,10 @@ class Snapshots:
     @cached_property
     def _covered(self) -> dict[str, float]:
         return _covered(self._given)
+
+    @cached_property
+    def _extents(self) -> dict[str, float]:
+        return _median_extents(self._given)
 
 
 def hash_of_labels(dataset: Dataset) -> str:
@@ -433,6 +442,17 @@ def _covered(dataset: Dataset) -> dict[str, float]:
                 cells.update(map(tuple, np.clip(label.pixels * CELLS / size, 0, CELLS - 1).astype(int).tolist()))
         found[name] = round(len(cells) / CELLS**2, 4)
     return found
+
+
+def _median_extents(dataset: Dataset) -> dict[str, float]:
+    """Return the median extent of the corners of each camera's views, px, and the median distance of points, m."""
+    found: dict[str, list[float]] = {}
+    for (_, _, sensor), label in _labels(dataset):
+        if isinstance(label, CornerLabels):
+            found.setdefault(sensor, []).append(float(np.linalg.norm(np.ptp(label.pixels, axis=0))))
+        elif isinstance(label, PointLabels) and len(label.points):
+            found.setdefault(sensor, []).append(float(np.linalg.norm(np.median(label.points, axis=0))))
+    return {name: _significant(float(np.median(values)), 4) for name, values in sorted(found.items())}
 
 
 def _rounded(values: Array, digits: int) -> tuple[float, ...]:

@@ -1,26 +1,19 @@
 """Verdict on the differences from the accepted calibration: failure, note, or nothing."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
 from calibration.baseline.comparison import Change, Comparison, compare
+from calibration.baseline.quality import ACCEPT, QUALITY, largest_standard_deviations, quality, worse_than_baseline
 from calibration.baseline.settings import BaselineSettings, SameData
 from calibration.baseline.snapshot import Snapshot, Start
 from calibration.diagnosis.finding import Finding
 from calibration.frozen import frozen
-from calibration.introspection.baseline import Allowance
-from calibration.introspection.numbers import number_text
-from calibration.report import Check, at_most
-from calibration.workflow.text import shorten
+from calibration.report import at_most
 
 MOVED = "baseline"
-QUALITY = "baseline-quality"
 NO_BASELINE = "no-baseline"
-ACCEPT = "accept it: calibration accept"
-SPREAD = 4.0
-"""Tolerance for quality on other data, in its own standard deviations, in addition to the allowed increase."""
 ALONG = 0.9
 """A direction with at least this component along an axis is named by the axis."""
 LEAST_P = 1e-9
@@ -50,7 +43,7 @@ def against_baseline(accepted: Accepted, now: Snapshot) -> tuple[Comparison | No
     comparison = compare(accepted.snapshot, now)
     since, settings = accepted.since, accepted.settings
     found = [each for change in comparison.changes if (each := _finding(change, comparison, settings, since))]
-    found += _quality(comparison, settings)
+    found += quality(comparison, settings)
     if not any(each.kind == MOVED and each.severity == "red" for each in found) and not comparison.same_data:
         found += _nothing_moved(comparison, since)
     return comparison, tuple(found)
@@ -177,56 +170,6 @@ def _probability(p: float) -> str:
     return f"< {LEAST_P:.0e}" if p < LEAST_P else f"= {p:.1g}"
 
 
-def _error_bars(comparison: Comparison, settings: BaselineSettings) -> Iterator[Finding]:
-    """Findings on differing noise and standard deviations on the same data, where they are deterministic too."""
-    before, now, share = comparison.before, comparison.now, settings.same_data.error_bars / 100
-    levels, new = before.noise.given(), now.noise.given()
-    rows = [(f"noise of the labels ({kind})", levels[kind], new[kind]) for kind in levels if kind in new]
-    poses = {each.edge: each for each in now.poses}
-    rows += [
-        (f"standard deviation of {each.name}", each.norm_mm, poses[each.edge].norm_mm)
-        for each in before.poses
-        if each.edge in poses
-    ]
-    for what, old, value in rows:
-        if abs(value - old) > share * max(old, value):
-            text = f"{what} differs on the same data: {value:.4g}, accepted was {old:.4g}: {ACCEPT}, if it is meant"
-            yield Finding(QUALITY, "red", text, value=value)
-
-
-def _quality(comparison: Comparison, settings: BaselineSettings) -> Iterator[Finding]:
-    """Findings on measures of quality that exceed the baseline's by more than allowed."""
-    if comparison.same_data:
-        yield from _error_bars(comparison, settings)
-    before, now, most = comparison.before, comparison.now, settings.max_increase
-    levels = now.noise.given()
-    # The estimate of a standard deviation from n views has a relative one of 1 / sqrt(4 n): two coordinates each.
-    views = [max(1, sum(each.views.values())) for each in (before, now)]
-    chance = 0.0 if comparison.same_data else SPREAD * math.sqrt(sum(1 / (4 * n) for n in views))
-    sigmas = _largest_sigmas(before, now)
-    rows: list[tuple[str, float | None, float | None, Allowance, float, str]] = [
-        ("RMS", before.rms_px, now.rms_px, most.rms, chance, "px"),
-        *(
-            (f"noise of the labels ({kind})", level, levels.get(kind), most.noise, chance, "")
-            for kind, level in before.noise.given().items()
-        ),
-        ("largest standard deviation", sigmas[0], sigmas[1], most.sigma, 2 * chance, "mm"),
-        ("rejected labels", _rejected(before), _rejected(now), most.rejected, 0.0, "%"),
-    ]
-    for what, old, new, allowance, spread, unit in rows:
-        if old is None:
-            continue
-        check = at_most(what, new, allowance.above(old) + spread * abs(old), unit)
-        if not check.passed:
-            yield Finding(QUALITY, "red", _worse(check, old), value=new)
-
-
-def _largest_sigmas(before: Snapshot, now: Snapshot) -> list[float]:
-    """Return the largest standard deviation of a translation, mm, of each calibration, over the poses of both."""
-    common = {each.edge for each in before.poses} & {each.edge for each in now.poses}
-    return [max((each.norm_mm for each in one.poses if each.edge in common), default=0.0) for one in (before, now)]
-
-
 def software_against_baseline(accepted: Accepted, now: Start, data: str) -> tuple[Finding, ...]:
     """Return findings on other software that got worse from one initial guess on the same data; empty on other data.
 
@@ -248,21 +191,12 @@ def software_against_baseline(accepted: Accepted, now: Start, data: str) -> tupl
             "distance from our optimum",
             earlier.distance_mm,
             now.distance_mm,
-            NEGLIGIBLE * _largest_sigmas(before, before)[0],
+            NEGLIGIBLE * largest_standard_deviations(before, before)[0],
             "mm",
         ),
     ]
     return tuple(
-        Finding(QUALITY, "red", _worse(check, old), value=new)
+        Finding(QUALITY, "red", worse_than_baseline(check, old), value=new)
         for what, old, new, extra, unit in rows
         if old is not None and not (check := at_most(what, new, most.above(old) + extra, unit)).passed
     )
-
-
-def _worse(check: Check, before: float) -> str:
-    return f"worse than the baseline: {shorten(str(check), 200)} (baseline {number_text(round(before, 6))})"
-
-
-def _rejected(snapshot: Snapshot) -> float:
-    """Percentage of rejected labels."""
-    return 100 * snapshot.rejected_labels / max(1, snapshot.labels)

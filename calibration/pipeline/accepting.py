@@ -5,8 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.baseline.document import VERSION, Baseline
+from calibration.baseline.quality import QUALITY
 from calibration.baseline.snapshot import Snapshot
-from calibration.baseline.verdict import MOVED, NO_BASELINE, QUALITY
+from calibration.baseline.verdict import MOVED, NO_BASELINE
 from calibration.errors import InputError
 from calibration.evaluation.table import AVERAGES
 from calibration.introspection.numbers import parse_number

@@ -4,8 +4,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from calibration.baseline.quality import QUALITY
 from calibration.baseline.settings import SameData
-from calibration.baseline.verdict import MOVED, QUALITY, exceeds
+from calibration.baseline.verdict import MOVED, exceeds
 from calibration.diagnosis.finding import Severity
 from calibration.pipeline.matrix.cell import REPROJECTION
 from calibration.pipeline.matrix.cell_result import CellResult

@@ -7,8 +7,9 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from calibration.baseline.quality import QUALITY
 from calibration.baseline.snapshot import Start
-from calibration.baseline.verdict import QUALITY, against_baseline, nothing_accepted, software_against_baseline
+from calibration.baseline.verdict import against_baseline, nothing_accepted, software_against_baseline
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import write_dataset
