@@ -1,5 +1,6 @@
 """A git checkout: tracked files, commits, and changes."""
 
+import errno
 import os
 import re
 import subprocess
@@ -84,6 +85,8 @@ class Repository:
         """
         if not directory.is_dir():
             raise InputError(f"{directory}: there is no such folder")
+        if not os.access(directory, os.X_OK):
+            raise InputError(f"{directory}: this folder cannot be entered: {os.strerror(errno.EACCES)}")
         folder = directory.resolve()
         root = next((each for each in (folder, *folder.parents) if os.path.lexists(each / ".git")), None)
         expected = f"{directory}: a folder in a git repository was expected (check it out before)"
@@ -311,7 +314,6 @@ class Repository:
             variables: environment in addition to `_VARIABLES`.
 
         Raises:
-            InputError: the folder cannot be entered.
             InfrastructureError: git cannot be started, or takes too long.
         """
         settings = [part for setting in (*_SETTINGS, *self.disabled) for part in ("-c", setting)]
@@ -330,8 +332,6 @@ class Repository:
         except subprocess.TimeoutExpired:
             raise InfrastructureError(f"git {arguments[0]} took longer than {SECONDS} s") from None
         except OSError as error:
-            if not os.access(self.root, os.X_OK):
-                raise InputError(f"{self.root}: this folder cannot be entered: {error.strerror}") from None
             raise InfrastructureError(f"git cannot be started: {error.strerror}") from None
         return done.returncode, done.stdout, done.stderr
 
