@@ -2,8 +2,10 @@
 
 import gc
 import os
+import re
 import signal
 import tempfile
+from collections import Counter
 from collections.abc import Generator
 from contextlib import suppress
 from pathlib import Path
@@ -49,6 +51,19 @@ BEGUN = 0.8
 # Set by .ci/run, which installs what the tests need: a skipped test is a hole there, so it fails.
 # Only what cannot be installed may be missing: the data, and the rights of root.
 STRICT = os.environ.get("CALIBRATION_CI_STRICT") == "1"
+
+
+NEEDED = re.compile(r"needs (?:an? |the (?:image |package )?)?([^:(,]+)")
+HOW_TO_HAVE = {
+    "docker engine": "apt-get install docker.io, and start dockerd",
+    "dockerd": "apt-get install docker.io",
+    "docker-registry": "apt-get install docker-registry",
+    "chromium": "apt-get install chromium",
+    "git": "apt-get install git",
+    "openssl": "apt-get install openssl",
+    "mmdebstrap": "apt-get install mmdebstrap",
+}
+"""How to have what tests need; .ci/run does it for all."""
 
 
 @pytest.fixture(scope="session")
@@ -118,3 +133,16 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
     report = yield
     fail_if_skipped(report)
     return report
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Generator[None]:
+    """Say what was skipped for which tool, and how to have it, below the list of skipped tests."""
+    yield
+    skipped = [
+        each.longrepr[2] for each in terminalreporter.stats.get("skipped", ()) if isinstance(each.longrepr, tuple)
+    ]
+    needed = Counter(match[1].strip() for reason in skipped if (match := NEEDED.search(reason)))
+    for tool, count in needed.most_common():
+        how = HOW_TO_HAVE.get(tool.lower())
+        terminalreporter.write_line(f"{count} skipped: needs {tool}{f' ({how})' if how else ''}")

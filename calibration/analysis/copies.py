@@ -1,6 +1,6 @@
 """Copies of a repository's files in a folder: regular files only, so that no link leads out of it."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
@@ -17,6 +17,12 @@ _DATA = (
     *(".bag", ".db3", ".gz", ".mcap", ".npy", ".npz", ".pcd", ".ply", ".zip"),
 )
 """Suffixes of data files, which are skipped without a report."""
+_ANALYSED = (
+    *(".bash", ".launch", ".py", ".pyi", ".sdf", ".sh", ".srdf", ".test", ".urdf", ".xacro", ".xml"),
+    *(".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".yaml", ".yml", ".action", ".msg", ".srv"),
+)
+"""Suffixes of files that an analyser may look at; with those without a suffix, and `_ANALYSED_NAMES`, they count."""
+_ANALYSED_NAMES = ("CMakeLists.txt", "dataset.json", "setup.cfg")
 _MESHES = ".stl"
 """Suffix of data files that are copied, for checks of the files that name them."""
 MAX_MESH_BYTES = 20_000_000
@@ -66,6 +72,26 @@ class Copy:
         return plain_content(self.text(path))
 
 
+def chosen_files(paths: Sequence[str], asked: Sequence[str], settings: Collection[str]) -> list[str]:
+    """Return the files to copy: all, which are read beside the requested ones too, or in a large repository fewer.
+
+    Args:
+        paths: the tracked files.
+        asked: the requested ones of them.
+        settings: names of files with settings of analysers, which are always copied.
+    """
+    if sum(map(may_be_analysed, paths)) <= MAX_FILES:
+        return list(paths)
+    requested = set(asked)
+    return [path for path in paths if path in requested or PurePosixPath(path).name in settings]
+
+
+def may_be_analysed(path: str) -> bool:
+    """Whether a file may be one that an analyser looks at, by its name."""
+    name = PurePosixPath(path)
+    return name.suffix.lower() in ("", *_ANALYSED) or name.name in _ANALYSED_NAMES
+
+
 def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
     """Copy the files of the working tree.
 
@@ -76,13 +102,15 @@ def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
     left_out: dict[str, str] = {}
     kept: list[str] = []
     meshes: list[str] = []
+    analysed = 0
     for path in paths:
         suffix = PurePosixPath(path).suffix.lower()
         if suffix == _MESHES and _unfit(path) is None and _copied_mesh(repository, folder, path):
             meshes.append(path)
         if suffix in _DATA:
             continue
-        if len(kept) >= MAX_FILES:
+        analysed += may_be_analysed(path)
+        if analysed > MAX_FILES:
             raise InputError(f"{repository.root}: more than {MAX_FILES} files are to be analysed: name folders (paths)")
         if why := _unfit(path):
             left_out[path] = why

@@ -11,11 +11,12 @@ from pathlib import Path
 from calibration.analysis.analysers import ANALYSERS, Analyser
 from calibration.analysis.analysers.ros import Ros
 from calibration.analysis.comparison import Compared, compare, with_content
-from calibration.analysis.copies import Copy, before, copied
+from calibration.analysis.copies import Copy, before, chosen_files, copied
 from calibration.analysis.earlier_sarif import compare_with_earlier, read_earlier
 from calibration.analysis.finding import Finding, Located
 from calibration.analysis.limits import parse_limits
 from calibration.analysis.metrics import BADGE_FILE, CodeMetrics, measure
+from calibration.analysis.programs import ProgramFailedError
 from calibration.analysis.report import report
 from calibration.analysis.results import Results, Suppressed, Tool
 from calibration.analysis.ros_graph import JSON_FILE, PICTURE_FILE, RosGraph, read_graph
@@ -42,6 +43,10 @@ _PACKAGES = {
     "ros": "defusedxml",
 }
 """Package of an analyser, if it has another name."""
+
+
+MAX_FAILED_FILES = 10
+"""Limit of the files of a part on which an analyser fails; with more it is the analyser that is broken."""
 
 
 @record
@@ -168,7 +173,9 @@ def _analysed(
 ) -> _State:
     """Run the analysers on the files, and on the base's version of the changed files."""
     analysers = _chosen(settings.tools)
-    now = copied(repository, folder / "now", repository.tracked(settings.exclude))
+    tracked = repository.tracked(settings.exclude)
+    names = {name for each in analysers for name in each.settings}
+    now = copied(repository, folder / "now", chosen_files(tracked, _asked(settings.paths, tracked), names))
     paths = _asked(settings.paths, now.files)
     wanted = {each.name: [path for path in paths if each.wants(path, now)] for each in analysers}
     looked_at = sorted({path for files in wanted.values() for path in files})
@@ -185,7 +192,6 @@ def _analysed(
         compared = Compared((), tuple(findings), ())
     else:
         changed = repository.changed(base)
-        names = {name for each in analysers for name in each.settings}
         others = [path for path in changed if Path(path).name not in names]
         earlier = before(now, repository, base, folder / "before", others)
         everything = sorted({*earlier.files, *now.files} - {path for path in changed if path not in earlier.files})
@@ -238,12 +244,12 @@ def _findings(
     """Run every analyser on its files, with as many parallel processes as there are processors.
 
     Raises:
-        InfrastructureError: one is missing, fails or takes too long; the first of these errors.
+        InfrastructureError: one is missing, fails on too many files, or takes too long; the first of these errors.
     """
     pool = ThreadPoolExecutor(os.cpu_count())
     try:
         work = [
-            pool.submit(each.findings, copy, part, seconds)
+            pool.submit(_findings_of_part, each, copy, part, seconds)
             for each in analysers
             for part in _parts(wanted.get(each.name, ()), each.at_once)
         ]
@@ -252,6 +258,35 @@ def _findings(
         pool.shutdown(cancel_futures=True)
     known = {path for files in wanted.values() for path in files}
     return sorted((each for each in found if each.path in known), key=lambda each: (each.path, each.line, each.rule))
+
+
+def _findings_of_part(analyser: Analyser, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+    """Run an analyser on files; those on which it fails are found by halving, and named in a finding each.
+
+    Raises:
+        ProgramFailedError: it fails by itself: on `MAX_FAILED_FILES` and more, on every file without being killed
+            by a signal, or where it compares files with each other.
+        InfrastructureError: it is missing, or takes too long.
+    """
+    found: list[Finding] = []
+    failed: dict[str, ProgramFailedError] = {}
+    waiting = [files]
+    while waiting:
+        part = waiting.pop()
+        try:
+            found += analyser.findings(copy, part, seconds)
+        except ProgramFailedError as error:
+            if analyser.whole or len(failed) == MAX_FAILED_FILES:
+                raise
+            if len(part) > 1:
+                waiting += _parts(part, (len(part) + 1) // 2)
+            else:
+                failed[part[0]] = error
+    by_itself = next((error for error in failed.values() if not error.by_signal), None)
+    if by_itself is not None and len(failed) == len(files):
+        raise by_itself
+    rule = f"{analyser.name}/not-analysed"
+    return found + [Finding(path, 1, rule, "error-prone", "error", str(error)) for path, error in failed.items()]
 
 
 def _parts(files: Sequence[str], size: int) -> list[Sequence[str]]:

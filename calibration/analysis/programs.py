@@ -18,6 +18,14 @@ MAX_OUTPUT = 200_000_000
 """Limit of a program's output in bytes."""
 
 
+class ProgramFailedError(InfrastructureError):
+    """A program ended with another exit code than expected, or by a signal."""
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.by_signal = code < 0
+
+
 @dataclass(frozen=True)
 class ProgramResult:
     """Exit code and output of a program."""
@@ -58,7 +66,8 @@ def run_program(
         codes: exit codes of success.
 
     Raises:
-        InfrastructureError: it cannot be started, takes too long, or fails.
+        ProgramFailedError: it fails.
+        InfrastructureError: it cannot be started, takes too long, or prints too much.
     """
     with temporary_folder(prefix="calibration-analysis-") as home, tempfile.TemporaryFile() as output:
         own = {"HOME": str(home), "TMPDIR": str(home), "LC_ALL": "C.UTF-8"}
@@ -87,7 +96,8 @@ def run_program(
                 process.communicate()
         size = output.seek(0, os.SEEK_END)
         if process.returncode not in codes:
-            raise InfrastructureError(f"{name} failed with exit code {process.returncode}: {_last(errors)}")
+            how = f"failed with exit code {process.returncode}: {_last(errors)}"
+            raise ProgramFailedError(f"{name} {how}", process.returncode)
         if size > MAX_OUTPUT:
             raise InfrastructureError(f"{name}: found {size} bytes of findings, expected at most {MAX_OUTPUT}")
         output.seek(0)

@@ -1,6 +1,7 @@
 """``accept``: make the results of a run the accepted baseline of later runs."""
 
 import os
+from contextlib import ExitStack
 from pathlib import Path
 
 import click
@@ -8,6 +9,7 @@ import click
 from calibration.baseline.document import read_baseline, write_baseline
 from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.errors import ExitCode, InputError
+from calibration.execution.folder_lock import locked
 from calibration.pipeline.accepting import accept
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.pipeline.judging import judge_results
@@ -32,9 +34,13 @@ def command(config: Path, output: Path, systems: tuple[str, ...] | None, althoug
         raise InputError("--although: found nothing, expected the reason")
     configuration = read_configuration(config)
     file = configuration.baseline.file
-    results = judge_results(read_results(output), configuration.systems, output)
-    baseline, names = accept(results, output, systems or (), although, read_baseline(file))
-    write_baseline(file, baseline)
+    with ExitStack() as locks:
+        # no run may write the results meanwhile, and no other accept the file
+        for folder in sorted({each.resolve() for each in (output, file.parent) if each.is_dir()}):
+            locks.enter_context(locked(folder))
+        results = judge_results(read_results(output), configuration.systems, output)
+        baseline, names = accept(results, output, systems or (), although, read_baseline(file))
+        write_baseline(file, baseline)
     with stop_commands(runner):
         for name in names:
             runner.log(one_line(f"{name}: accepted"))

@@ -4,7 +4,6 @@ It is the folder ``.unfinished`` inside the output, which may be a separate volu
 the same command continues from it.
 """
 
-import fcntl
 import hashlib
 import json
 import shutil
@@ -15,6 +14,7 @@ from typing import Generic, TypeVar
 from urllib.parse import quote
 
 from calibration.errors import InfrastructureError, InputError
+from calibration.execution.folder_lock import locked
 from calibration.execution.tasks import Task
 from calibration.files import write_atomically
 
@@ -22,7 +22,6 @@ Result = TypeVar("Result")
 
 FOLDER = ".unfinished"
 _IDENTITY = "identity.txt"
-_LOCK = "lock"
 _ENDING = ".result.json"
 
 
@@ -93,16 +92,12 @@ def workspace(
         InfrastructureError: the folder cannot be created or written.
     """
     folder = output / FOLDER
-    made = [path for path in (output, *output.parents) if not path.exists()]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with (folder / _LOCK).open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise InputError(f"{output}: another run uses this folder; wait for it, or stop it") from None
+        with locked(output):
             if not _is_of(folder, identity):
-                _clear(folder)
+                if folder.exists():
+                    shutil.rmtree(folder)
+                folder.mkdir()
                 write_atomically(folder / _IDENTITY, json.dumps(identity))
             work, finished = Workspace(folder, encode, decode), False
             try:
@@ -113,10 +108,6 @@ def workspace(
                     shutil.rmtree(folder, ignore_errors=True)
     except OSError as error:
         raise InfrastructureError(f"{output}: cannot be written: {error.strerror or error}") from error
-    finally:
-        for path in made:
-            with suppress(OSError):  # not empty, or not created
-                path.rmdir()
 
 
 def _is_of(folder: Path, identity: str) -> bool:
@@ -124,13 +115,3 @@ def _is_of(folder: Path, identity: str) -> bool:
         return bool(json.loads((folder / _IDENTITY).read_bytes()) == identity)
     except (OSError, ValueError):
         return False
-
-
-def _clear(folder: Path) -> None:
-    for path in folder.iterdir():
-        if path.name == _LOCK:
-            continue
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        else:
-            path.unlink()

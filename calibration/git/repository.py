@@ -1,11 +1,13 @@
 """A git checkout: tracked files, commits, and changes."""
 
+import errno
 import os
 import re
 import subprocess
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Self
 
 from calibration.errors import InfrastructureError, InputError
@@ -13,8 +15,31 @@ from calibration.workflow.text import one_line, shorten
 
 SECONDS = 120
 """Timeout of a git command."""
-_SETTINGS = ("core.fsmonitor=false", "core.quotePath=true")
-_CONFIGURATION = Path(__file__).with_name("git.config")
+_SETTINGS = (
+    "core.fsmonitor=false",
+    f"core.hooksPath={os.devnull}",
+    "core.alternateRefsCommand=true",  # the program that says nothing: an empty value would run what follows it
+    "core.quotePath=true",
+    "credential.helper=",
+    "fetch.recurseSubmodules=false",  # which have settings of their own
+    "gc.auto=0",
+    "maintenance.auto=false",
+    "safe.bareRepository=explicit",
+)
+_VARIABLES = {
+    "GIT_CONFIG_GLOBAL": os.devnull,
+    "GIT_CONFIG_NOSYSTEM": "1",
+    "GIT_ATTR_NOSYSTEM": "1",
+    "GIT_ASKPASS": "",
+    "GIT_TERMINAL_PROMPT": "0",
+    "GIT_ALLOW_PROTOCOL": "https",
+    "LC_ALL": "C",
+}
+"""Environment of git. Also a command that only reads fetches what a partial clone lacks: by https alone."""
+_FETCHING = {"GIT_ALLOW_PROTOCOL": "https:file", "GIT_NO_LAZY_FETCH": "1"}
+"""With a file as origin, its own settings count in git-upload-pack, which must not fetch what the origin lacks."""
+_PROGRAMS = r"^(filter\..*\.(clean|smudge|process|required)|hook\..*)$"
+"""Settings that run a program of any name, as git's regular expression; the fixed names are in `_SETTINGS`."""
 _REGULAR = ("100644", "100755")
 """Modes of regular files, without symbolic links, which may point anywhere, and submodules."""
 _COMMIT = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
@@ -44,20 +69,53 @@ class Repository:
 
     root: Path
     """Resolved path, without symbolic links."""
+    disabled: tuple[str, ...] = ()
+    """Settings of git that disable programs which the repository's own settings name."""
 
     @classmethod
     def around(cls, directory: Path) -> Self:
-        """Return the checkout that contains a folder.
+        """Return the checkout that contains a folder: the nearest folder above with ``.git``, which nobody can commit.
+
+        Git itself would take any folder for a repository that has ``HEAD``, ``objects`` and ``refs``, with the
+        programs that its ``config`` names; these are files that anyone can commit.
 
         Raises:
             InputError: the folder is not in a checkout.
+            InfrastructureError: git fails.
         """
-        code, output, problem = _git(directory, "rev-parse", "--show-toplevel")
+        if not directory.is_dir():
+            raise InputError(f"{directory}: there is no such folder")
+        if not os.access(directory, os.X_OK):
+            raise InputError(f"{directory}: this folder cannot be entered: {os.strerror(errno.EACCES)}")
+        folder = directory.resolve()
+        root = next((each for each in (folder, *folder.parents) if os.path.lexists(each / ".git")), None)
+        expected = f"{directory}: a folder in a git repository was expected (check it out before)"
+        if root is None:
+            raise InputError(f"{expected}: no folder above has .git")
+        repository = cls(root)
+        code, _, problem = repository._git("rev-parse", "--git-dir")
         if code:
-            raise InputError(
-                f"{directory}: a folder in a git repository was expected (check it out before): {_said(problem)}"
-            )
-        return cls(Path(output.decode("utf-8", "surrogateescape").rstrip("\n")).resolve())
+            raise InputError(f"{expected}: {_said(problem)}")
+        return replace(repository, disabled=tuple(repository._disabling()))
+
+    def _disabling(self) -> Iterator[str]:
+        """Yield settings that disable the programs of the repository's own settings, in any file that these include.
+
+        Raises:
+            InputError: the name of such a setting cannot be given to git.
+            InfrastructureError: git fails.
+        """
+        code, output, problem = self._git("config", "--null", "--name-only", "--get-regexp", _PROGRAMS)
+        if code not in (0, 1):  # 1: there is none
+            raise InfrastructureError(f"git config: {_said(problem)}")
+        for name in sorted(set(output.decode("utf-8", "surrogateescape").split("\0")) - {""}):
+            if "=" in name:
+                raise InputError(f"{self.root}: the setting '{one_line(name)}' of git has a = in its name: rename it")
+            section, _, key = name.rpartition(".")
+            if section.startswith("hook."):
+                yield f"{section}.enabled=false"
+            else:
+                yield f"{name}={'false' if key == 'required' else ''}"
 
     def path(self, path: Path) -> str | None:
         """Return the path of a file or folder relative to the root, with ``/``; None outside of the repository."""
@@ -87,7 +145,7 @@ class Repository:
 
     def _entries(self, *patterns: str) -> Iterator[tuple[str, str]]:
         """Yield path and mode of everything that is tracked."""
-        code, output, problem = _git(self.root, "ls-files", "-s", "-z", "--", ":(top)", *patterns)
+        code, output, problem = self._git("ls-files", "-s", "-z", "--", ":(top)", *patterns)
         if code:
             raise InfrastructureError(f"git ls-files: {_said(problem)}")
         for entry in output.decode("utf-8", "surrogateescape").split("\0"):
@@ -101,18 +159,18 @@ class Repository:
 
     def commit(self, name: str) -> str | None:
         """Return the hash of a commit given by any name; None if it does not exist."""
-        code, output, _ = _git(self.root, "rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}")
+        code, output, _ = self._git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}")
         return None if code else output.decode("ascii").strip()
 
     def parents(self, commit: str) -> list[str]:
         """Return the hashes of a commit's parents, including those missing in a shallow checkout."""
-        code, output, _ = _git(self.root, "cat-file", "commit", commit)
+        code, output, _ = self._git("cat-file", "commit", commit)
         header = output.partition(b"\n\n")[0].decode("utf-8", "replace")
         return [] if code else re.findall(r"^parent ([0-9a-f]+)$", header, re.MULTILINE)
 
     def merge_base(self, one: str, other: str) -> str | None:
         """Return the merge base of two commits; None if there is none, or a shallow checkout lacks it."""
-        code, output, _ = _git(self.root, "merge-base", one, other)
+        code, output, _ = self._git("merge-base", one, other)
         return None if code else output.decode("ascii").strip()
 
     def content(self, commit: str, path: str, most: int) -> bytes | None:
@@ -122,7 +180,7 @@ class Repository:
             InputError: it is not a regular file, or larger than ``most`` bytes.
             InfrastructureError: git fails.
         """
-        code, output, _ = _git(self.root, "ls-tree", "-l", "-z", "--full-tree", commit, "--", path)
+        code, output, _ = self._git("ls-tree", "-l", "-z", "--full-tree", commit, "--", path)
         if code or not output:
             return None
         mode, _, name, size = output.split(b"\t")[0].decode("ascii").split()
@@ -130,7 +188,7 @@ class Repository:
             raise InputError(f"{commit[:12]}:{path}: expected a regular file, found a link or a folder")
         if int(size) > most:
             raise InputError(f"{commit[:12]}:{path}: found {size} bytes, expected at most {most}")
-        code, output, problem = _git(self.root, "cat-file", "blob", name)
+        code, output, problem = self._git("cat-file", "blob", name)
         if code:
             raise InfrastructureError(f"git cat-file: {_said(problem)}")
         return output
@@ -142,7 +200,7 @@ class Repository:
             InfrastructureError: git fails.
         """
         asked = "".join(f"{commit}:{path}\n" for commit in commits).encode("utf-8", "surrogateescape")
-        code, output, problem = _git(self.root, "cat-file", "--batch", given=asked)
+        code, output, problem = self._git("cat-file", "--batch", given=asked)
         if code:
             raise InfrastructureError(f"git cat-file: {_said(problem)}")
         at = 0
@@ -157,19 +215,25 @@ class Repository:
             yield commit, output[at : at + size] if head[1] == b"blob" and size <= most else None
             at += size + 1
 
+    def origin(self) -> str | None:
+        """Return the URL of the origin; None if there is none."""
+        code, output, _ = self._git("config", "--get", "remote.origin.url")
+        return None if code else one_line(output.decode("utf-8", "replace")) or None
+
     def fetched(self, commit: str) -> str:
-        """Fetch one commit from the origin of a shallow checkout, and return its hash.
+        """Fetch one commit from the origin of a shallow checkout, by https or from a folder, and return its hash.
 
         Raises:
             InputError: it cannot be fetched.
         """
-        code, _, problem = _git(self.root, "fetch", "--quiet", "--no-tags", "--depth=1", "origin", commit)
+        missing = f"the commit {shorten(commit, 40)} is not in this checkout (fetch-depth: 2 fetches it), and cannot be"
+        if self.origin() is None:  # git would take a folder of this name
+            raise InputError(f"{missing} fetched: there is no remote 'origin'")
+        options = ("--quiet", "--no-tags", "--no-recurse-submodules", "--upload-pack=git-upload-pack", "--depth=1")
+        code, _, problem = self._git("fetch", *options, "origin", commit, variables=_FETCHING)
         found = None if code else self.commit(commit)
         if found is None:
-            raise InputError(
-                f"the commit {shorten(commit, 40)} is not in this checkout (fetch-depth: 2 fetches it), and cannot be "
-                f"fetched: {_said(problem)}"
-            )
+            raise InputError(f"{missing} fetched: {_said(problem)}")
         return found
 
     def changes_of(self, path: str, since: str | None = None, newest: int | None = None) -> list[Commit]:
@@ -185,12 +249,13 @@ class Repository:
             InfrastructureError: git fails.
         """
         arguments = ["log", "-z", "--format=%H%x09%cs%x09%s", "--first-parent", "--diff-merges=first-parent"]
+        arguments.append("--no-show-signature")  # by a program that the settings name
         if newest is not None:
             arguments.append(f"--max-count={newest}")
         if since is not None:
             found = self.commit(since)
             arguments.append(f"{found}..HEAD" if found else f"--since={since}")
-        code, output, problem = _git(self.root, *arguments, "--", path)
+        code, output, problem = self._git(*arguments, "--", path)
         if code:
             if self.head() is None:
                 return []
@@ -204,8 +269,7 @@ class Repository:
         Raises:
             InfrastructureError: git fails.
         """
-        code, output, problem = _git(
-            self.root,
+        code, output, problem = self._git(
             *("diff", "--unified=0", "--no-color", "--no-ext-diff", "--no-textconv", "--find-renames"),
             *("--src-prefix=a/", "--dst-prefix=b/", "--ignore-submodules", commit, "--"),
         )
@@ -219,38 +283,57 @@ class Repository:
         Raises:
             InfrastructureError: git fails.
         """
-        code, output, problem = _git(
-            self.root, "diff", "--name-only", "--no-renames", "--no-ext-diff", "-z", "--ignore-submodules", commit, "--"
+        code, output, problem = self._git(
+            "diff",
+            "--name-only",
+            "--no-renames",
+            "--no-ext-diff",
+            "--no-textconv",
+            "-z",
+            "--ignore-submodules",
+            commit,
+            "--",
         )
         if code:
             raise InfrastructureError(f"git diff {commit}: {_said(problem)}")
         return sorted(filter(None, output.decode("utf-8", "surrogateescape").split("\0")))
 
+    def _git(
+        self, *arguments: str, given: bytes = b"", variables: Mapping[str, str] = MappingProxyType({})
+    ) -> tuple[int, bytes, bytes]:
+        """Run git in this checkout, and return exit code, output and errors: the only place where we run it.
 
-def _git(directory: Path, *arguments: str, given: bytes = b"") -> tuple[int, bytes, bytes]:
-    """Run git and return exit code, output and errors; hooks and programs in git's configuration are disabled."""
-    settings = [part for setting in _SETTINGS for part in ("-c", setting)]
-    variables = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
-    variables |= {"GIT_CONFIG_GLOBAL": str(_CONFIGURATION), "GIT_CONFIG_NOSYSTEM": "1", "LC_ALL": "C"}
-    try:
-        done = subprocess.run(
-            ["git", "--no-optional-locks", *settings, *arguments],
-            cwd=directory,
-            env=variables,
-            input=given,
-            capture_output=True,
-            timeout=SECONDS,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise InfrastructureError(f"git {arguments[0]} took longer than {SECONDS} s") from None
-    except OSError as error:
-        if not directory.is_dir():
-            raise InputError(f"{directory}: there is no such folder") from None
-        if not os.access(directory, os.X_OK):
-            raise InputError(f"{directory}: this folder cannot be entered: {error.strerror}") from None
-        raise InfrastructureError(f"git cannot be started: {error.strerror}") from None
-    return done.returncode, done.stdout, done.stderr
+        No program runs but git's own, whatever the repository's settings, hooks, attributes and submodules name; the
+        user's and the machine's settings are not read. Two kinds are refused by the options of a command: ``diff``
+        needs ``--no-ext-diff --no-textconv``, ``log`` needs ``--no-show-signature``. The network is used by https
+        only, ``fetch`` also reads a folder.
+
+        Args:
+            arguments: command and its arguments.
+            given: standard input.
+            variables: environment in addition to `_VARIABLES`.
+
+        Raises:
+            InfrastructureError: git cannot be started, or takes too long.
+        """
+        settings = [part for setting in (*_SETTINGS, *self.disabled) for part in ("-c", setting)]
+        place = [f"--git-dir={self.root / '.git'}", f"--work-tree={self.root}"]
+        inherited = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+        try:
+            done = subprocess.run(
+                ["git", "--no-pager", "--no-optional-locks", *place, *settings, *arguments],
+                cwd=self.root,
+                env={**inherited, **_VARIABLES, **variables},
+                input=given,
+                capture_output=True,
+                timeout=SECONDS,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise InfrastructureError(f"git {arguments[0]} took longer than {SECONDS} s") from None
+        except OSError as error:
+            raise InfrastructureError(f"git cannot be started: {error.strerror}") from None
+        return done.returncode, done.stdout, done.stderr
 
 
 def _said(problem: bytes) -> str:

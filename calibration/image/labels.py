@@ -1,18 +1,17 @@
 """Labels of the origin of an image."""
 
 import os
-import subprocess
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import urlsplit, urlunsplit
 
+from calibration.errors import CalibrationError
+from calibration.git.repository import Repository
 from calibration.image.content_key import KEY_LABEL, SPECIFICATION_LABEL
-from calibration.workflow.text import one_line
 
 SOURCE = "org.opencontainers.image.source"
 REVISION = "org.opencontainers.image.revision"
-SECONDS = 10
-"""Timeout of a git command."""
 
 
 def build_labels(
@@ -25,28 +24,16 @@ def build_labels(
     """
     variables = os.environ if environment is None else environment
     server, repository = variables.get("GITHUB_SERVER_URL"), variables.get("GITHUB_REPOSITORY")
-    source = f"{server}/{repository}" if server and repository else _git(folder, "config", "--get", "remote.origin.url")
-    revision = variables.get("GITHUB_SHA") or _git(folder, "rev-parse", "--verify", "--quiet", "HEAD")
+    source = f"{server}/{repository}" if server and repository else ""
+    revision = variables.get("GITHUB_SHA") or ""
+    if not (source and revision):
+        with suppress(CalibrationError):  # no git, or no checkout
+            checkout = Repository.around(folder)
+            source = source or checkout.origin() or ""
+            revision = revision or checkout.head() or ""
     found = {SOURCE: _without_login(source), REVISION: revision}
     ours = {KEY_LABEL: key, SPECIFICATION_LABEL: specification}
     return {name: value for name, value in found.items() if value} | dict(user) | ours
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    """Run git in a folder and return its output; empty if git or the repository is missing."""
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(folder), *arguments],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=SECONDS,
-            check=False,
-            stdin=subprocess.DEVNULL,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return one_line(done.stdout) if done.returncode == 0 else ""
 
 
 def _without_login(url: str) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from calibration.analysis.analysers import ANALYSERS
-from calibration.analysis.copies import Copy
+from calibration.analysis.copies import Copy, may_be_analysed
 from calibration.analysis.finding import Finding
 from calibration.analysis.programs import module, run_program
 from calibration.errors import InfrastructureError
@@ -143,3 +143,14 @@ def test_programs_see_no_variables_of_the_job(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setenv("INPUT_TOKEN", "secret")
     monkeypatch.setenv("GITHUB_TOKEN", "secret")
     assert "secret" not in run_program("env", ["env"], tmp_path, 60, (0,)).output
+
+
+def test_the_files_that_count_are_those_of_the_analysers(tmp_path: Path) -> None:
+    kinds = "action bash c cc cpp cxx h hh hpp hxx launch msg py pyi sdf sh srdf srv test urdf xacro xml yaml yml"
+    others = "cfg cmake csv dat gv html ini ipynb json log md rst svg toml txt world zzz"
+    names = ["a", "CMakeLists.txt", "dataset.json", "setup.cfg"]
+    names += [f"a.{suffix}" for suffix in f"{kinds} {others}".split()]
+    write(tmp_path, dict.fromkeys(names, "#!/bin/sh\n"))
+    copy = Copy(tmp_path, tuple(names), present=("package.xml", *names))
+    wanted = {name for name in names if any(each.wants(name, copy) for each in ANALYSERS.values())}
+    assert {name for name in names if may_be_analysed(name)} == wanted

@@ -15,6 +15,7 @@ from calibration import __main__ as entry
 from calibration.__main__ import COMMANDS, LazyCommand, main, run_action
 from calibration.commands import parameters
 from calibration.errors import ExitCode, InfrastructureError, InputError, UndeterminedError
+from tests.coverage.projects import needs_git
 
 
 @pytest.fixture(autouse=True)
@@ -252,6 +253,7 @@ def without_the_rights_of_root() -> None:
     ],
 )
 def test_a_folder_that_may_not_be_read_is_named(tmp_path: Path, arguments: str, code: int, line: str) -> None:
+    needs_git()
     locked = tmp_path / "locked"
     locked.mkdir()
     locked.chmod(0)

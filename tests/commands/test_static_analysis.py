@@ -10,6 +10,7 @@ import pytest
 
 from calibration import analysis
 from calibration.__main__ import main, run_action
+from calibration.analysis import copies
 from tests.coverage.projects import commit, git, write
 
 NAME = "static-analysis"
@@ -215,3 +216,63 @@ def test_errors_are_one_line(
     [line] = capfd.readouterr().err.splitlines()
     assert line.startswith("error: ")
     assert said in line
+
+
+@pytest.mark.parametrize("others", [0, 5])
+def test_a_file_that_kills_an_analyser_is_named_and_the_others_are_analysed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], others: int
+) -> None:
+    root = tmp_path / "robot"
+    commit(root, {"b.py": f"x = {'-' * 100_000}1\n", **{f"{number}.py": GOOD + BAD for number in range(others)}})
+    monkeypatch.chdir(root)
+    assert main([NAME, "--tools", "ruff", "--output", str(tmp_path / "output")]) == 0
+    found = json.loads((tmp_path / "output/results.json").read_text())["unchanged"]
+    rules = [(each["path"], each["rule"]) for each in found if each["rule"] in ("ruff/S307", "ruff/not-analysed")]
+    assert sorted(rules) == [
+        *((f"{number}.py", "ruff/S307") for number in range(others)),
+        ("b.py", "ruff/not-analysed"),
+    ]
+    assert main([NAME, "--tools", "ruff", "--max-total", "error=0"]) == 1
+    capsys.readouterr()
+
+
+def test_an_analyser_that_fails_on_every_file_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for count in (1, 3, 30):
+        root = tmp_path / str(count)
+        commit(root, {"ruff.toml": "lint.select = [", **{f"{number}.py": GOOD for number in range(count)}})
+        monkeypatch.chdir(root)
+        assert main([NAME, "--tools", "ruff"]) == 3
+        assert "ruff failed with exit code 2" in capsys.readouterr().err
+
+
+def test_paths_are_what_counts_in_a_large_repository(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neither files outside of the paths count nor those that no analyser looks at; the settings are still read."""
+    monkeypatch.setattr(copies, "MAX_FILES", 10)
+    root = tmp_path / "robot"
+    others = {f"large/{number}.py": BAD for number in range(11)}
+    data = {f"mine/{number}.{suffix}": "1\n" for number in range(8) for suffix in ("txt", "json", "xyz")}
+    commit(root, {"mine/a.py": GOOD + BAD, "ruff.toml": 'lint.select = ["S307"]', **others, **data})
+    monkeypatch.chdir(root)
+    assert main([NAME, "--tools", "ruff"]) == 2
+    assert "more than 10 files are to be analysed: name folders (paths)" in capsys.readouterr().err
+    assert main([NAME, "--tools", "ruff", "--paths", "large"]) == 2
+    for chosen in (["--paths", "mine"], ["--paths", "mine/a.py"], ["--exclude", "large"]):
+        assert main([NAME, "--tools", "ruff", *chosen, "--output", str(tmp_path / "output")]) == 0
+        found = json.loads((tmp_path / "output/results.json").read_text())
+        assert [(each["path"], each["rule"]) for each in found["unchanged"]] == [("mine/a.py", "ruff/S307")]
+
+
+def test_the_base_of_a_large_repository_is_compared_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(copies, "MAX_FILES", 10)
+    root = tmp_path / "robot"
+    base = commit(root, {"mine/a.py": GOOD, **{f"large/{number}.py": GOOD for number in range(11)}})
+    commit(root, {"mine/a.py": GOOD + BAD, "large/0.py": GOOD + BAD})
+    monkeypatch.chdir(root)
+    options = ["--tools", "ruff", "--base", base, "--output", str(tmp_path / "output")]
+    assert main([NAME, *options, "--paths", "mine", "--max-new", "security=0"]) == 1
+    found = json.loads((tmp_path / "output/results.json").read_text())
+    assert [each["path"] for each in found["new"]] == ["mine/a.py"]

@@ -1,6 +1,7 @@
 """Git repositories of a team, and a fake Codacy server."""
 
 import os
+import shutil
 import ssl
 import subprocess
 import threading
@@ -10,6 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+
+import pytest
 
 TOKEN = "planted-t0ken/with+signs="  # noqa: S105 (of nobody)
 WHO = {
@@ -38,8 +41,15 @@ class NamingTest(unittest.TestCase):
 """Runs four of the six lines, and one of the two branches."""
 
 
+def needs_git() -> None:
+    """Skip where there is no git."""
+    if shutil.which("git") is None:
+        pytest.skip("needs git")
+
+
 def git(folder: Path, *arguments: str) -> str:
-    """Run git, and return what it prints."""
+    """Run git, and return what it prints; skip without it."""
+    needs_git()
     done = subprocess.run(
         ["git", "-c", "init.defaultBranch=main", "-c", "commit.gpgsign=false", *arguments],
         cwd=folder,

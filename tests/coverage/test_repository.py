@@ -18,7 +18,7 @@ def sources(root: Path, *named: str, exclude: tuple[str, ...] | None = None, dir
 
 def test_a_folder_outside_of_any_repository(tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match=r"a folder in a git repository was expected \(check it out before\): not a git"
+        InputError, match=r"a folder in a git repository was expected \(check it out before\): no folder"
     ):
         Repository.around(tmp_path)
     with pytest.raises(InputError, match="none: there is no such folder"):
@@ -26,12 +26,14 @@ def test_a_folder_outside_of_any_repository(tmp_path: Path) -> None:
 
 
 def test_no_git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
+    git(tmp_path, "init", "-q")
+    monkeypatch.setenv("PATH", str(tmp_path / "none"))
     with pytest.raises(InfrastructureError, match="git cannot be started: No such file"):
         Repository.around(tmp_path)
 
 
 def test_git_that_takes_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    git(tmp_path, "init", "-q")
     (tmp_path / "git").write_text("#!/bin/sh\nexec sleep 30\n")
     (tmp_path / "git").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")

@@ -1,9 +1,9 @@
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from calibration.image.labels import build_labels
+from tests.coverage.projects import git
 
 OURS = {"ci.calibration.key": "k", "ci.calibration.specification": "s"}
 
@@ -29,9 +29,9 @@ def test_in_a_checkout(tmp_path: Path, origin: str, source: str | None) -> None:
     for command in (
         ["init", "--quiet"],
         ["remote", "add", "origin", origin],
-        ["-c", "user.name=a", "-c", "user.email=a@b", "commit", "--quiet", "--allow-empty", "-m", "x"],
+        ["commit", "--quiet", "--allow-empty", "-m", "x"],
     ):
-        subprocess.run(["git", "-C", tmp_path, *command], check=True)
+        git(tmp_path, *command)
     found = build_labels("k", "s", {}, tmp_path, {})
     assert found.get("org.opencontainers.image.source") == source
     assert len(found["org.opencontainers.image.revision"]) == 40

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.coverage.projects import needs_git
 from tests.e2e.conftest import tool
 
 from . import documents, shell, yaml_lines
@@ -53,6 +54,7 @@ def test_shell_files_are_known_by_name_or_first_line(tmp_path: Path, name: str, 
 
 
 def test_the_shell_files_of_the_project() -> None:
+    needs_git()
     found = {str(path.relative_to(shell.PROJECT)) for path in shell.shell_files()}
     assert {"actions/bootstrap.sh", ".ci/run"} <= found
 

@@ -1,7 +1,6 @@
 """The stage analyse: its verdict is part of the pipeline's, its results have a folder of their own."""
 
 import json
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -9,6 +8,7 @@ import pytest
 from calibration.commands.run import RunSettings, run
 from calibration.errors import ExitCode, InputError
 from calibration.workflow import Runner
+from tests.coverage.projects import git
 
 CONFIGURATION = "systems: {robot: {dataset: robot}}\n"
 CODE = "def f():\n    return missing\n"
@@ -20,7 +20,7 @@ def repository(folder: Path, section: str) -> Path:
     (folder / "calibration.yml").write_text(CONFIGURATION + section)
     (folder / "naming.py").write_text(CODE)
     for arguments in (["init", "-q"], ["add", "-A"]):
-        subprocess.run(["git", *arguments], cwd=folder, check=True, capture_output=True)
+        git(folder, *arguments)
     return folder / "calibration.yml"
 
 

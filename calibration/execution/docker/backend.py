@@ -18,7 +18,7 @@ from calibration.execution.backends import ExecutionTarget
 from calibration.execution.docker.images import find_images
 from calibration.execution.docker.job_run import Interrupted, JobRun, Run, lost_job
 from calibration.execution.docker.labels import RUN, Owner
-from calibration.execution.docker.leftovers import find_leftovers, remove
+from calibration.execution.docker.leftovers import counts_of, find_leftovers, remove, remove_of_dead_runs
 from calibration.execution.docker.networks import Networks
 from calibration.execution.job import Job
 from calibration.execution.job_check import check_jobs
@@ -71,14 +71,25 @@ class DockerBackend:
         """Threads that run jobs."""
 
     def __enter__(self) -> Self:
-        """Connect to the engine.
+        """Connect to the engine, and remove what killed runs of this machine have left on it.
 
         Raises:
             InfrastructureError: no engine answers.
         """
         self._engine = find_engine()
         self._client = self._engine.client()
+        self._remove_leftovers()
         return self
+
+    def _remove_leftovers(self) -> None:
+        """Remove what killed runs have left; what cannot be removed is named, and no reason not to run."""
+        try:
+            removed = remove_of_dead_runs(self._client.api)
+            said = f"{counts_of(removed)} of a killed run removed" if removed else ""
+        except InfrastructureError as error:
+            said = f"of a killed run: {error}"
+        if said and self._show is not None:
+            self._show.note(said)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None

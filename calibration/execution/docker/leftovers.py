@@ -86,6 +86,26 @@ def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
     return removed
 
 
+def remove_of_dead_runs(api: "APIClient") -> list[Leftover]:
+    """Remove what runs have left whose processes were killed since this machine was started.
+
+    Other machines may have its name and use the same engine: there a process of another start may be alive.
+
+    Raises:
+        InfrastructureError: an object cannot be removed (the others have been), or the engine does not answer.
+    """
+    boot = Owner.this_process().boot
+    owned = [(each, each.owner) for each in find_leftovers(api) if each.owner is not None]
+    return remove(api, [each for each, owner in owned if owner.boot == boot and owner.is_dead])
+
+
+def counts_of(leftovers: Iterable[Leftover]) -> str:
+    """Return the number of objects of each kind, in words; ``nothing`` for none."""
+    kinds = [leftover.kind for leftover in leftovers]
+    counts = [f"{kinds.count(kind)} {kind}{'s' * (kinds.count(kind) != 1)}" for kind in dict.fromkeys(kinds)]
+    return ", ".join(counts) or "nothing"
+
+
 def _in_order(leftovers: Iterable[Leftover]) -> list[Leftover]:
     """Sort containers first: networks and volumes in use cannot be removed."""
     return sorted(leftovers, key=lambda leftover: leftover.kind)
@@ -142,6 +162,4 @@ class EngineLeftovers:
 
     def summary(self, chosen: Sequence[Leftover], dry_run: bool) -> str:
         """Return the number of removed objects of each kind, as a sentence."""
-        kinds = [leftover.kind for leftover in chosen]
-        counts = [f"{kinds.count(kind)} {kind}{'s' * (kinds.count(kind) != 1)}" for kind in dict.fromkeys(kinds)]
-        return f"{', '.join(counts) or 'nothing'} {'would be removed' if dry_run else 'removed'}"
+        return f"{counts_of(chosen)} {'would be removed' if dry_run else 'removed'}"

@@ -14,6 +14,7 @@ from calibration.baseline.settings import BaselineSettings
 from calibration.dataset.model import Dataset
 from calibration.errors import CalibrationError, InputError
 from calibration.execution.backends import ExecutionTarget, imported
+from calibration.execution.folder_lock import locked
 from calibration.frozen import frozen
 from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.page.run_page import accepted_history, report_page
@@ -108,13 +109,17 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
         stages: the stages to run; an image that containers need is built in any case.
 
     Raises:
-        InputError: there is no such stage, or an input is wrong.
+        InputError: there is no such stage, an input is wrong, or another run uses the output folder.
         InfrastructureError: a file cannot be written, a process died, an engine or a registry does not answer.
     """
     _check(stages)
     if "calibrate" in stages:
         _check_systems(run)
-    run = _placed(run)
+    with locked(run.output):
+        return _run_stages(_placed(run), stages)
+
+
+def _run_stages(run: Run, stages: Collection[str]) -> Results:
     if "calibrate" in stages or "collect" in stages:
         clear_results(run.output, _inputs(run.matrix))
     try:

@@ -4,7 +4,7 @@ from tests.engine import PYTHON_IMAGE
 
 
 @pytest.fixture(autouse=True)
-def image(python_image: str) -> str:
-    """Return the image of all containers of these tests."""
+def image_of_all_containers(python_image: str) -> str:
+    """Return it; the name must not be that of a parameter of a test, which would take its place."""
     assert python_image == PYTHON_IMAGE
     return python_image

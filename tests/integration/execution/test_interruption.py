@@ -14,11 +14,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from calibration.errors import InfrastructureError
 from calibration.execution.docker.backend import DockerBackend
 from calibration.execution.docker.labels import RUN
 from calibration.execution.docker.leftovers import find_leftovers, remove
 from calibration.execution.job import Job
 from calibration.execution.run_names import new_run
+from calibration.workflow import Runner
+from calibration.workflow.streams import LogDisplay
 from tests.engine import wait_until
 from tests.integration.execution.jobs import left, shell
 
@@ -26,6 +29,10 @@ if TYPE_CHECKING:
     from docker import DockerClient
 
 PROJECT = Path(__file__).resolve().parents[3]
+HOST = new_run()
+"""Name of this machine in these tests: else others would remove what killed runs leave here, as each run does."""
+_AS_HOST = f"import runpy, socket, sys; socket.gethostname = lambda: '{HOST}'; sys.argv.pop(0); "
+_AS_HOST += "runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)"
 
 
 @contextmanager
@@ -34,7 +41,7 @@ def program(
 ) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """Start the program that runs jobs; yield the name of its run, and the process."""
     run = new_run()
-    command = [sys.executable, "-m", "tests.integration.execution.program", kind, run, str(folder), argument]
+    command = [sys.executable, "-c", _AS_HOST, "tests.integration.execution.program", kind, run, str(folder), argument]
     with subprocess.Popen(
         command, cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
@@ -149,7 +156,7 @@ def test_a_name_that_is_taken_is_replaced_by_another(
 
 def cleanup(*arguments: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-m", "calibration", "cleanup", *arguments],
+        [sys.executable, "-c", _AS_HOST, "calibration", "cleanup", *arguments],
         cwd=PROJECT,
         capture_output=True,
         text=True,
@@ -181,6 +188,37 @@ def test_leftovers_of_killed_runs_are_removed_and_running_ones_kept(tmp_path: Pa
         assert "1 container, 1 network, 1 volume removed" in cleanup("--run", alive)
         assert left(engine, alive) == []
         assert cleanup("--run", alive) == "nothing removed\n"
+
+
+def test_a_run_removes_what_killed_ones_have_left(
+    tmp_path: Path, engine: "DockerClient", monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with (
+        program(tmp_path / "alive", engine, "waiting") as (alive, _),
+        program(tmp_path / "dead", engine, "waiting") as (dead, process),
+    ):
+        wait_until(lambda: has(engine, alive, "running") and has(engine, dead, "running"), "both run")
+        process.kill()
+        process.wait()
+        with DockerBackend(show=LogDisplay(Runner())):
+            assert len(left(engine, dead)) == 3  # of another machine, as far as this one knows
+        monkeypatch.setattr(socket, "gethostname", lambda: HOST)
+        with DockerBackend(show=LogDisplay(Runner())):
+            assert left(engine, dead) == []
+            assert len(left(engine, alive)) == 3
+        assert capfd.readouterr().out == "1 container, 1 network, 1 volume of a killed run removed\n"
+
+
+def test_what_cannot_be_removed_is_named_and_the_run_goes_on(
+    engine: "DockerClient", monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_: object) -> None:
+        raise InfrastructureError("cannot be removed: volume v")
+
+    monkeypatch.setattr("calibration.execution.docker.backend.remove_of_dead_runs", fail)
+    with DockerBackend(show=LogDisplay(Runner())):
+        pass
+    assert capfd.readouterr().out == "of a killed run: cannot be removed: volume v\n"
 
 
 @pytest.mark.parametrize("name", ["_sweep", "_stop"])
