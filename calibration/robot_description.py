@@ -1,10 +1,11 @@
 """Reading of robot descriptions: URDF, and xacro, which the library xacrodoc expands to URDF without ROS.
 
-A xacro has expressions, which are program code: it is expanded in a separate process with an empty
-environment, and with limits of its time, its memory and its output.
+A xacro has expressions of Python: a part of them is evaluated by `calibration.expansion`, never by Python itself, in a
+separate process with an empty environment, which reads a few folders only, and with limits of its time, its memory and
+its output.
 """
 
-import os
+import json
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -19,25 +20,11 @@ ENDING = ".xacro"
 MAX_BYTES = 10_000_000
 """Limit of a description's size, expanded or not: far above that of any robot."""
 PLACES = "packages are looked for above the file and beside its own package; an import names them by 'packages'"
-SECONDS, MEMORY = 60, 2 * 1024**3
+SECONDS, MEMORY = 30, 1024**3
 """Limits of the expansion: seconds of processor time, and bytes."""
-_CHILD = """
-import resource, sys
-from pathlib import Path
-seconds, memory, most = map(int, sys.argv[4:7])
-resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-if sys.platform == "linux":
-    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-from xacrodoc import XacroDoc, packages
-if sys.argv[3]:
-    packages.look_in([sys.argv[3]])
-try:
-    text = XacroDoc.from_file(sys.argv[1], resolve_packages=False).to_urdf_string()
-except Exception as error:
-    sys.exit(" ".join(f"{type(error).__name__}: {error}".split()))
-Path(sys.argv[2]).write_text(text)
-"""
+_CHILD = "import sys; sys.path.insert(0, sys.argv.pop(1)); from calibration.expansion.child import main; main()"
+_SOURCES = str(Path(__file__).resolve().parents[1])
+_REFUSED = 3  # exit code of the child for a xacro that needs more than is expanded
 
 
 def read_robot_description(path: Path, packages: Path | None = None) -> bytes:
@@ -55,37 +42,59 @@ def read_robot_description(path: Path, packages: Path | None = None) -> bytes:
     content = read_bytes(path, MAX_BYTES, "a robot description")
     if packages is not None and not packages.is_dir():
         raise InputError(f"{packages}: there is no such folder, expected one with the packages of {path.name}")
-    return _expanded(path, packages or _workspace_of(path)) if path.name.endswith(ENDING) else content
+    return _expanded(path, packages) if path.name.endswith(ENDING) else content
 
 
-def _workspace_of(path: Path) -> Path | None:
-    """Return the folder that holds the package of a file; None if it is in no package."""
-    return next((each.parent for each in path.resolve().parents if (each / "package.xml").is_file()), None)
+def _readable(path: Path, packages: Path | None) -> list[Path]:
+    """Return the folders that the expansion may read, in the order in which packages are looked for.
+
+    They are the packages' folder, the one that holds the file's own package, or else the file's own folder, and the
+    repository that the file is in.
+    """
+    above = path.resolve().parents
+    workspace = next((each.parent for each in above if (each / "package.xml").is_file()), above[0])
+    repository = next((each for each in above if (each / ".git").exists()), workspace)
+    folders = [workspace, repository] if packages is None else [packages.resolve(), workspace, repository]
+    return list(dict.fromkeys(folders))
 
 
 def _expanded(path: Path, packages: Path | None) -> bytes:
     if find_spec("xacrodoc") is None:
         raise InfrastructureError(f"{path}: a xacro needs the package xacrodoc: pip install 'calibration-ci[xacro]'")
     with temporary_folder() as folder:
-        target = folder / "robot.urdf"
-        words = [str(path.resolve()), str(target), str(packages.resolve()) if packages else ""]
-        try:
-            done = subprocess.run(
-                [sys.executable, "-I", "-c", _CHILD, *words, str(SECONDS), str(MEMORY), str(MAX_BYTES)],
-                env={"PATH": os.defpath, "HOME": str(folder), "ROS_HOME": str(folder)},
-                cwd=folder,
-                capture_output=True,
-                timeout=2 * SECONDS,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            raise InputError(f"{path}: cannot be expanded in {2 * SECONDS} s") from None
+        urdf, log = folder / "robot.urdf", folder / "log"
+        request = {
+            "file": str(path.resolve()),
+            "folders": [str(each) for each in _readable(path, packages)],
+            "seconds": SECONDS,
+            "memory": MEMORY,
+            "output": MAX_BYTES,
+        }
+        with urdf.open("wb") as output, log.open("wb") as errors:
+            try:
+                done = subprocess.run(
+                    [sys.executable, "-I", "-c", _CHILD, _SOURCES, json.dumps(request)],
+                    env={"HOME": str(folder), "ROS_HOME": str(folder)},
+                    cwd=folder,
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=errors,
+                    timeout=4 * SECONDS,
+                    check=False,
+                )
+            except subprocess.TimeoutExpired:
+                raise InputError(f"{path}: cannot be expanded in {4 * SECONDS} s") from None
         if done.returncode != 0:
-            lines = done.stderr.decode(errors="replace").strip().splitlines()
-            ended = (
-                f"it took more than {SECONDS} s or {MAX_BYTES:g} bytes" if done.returncode < 0 else "no reason given"
-            )
-            why = shorten(one_line(lines[-1]), 300) if lines else ended
-            hint = f"; {PLACES}" if "ackage" in why else ""
-            raise InputError(f"{path}: this xacro cannot be expanded: {why}{hint}")
-        return read_bytes(target, MAX_BYTES, "an expanded robot description")
+            raise InputError(f"{path}: this xacro cannot be expanded: {_reason(done.returncode, log, path)}")
+        return read_bytes(urdf, MAX_BYTES, "an expanded robot description")
+
+
+def _reason(code: int, log: Path, path: Path) -> str:
+    """Return why the expansion ended with a code, from the last line that it wrote, and what to do."""
+    if code < 0:
+        return f"it took more than {SECONDS} s, {MEMORY:g} bytes of memory or {MAX_BYTES:g} bytes of text"
+    lines = read_bytes(log, MAX_BYTES, "a log").decode(errors="replace").strip().splitlines()
+    why = shorten(one_line(lines[-1]), 300) if lines else "no reason given"
+    if code == _REFUSED:
+        return f"{why}; give the URDF that xacro makes of it: xacro {path.name} > {path.name.removesuffix(ENDING)}"
+    return f"{why}; {PLACES}" if "ackage" in why else why

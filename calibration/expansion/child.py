@@ -1,0 +1,119 @@
+"""The process that expands a xacro: it gets a request, confines itself, and writes the URDF to its standard output."""
+
+import json
+import os
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import xacro
+from xacro import substitution_args
+from xacrodoc import XacroDoc
+
+from calibration.expansion.confinement import confine
+from calibration.expansion.expressions import (
+    CALLABLE,
+    NOT_OF_MATH,
+    RefusedError,
+    bounded_range,
+    bounded_round,
+    evaluate,
+)
+
+REFUSED = 3
+"""Exit code if the xacro needs more than the expansion takes."""
+_EXPRESSION = re.compile(r"when evaluating expression '(.*)'\s*$", re.DOTALL)
+_NAME = re.compile(r"<name>\s*([^<]*?)\s*</name>")
+_WARM_UP = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:property name="x" value="${1}"/></robot>'
+
+
+def main() -> None:
+    """Expand the xacro of the request, a JSON document in the arguments; the last line of stderr is the reason if not.
+
+    Keys of the request: ``file``; ``folders`` that may be read, in which packages are looked for in this order; the
+    limits ``seconds``, ``memory`` and ``output``.
+    """
+    request = json.loads(sys.argv[1])
+    target = os.dup(1)
+    os.dup2(2, 1)  # what xacro prints is no URDF
+    folders = [Path(folder) for folder in request["folders"]]
+    XacroDoc.from_string(_WARM_UP).to_urdf_string()  # imports what is imported at the first use
+    _limit_language()
+    substitution_args._eval_find = lambda name: _package(name, folders)
+    confine(folders, request["seconds"], request["memory"], request["output"])
+    try:
+        urdf = XacroDoc.from_file(request["file"], walk_up=False, resolve_packages=False).to_urdf_string()
+        with os.fdopen(target, "wb") as stream:
+            stream.write(urdf.encode())
+    except Exception as error:
+        causes = list(_causes(error))
+        refused = next((each for each in causes if isinstance(each, RefusedError)), None)
+        _end(REFUSED if refused else 1, _reason(refused or causes[-1], error))
+
+
+def _limit_language() -> None:
+    """Let xacro evaluate its expressions by `evaluate`, with the names that those may have."""
+    symbols = xacro._global_symbols
+    named = {"math": set(symbols["math"]) - NOT_OF_MATH, "python": CALLABLE, "xacro": set(symbols["xacro"])}
+    for space, names in named.items():
+        for name in set(symbols[space]) - {"True", "False"} - names:
+            del symbols[space][name]
+    for name in {*symbols} - {"True", "False", *named} - CALLABLE - named["math"] - named["xacro"]:
+        del symbols[name]
+    for functions in (symbols, symbols["python"]):
+        dict.update(functions, range=bounded_range, round=bounded_round)
+    callables = frozenset(
+        id(each) for table in (symbols, *map(symbols.get, named)) for each in table.values() if callable(each)
+    )
+
+    def evaluate_expression(expression: str, symbols: Mapping[str, Any], _locals: object = None) -> Any:
+        return evaluate(expression, symbols, callables)
+
+    def evaluate_substitution(expression: str, context: Mapping[str, Any]) -> str:
+        """Evaluate ``$(eval ...)``, in which arguments are names."""
+        given = {name: substitution_args.convert_value(text, "auto") for name, text in context["arg"].items()}
+        return str(evaluate(expression, {**symbols, "true": True, "false": False, **given}, callables))
+
+    xacro.safe_eval = evaluate_expression
+    substitution_args._eval = evaluate_substitution
+
+
+def _package(name: str, folders: list[Path]) -> str:
+    """Return the folder of a package.
+
+    Raises:
+        LookupError: there is none.
+    """
+    for folder in folders:
+        for place, below, files in os.walk(folder):
+            below[:] = sorted(each for each in below if not each.startswith("."))
+            if "package.xml" in files or "CATKIN_IGNORE" in files or "COLCON_IGNORE" in files:
+                below.clear()
+            if "package.xml" in files and name in _NAME.findall(Path(place, "package.xml").read_text("utf-8")):
+                return place
+    raise LookupError(f"there is no package '{name}'")
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    """Yield an error and those that it wraps, as xacro does it."""
+    while error is not None:
+        yield error
+        error = getattr(error, "exc", None) or error.__context__
+
+
+def _reason(cause: BaseException, error: BaseException) -> str:
+    """Return one line: what was found, and in which expression."""
+    texts: dict[type[BaseException], str] = {
+        MemoryError: "it needs too much memory",
+        RecursionError: "its macros or properties contain themselves",
+    }
+    text = texts.get(type(cause), str(cause) or type(cause).__name__)
+    where = _EXPRESSION.search(str(error))
+    return " ".join(f"{text}{f' in the expression {where[1]}' if where else ''}".split())
+
+
+def _end(code: int, reason: str) -> None:
+    os.write(2, f"\n{reason}\n".encode(errors="replace"))
+    os._exit(code)
