@@ -24,7 +24,11 @@ from calibration.expansion.expressions import (
 
 REFUSED = 3
 """Exit code if the xacro needs more than the expansion takes."""
-_EXPRESSION = re.compile(r"when evaluating expression '(.*)'\s*$", re.DOTALL)
+_EXPRESSION = re.compile(r"when evaluating expression '(.*?)'\s*(?:when evaluating|$)", re.DOTALL)
+_REASONS: dict[type[BaseException], str] = {
+    MemoryError: "it needs too much memory",
+    RecursionError: "its macros, properties or parentheses are nested too deeply",
+}
 _NAME = re.compile(r"<name>\s*([^<]*?)\s*</name>")
 _WARM_UP = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:property name="x" value="${1}"/></robot>'
 
@@ -43,14 +47,15 @@ def main() -> None:
     _limit_language()
     substitution_args._eval_find = lambda name: _package(name, folders)
     confine(folders, request["seconds"], request["memory"], request["output"])
+    xacro.init_stacks(request["file"])  # relative paths in it begin at its folder
     try:
         urdf = XacroDoc.from_file(request["file"], walk_up=False, resolve_packages=False).to_urdf_string()
         with os.fdopen(target, "wb") as stream:
             stream.write(urdf.encode())
     except Exception as error:
-        causes = list(_causes(error))
-        refused = next((each for each in causes if isinstance(each, RefusedError)), None)
-        _end(REFUSED if refused else 1, _reason(refused or causes[-1], error))
+        code, reason = _reason(error)
+        os.write(2, f"\n{' '.join(reason.split())}\n".encode(errors="replace"))
+        os._exit(code)
 
 
 def _limit_language() -> None:
@@ -103,17 +108,11 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
         error = getattr(error, "exc", None) or error.__context__
 
 
-def _reason(cause: BaseException, error: BaseException) -> str:
-    """Return one line: what was found, and in which expression."""
-    texts: dict[type[BaseException], str] = {
-        MemoryError: "it needs too much memory",
-        RecursionError: "its macros or properties contain themselves",
-    }
-    text = texts.get(type(cause), str(cause) or type(cause).__name__)
-    where = _EXPRESSION.search(str(error))
-    return " ".join(f"{text}{f' in the expression {where[1]}' if where else ''}".split())
-
-
-def _end(code: int, reason: str) -> None:
-    os.write(2, f"\n{reason}\n".encode(errors="replace"))
-    os._exit(code)
+def _reason(error: Exception) -> tuple[int, str]:
+    """Return the exit code for an error, and one line."""
+    for cause in _causes(error):
+        if isinstance(cause, RefusedError | MemoryError | RecursionError):
+            text = _REASONS.get(type(cause), str(cause))
+            where = _EXPRESSION.search(str(error))
+            return REFUSED, f"{text}{f' in the expression {where[1]}' if where else ''}"
+    return 1, f"{type(error).__name__}: {error}"

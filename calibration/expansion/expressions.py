@@ -25,8 +25,8 @@ of (``type``, ``vars``)."""
 NOT_OF_MATH = frozenset(("comb", "factorial", "lcm", "perm", "prod"))
 """Functions of math that make integers without a limit."""
 _OF_TEXT = """capitalize count endswith find index isalnum isalpha isdigit islower isspace isupper join lower lstrip
-partition removeprefix removesuffix replace rfind rindex rpartition rsplit rstrip split splitlines startswith strip title
-upper zfill"""
+partition removeprefix removesuffix replace rfind rindex rpartition rsplit rstrip split splitlines startswith strip
+title upper zfill"""
 _OF_LIST = "append copy count extend index insert pop remove reverse sort"
 _OF_MAPPING = "copy get items keys pop setdefault update values"
 _METHODS: dict[type, frozenset[str]] = {
