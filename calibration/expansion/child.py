@@ -61,25 +61,21 @@ def main() -> None:
 def _limit_language() -> None:
     """Let xacro evaluate its expressions by `evaluate`, with the names that those may have."""
     symbols = xacro._global_symbols
-    named = {"math": set(symbols["math"]) - NOT_OF_MATH, "python": CALLABLE, "xacro": set(symbols["xacro"])}
-    for space, names in named.items():
-        for name in set(symbols[space]) - {"True", "False"} - names:
-            del symbols[space][name]
-    for name in {*symbols} - {"True", "False", *named} - CALLABLE - named["math"] - named["xacro"]:
-        del symbols[name]
-    for functions in (symbols, symbols["python"]):
-        dict.update(functions, range=bounded_range, round=bounded_round)
-    callables = frozenset(
-        id(each) for table in (symbols, *map(symbols.get, named)) for each in table.values() if callable(each)
+    for table in (symbols, symbols["python"]):
+        dict.update(table, range=bounded_range, round=bounded_round)
+    of_math, of_xacro = set(symbols["math"]) - NOT_OF_MATH, set(symbols["xacro"])
+    named = ((symbols, CALLABLE | of_math | of_xacro), (symbols["python"], CALLABLE), (symbols["math"], of_math))
+    functions = frozenset(
+        id(table[name]) for table, names in (*named, (symbols["xacro"], of_xacro)) for name in names if name in table
     )
 
     def evaluate_expression(expression: str, symbols: Mapping[str, Any], _locals: object = None) -> Any:
-        return evaluate(expression, symbols, callables)
+        return evaluate(expression, symbols, functions)
 
     def evaluate_substitution(expression: str, context: Mapping[str, Any]) -> str:
         """Evaluate ``$(eval ...)``, in which arguments are names."""
         given = {name: substitution_args.convert_value(text, "auto") for name, text in context["arg"].items()}
-        return str(evaluate(expression, {**symbols, "true": True, "false": False, **given}, callables))
+        return str(evaluate(expression, {**symbols, "true": True, "false": False, **given}, functions))
 
     xacro.safe_eval = evaluate_expression
     substitution_args._eval = evaluate_substitution

@@ -81,7 +81,7 @@ def evaluate(expression: str, symbols: Mapping[str, Any], functions: Container[i
     Args:
         expression: what stands between ``${`` and ``}``.
         symbols: values of its names.
-        functions: identities (``id``) of the functions that it may call.
+        functions: identities (``id``) of the functions that it may use.
 
     Raises:
         RefusedError: it is longer, larger or more than an expression may be.
@@ -108,7 +108,12 @@ class _Evaluation:
         method: Callable[[Any], Any] | None = getattr(self, f"_{type(node).__name__}", None)
         if method is None:
             raise RefusedError(f"an expression may not contain {_kind(node)}")
-        return _bounded(method(node))
+        return self._usable(method(node), node)
+
+    def _usable(self, value: Any, node: ast.AST) -> Any:
+        if callable(value) and id(value) not in self._functions:
+            raise RefusedError(f"an expression may not use '{_shortened(ast.unparse(node))}'")
+        return _bounded(value)
 
     def _Constant(self, node: ast.Constant) -> Any:
         if not isinstance(node.value, int | float | str | None):
@@ -154,11 +159,11 @@ class _Evaluation:
             ):
                 method: Callable[..., Any] = getattr(owner, node.attr)
                 return method
-            found = _item(owner, node)
+            found = self._usable(_item(owner, node), node)
         else:
             found = self.value(node)
-        if id(found) not in self._functions:
-            raise RefusedError(f"an expression may not call '{_shortened(ast.unparse(node))}'")
+        if not callable(found):
+            raise TypeError(f"'{_shortened(ast.unparse(node))}' is no function")
         function: Callable[..., Any] = found
         return function
 
