@@ -37,6 +37,7 @@ class RecorderSettings:
     host: str = "127.0.0.1"
     port: int = 8080
     open: bool = False
+    overwrite: bool = False
 
 
 @click.command("record-motion")
@@ -51,6 +52,7 @@ class RecorderSettings:
     "--host", type=text, default="127.0.0.1", show_default=True, help="Address to serve the page on; this machine only."
 )
 @click.option("--port", type=port_number, default=8080, show_default=True, help="Port of the page; 0 for a free one.")
+@boolean_option("--overwrite", help="Let the page replace motion files that it has not written.")
 @boolean_option("--open", help="Open the page in the browser.")
 def command(**options: Any) -> ExitCode:
     """Record a motion sequence on a page in the browser: drag the pattern, see what the cameras see, save."""
@@ -73,5 +75,5 @@ def record_motion(settings: RecorderSettings, runner: Runner) -> ExitCode:
 
     inputs = Inputs(system_folder(settings.system), settings.robot, settings.config, settings.motion)
     open_page = click.launch if settings.open else None
-    record(inputs, settings.output, settings.host, settings.port, runner, open_page)
+    record(inputs, settings.output, settings.host, settings.port, runner, open_page, settings.overwrite)
     return ExitCode.PASS

@@ -49,9 +49,20 @@ Rate = Callable[[Motion], Mapping[str, tuple[float, float]]]
 class Page:
     """The recorder's page on a server; all browsers share one session."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, output: Path, look: Look, rate: Rate) -> None:
-        """Build the page; ``output`` is the default of the file to export to."""
-        self._server, self._session, self._output = server, session, output
+    def __init__(
+        self, server: viser.ViserServer, session: Session, output: Path, look: Look, rate: Rate, overwrite: bool = False
+    ) -> None:
+        """Build the page.
+
+        Args:
+            server: where the page is built.
+            session: what it shows and changes.
+            output: default of the file to export to.
+            look: makes the preview of a pose.
+            rate: rates the sequence.
+            overwrite: whether a file that the session did not write may be replaced, by a second click.
+        """
+        self._server, self._session, self._output, self._overwrite = server, session, output, overwrite
         self._look, self._rate = look, rate
         self._lock = threading.RLock()
         self._seen: WeakKeyDictionary[Motion, Preview] = WeakKeyDictionary()  # previews of saved poses
@@ -177,8 +188,11 @@ class Page:
             with self._changing():
                 path = beside(self._output, self._sequence.file.value)
                 if not self._session.poses or sure == path or self._session.may_write(path):
-                    self._session.export(path, replace_file=True)
+                    self._session.export(path, replace_file=sure == path)
                     self._sequence.say(f"{markup.poses(len(self._session.poses))} written to {path}")
+                elif not self._overwrite:
+                    advice = "give another name, or start the recorder with --overwrite"
+                    raise InputError(f"{path.name} exists already; {advice}")
                 else:
                     self._replacing = path
                     question = f"{path.name} exists already. Click again to replace it, or give another name."
@@ -291,14 +305,15 @@ class Page:
 
 
 def beside(output: Path, name: str) -> Path:
-    """Return the file with that name in the output's folder, so that a page cannot write elsewhere.
+    """Return the motion file with that name in the output's folder, so that a page cannot write anything else.
 
     Raises:
-        InputError: the name is not a plain file name.
+        InputError: the name is not that of the output and not the plain name of a JSON file.
     """
     name = name.strip() or output.name
-    if Path(name).name != name or name == ".." or not name.isprintable() or len(name) > MAX_NAME:
-        expected = f"a name of at most {MAX_NAME} characters, without a folder"
+    is_motion = name == output.name or (name.endswith(".json") and not name.startswith("."))
+    if not is_motion or Path(name).name != name or not name.isprintable() or len(name) > MAX_NAME:
+        expected = f"a name of at most {MAX_NAME} characters that ends with .json, without a folder"
         raise InputError(f"File name: found '{name[:MAX_NAME]}', expected {expected}")
     return output.with_name(name)
 

@@ -37,6 +37,7 @@ def record(
     port: int,
     runner: Runner,
     open_page: Callable[[str], object] | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Serve the page; on interruption, unsaved poses are written to a file beside the output.
 
@@ -47,6 +48,7 @@ def record(
         port: its port; 0 for a free one.
         runner: runner that logs the address.
         open_page: called with the address, to open it in a browser.
+        overwrite: whether the page may replace motion files that it did not write.
 
     Raises:
         InputError: an input is missing or malformed.
@@ -61,12 +63,14 @@ def record(
             output,
             look=lambda pose: preview(system, pose),
             rate=lambda sequence: predicted_sigmas(system, sequence),
+            overwrite=overwrite,
         )
         try:
             with stop_commands(runner):  # untrusted names from files
                 runner.log(f"{system.name}: the motion recorder is at {address(server)} (Ctrl-C ends it)")
                 if not is_loopback(host):
-                    runner.log(f"everyone who can reach {host} can use it and write files beside {output}")
+                    who = "everyone who has this address, which is not encrypted on its way,"
+                    runner.log(f"{who} can use it and write motion files beside {output}")
             if open_page is not None:
                 open_page(address(server))
             threading.Event().wait()

@@ -228,7 +228,8 @@ class Session:
     def may_write(self, path: Path) -> bool:
         """Return whether a file can be overwritten without loss: it is missing, or as this session wrote it."""
         own = self._files.get(path)
-        return not path.exists() or (own is not None and read_bytes(path, MAX_BYTES, "a motion sequence") == own)
+        is_there = path.exists() or path.is_symlink()
+        return not is_there or (own is not None and read_bytes(path, MAX_BYTES, "a motion sequence") == own)
 
 
 def _free_name(output: Path) -> Path:

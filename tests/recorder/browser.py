@@ -46,7 +46,7 @@ class Recorder:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             self.lines.append(line)
-            if found := re.search(r"http://127\.0\.0\.1:\d+/", line):
+            if found := re.search(r"http://127\.0\.0\.1:\d+/\S+/", line):
                 return found[0]
         self._process.wait(60)
         raise AssertionError("".join(self.lines))

@@ -30,7 +30,8 @@ def test_record_a_sequence_and_collect_from_it(systems: dict[str, System], tmp_p
     three = generate_motion(system, 3, seed=2)
     (tmp_path / "three.json").write_text(json.dumps(motion_document(three)))
     output = tmp_path / "motion.json"
-    with recorder(tmp_path, "--system", str(DATASETS / "t2rgb")) as running, browser() as view:
+    arguments = ["--system", str(DATASETS / "t2rgb"), "--overwrite"]
+    with recorder(tmp_path, *arguments) as running, browser() as view:
         view.open(running.url)
         assert "Kept" in view.settled()
         expect(view.button("Export")).to_be_disabled()

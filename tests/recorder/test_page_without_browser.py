@@ -19,13 +19,32 @@ from tests.recorder.conftest import DATASETS
 LONG = 20.0  # s
 
 
-@pytest.mark.parametrize(("name", "expected"), [("", "motion.json"), (" two.json ", "two.json"), ("a b", "a b")])
+@pytest.mark.parametrize(
+    ("name", "expected"), [("", "motion.json"), (" two.json ", "two.json"), ("a b.json", "a b.json")]
+)
 def test_a_name_is_that_of_a_file_beside_the_output(name: str, expected: str) -> None:
     assert beside(Path("folder/motion.json"), name) == Path("folder", expected)
 
 
 @pytest.mark.parametrize(
-    "name", ["../motion.json", "/etc/motion.json", "a/b", "..", ".", "a/", "a\0b", "a\nb", 61 * "a"]
+    "name",
+    [
+        "a b",
+        ".json",
+        ".a.json",
+        "calibration.yml",
+        "a.json.py",
+        "x/.json",
+        "../motion.json",
+        "/etc/motion.json",
+        "a/b",
+        "..",
+        ".",
+        "a/",
+        "a\0b",
+        "a\nb",
+        57 * "a" + ".json",
+    ],
 )
 def test_a_name_with_a_folder_is_refused(name: str) -> None:
     with pytest.raises(InputError, match=r"^File name: found '"):
@@ -102,7 +121,7 @@ def test_a_browsers_answer_to_what_the_page_has_set_is_no_choice(systems: dict[s
     output.write_text("somebody else's")
     event = SimpleNamespace(client_id=1)
     with serving("127.0.0.1", 0) as server:
-        page = Page(server, session, output, lambda _: Preview({}, ()), lambda _: {})
+        page = Page(server, session, output, lambda _: Preview({}, ()), lambda _: {}, overwrite=True)
         with page._lock:  # the background shows the poses anew when it has looked at them
             page._export()
             page._choose(event)  # type: ignore[arg-type]
@@ -126,3 +145,22 @@ def test_a_pose_is_shown_when_it_differs_only_in_hidden_digits(systems: dict[str
             moved[0, 3] += shift
             assert page._numbers._is_shown(moved) is shown
         page.close()
+
+
+def test_a_file_is_not_replaced_unless_the_command_line_lets_it(systems: dict[str, System], tmp_path: Path) -> None:
+    session = Session(systems["t2rgb"], read_motion(DATASETS / "t2rgb" / "motion.json").take([0]))
+    (tmp_path / "elsewhere").write_text("somebody else's")
+    (tmp_path / "link.json").symlink_to("elsewhere")
+    (tmp_path / "dangling.json").symlink_to("nowhere")
+    (tmp_path / "motion.json").write_text("somebody else's")
+    with serving("127.0.0.1", 0) as server:
+        page = Page(server, session, tmp_path / "motion.json", lambda _: Preview({}, ()), lambda _: {})
+        for name in ("motion.json", "link.json", "dangling.json"):
+            page._sequence.file.value = name
+            for _ in range(3):
+                page._export()
+        page.close()
+    assert (tmp_path / "motion.json").read_text() == "somebody else's"
+    assert (tmp_path / "elsewhere").read_text() == "somebody else's"
+    assert [path.is_symlink() for path in sorted(tmp_path.glob("*.json"))] == [True, True, False]
+    assert not (tmp_path / "nowhere").exists()
