@@ -19,7 +19,7 @@ from calibration.workflow.text import one_line, shorten
 ENDING = ".xacro"
 MAX_BYTES = 10_000_000
 """Limit of a description's size, expanded or not: far above that of any robot."""
-PLACES = "packages are looked for above the file and beside its own package; an import names them by 'packages'"
+PLACES = "packages are looked for beside the file's own one and in its repository; an import names them by 'packages'"
 SECONDS, MEMORY = 30, 1024**3
 """Limits of the expansion: seconds of processor time, and bytes."""
 _CHILD = "import sys; sys.path.insert(0, sys.argv.pop(1)); from calibration.expansion.child import main; main()"
@@ -32,8 +32,8 @@ def read_robot_description(path: Path, packages: Path | None = None) -> bytes:
 
     Args:
         path: path of the file; the name of a xacro ends with ``.xacro``.
-        packages: the folder in which ``$(find PACKAGE)`` is searched, in addition to the file's parent folders; None
-            for the one that holds the file's own package, as a workspace does.
+        packages: the folder in which ``$(find PACKAGE)`` is searched first; then it is in the one that
+            holds the file's own package, as a workspace does, and in the file's repository.
 
     Raises:
         InputError: the file cannot be read or expanded, or the folder does not exist.

@@ -82,7 +82,7 @@ def test_exports_write_the_expanded_robot(tmp_path: Path) -> None:
     [
         (
             '<xacro:include filename="$(find nowhere)/a.xacro"/>',
-            "nowhere.*looked for above the file and beside its own package",
+            "nowhere.*looked for beside the file's own one and in its repository",
         ),
         ("<link name='${1 / 0}'/>", "division by zero"),
         ("<link name='${undefined}'/>", "undefined"),
@@ -114,3 +114,57 @@ def test_an_endless_one_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_a_folder_of_packages_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such folder, expected one with the packages"):
         read_robot_description(SYSTEM / "robot.urdf", tmp_path / "nowhere")
+
+
+LANGUAGE = {
+    "${pi / 2 + -1.5 * 2 ** 3}": str(np.pi / 2 - 12),
+    "${radians(180) == pi and not False}": "True",
+    "${sin(0) + math.cos(0) + math.hypot(3, 4)}": "6.0",
+    "${limits['elbow']['upper']}": str(np.radians(90)),
+    "${limits.elbow.axis[1] + limits.elbow.axis[-1]}": "1",
+    "${' '.join(str(x * 2) for x in limits.elbow.axis if x)}": "2",
+    "${[a + b for a, b in python.zip([1, 2], [3, 4])]}": "[4, 6]",
+    "${len(limits) if 'elbow' in limits.keys() else 0}": "1",
+    "${python.sorted(limits.elbow.items())[0][0].upper()}": "AXIS",
+    "${limits.get('wrist', 'none')}": "none",
+    "${'%.2f_%s' % (1 / 3, prefix)}": "0.33_left_",
+    "${prefix + 'arm'}": "left_arm",
+    "${prefix.strip('_').replace('l', 'r')[::-1]}": "tfer",
+    "${xacro.tokenize('1 2,3')[2]}": "3",
+    "${dict(a=1, b=[2])['b'][0]}": "2",
+    "${0 < 1 <= 1 != 2}": "True",
+    "${max(1, 2, *[3]) // 2 % 2 | 4}": "5",
+    "${list(map(float, '1 2'.split()))}": "[1.0, 2.0]",
+    "${round(2.5678, 2) + int('3') if prefix else 0}": "5.57",
+    "${python.abs(-1) + python.sum([1, 2])}": "4",
+    "${xacro.arg('side')}$(arg side)": "leftleft",
+    "$(eval side == 'left')": "True",
+    "$(optenv NOTHING given)": "given",
+}
+
+
+@pytest.mark.parametrize("expression", LANGUAGE)
+def test_expressions_of_real_robots(tmp_path: Path, expression: str) -> None:
+    (tmp_path / "config").mkdir()
+    (tmp_path / "config" / "limits.yaml").write_text("elbow: {upper: !degrees 90, axis: [0, 1, 0]}")
+    (tmp_path / "config" / "sides.xacro").write_text(
+        f'{HEAD}<xacro:property name="prefix" value="$(arg side)_"/></robot>'
+    )
+    (tmp_path / "robot.urdf.xacro").write_text(
+        f'{HEAD}<xacro:arg name="side" default="left"/><xacro:include filename="config/sides.xacro"/>'
+        """<xacro:property name="limits" value="${xacro.load_yaml('config/limits.yaml')}"/>"""
+        f"<link>{expression.replace('<', '&lt;')}</link></robot>"
+    )
+    expanded = read_robot_description(tmp_path / "robot.urdf.xacro")
+    assert f"<link>{LANGUAGE[expression]}</link>".encode() in expanded
+
+
+def test_a_file_of_the_same_repository_is_included_and_one_above_is_not(tmp_path: Path) -> None:
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "common.xacro").write_text(f'{HEAD}<link name="common"/></robot>')
+    file = tmp_path / "arm" / "robot.urdf.xacro"
+    file.write_text(f'{HEAD}<xacro:include filename="../common.xacro"/></robot>')
+    with pytest.raises(InputError, match=r"common\.xacro is outside of the folders"):
+        read_robot_description(file)
+    (tmp_path / ".git").mkdir()
+    assert b'"common"' in read_robot_description(file)

@@ -12,7 +12,6 @@ from calibration.errors import InfrastructureError, InputError
 from calibration.recorder import server as recorder_server
 from calibration.recorder.server import LocalServer, address, is_loopback, serving
 
-
 ALL = "0.0.0.0"  # noqa: S104 (compared with, not bound to)
 
 
