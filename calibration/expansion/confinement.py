@@ -44,7 +44,7 @@ def confine(folders: Sequence[Path], seconds: int, memory: int, output: int) -> 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if sys.platform == "linux":
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-        restrict_by_kernel([*folders, *_PYTHON])
+        restrict_by_kernel([*folders, *filter(Path.is_dir, _PYTHON)])
     restrict_by_audit(folders)
 
 
