@@ -170,7 +170,7 @@ def convergence(settings: ConvergenceSettings, runner: Runner) -> ExitCode:
     with progress(runner, TITLE, bar=not software, kept="starts") as advance:
 
         def done(number: int, total: int, cell: CellResult) -> None:
-            failed = "" if cell.verdict == "pass" else f": {'; '.join(cell.reasons) or 'does not converge'}"
+            failed = "" if cell.verdict != "fail" else f": {'; '.join(cell.reasons) or 'does not converge'}"
             advance(
                 number,
                 total,

@@ -4,7 +4,7 @@ from typing import Literal
 
 from calibration.records import field, result
 
-Severity = Literal["red", "warning", "note"]
+Severity = Literal["red", "undecided", "warning", "note"]
 
 
 @result
@@ -12,7 +12,9 @@ class Finding:
     """Observation about a calibration or its data, as text and numbers."""
 
     kind: str = field("The check that made it, such as suspect, duplicate or description.")
-    severity: Severity = field("red: a reason to fail. warning: worth a look. note: a line of the report.")
+    severity: Severity = field(
+        "red: a reason to fail. undecided: a limit may hold or not. warning: worth a look. note: a line of the report."
+    )
     text: str = field("The fault, its size, and advice; one line.")
     sensors: tuple[str, ...] = field("The sensors concerned.", default=())
     collections: tuple[str, ...] = field("The keys of the collections concerned.", default=())

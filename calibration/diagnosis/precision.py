@@ -29,7 +29,7 @@ def precision(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
                     f"limit {limit:g} {unit} with a guard band of {limits.guard:g} standard deviations; "
                     f"{_remedy(calibration, name)}"
                 )
-                findings.append(Finding("precision", "red", text, (name,), value=sigma, unit=unit))
+                findings.append(Finding("precision", "undecided", text, (name,), value=sigma, unit=unit))
                 break
     return tuple(findings)
 

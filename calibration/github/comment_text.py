@@ -30,7 +30,7 @@ def comment_text(brief: Brief, name: str, links: Mapping[str, str], commit: str 
         links: trusted addresses by their title.
         commit: hash of the tested commit.
     """
-    mark = "✅" if brief.verdict == "pass" else "❌"
+    mark = {"pass": "✅", "undecided": "🟡", "fail": "❌"}[brief.verdict]
     title = f"Calibration{f' ({name})' if name else ''}: {brief.verdict}"
     parts = [f"### {mark} {_inactive(title)}\n\n{_inactive(brief.sentence)}\n"]
     if brief.reasons:

@@ -81,6 +81,8 @@ def _against(cell: CellResult) -> tuple[str, ...]:
     """Return the reasons why a cell has failed, without those that accepting resolves."""
     settled = {finding.text for finding in cell.findings if finding.kind in ABOUT_THE_BASELINE}
     reasons = tuple(reason for reason in cell.reasons if reason not in settled)
+    if not reasons and cell.verdict == "undecided" and not cell.undecided_passes:
+        reasons = tuple(f"undecided: {reason}" for reason in cell.undecided)
     return reasons or (() if cell.converged else ("it has not converged",))
 
 

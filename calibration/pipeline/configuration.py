@@ -14,7 +14,16 @@ from calibration.execution.backends import CONTAINERS, KINDS, BackendName, Conta
 from calibration.image.specification import ImageDocument, ImageSpecification, parse_image_specification
 from calibration.pipeline.collection.applications import Applications, checked_applications
 from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
-from calibration.pipeline.system import Exports, Noise, NoiseGrid, System, Text, Truth, chosen_systems
+from calibration.pipeline.system import (
+    Exports,
+    Noise,
+    NoiseGrid,
+    System,
+    Text,
+    Truth,
+    Undecided,
+    chosen_systems,
+)
 from calibration.records import (
     ByName,
     Converted,
@@ -143,6 +152,10 @@ class Configuration:
     options: Options = field(flat=True, default_factory=Options)
     """Default options of all systems; the systems have their own fields too."""
     limits: Limits | None = field("For every system that has none of its own.", default=None)
+    undecided: Undecided = field(
+        "What an undecided verdict counts as, for every system that has no rule of its own: fail or pass.",
+        default="fail",
+    )
     backend: ContainerBackend = field(
         "Where containers run: docker, this machine's engine; or aws-batch, the queue that the section of this name "
         "describes.",
@@ -201,7 +214,9 @@ def _with_common(document: dict[Any, Any]) -> dict[Any, Any]:
     systems = document.get("systems")
     if not isinstance(systems, dict):
         return document
-    common = {key: document[key] for key in (*flat_fields(Options), "limits", "exports") if key in document}
+    common = {
+        key: document[key] for key in (*flat_fields(Options), "limits", "undecided", "exports") if key in document
+    }
     merged = {name: {**common, **entry} if isinstance(entry, dict) else entry for name, entry in systems.items()}
     return {**document, "systems": merged}
 

@@ -17,6 +17,7 @@ from calibration.pipeline.result_messages import (
     findings_of,
     image_line,
     other_methods,
+    undecided_lines,
     verdict_sentence,
     without_result,
 )
@@ -85,11 +86,12 @@ def report(results: Results, output: Path, title: str) -> Report:
         sentence=verdict_sentence(results),
         reasons=(
             *failures(results),
+            *undecided_lines(results, passes=False),
             *(results.baseline.reasons if results.baseline else ()),
             *(reason for each in results.exports for reason in each.reasons),
             *(results.analysis.reasons if results.analysis else ()),
         ),
-        warnings=(*findings_of(results, "warning"), *left_out),
+        warnings=(*undecided_lines(results, passes=True), *findings_of(results, "warning"), *left_out),
         blocks=(
             main,
             Text(_UNDER_GRID if main.rows else "", only="summary"),
@@ -152,7 +154,11 @@ def _write_cells(cells: Sequence[CellResult], output: Path) -> None:
 
 def _suites(results: Results) -> dict[str, list[Outcome]]:
     def outcome(group: str, each: CellResult | Collected) -> Outcome:
-        return Outcome(name=each.name, group=group, reasons=each.reasons, error=each.error, seconds=each.seconds)
+        found = Outcome(name=each.name, group=group, reasons=each.reasons, error=each.error, seconds=each.seconds)
+        if not isinstance(each, CellResult) or each.verdict != "undecided":
+            return found
+        reasons = tuple(f"undecided: {reason}" for reason in each.undecided)
+        return replace(found, skipped=reasons[0]) if each.undecided_passes else replace(found, reasons=reasons)
 
     suites = {s: [outcome(s, cell) for cell in results.cells if cell.system == s] for s in results.systems}
     collected = [outcome("collected", each) for each in results.collections]

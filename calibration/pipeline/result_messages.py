@@ -21,10 +21,13 @@ def verdict_sentence(results: Results) -> str:
     done, failed = [], []
     for things, what, verb in ((results.cells, "cell", "calibrated"), (results.collections, "dataset", "collected")):
         wrong = sum(thing.verdict == "fail" for thing in things)
+        undecided = sum(thing.verdict == "undecided" for thing in things)
         count = count_of(len(things), what)
         nothing = not results.judged and results.image is None and results.analysis is None
         if wrong or (what == "cell" and nothing):
             failed.append(f"{wrong} of {count} failed")
+        elif undecided:
+            failed.append(f"{undecided} of {count} undecided")
         elif things:
             done.append(f"{count} {verb}")
     if results.image is not None and not results.judged:
@@ -55,6 +58,22 @@ def failures(results: Results) -> list[str]:
     return cells + [f"collected {c.name}: {_first(c.reasons)}" for c in results.collections if c.verdict == "fail"]
 
 
+def undecided_lines(results: Results, *, passes: bool) -> list[str]:
+    """Return a line for every undecided limit, once for all cells of a system with the same reason.
+
+    Args:
+        results: the results.
+        passes: of the cells where an undecided verdict counts as passed, or of the others.
+    """
+    alike: dict[tuple[str, str], list[CellResult]] = {}
+    for cell in results.cells:
+        if cell.verdict == "undecided" and cell.undecided_passes is passes:
+            for why in cell.undecided:
+                alike.setdefault((cell.system, why), []).append(cell)
+    starts = Counter(cell.system for cell in results.cells)
+    return [f"{_names(cells, starts[system])}: undecided: {why}" for (system, why), cells in alike.items()]
+
+
 def _names(alike: Sequence[CellResult], starts: int) -> str:
     """Describe cells of a system with the same reasons."""
     first, more = alike[0], len(alike) - 1
@@ -69,7 +88,7 @@ def _whose_fault(cell: CellResult, reference: CellResult | None) -> str:
     """Describe our engine's result, on the same data and initial guess, for a failed cell of the team's software."""
     if reference is None or cell.error is not None:  # a failure of the container engine is not the software's fault
         return ""
-    if reference.verdict == "pass":
+    if reference.verdict != "fail":
         rms = "" if reference.rms_px is None else f" ({reference.rms_px:.4f} px)"
         return f". Our engine passes on the same data from the same start{rms}: look at the software"
     return f". Our engine fails on the same data too ({_first(reference.reasons)}): look at the data"

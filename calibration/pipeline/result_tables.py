@@ -83,9 +83,11 @@ def _text(cells: Sequence[CellResult]) -> str:
     passed = sum(cell.verdict == "pass" for cell in cells)
     if cells[0].by_other_method:
         return ", ".join(parts) or "no result"
-    if passed < len(cells):
+    if undecided := sum(cell.verdict == "undecided" for cell in cells):
+        parts.append("UNDECIDED" if len(cells) == 1 else f"UNDECIDED: {undecided}/{len(cells)}")
+    if passed + undecided < len(cells):
         parts.append("FAIL" if len(cells) == 1 else f"FAIL: {passed}/{len(cells)} pass")
-    elif len(cells) > 1:
+    elif len(cells) > 1 and not undecided:
         parts.append(f"{passed}/{len(cells)} pass")
     return ", ".join(parts) or "no result"
 

@@ -99,6 +99,7 @@ class Numbers:
     worst_rms_px: float | None = field("The largest RMS.", unit="px")
     worst_translation_mm: float | None = field("The largest error against the truth.", unit="mm")
     worst_rotation_deg: float | None = field("The largest error against the truth.", unit="deg")
+    undecided: int = field("How many are undecided, whether that counts as passed or not.", default=0)
 
     @classmethod
     def of(cls, cells: Sequence[CellResult]) -> "Numbers":
@@ -108,7 +109,7 @@ class Numbers:
             known = [v for v in values if v is not None]
             return max(known) if known and all(math.isfinite(v) for v in known) else None
 
-        passed, truths = sum(cell.verdict == "pass" for cell in cells), [cell.truth for cell in cells if cell.truth]
+        passed, truths = sum(cell.passes for cell in cells), [cell.truth for cell in cells if cell.truth]
         return cls(
             len(cells),
             passed,
@@ -117,6 +118,7 @@ class Numbers:
             worst(cell.rms_px for cell in cells),
             worst(truth.translation_mm for truth in truths),
             worst(truth.rotation_deg for truth in truths),
+            sum(cell.verdict == "undecided" for cell in cells),
         )
 
 
@@ -169,17 +171,27 @@ class Results:
 
     @property
     def verdict(self) -> Verdict:
-        """Pass if all cells and collections passed; without any, if an image was built or code analysed."""
+        """Pass if all cells and collections passed; without any, if an image was built or code analysed.
+
+        Undecided if a cell is, and nothing failed.
+        """
         found = bool(self.judged or self.image is not None or self.analysis is not None)
         comparable = self.baseline is None or not self.baseline.reasons
         whole = comparable and not any(each.reasons for each in self.exports)
         whole = whole and (self.analysis is None or not self.analysis.reasons)
-        return verdict_of(found and whole and all(each.verdict == "pass" for each in self.judged))
+        if not found or not whole or any(each.verdict == "fail" for each in self.judged):
+            return "fail"
+        return "undecided" if any(each.verdict == "undecided" for each in self.judged) else "pass"
+
+    @property
+    def passes(self) -> bool:
+        """Whether the verdict is pass, or undecided only in cells where that counts as passed."""
+        return self.verdict != "fail" and all(cell.passes for cell in self.cells)
 
     @property
     def exit_code(self) -> ExitCode:
         """2 or 3 after bad input or an infrastructure failure, else the verdict's."""
-        return exit_code_of(self.verdict == "pass", (each.error for each in self.judged))
+        return exit_code_of(self.passes, (each.error for each in self.judged))
 
     @property
     def systems(self) -> tuple[str, ...]:
@@ -222,8 +234,11 @@ def without_verdicts(results: Results) -> Results:
     """Return results without verdicts, to judge their cells again."""
 
     def reset(cell: CellResult) -> CellResult:
-        red = tuple(finding.text for finding in cell.findings if finding.severity == "red")
-        return replace(cell, reasons=red if cell.converged else cell.reasons)
+        red, undecided = (
+            tuple(finding.text for finding in cell.findings if finding.severity == severity)
+            for severity in ("red", "undecided")
+        )
+        return replace(cell, reasons=red if cell.converged else cell.reasons, undecided=undecided)
 
     return replace(results, cells=tuple(map(reset, results.cells)), comparisons=tuple(map(reset, results.comparisons)))
 

@@ -44,6 +44,7 @@ def _rules(found: RuleSet | tuple[RuleEntry, ...], place: Place) -> RuleSet:
     return checked(RuleSet(unfolded(found)) if isinstance(found, tuple) else found, str(place))
 
 
+Undecided = Literal["fail", "pass"]
 Datasets = Literal["full", "changes", "none"]
 Truth = Annotated[str, Converted(Text, _truth)]
 """A path, "dataset" or "none"."""
@@ -106,6 +107,12 @@ class System:
     )
     options: Options = field(flat=True, default_factory=Options)
     limits: Limits = field("The largest values that pass, in every cell.", default_factory=Limits, option=False)
+    undecided: Undecided = field(
+        "What an undecided verdict counts as: fail (exit code 1), or pass. A limit is undecided where nothing is "
+        "wrong, and the error bar with its guard band reaches over it.",
+        default="fail",
+        option="What an undecided verdict counts as: fail or pass (fail).",
+    )
     software: Annotated[Software, Converted(Software, checked_software)] | None = field(
         "The team's own calibration, in the place of our engine, which then only compares.",
         default=None,

@@ -24,8 +24,8 @@ def drawn_badge(label: str, text: str, colour: str) -> str:
 
 
 def verdict_badge(label: str, verdict: Verdict) -> str:
-    """Return the badge of a verdict as SVG: green for pass, red for fail."""
-    return drawn_badge(label, verdict, GOOD if verdict == "pass" else BAD)
+    """Return the badge of a verdict as SVG: green for pass, amber for undecided, red for fail."""
+    return drawn_badge(label, verdict, {"pass": GOOD, "undecided": FAIR, "fail": BAD}[verdict])
 
 
 def _width(text: str) -> int:

@@ -27,9 +27,9 @@ class Brief:
     """Brief results of a command."""
 
     schema: Literal[1] = field("Version of this format.", default=1)
-    verdict: Verdict = field("Whether all requirements are met.")
+    verdict: Verdict = field("Whether all requirements are met; undecided if the data cannot tell.")
     sentence: str = field("The verdict's numbers in one line.")
-    reasons: tuple[str, ...] = field("Why the verdict is fail.", default=())
+    reasons: tuple[str, ...] = field("Why the verdict is not pass.", default=())
     tables: tuple[BriefTable, ...] = field("Tables of the comment.", default=())
 
     @property

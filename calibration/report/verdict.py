@@ -2,7 +2,10 @@
 
 from typing import Literal, TypeAlias
 
-Verdict: TypeAlias = Literal["pass", "fail"]
+Verdict: TypeAlias = Literal["pass", "undecided", "fail"]
+"""Undecided: nothing is wrong, but the error bar with its guard band reaches over a limit. Neither conformity nor
+nonconformity is proven (ISO 14253-1, "uncertainty zone"; JCGM 106, 8.3.2).
+"""
 
 
 def verdict_of(passed: bool) -> Verdict:

@@ -10,13 +10,13 @@ from calibration.estimation.calibrate import Options, calibrate
 from tests.estimation import systems
 
 
-def test_a_limit_below_the_guard_band_is_red_with_a_remedy() -> None:
+def test_a_limit_below_the_guard_band_is_undecided_with_a_remedy() -> None:
     dataset = systems.stereo(20, seed=1, pixel_noise=0.3).dataset(1)
     exact, assumed = (calibrate(dataset, options) for options in (Options(assume=EXACT), Options()))
     edge = next(iter(exact.covariances))
     between = 1.5 * exact.sigma_mm(edge)
     [red] = precision(exact, Limits(translation_mm=between))
-    assert (red.kind, red.severity) == ("precision", "red")
+    assert (red.kind, red.severity) == ("precision", "undecided")
     assert "add collections" in red.text
     assert precision(exact, Limits(translation_mm=between, guard_band=1)) == ()
     assert precision(exact, Limits(translation_mm=3 * exact.sigma_mm(edge))) == ()

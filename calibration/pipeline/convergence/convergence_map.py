@@ -41,7 +41,7 @@ class Pair:
     @computed()
     def converged(self) -> int:
         """Number of those that converge."""
-        return sum(cell.verdict == "pass" for cell in self.cells)
+        return sum(cell.verdict != "fail" for cell in self.cells)
 
     @property
     def always(self) -> bool:

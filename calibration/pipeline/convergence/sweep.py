@@ -147,12 +147,12 @@ def _of_the_same_optimum(cells: Sequence[CellResult], systems: Sequence[System])
     unjudged = {system.name for system in systems if system.rules is None and system.limits == Limits()}
     best: dict[tuple[str, str], float] = {}
     for cell in cells:
-        if cell.verdict == "pass" and cell.rms_px is not None:
+        if cell.verdict != "fail" and cell.rms_px is not None:
             key = (cell.system, cell.method)
             best[key] = min(cell.rms_px, best.get(key, cell.rms_px))
     return [
         _compared(cell, best.get((cell.system, cell.method)))
-        if cell.system in unjudged and cell.verdict == "pass" and not _verified(cell)
+        if cell.system in unjudged and cell.verdict != "fail" and not _verified(cell)
         else cell
         for cell in cells
     ]

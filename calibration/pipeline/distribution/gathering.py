@@ -15,7 +15,7 @@ from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.report import report
 from calibration.pipeline.results import CELLS_FILE, Collected, Results, own_details, own_file, read_results
 from calibration.records import result
-from calibration.report import RESULTS_FILE, Report, Text, reasons_in, verdict_of
+from calibration.report import RESULTS_FILE, Report, Text, Verdict, reasons_in, verdict_of
 from calibration.report.badge import FILE as BADGE
 from calibration.report.badge import verdict_badge
 from calibration.workflow.text import one_line
@@ -43,6 +43,12 @@ class Gathered:
     """Jobs that did not succeed, without results that give the reason."""
     plan: Plan = field(default_factory=Plan)
     """Empty if planning failed."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Fail if a job or a cell failed, else undecided if a cell is."""
+        undecided = self.results.judged and self.results.verdict == "undecided" and not self.problems
+        return "undecided" if undecided else verdict_of(self.exit_code == ExitCode.PASS)
 
     @property
     def exit_code(self) -> ExitCode:
@@ -80,9 +86,7 @@ def gather(needs: Needs, plan: Plan | None, folder: Path) -> Gathered:
         tuple({each.system: each for part in parts for each in part.exports}.values()),
     )
     failed = {
-        cell.job
-        for cell, part in zip(plan.cells, parts, strict=True)
-        if any(found.verdict == "fail" for found in part.cells)
+        cell.job for cell, part in zip(plan.cells, parts, strict=True) if not all(found.passes for found in part.cells)
     }
     if any(each.verdict == "fail" for each in results.collections):
         failed |= {job for job in jobs if job.startswith("collect-data")}
@@ -113,7 +117,7 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
     """
     found = report(gathered.results, output, title)
     results_of_jobs = [f"{job} {result}" for job, result in gathered.jobs.items()]
-    verdict = verdict_of(gathered.exit_code == ExitCode.PASS)
+    verdict = gathered.verdict
     return replace(
         found,
         verdict=verdict,

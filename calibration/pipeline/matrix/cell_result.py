@@ -115,11 +115,16 @@ class CellResult:
     truth: Deviation | None = field("Distance of the calibration from the truth, if that is known.")
     seconds: float = field("Duration.")
     reasons: tuple[str, ...] = field("Reasons of a fail verdict.", default=())
+    undecided: tuple[str, ...] = field(
+        "Reasons of an undecided verdict: limits that the error bars reach over, with what would decide them.",
+        default=(),
+    )
+    undecided_passes: bool = field("Whether an undecided verdict counts as passed (`undecided: pass`).", default=False)
     error: ErrorCode | None = field("Exit code of a cell that could not be calibrated.", default=None)
     warnings: tuple[str, ...] = field("Warnings.", default=())
     findings: tuple[Finding, ...] = field(
-        "What speaks for and against the calibration. The red ones are among the reasons, the warnings among the "
-        "warnings.",
+        "What speaks for and against the calibration. The red ones are among the reasons, the undecided ones among "
+        "those of that name, the warnings among the warnings.",
         default=(),
     )
     details: Details | None = field(flat=True, default=None)
@@ -133,8 +138,15 @@ class CellResult:
     @property
     @computed()
     def verdict(self) -> Verdict:
-        """Pass, if there is no reason to fail."""
-        return "pass" if self.converged and not self.reasons else "fail"
+        """Fail if there is a reason to, else undecided if a limit is."""
+        if not self.converged or self.reasons:
+            return "fail"
+        return "undecided" if self.undecided else "pass"
+
+    @property
+    def passes(self) -> bool:
+        """Whether the cell counts as passed: by its verdict, or undecided where the configuration lets that pass."""
+        return self.verdict == "pass" or (self.verdict == "undecided" and self.undecided_passes)
 
     @property
     def by_other_method(self) -> bool:
@@ -165,11 +177,14 @@ class CellResult:
 
     def found(self, findings: tuple[Finding, ...]) -> "CellResult":
         """Return the result with additional findings, and their reasons and warnings."""
-        texts = {severity: [f.text for f in findings if f.severity == severity] for severity in ("red", "warning")}
+        texts: dict[str, list[str]] = {"red": [], "undecided": [], "warning": [], "note": []}
+        for each in findings:
+            texts[each.severity].append(each.text)
         return replace(
             self,
             findings=(*self.findings, *findings),
             reasons=(*self.reasons, *texts["red"]),
+            undecided=(*self.undecided, *texts["undecided"]),
             warnings=(*self.warnings, *texts["warning"]),
         )
 

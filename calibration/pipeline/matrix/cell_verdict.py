@@ -71,7 +71,7 @@ def _judged(cell: CellResult, system: System, output: Path) -> CellResult:
         else:
             verdict = judge(read_table(output / cell.table), system.rules)
             reasons += [violation.message for violation in verdict.violations]
-    return replace(cell, reasons=(*cell.reasons, *reasons))
+    return replace(cell, reasons=(*cell.reasons, *reasons), undecided_passes=system.undecided == "pass")
 
 
 def _over_limits(cell: CellResult, limits: Limits) -> list[str]:

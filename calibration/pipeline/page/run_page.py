@@ -88,7 +88,7 @@ def _sections_within_limit(
     """Return the sections of as many systems as the page takes, in their order; those that failed come first in it."""
     made: dict[str, Html] = {}
     characters = 0
-    for name in sorted(shown, key=lambda name: shown[name].verdict == "pass"):
+    for name in sorted(shown, key=lambda name: ("fail", "undecided", "pass").index(shown[name].verdict)):
         made[name] = section_of(name, shown[name])
         characters += len(made[name])
         if characters > MAX_SECTION_CHARACTERS:
@@ -106,7 +106,7 @@ def _reason_of_left_out(left_out: int, systems: int) -> str:
 def _shown(results: Results, system: str) -> CellResult | None:
     """Return the cell of our engine that is shown for a system: the first that passed, else the first."""
     cells = [cell for cell in (*results.cells, *results.comparisons) if cell.system == system and cell.details]
-    return next((cell for cell in cells if cell.verdict == "pass"), next(iter(cells), None))
+    return next((cell for cell in cells if cell.passes), next(iter(cells), None))
 
 
 def _anchor(system: str) -> str:
@@ -123,10 +123,11 @@ def _system(
 ) -> Html:
     """Return the sections of one system, by one of its cells."""
     tables = (transforms_table, parameters_table, changes_table)
-    notes = tuple(finding.text for finding in cell.findings if finding.severity != "red")
+    notes = tuple(finding.text for finding in cell.findings if finding.severity not in ("red", "undecided"))
     content = [
         verdict_line(cell.verdict, cell.name),
         bullets(cell.reasons),
+        bullets(tuple(f"undecided: {reason}" for reason in cell.undecided)),
         *(table(each.columns, each.rows) for each in (make(Results((cell,))) for make in tables)),
         join([element("h3", "What speaks for it, and what to look at"), bullets(notes)]) if notes else Html(""),
     ]

@@ -48,7 +48,7 @@ def promote_stage(run: Run) -> Run:
         InfrastructureError: the registry does not answer, or the image was not pushed.
     """
     specification, image = run.image, run.results.image
-    if specification is None or image is None or run.results.verdict != "pass":
+    if specification is None or image is None or not run.results.passes:
         run.runner.log(f"not promoted: the verdict is {run.results.verdict}")
         return run
     if run.runner.pull_request:

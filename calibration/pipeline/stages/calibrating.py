@@ -30,7 +30,7 @@ def calibrate_stage(run: Run) -> Run:
     with progress(run.runner, run.title, bar=not run.matrix.software) as advance:
 
         def done(count: int, total: int, cell: CellResult) -> None:
-            advance(count, total, _line(cell), important=cell.verdict == "fail")
+            advance(count, total, _line(cell), important=not cell.passes)
 
         found = run_matrix(matrix, run.output, run.jobs, run.fail_fast, done, run.target)
     results = replace(run.results, cells=found.cells, comparisons=found.comparisons, baseline=update)

@@ -52,7 +52,7 @@ def export_stage(run: Run) -> Run:
 
 def _exported(system: System, exports: Exports, cells: Sequence[CellResult], output: Path) -> Exported | None:
     """Export a system; None if it has not passed."""
-    if not cells or any(cell.verdict == "fail" for cell in cells) or cells[0].dataset is None:
+    if not cells or not all(cell.passes for cell in cells) or cells[0].dataset is None:
         return None
     first = cells[0]
     folder = str(Path(first.dataset or "").parent / FOLDER)
