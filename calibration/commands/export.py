@@ -5,12 +5,13 @@ from pathlib import Path
 
 import click
 
-from calibration.commands.parameters import TEXT_LIST, path
+from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.dataset.reading import read_dataset
 from calibration.errors import ExitCode, InputError
 from calibration.exports.files import exported
 from calibration.exports.names import FORMATS, URDF
 from calibration.files import write_atomically
+from calibration.pipeline.exportable import refuse_what_has_not_passed
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.text import did_you_mean, one_line
 
@@ -21,17 +22,32 @@ from calibration.workflow.text import did_you_mean, one_line
     "--robot-description", type=path, help="The robot's URDF or xacro, to be written as URDF with calibrated origins."
 )
 @click.option("--formats", type=TEXT_LIST, help=f"{URDF}, {', '.join(FORMATS)} (all that there can be).")
+@click.option("--although", type=text, help="Why a calibration that has not passed is exported all the same.")
 @click.option("--output", type=path, default="exports", show_default=True, help="Folder to write.")
-def command(dataset: Path, robot_description: Path | None, formats: tuple[str, ...] | None, output: Path) -> ExitCode:
+def command(
+    dataset: Path,
+    robot_description: Path | None,
+    formats: tuple[str, ...] | None,
+    although: str | None,
+    output: Path,
+) -> ExitCode:
     """Write a calibration as URDF, launch files, camera_info, Kalibr's camchain and OpenCV's storage.
 
     In the URDF only calibrated origins are changed; every other byte of the robot's file, or of the expanded xacro, is
     kept.
     """
-    return export(dataset, robot_description, formats or (), output, Runner.from_environment(os.environ))
+    runner = Runner.from_environment(os.environ)
+    return export(dataset, robot_description, formats or (), output, runner, although)
 
 
-def export(dataset: Path, description: Path | None, formats: tuple[str, ...], output: Path, runner: Runner) -> ExitCode:
+def export(
+    dataset: Path,
+    description: Path | None,
+    formats: tuple[str, ...],
+    output: Path,
+    runner: Runner,
+    although: str | None = None,
+) -> ExitCode:
     """Write the files of the formats.
 
     Args:
@@ -40,16 +56,22 @@ def export(dataset: Path, description: Path | None, formats: tuple[str, ...], ou
         formats: names of formats; empty for all that are possible with these data.
         output: folder to write.
         runner: runner for the log.
+        although: reason for exporting what has not passed its verdict; None to refuse that.
 
     Raises:
-        InputError: unknown format, a dataset that is not calibrated, or a URDF that does not match it.
+        InputError: unknown format, a dataset that is not calibrated or has not passed, or a URDF that does not match
+            it.
         InfrastructureError: a file cannot be written.
     """
     known = (URDF, *FORMATS)
     for each in formats:
         if each not in known:
             raise InputError(f"--formats: found '{each}', expected {', '.join(known)}{did_you_mean(each, known)}")
-    files, notes = exported(read_dataset(dataset), formats, description)
+    read = read_dataset(dataset)
+    cell = None if although else refuse_what_has_not_passed(dataset, read)
+    files, notes = exported(read, formats, description)
+    if cell is not None and cell.verdict == "undecided":
+        notes.append(f"undecided, which passes here (undecided: pass): {cell.undecided[0]}")
     for name, content in files.items():
         write_atomically(output / name, content)
     with stop_commands(runner):

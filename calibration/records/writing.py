@@ -1,6 +1,7 @@
 """Conversion of records to documents and to text."""
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -33,8 +34,10 @@ def text_of(record: Any) -> str:
 
 
 def value_of(value: Any) -> Any:
-    """Return the document value of a record's value."""
+    """Return the document value of a record's value; a number that is not finite, which JSON lacks, is null."""
     kind = type(value)
+    if kind is float and not math.isfinite(value):
+        return None
     if kind in _PLAIN:  # nearly all are
         return value
     if is_record(kind):

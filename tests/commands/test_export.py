@@ -1,11 +1,14 @@
 """``export``: a calibrated dataset in file formats of robots."""
 
+import json
+import shutil
 from pathlib import Path
 
 import pytest
 
 from calibration.__main__ import main
 from calibration.dataset.reading import read_dataset
+from calibration.importing.document import ROUGH
 from tests.pipeline.conftest import DATASETS
 
 T2RGB = str(DATASETS / "t2rgb")
@@ -42,3 +45,51 @@ def test_failed_exports_are_one_line_and_leave_no_files(
     assert main(["export", "--dataset", T2RGB, "--output", str(output), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not output.exists()
+
+
+def run(folder: Path, limits: str, undecided: str = "fail") -> Path:
+    """Run the matrix on a robot without a truth, and return its cell's folder."""
+    shutil.copy(DATASETS / "riwbot" / "dataset.json", folder)
+    system = f"{{dataset: ., truth: none, undecided: {undecided}, limits: {limits}}}"
+    (folder / "calibration.yml").write_text(f"systems: {{robot: {system}}}")
+    main(["run", "--config", str(folder / "calibration.yml"), "--output", str(folder / "output")])
+    [cell] = json.loads((folder / "output" / "results.json").read_text())["cells"]
+    return folder / "output" / str(cell["folder"])
+
+
+@pytest.mark.parametrize(
+    ("limits", "undecided", "verdict"),
+    [("{rms-px: 0.001}", "fail", "fail"), ("{translation-mm: 0.01}", "fail", "undecided")],
+)
+def test_a_cell_that_has_not_passed_is_refused_unless_asked(
+    limits: str, undecided: str, verdict: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = run(tmp_path, limits, undecided)
+    output = tmp_path / "exports"
+    copied = shutil.copytree(cell, tmp_path / "copied")
+    for dataset in (cell, cell / "dataset.json", copied):
+        assert main(["export", "--dataset", str(dataset), "--output", str(output)]) == 2
+        line = capsys.readouterr().err.splitlines()[-1]
+        assert f"{dataset}: the verdict of this cell is {verdict} (" in line
+        assert not output.exists()
+    assert main(["export", "--dataset", str(cell), "--output", str(output), "--although", "a test drive"]) == 0
+    assert output.is_dir()
+
+
+def test_an_undecided_cell_that_counts_as_passed_is_exported_and_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = run(tmp_path, "{translation-mm: 0.01}", "pass")
+    assert main(["export", "--dataset", str(cell), "--output", str(tmp_path / "exports")]) == 0
+    assert "undecided" in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_a_dataset_that_was_imported_and_never_calibrated_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = json.loads((DATASETS / "t2rgb" / "dataset.json").read_text())
+    document["_metadata"][ROUGH] = True
+    (tmp_path / "dataset.json").write_text(json.dumps(document))
+    assert main(["export", "--dataset", str(tmp_path), "--output", str(tmp_path / "exports")]) == 2
+    assert f"{tmp_path}: this dataset was imported" in capsys.readouterr().err
+    assert not (tmp_path / "exports").exists()

@@ -38,6 +38,7 @@ from calibration.records import (
     text_of,
 )
 from calibration.records.schema import schema_of, schema_text
+from calibration.records.writing import value_of
 
 NAME = matching("[a-z]+", "small letters")
 
@@ -219,6 +220,11 @@ def test_what_is_written_is_read_again() -> None:
         "systems": [{"dataset": "data", "limits": {"rms-px": 3.0, "share": 0.5}, "hold": ["left"], "loss": "linear"}]
     }
     assert text_of(Limits(1.0)) == '{\n  "rms-px": 1.0,\n  "share": 0.5\n}\n'
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
+def test_a_number_that_json_lacks_is_null(number: float) -> None:
+    assert value_of({"one": (1.0, number)}) == {"one": [1.0, None]}
 
 
 def test_results_have_nulls_and_may_have_more() -> None:

@@ -11,6 +11,7 @@ from calibration.baseline.verdict import against_baseline
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import FILE_NAME
 from calibration.diagnosis.diagnose import diagnose
+from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.mirrored import mirrored
 from calibration.errors import CalibrationError
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
@@ -35,6 +36,8 @@ from calibration.pipeline.matrix.cell_result import (
 )
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.other_method import other_method
+
+NO_FINITE_RMS = "corners lie behind a camera, or where its lens model has no inverse; is the lens model the right one?"
 
 
 @frozen(eq=False)
@@ -155,6 +158,9 @@ def _evaluated(
         if table is not None:
             name = f"{system.evaluation.kind.replace('-', '_')}_results.csv" if system.evaluation else REPROJECTION
             rms = round(table.average(RMS_PIX), 4) if RMS_PIX in table.columns else None
+            if rms is not None and not math.isfinite(rms):
+                text = f"{name}: found no finite RMS: {NO_FINITE_RMS}"
+                result, rms = result.found((Finding("table", "red", text),)), None
             made = Evaluated(replace(result, rms_px=rms), (name, table.to_csv()))
             if table.columns == measured_poses.COLUMNS:
                 mm, deg = (round(table.average(column), 4) for column in table.columns)

@@ -14,6 +14,7 @@ from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.estimation.calibrate import Calibrator
 from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import StartingNoise
+from calibration.evaluation.table import Table
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.introspection.rule_set import parse_rules
 from calibration.pipeline.matrix import running_cell
@@ -228,3 +229,17 @@ def test_a_system_without_a_problem_leaves_the_reason_to_its_cells(matrix: Matri
     result, calibration = running_cell.calibrate_cell(matrix.cells[0], held)
     assert calibration is None
     assert "nothing to calibrate" in result.reasons[0]
+
+
+def test_a_table_without_a_finite_rms_is_red(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a lens model has no inverse the points of a corner are no numbers; the corners' own RMS is finite."""
+    real = running_cell.table_of
+
+    def without_numbers(*arguments: object) -> Table | None:
+        table = real(*arguments)  # type: ignore[arg-type]
+        return table and replace(table, values=math.nan * table.values)
+
+    monkeypatch.setattr(running_cell, "table_of", without_numbers)
+    [cell] = run_matrix(Matrix((RIWBOT,), NoiseGrid()), tmp_path, 1).cells
+    [red] = [each for each in cell.findings if each.severity == "red"]
+    assert (cell.verdict, red.kind) == ("fail", "table")
