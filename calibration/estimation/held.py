@@ -15,7 +15,7 @@ from calibration.dataset.pattern import Pattern
 from calibration.estimation.assumptions import Assumptions
 from calibration.estimation.corner_residuals import LENS
 from calibration.estimation.label_columns import ColumnNames
-from calibration.estimation.lens_errors import LensErrors
+from calibration.estimation.lens_errors import LensErrors, LensSource
 from calibration.estimation.views import ViewGroup
 from calibration.frozen import frozen
 from calibration.geometry import rotations
@@ -100,6 +100,8 @@ class Cause:
     """Whether it adds to the covariance of the result; False if another cause covers the same error."""
     tested: bool = True
     """Whether it may be a suspect; False if other causes are tested for its parts."""
+    known_by: LensSource | None = None
+    """Of a camera's intrinsics in all, where its assumed standard deviations come from."""
 
     @property
     def size(self) -> int:
@@ -165,7 +167,8 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], lens: 
     fixed = [i for i, name in enumerate(lens.parameters) if name not in free]
     if fixed:
         errors = tuple({(sensor, lens.parameters[i]): float(column[i]) for i in fixed} for column in lens.root.T)
-        yield Cause(CAMERA_INFO, sensor, "1", (float(not lens.is_exact),) * len(errors), errors, tested=False)
+        sigmas = (float(not lens.is_exact),) * len(errors)
+        yield Cause(CAMERA_INFO, sensor, "1", sigmas, errors, tested=False, known_by=lens.source)
 
     def part(kind: str, unit: Unit, *weights: dict[str, float], sigma: float = 0.0) -> Iterator[Cause]:
         yield from cause(kind, unit, sigma, *weights, counts=False)

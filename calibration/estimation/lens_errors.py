@@ -4,7 +4,8 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.estimation.assumptions import OF_INTRINSICS, Assumptions
+from calibration.dataset.lens_uncertainty import LensUncertainty
+from calibration.estimation.assumptions import EXACT, OF_INTRINSICS, Assumptions
 from calibration.estimation.intrinsics import PIXELS, Prior
 from calibration.estimation.nominal_lens import nominal_lens
 from calibration.frozen import frozen
@@ -27,7 +28,7 @@ class LensErrors:
     """Whether all of them are exactly known; the root is then of a nominal calibration."""
 
 
-def lens_errors(camera: Camera, assume: Assumptions, given: Prior | None) -> LensErrors:
+def lens_errors(camera: Camera, assume: Assumptions, given: Prior | LensUncertainty | None) -> LensErrors:
     """Return the errors of a camera's intrinsics.
 
     Args:
@@ -35,25 +36,40 @@ def lens_errors(camera: Camera, assume: Assumptions, given: Prior | None) -> Len
         assume: what the user states of it: with 0 a parameter is exactly known, and the others are as well known as
             that makes them; a standard deviation above 0 scales all errors, by the largest ratio of one that is stated
             to the nominal one.
-        given: the covariance of its own calibration, which counts instead.
+        given: what its own calibration says, and counts instead: the covariance that the user has given, or what
+            the dataset has, unless all is assumed to be exact. Standard deviations alone are taken as those of the
+            nominal calibration's corners, all in one ratio; its board stays as it is.
     """
-    if given is not None:
-        s = np.sqrt(np.diagonal(given.covariance))
-        root = s[:, None] * np.linalg.cholesky(given.covariance / s[:, None] / s)
-        return LensErrors(tuple(camera.parameters[i] for i in given.at), root, "covariance")
+    if isinstance(given, Prior):
+        return _of_covariance(tuple(camera.parameters[i] for i in given.at), given.covariance)
     nominal = nominal_lens(camera)
+    if given is not None and assume != EXACT:
+        if given.covariance is not None:
+            return _of_covariance(given.parameters, given.covariance)
+        common = [name for name in nominal.parameters if name in given.parameters]
+        stated = given.sigmas[[given.parameters.index(name) for name in common]]
+        usual = np.linalg.norm(nominal.by_noise[[nominal.parameters.index(name) for name in common]], axis=1)
+        ratio = float(np.exp(np.log(stated / usual).mean())) if common else 1.0
+        root = np.concatenate([ratio * nominal.by_noise, nominal.by_flatness], 1)
+        return LensErrors(nominal.parameters, root, "standard-deviations")
     root = np.concatenate([nominal.by_noise, nominal.by_flatness], 1)
-    stated = {name: value for name in OF_INTRINSICS if (value := getattr(assume, name)) is not None}
-    source: LensSource = "assume" if stated else "nominal"
-    if len(stated) == len(OF_INTRINSICS) and not any(stated.values()):
+    assumed = {name: value for name in OF_INTRINSICS if (value := getattr(assume, name)) is not None}
+    source: LensSource = "assume" if assumed else "nominal"
+    if len(assumed) == len(OF_INTRINSICS) and not any(assumed.values()):
         return LensErrors(nominal.parameters, root, source, is_exact=True)
     combinations = _combinations(camera, nominal.parameters)
-    known = [combinations[name] @ root for name, value in stated.items() if not value]
+    known = [combinations[name] @ root for name, value in assumed.items() if not value]
     if known:  # what is left of independent errors if these combinations of them are 0
         Q, _ = np.linalg.qr(np.concatenate(known).T)
         root = root - root @ Q @ Q.T
-    scales = [_ratio(value, combinations[name] @ root) for name, value in stated.items() if value]
+    scales = [_ratio(value, combinations[name] @ root) for name, value in assumed.items() if value]
     return LensErrors(nominal.parameters, max(scales, default=1.0) * root, source)
+
+
+def _of_covariance(parameters: tuple[str, ...], covariance: Array) -> LensErrors:
+    s = np.sqrt(np.diagonal(covariance))
+    root = s[:, None] * np.linalg.cholesky(covariance / s[:, None] / s)
+    return LensErrors(parameters, root, "covariance")
 
 
 def _ratio(stated: float, effects: Array) -> float:

@@ -195,7 +195,8 @@ def _causes(problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], ass
     seen = dict.fromkeys(group.group.sensor for group in groups)
     patterns = dict.fromkeys(group.pattern.name for group in groups if group.pattern.fixed)
     cameras = {each.sensor.name: camera for each in groups if (camera := each.names.camera) is not None}
-    lenses = {name: lens_errors(camera, assume, priors.get(name)) for name, camera in cameras.items()}
+    given = {name: priors.get(name) or dataset.sensors[name].uncertainty for name in cameras}
+    lenses = {name: lens_errors(camera, assume, given[name]) for name, camera in cameras.items()}
     return [
         *causes(dataset, groups, assume, free, lenses),
         *(cause(dataset.sensors[name]) for name in seen for cause in (lag, moved_sensor)),

@@ -74,27 +74,28 @@ def nominal_lens(camera: Camera) -> NominalLens:
 
 def _information(camera: Camera, columns: list[int]) -> Array:
     """Return the sums of products of some columns of `products` over all views, their poses eliminated."""
-    board, T = _board(), _views(camera)
-    corners = board.corners - board.centre
+    pattern, T = board(), views(camera)
+    corners = pattern.corners - pattern.centre
     pixels, visible = camera.project_visible(apply(T, corners))
     seen = visible & camera.contains(pixels)
     T, pixels, seen = (each[np.count_nonzero(seen, axis=1) > POSE] for each in (T, pixels, seen))
     term = CornerTerm(camera, corners, np.swapaxes(np.where(seen[..., None], pixels, 0.0), 1, 2), seen)
-    M = np.concatenate([part for _, part in products([term], camera, board, T, Weighting({"pixel": NOISE}, None))])
+    M = np.concatenate([part for _, part in products([term], camera, pattern, T, Weighting({"pixel": NOISE}, None))])
     mixed = M[:, :POSE, columns]
     eliminated = np.swapaxes(mixed, 1, 2) @ np.linalg.solve(M[:, :POSE, :POSE], mixed)
     total: Array = (M[:, columns][:, :, columns] - eliminated).sum(0)
     return total
 
 
-def _board() -> Pattern:
+def board() -> Pattern:
+    """Return the board of the nominal calibration."""
     corners = grid(COLUMNS, ROWS, SQUARE, (0.0, 0.0))
     x, y = SQUARE * np.array([[-1.0, COLUMNS], [-1.0, ROWS]])
     outline = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]])
     return Pattern("board", "chessboard", "board", "camera", False, corners, outline)
 
 
-def _views(camera: Camera) -> Array:
+def views(camera: Camera) -> Array:
     """Return ``T_camera_pattern`` (v, 4, 4), the pattern's frame at the centre of its corners.
 
     The fractional parts of k^2 times an irrational number are as uneven as random ones, and the same everywhere.
