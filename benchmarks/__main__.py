@@ -40,6 +40,7 @@ MODULES = {
     "motion": "what a generated motion costs, and how well its poses determine a calibration",
     "collection": "whole collections in simulation, and how near the truth they calibrate",
     "scenarios": "many worlds",
+    "trust": "error bars with the camera_info of other calibrations",
     "verdict": "planted defects that a run without a truth finds and names, false alarms, error bars",
     "static_analysis": "a large repository, a change of it, refactorings without new findings",
     "ros_defects": "planted defects of ROS packages that the static analysis finds at their line, false findings",

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.dataset.lens_uncertainty import LensUncertainty
 from calibration.dataset.modalities import Modality
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
@@ -38,6 +39,8 @@ class Sensor:
     calibration_child: str
     camera: Camera | None = None
     """Intrinsics, if its modality has them."""
+    uncertainty: LensUncertainty | None = None
+    """How well these are known, if the dataset says so."""
 
     @property
     def edge(self) -> Edge:

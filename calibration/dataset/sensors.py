@@ -5,6 +5,8 @@ from typing import Any
 
 from calibration.dataset.configuration import SensorConfiguration
 from calibration.dataset.document import Node
+from calibration.dataset.lens_uncertainty import KEY as UNCERTAINTY
+from calibration.dataset.lens_uncertainty import LensUncertainty, read_uncertainty
 from calibration.dataset.modalities import MODALITIES
 from calibration.dataset.model import Sensor
 from calibration.geometry.cameras import Camera
@@ -48,9 +50,15 @@ def read_sensors(node: Node, configuration: Mapping[str, SensorConfiguration]) -
             frame=entry["parent"].value,
             calibration_parent=entry["calibration_parent"].value,
             calibration_child=entry["calibration_child"].value,
-            camera=read_camera(entry["camera_info"]) if modality.has_intrinsics else None,
+            camera=(camera := read_camera(entry["camera_info"]) if modality.has_intrinsics else None),
+            uncertainty=_read_uncertainty(entry["camera_info"], camera) if camera else None,
         )
     return sensors
+
+
+def _read_uncertainty(info: Node, camera: Camera) -> LensUncertainty | None:
+    found = info.get(UNCERTAINTY)
+    return None if found is None else read_uncertainty(found, camera.parameters)
 
 
 def read_camera(info: Node) -> Camera:

@@ -13,6 +13,7 @@ from calibration.dataset.configuration import FIRST_PATTERN
 from calibration.dataset.document import Node
 from calibration.dataset.edges import is_constant, read_transforms, transform_documents
 from calibration.dataset.joints import joint_document, joint_values
+from calibration.dataset.lens_uncertainty import KEY as UNCERTAINTY
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern, pattern_document
 from calibration.dataset.payload import locate
@@ -275,7 +276,9 @@ def _sensor(dataset: Dataset, name: str) -> Mapping[str, Any]:
         Node(dataset.path, ("sensors", name, "camera_info"), read["camera_info"])
     ):
         return read
-    return {**read, "camera_info": {**read["camera_info"], **camera_document(camera)}}
+    # its uncertainty was that of the intrinsics that were read
+    info = {key: value for key, value in read["camera_info"].items() if key != UNCERTAINTY}
+    return {**read, "camera_info": {**info, **camera_document(camera)}}
 
 
 def _geometry(dataset: Dataset, pattern: Pattern) -> dict[str, Any]:

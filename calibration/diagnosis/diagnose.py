@@ -1,6 +1,7 @@
 """Checks of a calibration that need no ground truth, in the order of the report."""
 
 from calibration.dataset.model import Dataset
+from calibration.diagnosis.camera_info import camera_info
 from calibration.diagnosis.description import FAR_AWAY, far_from_description
 from calibration.diagnosis.exchanged_labels import exchanged_labels
 from calibration.diagnosis.finding import Finding
@@ -61,6 +62,7 @@ def diagnose(
         *(exchanged_labels(calibration, description, options) if useless else ()),
         *rejected,
         *repeated(calibration),
+        *camera_info(calibration),
         *_said_by_the_engine(calibration),
     )
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits, limits_of, stated
+from calibration.estimation.held import CAMERA_INFO
 from calibration.estimation.result import Calibration
 from calibration.geometry.types import Array
 
@@ -45,6 +46,8 @@ def _remedy(calibration: Calibration, name: str) -> str:
         return "the collections disagree by more than their labels' noise: look at the arm, the mounts and time stamps"
     if _wider(bars.expected[block], bars.labels[block]) > DISAGREEING:
         most = max(bars.worth, key=lambda name: bars.worth[name])
+        if most.startswith(CAMERA_INFO):
+            return f"most of it is the {most}: calibrate it with more views, and hand its intrinsics-covariance on"
         return f"most of it is the {most}: state under 'assume' how well you know it, or calibrate it"
     return "add collections with other rotations of the pattern or the robot"
 

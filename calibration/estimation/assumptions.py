@@ -12,10 +12,10 @@ Known = Annotated[float, at_least(0)]
 class Assumptions:
     """Standard deviations of fixed parameters; 0 for exactly known ones, as in a simulation."""
 
-    focal_length: Known = field("Of a camera, relative.", default=0.0005)
-    aspect: Known = field("Of a camera: fx over fy, relative.", default=0.0002)
-    principal_point: Known = field("Of a camera, each axis.", default=0.3, unit="px")
-    distortion: Known = field("Of a camera: each coefficient of its lens.", default=0.0)
+    focal_length: Known | None = field("Of a camera, relative; else as a nominal calibration's.", default=None)
+    aspect: Known | None = field("Of a camera: fx over fy, relative; likewise.", default=None)
+    principal_point: Known | None = field("Of a camera, each axis; likewise.", default=None, unit="px")
+    distortion: Known | None = field("Of a camera: the first coefficient of its lens, k1; likewise.", default=None)
     pattern_size: Known = field("Of the printed squares, relative.", default=0.0005)
     pattern_stretch: Known = field("Of the squares' length over their height, relative.", default=0.0002)
     flatness: Known = field("Of the board: its middle against its ends.", default=0.0002, unit="m")
@@ -27,5 +27,7 @@ class Assumptions:
     arm_rotation: Known = field("Of each moving link of an arm, each axis.", default=0.0001, unit="rad")
 
 
+OF_INTRINSICS = ("focal_length", "aspect", "principal_point", "distortion")
+"""Assumptions on fixed intrinsics; None for those of `calibration.estimation.nominal_lens`."""
 EXACT = Assumptions(**dict.fromkeys((each.name for each in fields(Assumptions)), 0.0))
 """All fixed parameters are exactly known."""

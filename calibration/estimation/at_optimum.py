@@ -18,7 +18,7 @@ from calibration.estimation.calibrated import (
 from calibration.estimation.error_bars import ErrorBars, error_bars
 from calibration.estimation.least_squares import Optimum
 from calibration.estimation.noise_levels import NoiseLevels
-from calibration.estimation.observability import WeakDirection, considered_covariance, open_directions
+from calibration.estimation.observability import WeakDirection, open_directions
 from calibration.estimation.optimisation import WeightedOptimum
 from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration, Solution
@@ -119,7 +119,6 @@ def _to_hold(setup: Setup, undetermined: Sequence[WeakDirection], names: Sequenc
 
 def _error_bars(solution: Solution) -> ErrorBars:
     problem = solution.setup.problem
-    considered = considered_covariance(problem, solution.values, solution.weighting)
     at = problem.shared_parameters
     poses = [block for block in at if isinstance(problem.blocks[block].parameters, Pose)]
-    return error_bars(solution.model, at, poses, considered)
+    return error_bars(solution.model, at, poses)

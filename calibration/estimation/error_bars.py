@@ -44,16 +44,13 @@ class ErrorBars:
     """(S, k): by cause, the changes of the parameters by an error of one assumed standard deviation."""
 
 
-def error_bars(
-    model: LinearModel, blocks: Mapping[int, slice], poses: Collection[int], considered: Array | None = None
-) -> ErrorBars:
+def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collection[int]) -> ErrorBars:
     """Compute the covariances at the optimum.
 
     Args:
         model: of the calibration.
         blocks: the parameters of each shared block.
         poses: the blocks that are transforms; others have no displacement.
-        considered: (S, S), contribution of given covariances of fixed intrinsics.
     """
     S = model.shared
     A = model.total[:S, :S]
@@ -62,7 +59,7 @@ def error_bars(
     clustered, effective, decisive = _clustered(model, C)
     moves = -C @ model.total[:S]  # by a unit of each column
     squares = np.stack([(moves[blocks[block]][:3] ** 2).sum(0) for block in poses] or [np.zeros(len(model.total))])
-    worth, held, considered = {}, {}, np.zeros((S, S)) if considered is None else considered
+    worth, held, considered = {}, {}, np.zeros((S, S))
     for cause, at, typical in zip(model.causes, model.places, model.typical, strict=True):
         if cause.counts:
             usual = cause.assumed

@@ -4,7 +4,7 @@ Each is a *cause*: a few parameters with a common error, the derivatives of the 
 (columns), and their assumed standard deviations (`calibration.estimation.assumptions`).
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Literal
 
@@ -15,6 +15,7 @@ from calibration.dataset.pattern import Pattern
 from calibration.estimation.assumptions import Assumptions
 from calibration.estimation.corner_residuals import LENS
 from calibration.estimation.label_columns import ColumnNames
+from calibration.estimation.lens_errors import LensErrors, LensSource
 from calibration.estimation.views import ViewGroup
 from calibration.frozen import frozen
 from calibration.geometry import rotations
@@ -24,8 +25,12 @@ from calibration.geometry.transforms import adjoint, inverse, local
 from calibration.geometry.types import Array
 
 Unit = Literal["m", "rad", "px", "1", "s", "collections"]
+SKEW = 0.0002
+"""Standard deviation of the skew of a camera's axes, rad; a calibration of its intrinsics takes it for 0."""
 STILL = 1e-6
 """Tolerance (m, and elements of rotations) of transforms that do not move between collections."""
+CAMERA_INFO = "camera_info"
+"""Kind of a camera's intrinsics in all, whose errors are correlated; its parts are causes too, which are tested."""
 PLACE = "place"
 """Kind of causes that are only tested from some collection on: over all of them the pose is calibrated or gauge."""
 CROOKED = 1e-4
@@ -93,6 +98,10 @@ class Cause:
     """Derivatives by the k parameters: twists of the poses, or a combination of the labels' columns for each."""
     counts: bool = True
     """Whether it adds to the covariance of the result; False if another cause covers the same error."""
+    tested: bool = True
+    """Whether it may be a suspect; False if other causes are tested for its parts."""
+    known_by: LensSource | None = None
+    """Of a camera's intrinsics in all, where its assumed standard deviations come from."""
 
     @property
     def size(self) -> int:
@@ -110,7 +119,7 @@ def causes(
     groups: Sequence[SeenGroup],
     assume: Assumptions,
     free: Mapping[str, Sequence[str]],
-    known: Collection[str] = (),
+    lenses: Mapping[str, LensErrors],
 ) -> list[Cause]:
     """Return all causes of a dataset's calibration.
 
@@ -119,18 +128,18 @@ def causes(
         groups: all views.
         assume: assumed standard deviations.
         free: by camera, the calibrated intrinsics, which are not fixed.
-        known: cameras with a given covariance of their intrinsics, which replaces the assumed one.
+        lenses: by camera, the errors of its intrinsics.
     """
     seen = {each.sensor.name: each for each in groups}
     found = [
         cause
         for name, each in seen.items()
         if not each.names.poses
-        for cause in _of_sensor(each, assume, free.get(name, ()), assumed=name not in known)
+        for cause in _of_sensor(each, assume, free.get(name, ()), lenses.get(name))
     ]
     cameras = {name: each.names.camera for name, each in seen.items() if each.names.camera is not None}
     if len(cameras) > 1 and not free:
-        found += _of_all_cameras(cameras, assume)
+        found += _of_all_cameras(cameras)
     for name in dict.fromkeys(each.pattern.name for each in groups if not each.names.poses):
         has_border = any(each.sensor.modality.points is not None and each.pattern.name == name for each in groups)
         found += _of_pattern(name, has_border, assume)
@@ -142,46 +151,55 @@ def causes(
     return found
 
 
-def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], assumed: bool) -> Iterator[Cause]:
+def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], lens: LensErrors | None) -> Iterator[Cause]:
     sensor, camera = seen.sensor.name, seen.names.camera
 
     def cause(kind: str, unit: Unit, sigma: float, *weights: dict[str, float], counts: bool = True) -> Iterator[Cause]:
         if not all(parameter in free for each in weights for parameter in each):
-            yield Cause(kind, sensor, unit, (sigma,) * len(weights), _combinations(sensor, weights), counts and assumed)
+            yield Cause(kind, sensor, unit, (sigma,) * len(weights), _combinations(sensor, weights), counts)
 
-    if camera is None:
+    if camera is None or lens is None:
         yield from cause("range bias", "m", assume.range_bias, {"bias": 1.0})
         yield from cause("range scale", "1", assume.range_scale, {"scale": 1.0})
         yield from cause("beam elevation", "rad", assume.beam_elevation, {"elevation": 1.0})
         yield from cause("motion during a sweep", "m", 0.0, *({f"sweep_{axis}": 1.0} for axis in "xyz"))
         return
-    yield from cause("focal length", "1", assume.focal_length, {"fx": camera.fx, "fy": camera.fy})
-    yield from cause("aspect", "1", assume.aspect, {"fx": camera.fx / 2, "fy": -camera.fy / 2})
-    yield from cause("principal point", "px", assume.principal_point, {"cx": 1.0}, {"cy": 1.0})
-    yield from cause("pixel convention", "px", assume.principal_point, {"cx": 1.0, "cy": 1.0}, counts=False)
+    fixed = [i for i, name in enumerate(lens.parameters) if name not in free]
+    if fixed:
+        errors = tuple({(sensor, lens.parameters[i]): float(column[i]) for i in fixed} for column in lens.root.T)
+        sigmas = (float(not lens.is_exact),) * len(errors)
+        yield Cause(CAMERA_INFO, sensor, "1", sigmas, errors, tested=False, known_by=lens.source)
+
+    def part(kind: str, unit: Unit, *weights: dict[str, float], sigma: float = 0.0) -> Iterator[Cause]:
+        yield from cause(kind, unit, sigma, *weights, counts=False)
+
+    yield from part("focal length", "1", {"fx": camera.fx, "fy": camera.fy})
+    yield from part("aspect", "1", {"fx": camera.fx / 2, "fy": -camera.fy / 2})
+    yield from part("principal point", "px", {"cx": 1.0}, {"cy": 1.0})
+    yield from part("pixel convention", "px", {"cx": 1.0, "cy": 1.0})
     scaled = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx + 0.5, "cy": camera.cy + 0.5}
-    yield from cause("image scale", "1", assume.focal_length, scaled, counts=False)
-    yield from cause("skew", "rad", assume.aspect, {"skew": 1.0}, counts=False)
+    yield from part("image scale", "1", scaled)
+    yield from part("skew", "rad", {"skew": 1.0}, sigma=0.0 if lens.is_exact else SKEW)
     names = camera.distortion.names()
     beyond = [each for each in names if each in ("k3", "k4") and each not in free] + list(LENS[1:])
-    yield from cause("lens model", "1", assume.distortion, *({each: 1.0} for each in beyond), counts=False)
+    yield from part("lens model", "1", *({each: 1.0} for each in beyond))
     for kind, coefficients in (("radial distortion", ("k1", "k2")), ("tangential distortion", ("p1", "p2"))):
         weights = [{name: 1.0} for name in coefficients if name in names]
         if weights:
-            yield from cause(kind, "1", assume.distortion, *weights)
+            yield from part(kind, "1", *weights)
 
 
-def _of_all_cameras(cameras: Mapping[str, Camera], assume: Assumptions) -> Iterator[Cause]:
+def _of_all_cameras(cameras: Mapping[str, Camera]) -> Iterator[Cause]:
     """Common errors of all cameras, of one type and calibrated in one way; they explain less of each one alone."""
     subject = " and ".join(cameras) if len(cameras) < 4 else "all cameras"
 
-    def cause(kind: str, unit: Unit, sigma: float, of: Callable[[Camera], dict[str, float]]) -> Cause:
+    def cause(kind: str, unit: Unit, of: Callable[[Camera], dict[str, float]]) -> Cause:
         weights = {(name, own): w for name, camera in cameras.items() for own, w in of(camera).items()}
-        return Cause(kind, subject, unit, (sigma,), (weights,), counts=False)
+        return Cause(kind, subject, unit, (0.0,), (weights,), counts=False)
 
-    yield cause("focal length", "1", assume.focal_length, lambda camera: {"fx": camera.fx, "fy": camera.fy})
-    yield cause("pixel convention", "px", assume.principal_point, lambda _: {"cx": 1.0, "cy": 1.0})
-    yield cause("radial distortion", "1", assume.distortion, lambda camera: {camera.parameters[4]: 1.0})
+    yield cause("focal length", "1", lambda camera: {"fx": camera.fx, "fy": camera.fy})
+    yield cause("pixel convention", "px", lambda _: {"cx": 1.0, "cy": 1.0})
+    yield cause("radial distortion", "1", lambda camera: {camera.parameters[4]: 1.0})
 
 
 def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Cause]:

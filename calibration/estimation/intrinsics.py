@@ -129,15 +129,20 @@ class FreeIntrinsics:
 
     def pull(self, value: Array) -> tuple[float, Array, Array]:
         """Return the prior's cost at all parameters (4 + n,), its gradient (k,) and Hessian (k, k) by the free ones."""
-        n = len(value)
-        gradient, H = np.zeros(n), np.zeros((n, n))
-        if self.prior is None:
-            return 0.0, gradient[self.at], H[np.ix_(self.at, self.at)]
-        at = list(self.prior.at)
-        off = value[at] - self.prior.mean
-        gradient[at] = self.prior.information @ off
-        H[np.ix_(at, at)] = self.prior.information
-        return float(off @ gradient[at]), gradient[self.at], H[np.ix_(self.at, self.at)]
+        off = np.zeros(len(value))
+        if self.prior is not None:
+            off[list(self.prior.at)] = value[list(self.prior.at)] - self.prior.mean
+        gradient = self.information @ off
+        return float(off @ gradient), gradient[self.at], self.information[np.ix_(self.at, self.at)]
+
+    @cached_property
+    def information(self) -> Array:
+        """(4 + n, 4 + n): the prior's, of all parameters."""
+        n = len(self.camera.parameters)
+        information = np.zeros((n, n))
+        if self.prior is not None:
+            information[np.ix_(self.prior.at, self.prior.at)] = self.prior.information
+        return information
 
     @cached_property
     def reach(self) -> Array:

@@ -23,6 +23,7 @@ from calibration.estimation.blocks import Values
 from calibration.estimation.cluster_sums import ClusterSums, GroupColumns
 from calibration.estimation.distinct import distinct
 from calibration.estimation.held import (
+    CAMERA_INFO,
     Cause,
     Combination,
     SeenGroup,
@@ -32,6 +33,7 @@ from calibration.estimation.held import (
     moved_sensor,
     seen_groups,
 )
+from calibration.estimation.lens_errors import lens_errors
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.problem import Problem
 from calibration.frozen import frozen
@@ -57,7 +59,7 @@ class LinearModel:
     g: Array
     """(K, C)."""
     prior: Array
-    """(S, S): information of the priors."""
+    """(C, C): information of the priors on the shared parameters, and between them and the causes."""
     clusters: IntArray
     """(N,): cluster of each collection."""
     alone: Array
@@ -68,7 +70,7 @@ class LinearModel:
     def total(self) -> Array:
         """(C, C): sum over the clusters, and the prior."""
         total: Array = self.G.sum(0)
-        total[: self.shared, : self.shared] += self.prior
+        total += self.prior
         return total
 
     @cached_property
@@ -127,7 +129,7 @@ def linear_model(
         tuple(usual[i].assumed for i in kept),
         G[:, columns[:, None], columns],
         G[:, columns, -1],
-        _priors(problem, values),
+        _priors(problem, values, [found[i] for i in kept], ends),
         clusters,
         alone[columns],
     )
@@ -189,11 +191,14 @@ def _causes(problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], ass
     """Return the causes of fixed parameters; and of each sensor and fixed pattern a displacement and a time offset."""
     intrinsics = [(block.intrinsics, block.held) for block in problem.blocks if block.intrinsics]
     free = {each.sensor: each.free for each, held in intrinsics if not held}
-    known = [each.sensor for each, held in intrinsics if held and each.prior]
+    priors = {each.sensor: each.prior for each, _ in intrinsics}
     seen = dict.fromkeys(group.group.sensor for group in groups)
     patterns = dict.fromkeys(group.pattern.name for group in groups if group.pattern.fixed)
+    cameras = {each.sensor.name: camera for each in groups if (camera := each.names.camera) is not None}
+    given = {name: priors.get(name) or dataset.sensors[name].uncertainty for name in cameras}
+    lenses = {name: lens_errors(camera, assume, given[name]) for name, camera in cameras.items()}
     return [
-        *causes(dataset, groups, assume, free, known),
+        *causes(dataset, groups, assume, free, lenses),
         *(cause(dataset.sensors[name]) for name in seen for cause in (lag, moved_sensor)),
         *(moved_pattern(dataset.patterns[name]) for name in patterns),
     ]
@@ -206,12 +211,25 @@ def _at_most(clusters: IntArray, most: int) -> IntArray:
     return clusters * most // count if count > most else clusters
 
 
-def _priors(problem: Problem, values: Values) -> Array:
-    """Information (S, S) of the priors on the shared parameters."""
-    S, _ = problem.sizes
-    prior = np.zeros((S, S))
+def _priors(problem: Problem, values: Values, found: Sequence[Cause], ends: Sequence[int]) -> Array:
+    """Return the information (C, C) of the priors, on the shared parameters, and between them and fixed ones.
+
+    Args:
+        problem: the problem.
+        values: the optimum.
+        found: the causes.
+        ends: the first column of each cause, and the number of all.
+    """
+    prior = np.zeros((ends[-1], ends[-1]))
     for block, at in problem.shared_parameters.items():
         intrinsics = problem.blocks[block].intrinsics
         if intrinsics and intrinsics.prior:
             prior[at, at] = intrinsics.pull(values[block])[2]
+            for cause, start in zip(found, ends, strict=False):
+                if cause.kind == CAMERA_INFO and cause.subject == intrinsics.sensor and not callable(cause.effect):
+                    own = slice(start, start + cause.size)
+                    labels = [(intrinsics.sensor, name) for name in intrinsics.camera.parameters]
+                    errors = np.array([[weights.get(label, 0.0) for weights in cause.effect] for label in labels])
+                    prior[at, own] = intrinsics.information[intrinsics.at] @ errors
+                    prior[own, at] = prior[at, own].T
     return prior

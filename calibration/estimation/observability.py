@@ -2,16 +2,16 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import field
 
 import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
 from calibration.estimation.batches import table_of
-from calibration.estimation.blocks import Block, Values
-from calibration.estimation.intrinsics import PIXELS, FreeIntrinsics, Prior, root_mean_square
+from calibration.estimation.blocks import Values
+from calibration.estimation.intrinsics import PIXELS, root_mean_square
 from calibration.estimation.motion import Motion
-from calibration.estimation.normal_equations import NormalEquations, Weighting, assemble
+from calibration.estimation.normal_equations import NormalEquations, Weighting
 from calibration.estimation.problem import Problem
 from calibration.frozen import frozen
 from calibration.geometry.types import Array
@@ -165,7 +165,7 @@ def _listed(names: Sequence[str]) -> str:
     return " and ".join([*names[:3], *more])
 
 
-def covariances(problem: Problem, equations: NormalEquations, more: Array | None = None) -> dict[int, Array]:
+def covariances(problem: Problem, equations: NormalEquations) -> dict[int, Array]:
     """Return the covariance of each shared block.
 
     (6, 6) of its twist (translation, rotation), m and rad, or (k, k) of the free parameters of a joint or a
@@ -175,10 +175,8 @@ def covariances(problem: Problem, equations: NormalEquations, more: Array | None
     Args:
         problem: the problem.
         equations: the normal equations at the optimum, in standard deviations.
-        more: (S, S), another covariance to add (see `considered_covariance`).
     """
     inverse = np.linalg.inv(equations.schur)
-    inverse = inverse if more is None else inverse + more
     blocks = {}
     for block, part in problem.shared_parameters.items():
         blocks[block] = 0.5 * (inverse[part, part] + inverse[part, part].T)
@@ -243,52 +241,3 @@ def _known_beforehand(problem: Problem, values: Values, equations: NormalEquatio
             _, _, information = intrinsics.pull(values[block])
             known += float(np.einsum("ij,ji->", information, covariance[at, at]))
     return known
-
-
-def considered_covariance(problem: Problem, values: Values, weighting: Weighting) -> Array | None:
-    """Return the covariance (S, S) of the shared parameters due to uncertain fixed intrinsics.
-
-    None without any. Consider analysis (S. F. Schmidt, "Applications of state-space methods to navigation problems",
-    1966): the intrinsics are fixed, but their errors, of covariance Sigma, move the optimum by
-    ``K = -H_xx^-1 H_xc`` times these errors, so the result's covariance grows by ``K Sigma K^T``. H is that of all
-    shared parameters x and of the considered ones c, the local ones eliminated.
-
-    Args:
-        problem: the problem; parameters of intrinsics that have a prior and are not free are considered.
-        values: the optimum.
-        weighting: its weights.
-    """
-    if not any(block.intrinsics and block.intrinsics.prior for block in problem.blocks):
-        return None
-    wider = replace(problem, blocks=tuple(_opened(block) for block in problem.blocks))
-    H = assemble(wider, values, weighting).schur
-    considered, sigma = np.zeros(len(H), bool), np.zeros_like(H)
-    for i, at in wider.shared_parameters.items():
-        before, now = problem.blocks[i], wider.blocks[i].intrinsics
-        if now is not None and now.prior is not None:
-            free = () if before.held or before.intrinsics is None else before.intrinsics.free
-            considered[at] = [parameter not in free for parameter in now.free]
-            sigma[at, at] = _among(now, now.prior)
-    if not considered.any():
-        return None
-    K = -np.linalg.solve(H[np.ix_(~considered, ~considered)], H[np.ix_(~considered, considered)])
-    more: Array = K @ sigma[np.ix_(considered, considered)] @ K.T
-    return 0.5 * (more + more.T)
-
-
-def _opened(block: Block) -> Block:
-    """Return the block with all parameters free that have a prior."""
-    intrinsics = block.intrinsics
-    if intrinsics is None or intrinsics.prior is None:
-        return block
-    known = {intrinsics.camera.parameters[i] for i in intrinsics.prior.at}
-    free = known if block.held else known | set(intrinsics.free)
-    return replace(block, held=False, parameters=intrinsics.with_free(tuple(free)))
-
-
-def _among(intrinsics: FreeIntrinsics, prior: Prior) -> Array:
-    """Return the prior's covariance among the free parameters (k, k); zero for those without a prior."""
-    n = len(intrinsics.camera.parameters)
-    everything = np.zeros((n, n))
-    everything[np.ix_(prior.at, prior.at)] = prior.covariance
-    return everything[np.ix_(intrinsics.at, intrinsics.at)]

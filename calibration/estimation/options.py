@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.estimation.assumptions import EXACT, Assumptions
+from calibration.estimation.assumptions import EXACT, OF_INTRINSICS, Assumptions
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.noise_levels import NoiseLevels
@@ -17,8 +17,6 @@ def _assumed(found: Literal["exact"] | Assumptions, _: Place) -> Assumptions:
     return EXACT if found == "exact" else found
 
 
-OF_INTRINSICS = ("focal_length", "aspect", "principal_point", "distortion")
-"""Assumptions on fixed intrinsics."""
 Start = Literal["linear", "given"]
 """Linear initial guess of the engine, or the noisy given one."""
 Loss = Literal["huber", "linear"]

@@ -203,6 +203,8 @@ def _candidates(model: LinearModel) -> Iterator[_Candidates]:
     K = len(model.G)
     entries: dict[int, list[tuple[Cause, int | None, slice]]] = {}
     for cause, at in zip(model.causes, model.places, strict=True):
+        if not cause.tested:
+            continue
         since = range(SIDE, K - SIDE + 1) if cause.kind == PLACE else [None]
         entries.setdefault(cause.size, []).extend((cause, each, at) for each in since)
     for each in entries.values():
@@ -239,7 +241,7 @@ class _State:
     @classmethod
     def at_optimum(cls, model: LinearModel) -> "_State":
         G, g = model.G.copy(), model.g.copy()
-        G[0, : model.shared, : model.shared] += model.prior
+        G[0] += model.prior
         g[0, : model.shared] -= g[:, : model.shared].sum(0)  # rounding error, or the gradient of a prior
         # those that add to the result's covariance
         counting = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.counts]

@@ -23,7 +23,7 @@ def intrinsics_blocks(
     """Return a block for each camera with intrinsics to calibrate, or with a given covariance.
 
     With a covariance alone the intrinsics are fixed, and their covariance is considered
-    (`calibration.estimation.observability`). With both, the covariance is a prior.
+    (`calibration.estimation.lens_errors`). With both, the covariance is a prior.
 
     Args:
         dataset: the dataset.

@@ -1,4 +1,4 @@
-"""Intrinsics in the files of other tools: ROS, Kalibr, OpenCV and robot_cal_tools."""
+"""Intrinsics in the files of other tools: ROS, Kalibr, OpenCV and robot_cal_tools; and of our own calibrations."""
 
 import re
 from collections.abc import Mapping
@@ -10,11 +10,14 @@ import numpy as np
 import yaml
 
 from calibration.dataset.document import Node
-from calibration.dataset.sensors import MAX_PIXELS, read_camera
+from calibration.dataset.lens_uncertainty import LensUncertainty
+from calibration.dataset.sensors import MAX_INTRINSIC, MAX_PIXELS, read_camera
 from calibration.errors import InputError
+from calibration.estimation.intrinsics_file import read_calibrated
 from calibration.files import read_bytes
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import MODELS
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
 from calibration.yaml_file import MAX_BYTES, read_yaml
@@ -34,6 +37,16 @@ _KEYS = {
     "D": ("distortion_coefficients", "D", "d", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "distortion"),
 }
 """Keys of ROS and of OpenCV's samples."""
+_SIZE = "cameraResolution"
+"""Key of width and height in the files of OpenCV's interactive-calibration."""
+_DEVIATIONS = (
+    (("stdDeviationsIntrinsics", "std_deviations_intrinsics", "standard_deviations", "stdDeviations"), slice(0, None)),
+    (("cameraMatrix_std_dev", "camera_matrix_std_dev"), slice(0, 4)),
+    (("dist_coeffs_std_dev", "distCoeffs_std_dev", "distortion_coefficients_std_dev"), slice(4, None)),
+)
+"""Keys of OpenCV's standard deviations, and which of fx, fy, cx, cy and the coefficients, in this order, they are of.
+
+As programs write what calibrateCameraExtended returns, and in two parts as interactive-calibration does."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +59,8 @@ class KnownLens:
     """Whether the file has the size of the images; else the camera's size must not be used."""
     T_chain_camera: Array | None = None
     """(4, 4): the camera's pose in the frame of cam0, where a camchain has its baselines."""
+    uncertainty: LensUncertainty | None = None
+    """How well the intrinsics are known, where the file says so."""
 
 
 def read_lens(path: Path, name: str | None = None) -> KnownLens:
@@ -64,6 +79,8 @@ def read_lens(path: Path, name: str | None = None) -> KnownLens:
     else:
         root = Node(path, (), read_yaml(path, "a file of intrinsics"))
     document = root.mapping()
+    if "cameras" in document:
+        return _of_our_calibration(root["cameras"], name)
     if cameras := [key for key, node in root.items() if isinstance(node.value, dict) and "camera_model" in node.value]:
         chosen = _chosen(root, cameras, name)
         return replace(_kalibr(root[chosen]), T_chain_camera=_pose_in_chain(root, chosen))
@@ -74,6 +91,14 @@ def read_lens(path: Path, name: str | None = None) -> KnownLens:
     if "intrinsics" in document:
         return _robot_cal_tools(root["intrinsics"])
     return _camera_info(root)
+
+
+def _of_our_calibration(cameras: Node, name: str | None) -> KnownLens:
+    """Parse a camera in the ``intrinsics.json`` of a calibration, with its covariance."""
+    node = cameras[_chosen(cameras, [each for each, _ in cameras.items()], name)]
+    camera, found = read_camera(node["camera_info"]), read_calibrated(node)
+    uncertainty = LensUncertainty(found.parameters, found.sigmas, found.covariance)
+    return KnownLens(node.file, camera, has_size=True, uncertainty=uncertainty)
 
 
 def _of_our_storage(root: Node, numbered: list[str], name: str | None) -> KnownLens:
@@ -163,10 +188,27 @@ def _camera_info(root: Node) -> KnownLens:
         "D": D,
         "distortion_model": model.value if model else "rational_polynomial" if len(D) > 5 else "plumb_bob",
     }
-    if "width" not in found or "height" not in found:
-        return _without_size(root, info)
-    info |= {"width": found["width"].value, "height": found["height"].value}
-    return KnownLens(root.file, read_camera(Node(root.file, root.keys, info)), has_size=True)
+    if (size := root.get(_SIZE)) is not None:
+        info["width"], info["height"] = size.numbers(2)
+    elif "width" in found and "height" in found:
+        info |= {"width": found["width"].value, "height": found["height"].value}
+    else:
+        return replace(_without_size(root, info), uncertainty=_deviations(root, info))
+    camera = read_camera(Node(root.file, root.keys, info))
+    return KnownLens(root.file, camera, has_size=True, uncertainty=_deviations(root, info))
+
+
+def _deviations(root: Node, info: Mapping[str, Any]) -> LensUncertainty | None:
+    """Return OpenCV's standard deviations, if the file has any; 0 stands for what was not calibrated."""
+    names = ("fx", "fy", "cx", "cy", *MODELS[info["distortion_model"] or "plumb_bob"].names())
+    found: dict[str, float] = {}
+    for keys, of in _DEVIATIONS:
+        if (node := _first(root, keys)) is not None:
+            flat = Node(root.file, node.keys, _numbers(node))
+            values = [each.within(0, MAX_INTRINSIC) for each in flat.elements()]
+            found |= {name: value for name, value in zip(names[of], values, strict=False) if value > 0}
+    parameters = tuple(name for name in names if name in found)
+    return LensUncertainty(parameters, np.array([found[name] for name in parameters])) if found else None
 
 
 def _without_size(node: Node, info: Mapping[str, Any]) -> KnownLens:

@@ -46,7 +46,8 @@ class SensorDescription:
     )
     camera_info: Name | None = field("Topic of its intrinsics in a bag (camera_info beside the images).", default=None)
     intrinsics: Path | None = field(
-        "File with its intrinsics: ROS's camera_info, Kalibr's camchain, OpenCV's FileStorage, robot_cal_tools'. "
+        "File with its intrinsics: ROS's camera_info, Kalibr's camchain, OpenCV's FileStorage, robot_cal_tools', or "
+        "the intrinsics.json of an earlier calibration. How well they are known goes along, where the file says so. "
         "Without one they are calibrated, from a start that the corners give.",
         default=None,
     )

@@ -9,6 +9,8 @@ import numpy as np
 
 from calibration.dataset.configuration import Configuration, SensorConfiguration
 from calibration.dataset.edges import pose_document, transform_documents
+from calibration.dataset.lens_uncertainty import KEY as UNCERTAINTY
+from calibration.dataset.lens_uncertainty import LensUncertainty, uncertainty_document
 from calibration.dataset.modalities import MODALITIES
 from calibration.dataset.model import Edge
 from calibration.dataset.pattern import pattern_document
@@ -45,6 +47,8 @@ class Imported:
     """(N, 4, 4): at each moment."""
     rough: bool
     """Whether the calibrated transforms are only an initial guess."""
+    uncertainties: Mapping[str, LensUncertainty] = field(default_factory=dict)
+    """How well the intrinsics are known, of cameras whose file says so."""
     poses: Mapping[tuple[str, str], Array] = field(default_factory=dict)
     """Measured poses ``T_sensor_pattern`` (N, 4, 4) at the moments, by sensor and pattern."""
 
@@ -161,7 +165,7 @@ def _sensor(imported: Imported, sensor: SensorConfiguration) -> dict[str, Any]:
         "_name": sensor.name,
         "calibration_child": sensor.child_link,
         "calibration_parent": sensor.parent_link,
-        **(_camera_info(imported.cameras[sensor.name]) if sensor.name in imported.cameras else {}),
+        **(_camera_info(imported, sensor.name) if sensor.name in imported.cameras else {}),
         "chain": [{"parent": s.parent, "child": s.child, "key": f"{s.parent}-{s.child}"} for s in steps],
         "modality": sensor.modality,
         "msg_type": MODALITIES[sensor.modality].message,
@@ -170,6 +174,9 @@ def _sensor(imported: Imported, sensor: SensorConfiguration) -> dict[str, Any]:
     }
 
 
-def _camera_info(camera: Camera) -> dict[str, Any]:
+def _camera_info(imported: Imported, sensor: str) -> dict[str, Any]:
+    camera, known = imported.cameras[sensor], imported.uncertainties.get(sensor)
     info = {**camera_document(camera), "R": np.eye(3).ravel().tolist(), "binning_x": 0, "binning_y": 0}
+    if known is not None:
+        info[UNCERTAINTY] = uncertainty_document(known)
     return {"camera_info": info, "camera_info_topic": ""}

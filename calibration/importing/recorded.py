@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calibration.dataset.configuration import Configuration, PatternConfiguration
+from calibration.dataset.lens_uncertainty import LensUncertainty
 from calibration.dataset.model import Edge
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
@@ -81,12 +82,18 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
         robot=robot,
         configuration=configuration,
         cameras=cameras,
+        uncertainties={name: known for name in cameras if (known := _uncertainty(recorded, name))},
         estimated=tuple(name for name in cameras if name not in recorded.lenses),
         moments=[moments[i] for i in kept],
         ranges=[ranges[i] for i in kept],
         transforms={edge: T[kept] for edge, T in recorded.transforms.items()},
         rough=recorded.rough,
     )
+
+
+def _uncertainty(recorded: Recorded, name: str) -> LensUncertainty | None:
+    lens = recorded.lenses.get(name)
+    return lens.uncertainty if lens else None
 
 
 def _ranges(recorded: Recorded, cameras: Mapping[str, Camera]) -> Sequence[Mapping[str, LabelledRange]]:

@@ -1,6 +1,5 @@
 """Total covariances: the labels' noise, disagreement of collections, and errors of fixed parameters."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +7,9 @@ import pytest
 
 from calibration.dataset.model import Dataset
 from calibration.estimation import label_columns
-from calibration.estimation.assumptions import EXACT, Assumptions
+from calibration.estimation.assumptions import EXACT, OF_INTRINSICS, Assumptions
 from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.lens_errors import lens_errors
 from calibration.estimation.linear_model import LinearModel, linear_model
 from calibration.estimation.normal_equations import assemble
 from calibration.estimation.result import Calibration
@@ -35,19 +35,18 @@ def test_with_exact_fixed_parameters_they_are_by_the_labels_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("assumed", "change"),
+    "assume",
     [
-        ({"focal_length": 1e-4}, lambda v: v * np.array([1 + 1e-4, 1 + 1e-4, *np.ones(len(v) - 2)])),
-        ({"principal_point": 0.05}, None),
+        replace(EXACT, focal_length=1e-4),
+        replace(EXACT, principal_point=0.05),
+        replace(EXACT, **dict.fromkeys(OF_INTRINSICS)),
     ],
 )
-def test_fixed_parameters_count_by_their_effect_on_the_result(
-    assumed: dict[str, float], change: Callable[[Array], Array] | None
-) -> None:
-    """The added covariance, against calibrations with each fixed value off by its standard deviation."""
+def test_camera_info_counts_by_its_effect_on_the_result(assume: Assumptions) -> None:
+    """The added covariance, against calibrations with each of its independent errors."""
     dataset = systems.stereo(12, seed=1).dataset(1)
     levels = replace(Options().noise_levels, pixel=0.2)
-    options = Options(assume=replace(EXACT, **assumed), noise_levels=levels)
+    options = Options(assume=assume, noise_levels=levels)
     found = calibrate(dataset, options)
     labels, expected, _ = bars(found)
     (edge,) = found.covariances
@@ -55,9 +54,11 @@ def test_fixed_parameters_count_by_their_effect_on_the_result(
     for name, sensor in dataset.sensors.items():
         camera = sensor.camera
         assert camera is not None
-        v = camera.intrinsics
-        others = [change(v)] if change else [v + 0.05 * np.eye(len(v))[k] for k in (2, 3)]
-        for values in others:
+        lens = lens_errors(camera, assume, None)
+        at = [camera.parameters.index(parameter) for parameter in lens.parameters]
+        for error in lens.root.T:
+            values = camera.intrinsics
+            values[at] += error
             other = calibrate(dataset.with_cameras({name: camera.with_intrinsics(values)}), options)
             moves.append(local(found.transforms[edge], other.transforms[edge]))
     added = np.array(moves).T @ np.array(moves)
@@ -90,12 +91,12 @@ def test_how_many_collections_count_and_what_the_result_hangs_on() -> None:
     found = calibrate(dataset)
     assert found.error_bars is not None
     assert 4 < found.error_bars.effective_collections <= 10
-    assert set(found.error_bars.worth) >= {"focal length of left", "size of board"}
+    assert set(found.error_bars.worth) >= {"camera_info of left", "size of board"}
 
 
 def test_the_defaults_are_those_of_a_good_robot() -> None:
     defaults = Assumptions()
-    assert (defaults.focal_length, defaults.principal_point, defaults.flatness) == (0.0005, 0.3, 0.0002)
+    assert (defaults.focal_length, defaults.principal_point, defaults.flatness) == (None, None, 0.0002)
     assert replace(defaults, **dict.fromkeys(vars(defaults), 0.0)) == EXACT
 
 

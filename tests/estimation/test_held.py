@@ -55,7 +55,7 @@ def test_a_link_turns_what_hangs_on_it(scene: Callable[..., Scene]) -> None:
     """The pattern, or the camera: its chain goes against the link."""
     dataset = scene(6, seed=2).dataset(2)
     groups = seen(dataset)
-    cause = of_kind(causes(dataset, groups, Assumptions(), {}), "link")
+    cause = of_kind(causes(dataset, groups, Assumptions(), {}, {}), "link")
     T = dataset.transforms[arm_edge(dataset)]
     for k in range(6):
         expected = moved_by(dataset, groups, retract(T, STEP * np.eye(6)[k]))
@@ -70,7 +70,7 @@ def test_a_link_turns_what_hangs_on_it(scene: Callable[..., Scene]) -> None:
 def test_lengths_of_an_arm_scale_its_translations(scene: Callable[..., Scene]) -> None:
     dataset = scene(6, seed=2).dataset(2)
     groups = seen(dataset)
-    cause = of_kind(causes(dataset, groups, Assumptions(), {}), "lengths")
+    cause = of_kind(causes(dataset, groups, Assumptions(), {}, {}), "lengths")
     T = dataset.transforms[arm_edge(dataset)].copy()
     T[:, :3, 3] *= 1 + STEP
     for group, twist in zip(groups, moved_by(dataset, groups, T), strict=True):

@@ -28,7 +28,7 @@ def test_what_is_written_reads_back_and_is_taken(tmp_path):
     dataset = covering(20, pixel_noise=0.3).dataset()
     found = calibrate(dataset, Options(intrinsics=("all",), hold=("intrinsics-c0-k3",)))
     path = tmp_path / "deep" / "intrinsics.json"
-    write_intrinsics(path, found.intrinsics)
+    write_intrinsics(path, found.intrinsics, {name: each.camera for name, each in found.dataset.sensors.items()})
     read = read_intrinsics(path)
     assert list(read) == ["c0", "c1"]
     for name, each in found.intrinsics.items():

@@ -2,17 +2,25 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
 
+import calibration.estimation.nominal_lens as nominal_lens_module
+from calibration.dataset.document import Node
+from calibration.dataset.lens_uncertainty import read_uncertainty, uncertainty_document
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.intrinsics_file import write_intrinsics
 from calibration.exports.calibrated import calibrated
 from calibration.exports.formats import FILES
-from calibration.geometry.distortion import MODELS
-from calibration.geometry.transforms import inverse
+from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import MODELS, PlumbBob
+from calibration.geometry.transforms import apply, inverse
 from calibration.importing.camera_files import read_lens
+from tests.estimation.systems import covering
 from tests.importing.conftest import DATASETS, camera_info
 
 
@@ -40,6 +48,93 @@ def test_opencv_samples_files_are_read(tmp_path: Path) -> None:
     )
     camera = read_lens(tmp_path / "file.yml").camera
     assert camera.intrinsics.tolist() == [500, 501, 320, 240, -0.1, 0.2, 0, 0, 0]
+
+
+K_AND_D = {"cameraMatrix": [[500, 0, 320], [0, 501, 240], [0, 0, 1]], "distCoeffs": [[-0.1, 0.2, 0, 0, 0.01]]}
+STATED = [0.5, 0.6, 0.4, 0.3, 0.002, 0.01, 0.0, 0.0, 0.02]
+
+
+@pytest.mark.parametrize(
+    "deviations",
+    [
+        {"stdDeviationsIntrinsics": [[each] for each in [*STATED, *[0.0] * 9]]},
+        {"std_deviations_intrinsics": STATED},
+        {"standard_deviations": STATED},
+        {"cameraMatrix_std_dev": STATED[:4], "dist_coeffs_std_dev": STATED[4:]},
+    ],
+)
+def test_standard_deviations_of_opencv_are_read(tmp_path: Path, deviations: dict[str, object]) -> None:
+    """Those of what was held while it calibrated, and of a model that has no such coefficient, are 0."""
+    (tmp_path / "file.yaml").write_text(yaml.safe_dump({**K_AND_D, "cameraResolution": [640, 480], **deviations}))
+    lens = read_lens(tmp_path / "file.yaml")
+    assert (lens.has_size, lens.camera.width, lens.camera.height) == (True, 640, 480)
+    assert lens.uncertainty is not None
+    assert lens.uncertainty.parameters == ("fx", "fy", "cx", "cy", "k1", "k2", "k3")
+    assert lens.uncertainty.sigmas.tolist() == [each for each in STATED if each]
+    assert lens.uncertainty.covariance is None
+
+
+@pytest.mark.parametrize("deviations", [{"stdDeviationsIntrinsics": STATED}, {"cameraMatrix_std_dev": [0, 0, 0, 0]}])
+def test_no_deviation_is_none(tmp_path: Path, deviations: dict[str, object]) -> None:
+    (tmp_path / "file.yaml").write_text(yaml.safe_dump({**K_AND_D, **deviations}))
+    lens = read_lens(tmp_path / "file.yaml")
+    assert not lens.has_size
+    assert (lens.uncertainty is None) == ("cameraMatrix_std_dev" in deviations)
+
+
+@pytest.mark.parametrize(
+    ("deviations", "said"),
+    [
+        ([-1.0], "stdDeviationsIntrinsics/0: found -1.0, expected a number from 0 to"),
+        ([float("nan")], "stdDeviationsIntrinsics/0: found nan"),
+        (["much"], "stdDeviationsIntrinsics/0: found 'much'"),
+        (3, "stdDeviationsIntrinsics: found 3, expected a list"),
+    ],
+)
+def test_a_deviation_that_is_none_is_named(tmp_path: Path, deviations: object, said: str) -> None:
+    (tmp_path / "file.yaml").write_text(yaml.safe_dump({**K_AND_D, "stdDeviationsIntrinsics": deviations}))
+    with pytest.raises(InputError, match=said):
+        read_lens(tmp_path / "file.yaml")
+
+
+def test_deviations_of_opencv_are_those_of_the_nominal_calibration_for_its_views() -> None:
+    """The noise of corners in the nominal views: what OpenCV says of them, and what a bent board does to it."""
+    camera = Camera(550.0, 560.0, 322.0, 238.0, 640, 480, PlumbBob(-0.1, 0.05, 0.001, -0.001, 0.01))
+    board, T = nominal_lens_module.board(), nominal_lens_module.views(camera)
+    x, half = board.corners[:, 0] - board.centre[0], np.ptp(board.outline[:, 0]) / 2
+    heights = nominal_lens_module.FLAT * (1 - (x / half) ** 2)
+    bent = board.corners - board.centre + np.stack([0 * x, 0 * x, heights], -1)
+    nominal = nominal_lens_module.nominal_lens(camera)
+    rng = np.random.default_rng(1)
+    found = []
+    for places, noise in ((board.corners - board.centre, nominal_lens_module.NOISE), (bent, 0.0)):
+        pixels = camera.project(apply(T, places))
+        inside = camera.contains(pixels)
+        noisy = pixels + noise * rng.normal(size=pixels.shape)
+        labels = [each[own].astype(np.float32) for each, own in zip(noisy, inside, strict=True)]
+        flat = [(board.corners - board.centre)[own].astype(np.float32) for own in inside]
+        _, K, D, _, _, deviations, _, _ = cv2.calibrateCameraExtended(flat, labels, (640, 480), None, None)
+        values = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D.ravel()[:5]])
+        found.append((values - camera.intrinsics, deviations.ravel()[:9]))
+    (_, deviations), (by_bow, _) = found
+    np.testing.assert_allclose(np.linalg.norm(nominal.by_noise, axis=1), deviations, rtol=0.1)
+    np.testing.assert_allclose(by_bow[:4], nominal.by_flatness[:4, 0], rtol=0.05)
+
+
+def test_an_intrinsic_calibration_hands_its_covariance_on(tmp_path: Path) -> None:
+    """From intrinsics.json into a dataset, and from there into the error bars."""
+    found = calibrate(covering(20, pixel_noise=0.3).dataset(), Options(intrinsics=("all",)))
+    cameras = {name: sensor.camera for name, sensor in found.dataset.sensors.items() if sensor.camera}
+    write_intrinsics(tmp_path / "intrinsics.json", found.intrinsics, cameras)
+    lens = read_lens(tmp_path / "intrinsics.json", "c1")
+    assert lens.has_size
+    assert lens.camera == cameras["c1"]
+    assert lens.uncertainty is not None
+    again = read_uncertainty(Node(tmp_path, (), uncertainty_document(lens.uncertainty)), lens.camera.parameters)
+    assert again.covariance is not None
+    np.testing.assert_allclose(again.covariance, found.intrinsics["c1"].covariance, rtol=1e-9)
+    with pytest.raises(InputError, match="has several cameras: add 'camera' with one of c0, c1"):
+        read_lens(tmp_path / "intrinsics.json")
 
 
 def test_a_fisheye_of_kalibr(tmp_path: Path) -> None:

@@ -194,7 +194,9 @@ def _written(
             result = replace(result, dataset=f"{folder}/{FILE_NAME}")
         if made.complete:
             if calibration is not None and calibration.converged and calibration.intrinsics:
-                write_intrinsics(output / folder / INTRINSICS, calibration.intrinsics)
+                sensors = calibration.dataset.sensors
+                cameras = {name: camera for name, sensor in sensors.items() if (camera := sensor.camera)}
+                write_intrinsics(output / folder / INTRINSICS, calibration.intrinsics, cameras)
             result = replace(result, folder=folder)
     except CalibrationError as error:
         result = _failed(result, error)
