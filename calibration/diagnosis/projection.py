@@ -8,6 +8,7 @@ import numpy as np
 from calibration.diagnosis.finding import Finding, Severity
 from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.precision import DISAGREEING, wider
+from calibration.diagnosis.too_few import BETTER_OF_CAMERAS
 from calibration.estimation.projection import Projection, projection_of
 from calibration.estimation.result import Calibration
 from calibration.geometry.cameras import Camera
@@ -17,7 +18,6 @@ LIMIT = 0.004
 """Default limit of a camera alone, of the image's longer side: a focal length that is 0.8 % off moves its border so."""
 ENOUGH_VIEWS = 10
 """Views of a pattern, below which their number is the reason why a projection is not sure."""
-GOOD_VIEWS = "20 to 40"
 TILTED = 15.0
 """Degrees between a pattern and the image plane: if nine views of ten have less, none is tilted, and the focal length
 and the distance make up for each other."""
@@ -78,7 +78,7 @@ def _remedy(calibration: Calibration, found: Projection, name: str, where: str) 
     """Return advice on the largest contribution to the standard deviation."""
     views = len(found.normals)
     if views < ENOUGH_VIEWS:
-        return f"{views} views are too few: take {GOOD_VIEWS}, near, tilted, and all over the image"
+        return f"{views} views are too few: take {BETTER_OF_CAMERAS}"
     tilt = float(np.quantile(_tilts(found.normals), 0.9))
     if tilt < TILTED:
         return (

@@ -97,7 +97,8 @@ def first_configuration(path: Path, root: Path) -> FirstConfiguration:
         *(f"      {key}: {value:g}   # {comments[key]}" for key, value in _set(limits).items()),
     ]
     missing = tuple(map(dataset.missing_files_of, dataset.missing_files))
-    return FirstConfiguration(system.name, f"{HEAD}\nsystems:\n" + "\n".join(lines) + "\n", judged.reasons, missing)
+    reasons = (*judged.reasons, *judged.undecided)
+    return FirstConfiguration(system.name, f"{HEAD}\nsystems:\n" + "\n".join(lines) + "\n", reasons, missing)
 
 
 def _other_mounting(dataset: Dataset) -> str:

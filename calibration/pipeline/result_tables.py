@@ -217,9 +217,9 @@ def parameters_table(results: Results) -> Table:
 
 
 def cameras_table(results: Results) -> Table:
-    """Return a row for each camera with calibrated intrinsics of each system's first cell that passed."""
+    """Return a row for each camera with calibrated intrinsics, of each system's first cell."""
     rows = []
-    for system, found in _details(results).items():
+    for system, found in _details(results, failed=True).items():
         for each in found.projection:
             own = {row.parameter: row for row in found.intrinsics if row.name == each.camera}
             focal, centre = (
