@@ -110,12 +110,15 @@ def _other_mounting(dataset: Dataset) -> str:
 
 
 def _options(dataset: Dataset) -> Options:
-    """Return the options for what an imported dataset says of itself: rough poses, cameras without intrinsics."""
+    """Return the options for what an imported dataset says of itself: rough poses, cameras without intrinsics.
+
+    Of one camera before a pattern that moves freely nothing but its intrinsics can be calibrated.
+    """
     metadata = dataset.document["_metadata"]
-    return Options(
-        description="rough" if metadata.get(ROUGH) is True else "trusted",
-        intrinsics=dataset.guessed_cameras,
-    )
+    cameras = dataset.guessed_cameras
+    if len(dataset.sensors) == 1 and not any(pattern.fixed for pattern in dataset.patterns.values()):
+        cameras = tuple(name for name, sensor in dataset.sensors.items() if sensor.modality.has_corners)
+    return Options(description="rough" if metadata.get(ROUGH) is True else "trusted", intrinsics=cameras)
 
 
 def _option_lines(options: Options, lenses: Mapping[str, LensChoice]) -> Iterator[str]:
@@ -123,6 +126,8 @@ def _option_lines(options: Options, lenses: Mapping[str, LensChoice]) -> Iterato
         yield _line("description", "rough", "the sensors' true poses are unknown: there is no comparison with a truth")
     if options.intrinsics:
         why = "of these none were given: they are calibrated with the rest"
+        if not options.lens:
+            why = "nothing else can be calibrated of one camera before a pattern that moves freely"
         yield _line("intrinsics", list(options.intrinsics), why)
     if options.lens:
         yield "    lens:"

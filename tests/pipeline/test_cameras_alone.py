@@ -59,6 +59,18 @@ def test_the_four_commands_of_one_camera(repository: Path, model: Camera) -> Non
     assert main(["run", "--jobs", "1"]) == 0
 
 
+def test_one_camera_with_given_intrinsics_is_calibrated_as_that_lens(repository: Path) -> None:
+    file = one_camera(repository / "data" / "camera", FISHEYE) / "dataset.json"
+    document = json.loads(file.read_text())
+    document["_metadata"]["estimated_intrinsics"] = []
+    file.write_text(json.dumps(document))
+    assert main(["init", "--dataset", "data/camera"]) == 0
+    system = yaml.safe_load(Path("calibration.yml").read_text())["systems"]["camera"]
+    assert system["intrinsics"] == ["camera"]
+    assert "lens" not in system
+    assert main(["run", "--jobs", "1"]) == 0
+
+
 def test_exports_of_one_camera_are_of_cameras_only(repository: Path, capfd: pytest.CaptureFixture[str]) -> None:
     one_camera(repository / "data" / "camera", FISHEYE)
     main(["init", "--dataset", "data/camera"])
