@@ -23,6 +23,8 @@ from calibration.geometry.joints import JointModel, JointParameter
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array, IntArray
 
+ESTIMATED = "estimated_intrinsics"
+"""Key of ``_metadata``: the cameras whose intrinsics are an initial guess from the corners."""
 Edge = tuple[str, str]
 """(parent, child); in a file it is the key ``parent-child``."""
 
@@ -196,6 +198,12 @@ class Dataset:
                 raise InputError(f"{self.path}: collections/{key}/transforms: no '{step.parent}-{step.child}'")
             T = T @ (inverse(edge) if step.inverted else edge)
         return T
+
+    @cached_property
+    def guessed_cameras(self) -> tuple[str, ...]:
+        """Cameras whose intrinsics are only an initial guess from the corners, as an import has made it."""
+        named = self.document.get("_metadata", {}).get(ESTIMATED) or ()
+        return tuple(name for name in self.sensors if name in named)
 
     def missing_files_of(self, sensor: str) -> str:
         """Describe the missing files of a sensor; empty if there are none."""

@@ -3,6 +3,7 @@
 - ``finding``: the finding of a check; ``limits``: limits of the errors of a result;
 - ``check_data`` and what it calls (``copies``, ``units``, ``board_order``): data that are refused without a solution;
 - ``what_does_not_fit``: suspects (`calibration.estimation.suspects`) as findings; ``too_few``: too few views;
+- ``projection``: calibrated intrinsics, by what they are worth in the image;
 - ``precision``, ``description``, ``exchanged_labels``, ``mirrored``, ``wrong_views``, ``rejected_labels``,
   ``repeated``, ``residuals``: one check each;
 - ``diagnose``: all of them, in the order of the report;

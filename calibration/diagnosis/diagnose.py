@@ -9,6 +9,7 @@ from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.mirrored import mirrored
 from calibration.diagnosis.missing_files import missing_files
 from calibration.diagnosis.precision import precision
+from calibration.diagnosis.projection import of_cameras_alone, projection
 from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.diagnosis.repeated import repeated
 from calibration.diagnosis.residuals import residuals
@@ -56,8 +57,9 @@ def diagnose(
         *(each for each in suspected if each.severity == "red"),
         *wrong_views(calibration),
         *(each for each in suspected if each.severity != "red"),
-        *(residuals(calibration) if all(each.kind in UNEXPLAINED for each in suspected) else ()),
+        *_of_residuals(calibration, limits, suspected),
         *(() if truth_known else (*too_few(calibration), *precision(calibration, limits))),
+        *projection(calibration, limits),
         *(() if explained else far),
         *(exchanged_labels(calibration, description, options) if useless else ()),
         *rejected,
@@ -65,6 +67,13 @@ def diagnose(
         *camera_info(calibration),
         *_said_by_the_engine(calibration),
     )
+
+
+def _of_residuals(calibration: Calibration, limits: Limits, suspected: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """Report residuals that are no noise, if nothing else explains them."""
+    if calibration.of_cameras_alone:
+        return of_cameras_alone(calibration, limits, residuals(calibration))
+    return residuals(calibration) if all(each.kind in UNEXPLAINED for each in suspected) else ()
 
 
 def _not_determined(calibration: Calibration) -> tuple[Finding, ...]:

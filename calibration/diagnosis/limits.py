@@ -11,7 +11,7 @@ from calibration.geometry.types import Array
 from calibration.records import at_least, between, field, one_of, record
 
 Limit = Annotated[float, at_least(0)]
-_LIMITS = ("rms-px", "translation-mm", "rotation-deg", "joint-mm", "joint-deg")
+_LIMITS = ("rms-px", "translation-mm", "rotation-deg", "joint-mm", "joint-deg", "projection-px")
 UNSET = 3.0
 """Default limit, in standard deviations of a calibration whose collections agree,"""
 SMALLEST = (1.0, 0.05)
@@ -34,6 +34,12 @@ class Limits:
     rotation_deg: Limit | None = field("Rotation error of a sensor, likewise.", default=None, unit="degrees")
     joint_mm: Limit | None = field("Error of a joint's length, likewise.", default=None, unit="mm")
     joint_deg: Limit | None = field("Error of a joint's angle, likewise.", default=None, unit="degrees")
+    projection_px: Limit | None = field(
+        "Error of the projection of a camera whose intrinsics are calibrated, in nine tenths of the image where the "
+        "pattern was seen, at its distance. By default 0.4 % of the image's longer side, of a camera alone.",
+        default=None,
+        unit="px",
+    )
     guard_band: Annotated[float, between(0, 10)] | None = field(
         "Guard band of the limits without a truth, in standard deviations (2).", default=None
     )

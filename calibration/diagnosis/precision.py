@@ -42,9 +42,9 @@ def _remedy(calibration: Calibration, name: str) -> str:
     block, bars = calibration.solution.setup.block(edge), calibration.error_bars
     if bars is None or block not in bars.labels:
         return "add collections with other rotations of the pattern or the robot"
-    if _wider(bars.total[block], bars.expected[block]) > DISAGREEING:
+    if wider(bars.total[block], bars.expected[block]) > DISAGREEING:
         return "the collections disagree by more than their labels' noise: look at the arm, the mounts and time stamps"
-    if _wider(bars.expected[block], bars.labels[block]) > DISAGREEING:
+    if wider(bars.expected[block], bars.labels[block]) > DISAGREEING:
         most = max(bars.worth, key=lambda name: bars.worth[name])
         if most.startswith(CAMERA_INFO):
             return f"most of it is the {most}: calibrate it with more views, and hand its intrinsics-covariance on"
@@ -52,7 +52,7 @@ def _remedy(calibration: Calibration, name: str) -> str:
     return "add collections with other rotations of the pattern or the robot"
 
 
-def _wider(C: Array, D: Array) -> float:
+def wider(C: Array, D: Array) -> float:
     """Return the ratio of the standard deviations of covariances C and D, independent of units."""
     return float(np.sqrt(np.trace(np.linalg.solve(D, C)) / len(C)))
 

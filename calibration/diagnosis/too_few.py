@@ -6,8 +6,10 @@ from calibration.estimation.suspects import CONTRADICTION, disagreement
 
 ENOUGH = 7
 """Minimum of independent collections for suspects and standard deviations to explain a disagreement."""
-BETTER = 8
-"""Number that a message recommends."""
+BETTER = "8 or more, with other rotations"
+"""Recommendation of a message,"""
+BETTER_OF_CAMERAS = "20 to 40, near, tilted and all over the image"
+"""and where only cameras are calibrated."""
 ALONE = 0.7
 """A direction depends on one collection if that contributes more than this fraction of its information."""
 
@@ -26,7 +28,7 @@ def too_few(calibration: Calibration) -> tuple[Finding, ...]:
         return ()
     text = (
         f"{count} collections are too few for views that disagree by {ratio**0.5:.2g} times their noise: one of them "
-        f"alone decides {bars.decisive:.0%} of what is known of some direction; take {BETTER} or more, with other "
-        f"rotations"
+        f"alone decides {bars.decisive:.0%} of what is known of some direction; take "
+        f"{BETTER_OF_CAMERAS if calibration.of_cameras_alone else BETTER}"
     )
     return (Finding("too-few", "red", text, value=ratio, unit="1"),)

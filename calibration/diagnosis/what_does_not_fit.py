@@ -6,6 +6,7 @@ import numpy as np
 
 from calibration.diagnosis.finding import Finding, Severity
 from calibration.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
+from calibration.diagnosis.projection import projection_limit, shifts
 from calibration.estimation.held import PLACE, Cause
 from calibration.estimation.result import Calibration
 from calibration.estimation.suspects import Explanation, Suspect, explain
@@ -67,6 +68,8 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
 
 
 def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
+    if calibration.of_cameras_alone:
+        return _finding_on_cameras(calibration, limits, suspect)
     moved = _moved(calibration, suspect.moves)
     over = [name for name, motion in moved.items() if allowed(calibration, limits, name).exceeded(*motion)]
     sensor = max(over or moved, key=lambda name: moved[name][0], default="")
@@ -102,6 +105,22 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
         moves_mm=round(mm, 4),
         moves_deg=round(degrees, 5),
     )
+
+
+def _finding_on_cameras(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
+    """Report what a cause does to the projection of cameras alone."""
+    moved = shifts(calibration, suspect.moves)
+    camera = max(moved, key=lambda name: moved[name])
+    model = calibration.dataset.sensors[camera].camera
+    limit = projection_limit(model, limits) if model else 0.0
+    red = moved[camera] > limit
+    names = " or ".join(dict.fromkeys(_name(each) for each in (suspect.cause, *suspect.rivals)))
+    text = (
+        f"{names} does not fit: {_size(suspect.cause, suspect.value, suspect.sigma)}; it shifts the projection of "
+        f"{camera} by {moved[camera]:.2g} px (limit {limit:.3g} px)"
+    )
+    text += f": {ADVICE.get(suspect.cause.kind, 'look at it')}" if red else ""
+    return Finding(KIND, "red" if red else "note", text, (camera,), value=round(moved[camera], 4), unit="px")
 
 
 def _together(
@@ -180,9 +199,12 @@ def _contradiction(calibration: Calibration, limits: Limits, explanation: Explan
     )
     is_set = limits.translation_mm is not None or limits.rotation_deg is not None
     severity: Severity = "note" if not harmful else "red" if is_set else "warning"
+    why = "a board that bends, motion in the images, or a lens with more than its model"
+    if not calibration.of_cameras_alone:
+        why = "time stamps, or something that moved or gave way"
     text = (
         f"the views contradict each other by {noise}, most {subject} in collection {key}, and no fixed parameter "
-        f"explains it: time stamps, or something that moved or gave way"
+        f"explains it: {why}"
     )
     return [Finding("contradiction", severity, text, (subject,), (key,), value=found.ratio)]
 

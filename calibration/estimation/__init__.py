@@ -21,5 +21,7 @@ The modules of the engine, in the order of the computation:
 - ``assumptions``, ``repeated``, ``error_bars``: assumed errors of fixed parameters, independent collections, and the
   total covariance of the result;
 - ``suspects``, ``significance``: fixed parameters that do not fit the labels;
+- ``lens_choice``, ``chosen_lenses``: the lens models of cameras without intrinsics; ``projection``: how sure the
+  projection of calibrated ones is, over the image;
 - ``calibrate``, ``calibrated``, ``result``: all of it.
 """

@@ -24,6 +24,11 @@ from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration, Solution
 from calibration.estimation.unknown_intrinsics import contradicted_priors
 
+MORE_ROTATION = "add collections with other rotations of the pattern or the robot"
+"""Advice where a transform is not determined,"""
+MORE_TILT = "add views in which the pattern is near, and tilted by 30 to 45 degrees"
+"""and where intrinsics are not."""
+
 
 class OpenCoefficientsError(UndeterminedError):
     """The labels do not determine some distortion coefficients, which can be fixed."""
@@ -99,9 +104,10 @@ def _weak_directions(setup: Setup, optimum: Optimum) -> tuple[str, ...]:
     undetermined, weak = open_directions(problem, optimum.equations, size)
     if undetermined:
         named = "; ".join(direction.describe(names) for direction in undetermined[:3])
+        of_lenses = all(direction.kind == "ray" for direction in undetermined)
         message = (
             f"{setup.dataset.path}: the labels do not determine {named}; "
-            f"add collections with other rotations of the pattern or the robot{_to_hold(setup, undetermined, names)}"
+            f"{MORE_TILT if of_lenses else MORE_ROTATION}{_to_hold(setup, undetermined, names)}"
         )
         coefficients = [f"{names[each.block]}-{name}" for each in undetermined for name in each.coefficients_to_hold()]
         raise OpenCoefficientsError(message, coefficients) if coefficients else UndeterminedError(message)

@@ -89,7 +89,8 @@ def build(
             f"{dataset.path}: nothing to calibrate: the only transforms that could change are held "
             f"({', '.join(b.name for b in blocks if b.held)}); "
             f"a single sensor needs a robot that moves it or the pattern: say what the "
-            f"pattern is fixed to (in import.yml parent: flange, or fixed: true in the world)"
+            f"pattern is fixed to (in import.yml parent: flange, or fixed: true in the world), or calibrate its lens "
+            f"(intrinsics: all)"
         )
     used = {link.block for group in groups for link in group.chain.links}
     idle = [block.name for i, block in enumerate(blocks) if i not in used and not block.held and block.edge]

@@ -12,6 +12,8 @@ from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, BoolArray
 
+ALL = "all"
+"""Name for all cameras."""
 PIXELS = ("fx", "fy", "cx", "cy")
 """Parameters in pixels."""
 
@@ -175,17 +177,9 @@ class FreeIntrinsics:
 
         In pixels over the focal length, which is close to the angle, and for a fisheye lens equal to it.
         """
-        camera = self.camera
-        xd, yd = camera.distortion.distort(x, y)
-        none, one = np.zeros_like(x), np.ones_like(x)
-        turns = [
-            (xd / camera.fx, none),
-            (none, yd / camera.fy),
-            (one / camera.fx, none),
-            (none, one / camera.fy),
-        ]
-        turns += camera.distortion.derivatives(x, y)
-        return np.array([turns[i] for i in self.at]).reshape(len(self.at), 2, len(x))
+        focal = np.array([[self.camera.fx], [self.camera.fy]])
+        turns: Array = self.camera.derivatives(x, y)[self.at] / focal
+        return turns
 
 
 def root_mean_square(turns: Array) -> Array:

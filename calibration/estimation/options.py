@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from calibration.estimation.assumptions import EXACT, OF_INTRINSICS, Assumptions
-from calibration.estimation.intrinsics import CalibratedIntrinsics
+from calibration.estimation.intrinsics import ALL, CalibratedIntrinsics
 from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.records import UNIQUE, Converted, Misfit, Place, above, field, length, record
@@ -17,12 +17,17 @@ def _assumed(found: Literal["exact"] | Assumptions, _: Place) -> Assumptions:
     return EXACT if found == "exact" else found
 
 
+def _listed(found: tuple[str, ...] | Literal["all"], _: Place) -> tuple[str, ...]:
+    return (found,) if isinstance(found, str) else found
+
+
 Start = Literal["linear", "given"]
 """Linear initial guess of the engine, or the noisy given one."""
 Loss = Literal["huber", "linear"]
 Description = Literal["trusted", "rough"]
 """Reliability of the dataset's own transforms."""
 Names = Annotated[tuple[Annotated[str, length(1, 400)], ...], length(most=1000), UNIQUE]
+LensModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 KnownIntrinsics = Path | Mapping[str, CalibratedIntrinsics]
 """A file, or its content, by camera."""
 
@@ -62,10 +67,17 @@ class Options:
         default=(),
         option="What stays as it is: sensors, transforms, patterns, intrinsics-left-k3 ...",
     )
-    intrinsics: Names = field(
+    intrinsics: Annotated[Names, Converted(Names | Literal["all"], _listed)] = field(
         "Cameras whose intrinsics are calibrated too, with their error bars; all for every one.",
         default=(),
         option="Cameras whose intrinsics are calibrated too, or all.",
+    )
+    lens: Mapping[str, LensModel] = field(
+        "Lens models of cameras whose intrinsics are calibrated, by camera: plumb_bob, rational_polynomial or "
+        "equidistant, a fisheye. By default that of the dataset; of a camera without given intrinsics the simplest "
+        "that fits its corners.",
+        default_factory=dict,
+        option=False,
     )
     intrinsics_covariance: Annotated[KnownIntrinsics, Converted(Path, lambda path, _: path)] | None = field(
         "A JSON file that says how well intrinsics are known, such as the intrinsics.json of an earlier run: a prior "
@@ -91,15 +103,23 @@ class Options:
         """Refuse assumptions on calibrated or known parameters.
 
         Raises:
-            Misfit: all intrinsics are calibrated, but ``assume`` has their standard deviations.
+            Misfit: all intrinsics are calibrated, but ``assume`` has their standard deviations; a lens model is chosen
+                for a camera whose intrinsics are not calibrated.
         """
-        free = set(self.intrinsics) == {"all"} and not any(name.startswith("intrinsics-") for name in self.hold)
+        for name in self.lens:
+            if not self.frees_intrinsics_of(name):
+                raise Misfit(f"found '{name}', whose intrinsics are not calibrated: add it to 'intrinsics'", "lens")
+        free = set(self.intrinsics) == {ALL} and not any(name.startswith("intrinsics-") for name in self.hold)
         given = [name for name in OF_INTRINSICS if getattr(self.assume, name) != getattr(Assumptions(), name)]
         if free and given and self.assume != EXACT:
             raise Misfit(
                 f"assume: found '{given[0].replace('_', '-')}' beside 'intrinsics: all'; what is calibrated is not "
                 f"assumed: leave one of them out (a file of 'intrinsics-covariance' says what is known beforehand)"
             )
+
+    def frees_intrinsics_of(self, camera: str) -> bool:
+        """Whether the intrinsics of a camera are calibrated."""
+        return camera in self.intrinsics or ALL in self.intrinsics
 
     def known_noise(self) -> NoiseLevels:
         """Standard deviations of the labels that are not estimated."""

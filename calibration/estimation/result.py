@@ -159,6 +159,14 @@ class Calibration:
     """Reason why only the relative poses of the sensors are calibrated, not their poses on the robot; empty
     otherwise."""
 
+    @property
+    def of_cameras_alone(self) -> bool:
+        """Whether only intrinsics are calibrated: no sensor's pose, and no joint."""
+        setup = self.solution.setup
+        edges = {sensor.edge for sensor in setup.dataset.sensors.values()}
+        held = all(setup.problem.blocks[setup.block(edge)].held for edge in edges)
+        return bool(self.intrinsics) and held and not self.joints
+
     def equals(self, other: "Calibration") -> bool:
         """Whether both are of one optimum, so that all but their iterations is the same."""
         return self.solution is other.solution and self.not_determined == other.not_determined

@@ -7,12 +7,10 @@ import numpy as np
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.errors import InputError
 from calibration.estimation.blocks import Block, Values
-from calibration.estimation.intrinsics import CalibratedIntrinsics, FreeIntrinsics, Prior
+from calibration.estimation.intrinsics import ALL, CalibratedIntrinsics, FreeIntrinsics, Prior
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array
 
-ALL = "all"
-"""Name for all cameras."""
 CONTRADICTION = 6
 """A prior is contradicted if its distance from the result exceeds the expected one by this, in standard deviations."""
 

@@ -44,6 +44,8 @@ def calibrated(dataset: Dataset) -> Calibrated:
     edges = dict.fromkeys([sensor.edge for sensor in dataset.sensors.values()])
     edges |= dict.fromkeys(dataset.additional_transforms)
     transforms = {}
+    if not dataset.additional_transforms and set(edges) <= _origin(dataset):
+        edges = {}  # cameras alone: what is calibrated is in the cameras
     for edge in edges:
         if edge in dataset.moving_transforms or edge in joints:
             continue
@@ -64,6 +66,11 @@ def calibrated(dataset: Dataset) -> Calibrated:
         if not _differs(T):
             poses[name] = T[0]
     return Calibrated(dataset.name, transforms, joints, cameras, frames, poses)
+
+
+def _origin(dataset: Dataset) -> set[Edge]:
+    """Return the transform of the anchored sensor, which is where the others are measured from."""
+    return {dataset.sensors[dataset.anchored].edge} if dataset.anchored else set()
 
 
 def _differs(T: Array) -> bool:

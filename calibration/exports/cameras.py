@@ -46,7 +46,8 @@ def kalibr_camchain(of: Calibrated) -> str:
         if any(coefficients[4:]):
             raise InputError(
                 f"camera '{name}': Kalibr has radtan (k1, k2, p1, p2) and equidistant, found "
-                f"{camera.distortion.ros_name} with {camera.distortion.names()[4]} and more: keep these fixed at 0"
+                f"{camera.distortion.ros_name} with {camera.distortion.names()[4]} and more: keep these fixed at 0 "
+                f"(hold: [intrinsics-{name}-{camera.distortion.names()[4]}])"
             )
         document[f"cam{i}"] = {
             "camera_model": "pinhole",

@@ -7,7 +7,7 @@ from calibration.dataset.model import Dataset
 from calibration.errors import InputError
 from calibration.exports.calibrated import Calibrated, calibrated
 from calibration.exports.formats import FILES
-from calibration.exports.names import FORMATS, URDF
+from calibration.exports.names import FORMATS, OF_CAMERAS, URDF
 from calibration.exports.urdf import calibrated_urdf
 from calibration.robot_description import read_robot_description
 
@@ -43,6 +43,12 @@ def _texts(of: Calibrated, formats: Sequence[str]) -> tuple[dict[str, bytes], li
     notes = []
     for name in FORMATS:
         if formats and name not in formats:
+            continue
+        if name not in OF_CAMERAS and not (of.transforms or of.joints):
+            if formats:
+                raise InputError(
+                    f"'{name}' is of transforms, and none is calibrated, only cameras: {', '.join(OF_CAMERAS)}"
+                )
             continue
         try:
             files |= {file: text.encode() for file, text in FILES[name](of).items()}

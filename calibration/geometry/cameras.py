@@ -66,6 +66,18 @@ class Camera:
         xd, yd = self.distortion.distort(x, y)
         return np.stack([self.fx * xd + self.cx, self.fy * yd + self.cy], -1)
 
+    def derivatives(self, x: Array, y: Array) -> Array:
+        """Derivatives (4 + n, 2, ...) of the pixels of normalised coordinates (...) by each of the `intrinsics`."""
+        xd, yd = self.distortion.distort(x, y)
+        none, one = np.zeros_like(x), np.ones_like(x)
+        coefficients = [(self.fx * dx, self.fy * dy) for dx, dy in self.distortion.derivatives(x, y)]
+        return np.array([(xd, none), (none, yd), (one, none), (none, one), *coefficients])
+
+    def slopes(self, x: Array, y: Array) -> Array:
+        """Derivatives (2, 2, ...) of the pixels by normalised coordinates (...)."""
+        _, (a, b, c) = self.distortion.distort_with_jacobian(np.stack([x, y]))
+        return np.array([(self.fx * a, self.fx * b), (self.fy * b, self.fy * c)])
+
     def normalise(self, pixels: Array) -> Array:
         """Convert pixels (..., 2) to undistorted normalised coordinates (..., 2): the ray is (x, y, 1)."""
         return np.stack(self.from_pixels(pixels[..., 0], pixels[..., 1]), -1)

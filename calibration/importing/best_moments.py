@@ -53,7 +53,7 @@ def _chosen(recorded: Recorded, most: int) -> list[int]:
     with temporary_folder() as folder:
         write_document(dataset_document(imported), folder / FILE_NAME)
         dataset = read_dataset(folder)
-    solution = calibrate(dataset, Options(description="rough", intrinsics=imported.estimated)).solution
+    solution = calibrate(dataset, Options(description="rough", intrinsics=tuple(imported.estimated))).solution
     once = np.unique(solution.clusters)  # the first collection of each pose that is repeated, and all others
     used = [dataset.keys.index(solution.setup.dataset.keys[i]) for i in once]
     each, calibrated = _informations(solution)

@@ -12,7 +12,7 @@ from calibration.dataset.edges import pose_document, transform_documents
 from calibration.dataset.lens_uncertainty import KEY as UNCERTAINTY
 from calibration.dataset.lens_uncertainty import LensUncertainty, uncertainty_document
 from calibration.dataset.modalities import MODALITIES
-from calibration.dataset.model import Edge
+from calibration.dataset.model import ESTIMATED, Edge
 from calibration.dataset.pattern import pattern_document
 from calibration.dataset.sensors import camera_document
 from calibration.geometry.cameras import Camera
@@ -24,8 +24,6 @@ from calibration.importing.range_views import RangeView
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
 
-ESTIMATED = "estimated_intrinsics"
-"""Key of ``_metadata``: the cameras whose intrinsics are an initial guess from the corners."""
 ROUGH = "rough_transforms"
 """Key of ``_metadata``: whether the calibrated transforms in the dataset are only an initial guess."""
 USER = "calibration-ci"
@@ -38,8 +36,8 @@ class Imported:
     robot: str
     configuration: Configuration
     cameras: Mapping[str, Camera]
-    estimated: tuple[str, ...]
-    """Cameras whose intrinsics are an initial guess from the corners."""
+    estimated: Mapping[str, str]
+    """Cameras whose intrinsics are an initial guess from the corners: why they have their lens model."""
     moments: Sequence[LabelledMoment]
     ranges: Sequence[Mapping[str, LabelledRange]]
     """Data of LiDARs and depth cameras, at each moment."""

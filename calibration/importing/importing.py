@@ -154,7 +154,7 @@ def _import_poses(
         robot=robot,
         configuration=configuration,
         cameras={},
-        estimated=(),
+        estimated={},
         moments=[LabelledMoment({}) for _ in samples],
         ranges=[{} for _ in samples],
         transforms=_transforms(configuration, arm, len(samples)),
@@ -379,6 +379,7 @@ def _results(imported: Imported, recorded: Recorded) -> ImportResults:
             labelled=len(views) - len(rejected),
             corners=corners,
             intrinsics="estimated" if name in imported.estimated else "given",
+            lens=imported.estimated.get(name),
             camera=document_of_camera(imported.cameras[name]),
             rejected=tuple(rejected),
         )

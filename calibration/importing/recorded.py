@@ -9,6 +9,7 @@ from calibration.dataset.configuration import Configuration, PatternConfiguratio
 from calibration.dataset.lens_uncertainty import LensUncertainty
 from calibration.dataset.model import Edge
 from calibration.errors import InputError
+from calibration.estimation.lens_choice import LensChoice
 from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array
 from calibration.importing.camera_files import KnownLens
@@ -66,6 +67,7 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
             LiDAR or a depth camera sees no pattern.
     """
     cameras: dict[str, Camera] = {}
+    lenses: dict[str, str] = {}
     configuration, moments = recorded.configuration, recorded.moments
     for name, sensor in configuration.sensors.items():
         if not sensor.has_corners:
@@ -75,7 +77,11 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
         views = [moment.views[name] for moment in moments if name in moment.views]
         if not views:
             raise InputError(f"'{name}' has no image in any moment")
-        cameras[name] = _camera(name, recorded.lenses.get(name), configuration, views)
+        if (lens := recorded.lenses.get(name)) is not None:
+            cameras[name] = _given_camera(name, lens, views[0])
+            continue
+        choice = _fitted_lens(name, configuration, views)
+        cameras[name], lenses[name] = choice.guess, choice.reason
     kept = [i for i, moment in enumerate(moments) if any(view.labelled for view in moment.views.values())]
     ranges = _ranges(recorded, cameras)
     return Imported(
@@ -83,7 +89,7 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
         configuration=configuration,
         cameras=cameras,
         uncertainties={name: known for name in cameras if (known := _uncertainty(recorded, name))},
-        estimated=tuple(name for name in cameras if name not in recorded.lenses),
+        estimated=lenses,
         moments=[moments[i] for i in kept],
         ranges=[ranges[i] for i in kept],
         transforms={edge: T[kept] for edge, T in recorded.transforms.items()},
@@ -132,20 +138,22 @@ def check_seen(
         )
 
 
-def _camera(name: str, lens: KnownLens | None, configuration: Configuration, views: Sequence[View]) -> Camera:
-    """Return the given intrinsics, or an initial guess from the corners."""
-    width, height = views[0].width, views[0].height
-    if lens is None:
-        seen = [
-            (configuration.patterns[pattern], labels)
-            for view in views
-            for pattern, found in view.found.items()
-            if (labels := found.labels) is not None
-        ]
-        return starting_intrinsics(name, (width, height), seen)
-    if lens.has_size and (lens.camera.width, lens.camera.height) != (width, height):
+def _fitted_lens(name: str, configuration: Configuration, views: Sequence[View]) -> LensChoice:
+    """Return an initial guess of the intrinsics, from the corners."""
+    seen = [
+        (configuration.patterns[pattern], labels)
+        for view in views
+        for pattern, found in view.found.items()
+        if (labels := found.labels) is not None
+    ]
+    return starting_intrinsics(name, (views[0].width, views[0].height), seen)
+
+
+def _given_camera(name: str, lens: KnownLens, view: View) -> Camera:
+    """Return the given intrinsics, for images of the size of a view."""
+    if lens.has_size and (lens.camera.width, lens.camera.height) != (view.width, view.height):
         raise InputError(
-            f"{views[0].file}: found an image of {width} x {height} pixels, expected {lens.camera.width} x "
+            f"{view.file}: found an image of {view.width} x {view.height} pixels, expected {lens.camera.width} x "
             f"{lens.camera.height} as {lens.path} has for '{name}'"
         )
-    return replace(lens.camera, width=width, height=height)
+    return replace(lens.camera, width=view.width, height=view.height)

@@ -12,7 +12,7 @@ TITLE, LABEL = "import-data", "label"
 def report(results: ImportResults, folder: Path) -> Report:
     """Return the report of ``import-data``."""
     found: Mapping[str, int] = {name: each.labelled for name, each in results.sensors.items()}
-    estimated = [name for name, each in results.sensors.items() if each.intrinsics == "estimated"]
+    estimated = {name: each.lens for name, each in results.sensors.items() if each.intrinsics == "estimated"}
     rejected = tuple((name, view.file, view.reason) for name, each in results.sensors.items() for view in each.rejected)
     return Report(
         title=TITLE,
@@ -21,7 +21,10 @@ def report(results: ImportResults, folder: Path) -> Report:
         results=results,
         outputs={"dataset": folder, "collections": results.collections, "labelled": found},
         notes=(
-            *(f"'{name}' has intrinsics from its corners only: calibrate them too (intrinsics)" for name in estimated),
+            *(
+                f"'{name}' has intrinsics from its corners only: calibrate them too (intrinsics); {lens}"
+                for name, lens in estimated.items()
+            ),
             *(f"moments are evenly chosen: {why}" for why in [results.evenly] if why is not None),
         ),
         blocks=(

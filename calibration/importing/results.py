@@ -25,6 +25,7 @@ class SensorResult:
         "Where they come from; estimated ones are a start only; a LiDAR has none."
     )
     camera: Mapping[str, float] = field("The intrinsics by their names.")
+    lens: str | None = field("Why an estimated camera has its lens model.", default=None)
     rejected: tuple[RejectedView, ...] = field("Images in which no pattern is detected.", default=())
 
 

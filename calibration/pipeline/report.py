@@ -22,6 +22,7 @@ from calibration.pipeline.result_messages import (
     without_result,
 )
 from calibration.pipeline.result_tables import (
+    cameras_table,
     cells_table,
     changes_table,
     collections_table,
@@ -100,6 +101,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             precision_table(results),
             Lines(tuple(other_methods(results)), only="summary"),
             transforms_table(results),
+            cameras_table(results),
             parameters_table(results),
             changes_table(results),
             updates_table(results),

@@ -216,6 +216,23 @@ def parameters_table(results: Results) -> Table:
     )
 
 
+def cameras_table(results: Results) -> Table:
+    """Return a row for each camera with calibrated intrinsics, of each system's first cell."""
+    rows = []
+    for system, found in _details(results, failed=True).items():
+        for each in found.projection:
+            own = {row.parameter: row for row in found.intrinsics if row.name == each.camera}
+            focal, centre = (
+                ", ".join(f"{own[p].value:.2f} +- {own[p].sigma or 0:.2g}" for p in names if p in own) or "held"
+                for names in (("fx", "fy"), ("cx", "cy"))
+            )
+            off = f"{each.median_px:.2g} ({each.worst_px:.2g}) at {each.distance_m:.2g} m, "
+            off += f"{each.far_median_px:.2g} ({each.far_worst_px:.2g}) far away"
+            rows.append((f"{system}: {each.camera}", each.model, focal, centre, off))
+    header = ("Camera", "Lens", "fx, fy (px)", "cx, cy (px)", "Projection +- median (worst), px")
+    return Table(header, tuple(rows), TRANSFORMS_SHOWN)
+
+
 def changes_table(results: Results) -> Table:
     """Return a row for each calibrated transform or parameter that differs from the accepted one, beyond rounding."""
     rows = [

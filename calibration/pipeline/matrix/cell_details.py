@@ -1,7 +1,7 @@
 """Statistics that a calibration states of itself, for the result of its cell."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +10,20 @@ from calibration.dataset.model import Dataset, Edge
 from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.precision import worst_false_accept
 from calibration.estimation.intrinsics import CalibratedIntrinsics
+from calibration.estimation.projection import projection_of
 from calibration.estimation.result import CalibratedJoint, Calibration
 from calibration.geometry.rotations import rpy_rates, to_quaternion, to_rpy
 from calibration.geometry.transforms import distance
-from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, Parameter, Transform, Worth
+from calibration.geometry.types import Array
+from calibration.pipeline.matrix.cell_result import (
+    CellResult,
+    Details,
+    Deviation,
+    Parameter,
+    ProjectionResult,
+    Transform,
+    Worth,
+)
 
 MOST_CAUSES = 5
 """Limit of the reported contributions to the uncertainty."""
@@ -22,9 +32,14 @@ MOST_CAUSES = 5
 def described(result: CellResult, calibration: Calibration, description: Dataset, limits: Limits) -> CellResult:
     """Return the result with the calibration's own statistics."""
     details = Details(
-        transforms=tuple(_transform(calibration, description, edge) for edge in calibration.transforms),
+        transforms=tuple(
+            _transform(calibration, description, edge)
+            for edge in calibration.transforms
+            if not calibration.of_cameras_alone  # whose place is an origin, and nothing that was calibrated
+        ),
         joints=tuple(row for joint in calibration.joints.values() for row in _parameters(joint.name, joint)),
         intrinsics=tuple(row for name, camera in calibration.intrinsics.items() for row in _parameters(name, camera)),
+        projection=_projections(calibration) if calibration.converged else (),
         iterations=calibration.iterations,
         cost=calibration.cost,
         degrees_of_freedom=calibration.degrees_of_freedom,
@@ -44,6 +59,38 @@ def described(result: CellResult, calibration: Calibration, description: Dataset
         false_accept=worst_false_accept(calibration, limits) if calibration.converged else None,
         reasons=(calibration.reason,) if calibration.reason else (),
         details=details,
+    )
+
+
+def _projections(calibration: Calibration) -> tuple[ProjectionResult, ...]:
+    return tuple(_projection(calibration, name) for name in calibration.intrinsics)
+
+
+def _projection(calibration: Calibration, name: str) -> ProjectionResult:
+    found, covariance = projection_of(calibration, name), calibration.intrinsics[name].covariance
+    near, far = found.sigmas(covariance, found.distance), found.sigmas(covariance)
+
+    def seen(values: Array, of: Callable[[Array], float]) -> float:
+        return round(float(of(values[found.seen])), 4)
+
+    def cells(values: Array) -> tuple[float, ...]:
+        return tuple(np.round(np.nan_to_num(values), 4).ravel().tolist())
+
+    return ProjectionResult(
+        camera=name,
+        model=found.camera.distortion.ros_name,
+        width=found.camera.width,
+        height=found.camera.height,
+        distance_m=round(found.distance, 4),
+        median_px=seen(near, np.nanmedian),
+        most_px=round(found.most(near), 4),
+        worst_px=seen(near, np.nanmax),
+        far_median_px=seen(far, np.nanmedian),
+        far_worst_px=seen(far, np.nanmax),
+        seen=round(float(found.seen.mean()), 3),
+        columns=near.shape[1],
+        near_px=cells(near),
+        far_px=cells(far),
     )
 
 

@@ -63,6 +63,28 @@ class Transform:
 
 
 @result
+class ProjectionResult:
+    """Standard deviation of the projection of a calibrated camera, in its worst direction, over its image."""
+
+    camera: str = field("The camera.")
+    model: str = field("Its lens model.")
+    width: int = field("Of its images.", unit="px")
+    height: int = field("Of its images.", unit="px")
+    distance_m: float = field("Median distance of the pattern.", unit="m")
+    median_px: float = field("Median over the image where corners were seen, for points at that distance.", unit="px")
+    most_px: float = field("What nine tenths of these do not exceed, which is judged.", unit="px")
+    worst_px: float = field("The largest of these.", unit="px")
+    far_median_px: float = field("The median for points far away.", unit="px")
+    far_worst_px: float = field("The largest of these.", unit="px")
+    seen: float = field("Part of the image, of its cells, in which there are corners.")
+    columns: int = field("Number of columns of cells.")
+    near_px: tuple[float, ...] = field(
+        "Of each cell, row by row, for points at the pattern's distance; 0 where the lens has no ray.", unit="px"
+    )
+    far_px: tuple[float, ...] = field("The same for points far away.", unit="px")
+
+
+@result
 class Worth:
     """Contribution of a fixed parameter's usual uncertainty to the result."""
 
@@ -77,6 +99,9 @@ class Details:
     transforms: tuple[Transform, ...] = field("In the cell's own results: the transforms.", default=())
     joints: tuple[Parameter, ...] = field("In the cell's own results: those of joints.", default=())
     intrinsics: tuple[Parameter, ...] = field("In the cell's own results: those of cameras.", default=())
+    projection: tuple[ProjectionResult, ...] = field(
+        "In the cell's own results: how sure calibrated intrinsics are, in the image.", default=()
+    )
     iterations: int | None = field("Of the solver.", default=None)
     cost: float | None = field("Half the weighted sum of squares.", default=None)
     degrees_of_freedom: int | None = field("Residuals less parameters.", default=None)

@@ -1,5 +1,6 @@
 """System with its data in memory, shared by all of its cells."""
 
+from collections.abc import Mapping
 from dataclasses import field as dataclass_field
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,7 @@ from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
 from calibration.estimation.calibrate import Calibrator
+from calibration.estimation.lens_choice import LensChoice
 from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 from calibration.frozen import frozen
@@ -43,6 +45,13 @@ class LoadedSystem:
     """What is written of its cells' calibrated datasets."""
     accepted: Accepted | None = None
     """Accepted calibration to compare with; None if there is none."""
+    lenses: Mapping[str, LensChoice] = dataclass_field(default_factory=dict)
+    """Lens models that were chosen by their fit, by camera."""
+
+    @property
+    def lens_notes(self) -> tuple[Finding, ...]:
+        """Notes on the lens models that were chosen."""
+        return tuple(Finding("lens", "note", f"'{name}': {each.reason}", (name,)) for name, each in self.lenses.items())
 
     def check(self) -> None:
         """Refuse data that would calibrate to nonsense; checked once, however many cells there are.

@@ -17,6 +17,7 @@ from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
 from calibration.errors import InputError
+from calibration.estimation.chosen_lenses import with_chosen_lenses
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.execution.backends import ExecutionTarget
 from calibration.execution.tasks import Task, run_tasks
@@ -191,9 +192,10 @@ def load(system: System) -> LoadedSystem:
 
     Raises:
         InputError: the dataset, the truth, the evaluation, a rule for its table, a comparison method or the
-            covariance of intrinsics is wrong.
+            covariance of intrinsics is wrong; no lens model fits a camera.
     """
-    dataset = read_dataset(system.dataset)
+    lenses = with_chosen_lenses(read_dataset(system.dataset), system.options)
+    dataset = lenses.dataset
     truth = choose_truth(dataset, system.truth)
     _check_methods(system)
     evaluation = _evaluation(system.evaluate) if system.evaluate else None
@@ -209,7 +211,15 @@ def load(system: System) -> LoadedSystem:
             )
     options = replace(system.options, intrinsics_covariance=system.options.known_intrinsics())
     loaded = LoadedSystem(
-        system.name, dataset, truth, evaluation, options, system.limits, system.datasets, system.accepted
+        system.name,
+        dataset,
+        truth,
+        evaluation,
+        options,
+        system.limits,
+        system.datasets,
+        system.accepted,
+        lenses.choices,
     )
     if system.datasets == "changes":
         refuse_changes(system.dataset, dataset.path)

@@ -94,7 +94,10 @@ def _without_calibration(cell: Cell, system: LoadedSystem, error: CalibrationErr
 
 def _diagnosed(cell: Cell, system: LoadedSystem, calibration: Calibration) -> CellResult:
     return described(nothing_yet(cell), calibration, system.dataset, system.limits).found(
-        diagnose(calibration, system.dataset, system.options, system.limits, system.truth is not None)
+        (
+            *diagnose(calibration, system.dataset, system.options, system.limits, system.truth is not None),
+            *system.lens_notes,
+        )
     )
 
 

@@ -21,7 +21,9 @@ from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
 from calibration.pipeline.page.label_residuals import label_residuals
+from calibration.pipeline.page.projection import projection_figures
 from calibration.pipeline.result_tables import (
+    cameras_table,
     changes_table,
     collections_table,
     grid,
@@ -122,7 +124,7 @@ def _system(
     given: Dataset | None,
 ) -> Html:
     """Return the sections of one system, by one of its cells."""
-    tables = (transforms_table, parameters_table, changes_table)
+    tables = (transforms_table, cameras_table, parameters_table, changes_table)
     notes = tuple(finding.text for finding in cell.findings if finding.severity not in ("red", "undecided"))
     content = [
         verdict_line(cell.verdict, cell.name),
@@ -143,6 +145,7 @@ def _system(
             levels = cell.details.noise_levels if cell.details else None
             given = given or _given(system)
             content += [in_space(dataset, given), *label_residuals(dataset, levels, given)]
+    content += [*projection_figures(cell.details.projection if cell.details else ())]
     content += [*_error_bars(cell, system.limits if system else None), *_trends(name, accepted)]
     return section(name, *content, anchor=_anchor(name))
 
