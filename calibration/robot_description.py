@@ -6,6 +6,7 @@ its output.
 """
 
 import json
+import os
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -22,6 +23,7 @@ MAX_BYTES = 10_000_000
 PLACES = "packages are looked for beside the file's own one and in its repository; an import names them by 'packages'"
 SECONDS, MEMORY = 30, 1024**3
 """Limits of the expansion: seconds of processor time, and bytes."""
+_SYSTEM = ("/proc", "/sys", "/run")
 _CHILD = "import sys; sys.path.insert(0, sys.argv.pop(1)); from calibration.expansion.child import main; main()"
 _SOURCES = str(Path(__file__).resolve().parents[1])
 _REFUSED = 3  # exit code of the child for a xacro that needs more than is expanded
@@ -42,6 +44,11 @@ def read_robot_description(path: Path, packages: Path | None = None) -> bytes:
     content = read_bytes(path, MAX_BYTES, "a robot description")
     if packages is not None and not packages.is_dir():
         raise InputError(f"{packages}: there is no such folder, expected one with the packages of {path.name}")
+    if packages is not None and _holds_private_files(packages.resolve()):
+        raise InputError(
+            f"{packages}: packages: a xacro may read this whole folder, which holds your home, the system's or the "
+            f"runner's files: name a smaller one, with the packages of {path.name} alone"
+        )
     return _expanded(path, packages) if path.name.endswith(ENDING) else content
 
 
@@ -52,10 +59,20 @@ def _readable(path: Path, packages: Path | None) -> list[Path]:
     repository that the file is in.
     """
     above = path.resolve().parents
-    workspace = next((each.parent for each in above if (each / "package.xml").is_file()), above[0])
+    package = next((each for each in above if (each / "package.xml").is_file()), None)
+    workspace = above[0] if package is None else package if _holds_private_files(package.parent) else package.parent
     repository = next((each for each in above if (each / ".git").exists()), workspace)
     folders = [workspace, repository] if packages is None else [packages.resolve(), workspace, repository]
     return list(dict.fromkeys(folders))
+
+
+def _holds_private_files(folder: Path) -> bool:
+    """Return whether the home folder is in a folder, or files of the system or of the runner (with its tokens)."""
+    home, runner = os.environ.get("HOME"), os.environ.get("RUNNER_TEMP")
+    closed = [Path(each).resolve() for each in (*_SYSTEM, *([runner] if runner else []))]
+    return (home is not None and Path(home).resolve().is_relative_to(folder)) or any(
+        each.is_relative_to(folder) or folder.is_relative_to(each) for each in closed
+    )
 
 
 def _expanded(path: Path, packages: Path | None) -> bytes:

@@ -32,6 +32,9 @@ EXPRESSIONS = (
     "list(map(python.vars, [math]))",
     "python.issubclass(python.type(1), int)",
     "python.type('X', (python.dict,), dict(a=1))",
+    "list(map(list, map(map, list(dict(python).values())[-3:-2], [['']])))",
+    "dict(**math)",
+    "[python]",
     "python.type('')",
     "math.root",
     "math.parent",
@@ -190,6 +193,35 @@ def test_what_needs_more_than_is_expanded_says_to_give_a_urdf(tmp_path: Path) ->
     said = refusal(tmp_path, f'{HEAD}<link name="${{(lambda: 1)()}}"/></robot>')
     assert "a lambda" in said
     assert said.endswith("give the URDF that xacro makes of it: xacro robot.urdf.xacro > robot.urdf")
+
+
+@pytest.mark.parametrize("packages", ["/", "/proc/self", "/run", "home/..", "home", "runner/calibration-aws", "runner"])
+def test_a_folder_with_private_files_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, packages: str
+) -> None:
+    (tmp_path / "home").mkdir()
+    token = tmp_path / "runner/calibration-aws/token"
+    token.parent.mkdir(parents=True)
+    token.write_text(SECRET)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("RUNNER_TEMP", str(tmp_path / "runner"))
+    file = tmp_path / "home/robot.urdf.xacro"
+    file.write_text(f"{HEAD}<link name=\"${{xacro.load_yaml('{token}')}}\"/></robot>")
+    with pytest.raises(InputError, match="packages: a xacro may read this whole folder"):
+        read_robot_description(file, tmp_path / packages)
+
+
+def test_a_package_in_the_home_folder_opens_only_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "secret.yaml").write_text(SECRET)
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot/package.xml").write_text("<package><name>robot</name></package>")
+    file = tmp_path / "robot/robot.urdf.xacro"
+    file.write_text(f'{HEAD}<link name="$(find robot)"/></robot>')
+    assert f'<link name="{tmp_path}/robot"/>' in read_robot_description(file).decode()
+    file.write_text(f"{HEAD}<link name=\"${{xacro.load_yaml('../secret.yaml')}}\"/></robot>")
+    with pytest.raises(InputError, match="outside of the folders that may be read"):
+        read_robot_description(file)
 
 
 def test_entities_do_not_grow(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.execution.sizes import parse_seconds
 from calibration.file_patterns import matching
 from calibration.files import write_atomically
-from calibration.git.changes import changed_lines, find_base
+from calibration.git.changes import changed_lines, files_without_lines, find_base
 from calibration.git.event import Event
 from calibration.git.repository import Repository
 from calibration.records import between, field, record
@@ -186,7 +186,13 @@ def _measure_and_judge(
         runner.log(one_line(f"no coverage: {error}"))
     change = None
     if base is not None:
-        change = Change(base, *coverage_of_change(changed_lines(repository.difference(base)), found.files))
+        difference = repository.difference(base)
+        if unread := sorted(files_without_lines(difference) & found.files.keys()):
+            raise InputError(
+                f"{unread[0]}: its changed lines are not known, as git takes it for a binary file: take it out of the "
+                "lines with -diff or binary in .gitattributes, or exclude it"
+            )
+        change = Change(base, *coverage_of_change(changed_lines(difference), found.files))
     results = Results(found, settings.goal, commit, tests, change, no_change)
     if results.lines.total == 0 and not failed:
         why = "; ".join(["the reports contain no file that counts (source, exclude)", *what_is_left_out(found)])

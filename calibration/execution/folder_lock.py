@@ -3,7 +3,7 @@
 import errno
 import fcntl
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -26,32 +26,44 @@ def locked(folder: Path) -> Iterator[None]:
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         descriptor = _locked_descriptor(folder)
-        try:
-            yield
-        finally:
-            os.close(descriptor)
+    except BaseException:
+        _remove_empty(made)
+        raise
+    try:
+        yield
     finally:
-        for path in made:
-            with suppress(OSError):  # not empty, or not created
-                path.rmdir()
+        _remove_empty(made)  # under the lock: else another run may have locked the folder that is removed
+        os.close(descriptor)
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    for path in folders:
+        with suppress(OSError):  # not empty, or not created
+            path.rmdir()
 
 
 def _locked_descriptor(folder: Path) -> int:
     """Return an open descriptor of a folder, which is locked until it is closed."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except (FileExistsError, NotADirectoryError):
-        raise InfrastructureError(f"{folder}: cannot be written: it, or a folder above it, is a file") from None
-    except OSError as error:
-        raise InfrastructureError(f"{folder}: cannot be written: {error.strerror}") from error
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise InputError(f"{folder}: another run uses this folder; wait for it, or stop it") from None
-    except OSError as error:
-        if error.errno not in _NO_LOCKS:
+    while True:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        except (FileExistsError, NotADirectoryError):
+            raise InfrastructureError(f"{folder}: cannot be written: it, or a folder above it, is a file") from None
+        except FileNotFoundError:
+            continue  # another run has just removed it
+        except OSError as error:
+            raise InfrastructureError(f"{folder}: cannot be written: {error.strerror}") from error
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
             os.close(descriptor)
-            raise InfrastructureError(f"{folder}: cannot be locked: {error.strerror}") from error
-    return descriptor
+            raise InputError(f"{folder}: another run uses this folder; wait for it, or stop it") from None
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                os.close(descriptor)
+                raise InfrastructureError(f"{folder}: cannot be locked: {error.strerror}") from error
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), folder.stat()):
+                return descriptor
+        os.close(descriptor)  # another run removed it before it was locked

@@ -1,8 +1,8 @@
 """Confinement of this process, for good: what it may read, compute and start.
 
 Two layers. A hook of Python's audit events refuses files outside of the folders, programs and sockets, on every system.
-Landlock, where Linux has it (since 5.13), is the kernel's: no file outside of the folders, no TCP, and no look into
-another process, be it of the same user and this one root's.
+Landlock, where Linux has it (since 5.13), is the kernel's: no file outside of the folders, no program, no TCP, no
+memory of another process. In newer kernels root can read its environment where /proc is in one of the folders.
 """
 
 import ctypes
@@ -42,6 +42,7 @@ def confine(folders: Sequence[Path], seconds: int, memory: int, output: int) -> 
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
     resource.setrlimit(resource.RLIMIT_FSIZE, (output, output))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))  # no program, except for root's; no audit event sees fork_exec
     if sys.platform == "linux":
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
         restrict_by_kernel([*folders, *filter(Path.is_dir, _PYTHON)])

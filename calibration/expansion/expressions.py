@@ -101,6 +101,13 @@ class _Evaluation:
         self._steps = 0
 
     def value(self, node: ast.AST) -> Any:
+        """Return the value of a node, which is no namespace: ``dict(python).values()`` would be all its functions."""
+        found = self._value_or_namespace(node)
+        if isinstance(found, NameSpace):
+            raise RefusedError(f"an expression may not use the namespace '{_shortened(ast.unparse(node))}' as a value")
+        return found
+
+    def _value_or_namespace(self, node: ast.AST) -> Any:
         """Return the value of a node, if there is a method for its kind."""
         self._steps += 1
         if self._steps > MAX_STEPS:
@@ -131,10 +138,10 @@ class _Evaluation:
             raise NameError(f"name '{node.id}' is not defined") from None
 
     def _Attribute(self, node: ast.Attribute) -> Any:
-        return _item(self.value(node.value), node)
+        return _item(self._value_or_namespace(node.value), node)
 
     def _Subscript(self, node: ast.Subscript) -> Any:
-        owner = self.value(node.value)
+        owner = self._value_or_namespace(node.value)
         if not isinstance(owner, str | list | tuple | dict | range):
             raise RefusedError(f"an expression may not contain an item of {type(owner).__name__}")
         return owner[self.value(node.slice)]
@@ -153,7 +160,7 @@ class _Evaluation:
     def _function(self, node: ast.expr) -> Callable[..., Any]:
         """Return a method of a text or a collection, which is had nowhere but in its call, or one of the functions."""
         if isinstance(node, ast.Attribute):
-            owner = self.value(node.value)
+            owner = self._value_or_namespace(node.value)
             if not isinstance(owner, NameSpace) and any(
                 isinstance(owner, kind) and node.attr in names for kind, names in _METHODS.items()
             ):

@@ -7,6 +7,7 @@ from calibration.errors import InputError
 from calibration.git.repository import Repository
 
 _HUNK = re.compile(rb"@@ -[0-9]+(?:,([0-9]+))? \+([0-9]+)(?:,([0-9]+))? @@")
+_BINARY = re.compile(rb'Binary files .* and ("?b/.*) differ')
 _ESCAPE = re.compile(rb"\\([0-7]{3}|.)")
 _LETTERS = {b"a": b"\a", b"b": b"\b", b"f": b"\f", b"n": b"\n", b"r": b"\r", b"t": b"\t", b"v": b"\v"}
 
@@ -31,6 +32,16 @@ def changed_lines(difference: bytes) -> dict[str, set[int]]:
             if file is not None:
                 found.setdefault(file, set()).update(range(first, first + after))
     return found
+
+
+def files_without_lines(difference: bytes) -> set[str]:
+    """Return the changed files of which git tells no lines: those that .gitattributes calls binary, or large ones.
+
+    Args:
+        difference: output of git, with the prefixes ``a/`` and ``b/``.
+    """
+    names = (each[1] for line in difference.split(b"\n") if (each := _BINARY.fullmatch(line)) is not None)
+    return {path for path in map(_path, names) if path is not None}
 
 
 def find_base(repository: Repository, named: str | None, candidates: Iterable[str]) -> str:

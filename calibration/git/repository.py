@@ -3,8 +3,11 @@
 import errno
 import os
 import re
+import resource
 import subprocess
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -15,9 +18,12 @@ from calibration.workflow.text import one_line, shorten
 
 SECONDS = 120
 """Timeout of a git command."""
+MEMORY = 2 * 1024**3
+"""Limit of its memory, bytes: it takes 40 times the size of a file of line breaks to compare it."""
 _SETTINGS = (
     "core.fsmonitor=false",
     f"core.hooksPath={os.devnull}",
+    "core.bigFileThreshold=10m",  # larger files are compared as binary ones
     "core.alternateRefsCommand=true",  # the program that says nothing: an empty value would run what follows it
     "core.quotePath=true",
     "credential.helper=",
@@ -42,6 +48,7 @@ _PROGRAMS = r"^(filter\..*\.(clean|smudge|process|required)|hook\..*)$"
 """Settings that run a program of any name, as git's regular expression; the fixed names are in `_SETTINGS`."""
 _REGULAR = ("100644", "100755")
 """Modes of regular files, without symbolic links, which may point anywhere, and submodules."""
+_BLOB = re.compile(rb"([0-9a-f]+) blob ([0-9]+)")
 _COMMIT = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
 
 
@@ -194,26 +201,45 @@ class Repository:
         return output
 
     def contents(self, commits: Sequence[str], path: str, most: int) -> Iterator[tuple[str, bytes | None]]:
-        """Yield a file's content in each commit, read by one process; None if it is not a file or is too large.
+        """Yield a file's content in each commit; None if it is not a file or is larger than ``most`` bytes.
+
+        The sizes are asked for first, and ``most`` bytes are read at once.
 
         Raises:
+            InputError: the path has a line break.
             InfrastructureError: git fails.
         """
-        asked = "".join(f"{commit}:{path}\n" for commit in commits).encode("utf-8", "surrogateescape")
-        code, output, problem = self._git("cat-file", "--batch", given=asked)
+        if "\n" in path:
+            raise InputError(f"{one_line(path)}: a path without line breaks was expected: rename it")
+        facts = self._batch("--batch-check", [f"{commit}:{path}" for commit in commits]).split(b"\n")
+        batch: list[tuple[str, str, int]] = []
+        for commit, line in zip(commits, facts, strict=False):
+            blob = _BLOB.fullmatch(line)
+            name, size = (blob[1].decode(), int(blob[2])) if blob and int(blob[2]) <= most else ("", 0)
+            if sum(each[2] for each in batch) + size > most:
+                yield from self._blobs(batch)
+                batch = []
+            batch.append((commit, name, size))
+        yield from self._blobs(batch)
+
+    def _blobs(self, batch: Sequence[tuple[str, str, int]]) -> Iterator[tuple[str, bytes | None]]:
+        """Yield the content for each commit, from the name and the size of its blob; None without a name."""
+        output, at = self._batch("--batch", [name for _, name, _ in batch if name]), 0
+        for commit, name, size in batch:
+            if not name:
+                yield commit, None
+                continue
+            begin = output.index(b"\n", at) + 1
+            at = begin + size + 1
+            yield commit, output[begin : begin + size]
+
+    def _batch(self, option: str, names: Sequence[str]) -> bytes:
+        """Return what ``git cat-file`` writes about objects."""
+        given = "".join(f"{name}\n" for name in names).encode("utf-8", "surrogateescape")
+        code, output, problem = self._git("cat-file", option, given=given)
         if code:
             raise InfrastructureError(f"git cat-file: {_said(problem)}")
-        at = 0
-        for commit in commits:
-            end = output.index(b"\n", at)
-            head = output[at:end].split(b" ")
-            at = end + 1
-            if len(head) != 3 or head[1] not in (b"blob", b"tree", b"commit", b"tag"):
-                yield commit, None  # "... missing"
-                continue
-            size = int(head[2])
-            yield commit, output[at : at + size] if head[1] == b"blob" and size <= most else None
-            at += size + 1
+        return output
 
     def origin(self) -> str | None:
         """Return the URL of the origin; None if there is none."""
@@ -320,20 +346,32 @@ class Repository:
         place = [f"--git-dir={self.root / '.git'}", f"--work-tree={self.root}"]
         inherited = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
         try:
-            done = subprocess.run(
+            with subprocess.Popen(
                 ["git", "--no-pager", "--no-optional-locks", *place, *settings, *arguments],
                 cwd=self.root,
                 env={**inherited, **_VARIABLES, **variables},
-                input=given,
-                capture_output=True,
-                timeout=SECONDS,
-                check=False,
-            )
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+            ) as process:
+                _limit_memory(process.pid)
+                try:
+                    output, problem = process.communicate(given, SECONDS)
+                except BaseException:
+                    process.kill()
+                    raise
         except subprocess.TimeoutExpired:
             raise InfrastructureError(f"git {arguments[0]} took longer than {SECONDS} s") from None
         except OSError as error:
             raise InfrastructureError(f"git cannot be started: {error.strerror}") from None
-        return done.returncode, done.stdout, done.stderr
+        return process.returncode, output, problem
+
+
+def _limit_memory(process: int) -> None:
+    """Limit the memory of a process to `MEMORY`, on Linux; files that it maps do not count."""
+    if sys.platform == "linux":
+        with suppress(ProcessLookupError):
+            resource.prlimit(process, resource.RLIMIT_DATA, (MEMORY, MEMORY))
 
 
 def _said(problem: bytes) -> str:

@@ -199,6 +199,16 @@ def test_limits(root: Path, capsys: pytest.CaptureFixture[str], arguments: list[
         assert "warning: robot/naming.py:8: no test runs line 8 of this change" in err
 
 
+@pytest.mark.parametrize("attribute", ["-diff", "binary"])
+def test_a_change_whose_lines_git_does_not_tell_is_refused(
+    root: Path, capsys: pytest.CaptureFixture[str], attribute: str
+) -> None:
+    """Else a change could except itself from minimum-change."""
+    commit(root, {"robot/naming.py": NAMING.replace("split(", "cut("), ".gitattributes": f"*.py {attribute}\n"})
+    assert upload("--service", "none", "--base", "HEAD~1", "--minimum-change", "50") == 2
+    assert "robot/naming.py: its changed lines are not known" in capsys.readouterr().err
+
+
 def test_on_github(
     server: projects.Codacy, root: Path, tmp_path: Path, on_github: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:

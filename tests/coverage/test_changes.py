@@ -1,3 +1,4 @@
+import sys
 from pathlib import Path
 
 import pytest
@@ -7,8 +8,8 @@ from hypothesis import strategies as st
 from calibration.coverage.changes import coverage_of_change
 from calibration.coverage.lines import FileCoverage, Rate
 from calibration.coverage.results import Span
-from calibration.errors import InputError
-from calibration.git.changes import changed_lines, find_base
+from calibration.errors import InfrastructureError, InputError
+from calibration.git.changes import changed_lines, files_without_lines, find_base
 from calibration.git.repository import Repository
 
 from .projects import commit, git
@@ -20,6 +21,26 @@ LINE = st.sampled_from(
 
 def changes(root: Path, base: str) -> dict[str, set[int]]:
     return changed_lines(Repository.around(root).difference(base))
+
+
+def test_files_of_which_git_tells_no_lines(tmp_path: Path) -> None:
+    names = ["a.py", "é b.py", "and b/x.py"]
+    base = commit(tmp_path, {**dict.fromkeys((*names, "large.txt"), "1\n"), ".gitattributes": "*.py -diff\n"})
+    commit(tmp_path, {**dict.fromkeys((*names, "new.py"), "2\n"), "large.txt": "\n" * 11_000_000})
+    difference = Repository.around(tmp_path).difference(base)
+    assert files_without_lines(difference) == {*names, "new.py", "large.txt"}
+    assert changed_lines(difference) == {}
+    assert len(difference) < 2000
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs prlimit")
+def test_the_memory_of_git_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The attribute ``diff`` makes text of a file of any size: 60 MB of line breaks took 2.4 GB."""
+    monkeypatch.setattr("calibration.git.repository.MEMORY", 200 * 1024**2)
+    base = commit(tmp_path, {"large.txt": "1\n", ".gitattributes": "* diff\n"})
+    commit(tmp_path, {"large.txt": "\n" * 11_000_000})
+    with pytest.raises(InfrastructureError, match=r"git diff .*: Out of memory"):
+        Repository.around(tmp_path).difference(base)
 
 
 def test_lines_that_are_new(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Locks of output folders: one run at a time, in any process, and none after its process was killed."""
 
+import fcntl
 import subprocess
 import sys
 from pathlib import Path
@@ -44,6 +45,37 @@ def test_folders_that_stay_empty_are_removed(tmp_path: Path) -> None:
     with locked(tmp_path / "a" / "b"):
         (tmp_path / "a" / "file").touch()
     assert [path.name for path in tmp_path.rglob("*")] == ["a", "file"]
+
+
+def test_a_folder_that_another_run_removes_before_it_is_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, lock, calls = tmp_path / "a", fcntl.flock, []
+
+    def locking_late(descriptor: int, operation: int) -> None:
+        calls.append(descriptor)
+        if len(calls) == 1:
+            folder.rmdir()
+            folder.mkdir()
+        lock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", locking_late)
+    with locked(folder), pytest.raises(InputError, match="another run uses this folder"), locked(folder):
+        pass
+
+
+def test_an_empty_folder_is_removed_under_its_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else it is removed from under another run that has locked it in the meantime."""
+    folder, removed, remove = tmp_path / "a", [], Path.rmdir
+
+    def removing(path: Path) -> None:
+        with pytest.raises(InputError, match="another run uses this folder"), locked(path):
+            pass
+        removed.append(path)
+        remove(path)
+
+    monkeypatch.setattr(Path, "rmdir", removing)
+    with locked(folder):
+        pass
+    assert removed == [folder]
 
 
 def test_a_file_is_no_folder(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Content of files in commits, commits that changed a file, and commits missing in a shallow checkout."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -80,3 +81,28 @@ def test_a_failed_fetch_is_reported(checkout: Path, tmp_path: Path) -> None:
     ) as error:
         Repository.around(tmp_path / "shallow").fetched("a" * 40)
     assert "\n" not in str(error.value)
+
+
+def test_contents_are_read_within_a_limit(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file of gigabytes takes kilobytes in a repository: its size is asked for before it is read."""
+    for text in ("", "a\nb\n", "x" * 8, "y" * 5, "z" * 1_000_000):
+        (checkout / FILE).write_text(text)
+        git(checkout, "commit", "--quiet", "-am", "more")
+    repository = Repository.around(checkout)
+    hashes = git(checkout, "rev-list", "HEAD").split()
+    read: list[int] = []
+    ask = Repository._git
+
+    def asking(self: Repository, *arguments: str, **given: Any) -> tuple[int, bytes, bytes]:
+        answer = ask(self, *arguments, **given)
+        read.append(len(answer[1]))
+        return answer
+
+    monkeypatch.setattr(Repository, "_git", asking)
+    found = dict(repository.contents([*hashes, "f" * 40], FILE, 10))
+    expected = [None, b"y" * 5, b"x" * 8, b"a\nb\n", b"", b"two", b"one", b"one"]
+    assert list(found.items()) == [*zip(hashes, expected, strict=True), ("f" * 40, None)]
+    assert max(read) < 1000
+    assert dict(repository.contents(hashes[:2], "a b", 10)) == dict.fromkeys(hashes[:2])
+    with pytest.raises(InputError, match="a path without line breaks was expected"):
+        list(repository.contents(hashes, f"{FILE}\nHEAD:other", 10))
