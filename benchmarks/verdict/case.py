@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.verdict.kinds import CLEAN, KINDS, Kind
+from benchmarks.verdict.kind import Kind
+from benchmarks.verdict.kinds import CLEAN, KINDS
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Stratum, clean, generator
 from calibration.dataset.model import Dataset
@@ -99,6 +100,8 @@ class Outcome:
     clean_limits: float
     """The same of the scene without the defect."""
     red: bool
+    undecided: bool
+    """Whether nothing is wrong, but an error bar reaches over a limit: neither red nor green."""
     reasons: tuple[str, ...]
     kinds: tuple[str, ...]
     """Of the red findings."""
@@ -160,6 +163,7 @@ def run(case: Case) -> Outcome:
         limits=harm.over(limits) if harm else None,
         clean_limits=_clean_limits(case),
         red=result.verdict == "fail",
+        undecided=result.verdict == "undecided",
         reasons=result.reasons,
         kinds=tuple(f.kind for f in result.findings if f.severity == "red"),
         named=_named(result, case.planted),
@@ -224,7 +228,7 @@ def harm_of(calibrated: Dataset, scene: Scene) -> Harm | None:
 
 def _nothing_set(scene: Scene) -> Scene:
     options = replace(scene.system.options, assume=Assumptions())
-    return replace(scene, system=replace(scene.system, limits=Limits(), options=options))
+    return replace(scene, system=replace(scene.system, limits=Limits(), options=options, rules=None))
 
 
 def _nees(case: Case, scene: Scene) -> Iterator[float]:

@@ -81,6 +81,11 @@ def _system(name: str) -> System:
     return read_system(entries()[name].dataset)
 
 
+def at_zero(system: str) -> Mapping[tuple[str, str], Array]:
+    """The transforms (4, 4) of a system's description with all joints at zero."""
+    return _system(system).nominal.transforms({})
+
+
 def recording(system: str, robot: int, seed: int, moved: Mapping[str, Array] | None = None) -> Scene:
     """A good robot's recording: lenses, assembly, camera_info and board are the robot's, motion and noise its own.
 
