@@ -153,7 +153,7 @@ def run(case: Case) -> Outcome:
     """Plant, judge, compare."""
     scene = case.scene()
     begin = time.perf_counter()
-    result, rms_red, calibration = judged(scene if case.limits else _nothing_set(scene))
+    result, rms_red, calibration = judged(scene if case.limits else with_nothing_set(scene))
     seconds = time.perf_counter() - begin
     harm = harm_of(calibration.dataset, scene) if calibration else None
     limits = case.allowed
@@ -226,9 +226,10 @@ def harm_of(calibrated: Dataset, scene: Scene) -> Harm | None:
     return Harm(error.translation_mm, error.rotation_deg, error.joint_mm, error.joint_deg)
 
 
-def _nothing_set(scene: Scene) -> Scene:
+def with_nothing_set(scene: Scene, limits: Limits | None = None) -> Scene:
+    """The scene of a user who has set nothing but, perhaps, limits: no rules, no assumptions."""
     options = replace(scene.system.options, assume=Assumptions())
-    return replace(scene, system=replace(scene.system, limits=Limits(), options=options, rules=None))
+    return replace(scene, system=replace(scene.system, limits=limits or Limits(), options=options, rules=None))
 
 
 def _nees(case: Case, scene: Scene) -> Iterator[float]:
@@ -270,7 +271,7 @@ def _run_clean(case: Case) -> Outcome:
 @cache
 def _where_none_is_set(stratum: Stratum, system: str, seed: int) -> Limits:
     """Limits of `calibration.diagnosis.limits` for the worst sensor of the scene without a defect."""
-    scene = _nothing_set(clean(stratum, system, seed))
+    scene = with_nothing_set(clean(stratum, system, seed))
     found = calibrate(scene.told, scene.system.options)
     each = [allowed(found, Limits(), sensor) for sensor in scene.told.sensors]
     joint_mm, joint_deg = Limits().joint
