@@ -15,7 +15,7 @@ from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Stratum, clean, generator
 from calibration.dataset.model import Dataset
 from calibration.diagnosis.check_data import check_data
-from calibration.diagnosis.limits import Limits, allowed
+from calibration.diagnosis.limits import TWIST, Limits, sizes
 from calibration.errors import CalibrationError, InputError
 from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.estimation.calibrate import calibrate
@@ -33,6 +33,8 @@ from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import calibrate_cell, table_of
 
 BY_NAME: dict[str, Kind] = {kind.name: kind for kind in (CLEAN, *KINDS)}
+SIGMAS, LEAST = 3.0, (1.0, 0.05)
+"""Where no limit is set, a result may be off by so many standard deviations of a good robot, and by mm and degrees."""
 AS_WELL = 10.0
 """Costs (squared standard deviations) that differ by less are alike: of so many tests none could tell."""
 
@@ -270,17 +272,20 @@ def _run_clean(case: Case) -> Outcome:
 
 @cache
 def _where_none_is_set(stratum: Stratum, system: str, seed: int) -> Limits:
-    """Limits of `calibration.diagnosis.limits` for the worst sensor of the scene without a defect."""
+    """Three standard deviations of the worst sensor of the scene without a defect, where its collections agree.
+
+    They are written here, not taken from the verdict that is measured.
+    """
     scene = with_nothing_set(clean(stratum, system, seed))
     found = calibrate(scene.told, scene.system.options)
-    each = [allowed(found, Limits(), sensor) for sensor in scene.told.sensors]
-    joint_mm, joint_deg = Limits().joint
-    return Limits(
-        translation_mm=max(one.translation_mm for one in each),
-        rotation_deg=max(one.rotation_deg for one in each),
-        joint_mm=joint_mm,
-        joint_deg=joint_deg,
+    assert found.error_bars
+    expected, setup = found.error_bars.expected, found.solution.setup
+    blocks = [setup.block(sensor.edge) for sensor in scene.told.sensors.values()]
+    each = [sizes(np.sqrt(np.diagonal(expected[block])), TWIST) for block in blocks if expected.get(block) is not None]
+    mm, deg = (
+        max(least, *(SIGMAS * one for one in of)) for least, of in zip(LEAST, zip(*each, strict=True), strict=True)
     )
+    return Limits(translation_mm=mm, rotation_deg=deg, joint_mm=LEAST[0], joint_deg=LEAST[1])
 
 
 def _named(result: CellResult, kind: Kind) -> int:
