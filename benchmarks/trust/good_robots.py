@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 
 from benchmarks.rows import Bar, Row
-from benchmarks.verdict.case import judged, with_nothing_set
+from benchmarks.verdict.case import Colour, colour_of, judged, with_nothing_set
 from benchmarks.verdict.kind import ALL, ARMS
 from benchmarks.verdict.strata import Conditions, generator, recording
 from calibration.diagnosis.limits import Limits
@@ -47,11 +47,11 @@ class Draw:
 
 @dataclass(frozen=True)
 class Judged:
-    """Verdict on a recording: its word, the reasons and the warnings."""
+    """Verdict on a recording, the reasons and the warnings."""
 
     draw: Draw
     system: str
-    verdict: str
+    colour: Colour
     reasons: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -60,16 +60,16 @@ def rows(quick: bool) -> Iterator[Row]:
     """Share of red, warned and undecided ones of each stratum; with limits, of red and undecided ones."""
     for k, stratum in enumerate(STRATA):
         found = judge([Draw(k, number) for number in range(10 if quick else DRAWS)])
-        name, red = f"trust/clean, {stratum.name}", [each for each in found if each.verdict == "fail"]
-        undecided = [each for each in found if each.verdict == "undecided"]
-        warned = [each for each in found if each.warnings and each.verdict == "pass"]
+        name, red = f"trust/clean, {stratum.name}", [each for each in found if each.colour == "red"]
+        undecided = [each for each in found if each.colour == "undecided"]
+        warned = [each for each in found if each.warnings and each.colour == "green"]
         note = f"{len(found)} recordings, {len(undecided)} undecided{_first(red)}"
         yield Row(f"{name}, red", 100 * len(red) / len(found), "%", stratum.bar, note)
         yield Row(f"{name}, warned", 100 * len(warned) / len(found), "%", stratum.bar)
     for limit in LIMITS_MM:
         found = judge([Draw(0, number, limit) for number in range(10 if quick else DRAWS_WITH_LIMITS)])
-        red = [each for each in found if each.verdict == "fail"]
-        undecided = [each for each in found if each.verdict == "undecided"]
+        red = [each for each in found if each.colour == "red"]
+        undecided = [each for each in found if each.colour == "undecided"]
         note = f"{len(found)} recordings, {len(undecided)} undecided{_first(red)}"
         yield Row(f"trust/clean, limit {limit:g} mm, fail", float(len(red)), "", Bar(high=0), note)
 
@@ -95,4 +95,4 @@ def _judged(draw: Draw) -> Judged | None:
     except InputError:
         return None
     result, _, _ = judged(with_nothing_set(scene, Limits(translation_mm=draw.limit_mm)))
-    return Judged(draw, system, result.verdict, result.reasons, result.warnings)
+    return Judged(draw, system, colour_of(result), result.reasons, result.warnings)

@@ -10,7 +10,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from benchmarks.rows import Bar, Row
-from benchmarks.verdict.case import judged, with_nothing_set
+from benchmarks.verdict.case import Colour, colour_of, judged, with_nothing_set
 from benchmarks.verdict.kind import ALL
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Conditions, generator, recording
@@ -52,7 +52,7 @@ class Move:
     system: str
     first: int
     collections: int
-    verdict: str
+    colour: Colour
     named: bool
     """Whether a reason says what has moved."""
     said: tuple[str, ...]
@@ -73,15 +73,15 @@ def moved(number: int) -> Move:
     scene = scene.seen_as_in(replace(scene, world=world))
     result, _, _ = judged(with_nothing_set(scene, Limits(translation_mm=limit)))
     named = any(word in reason for reason in result.reasons for word in ("moved", "contradict"))
-    return Move(number, system, first, n, result.verdict, named, (*result.reasons, *result.warnings))
+    return Move(number, system, first, n, colour_of(result), named, (*result.reasons, *result.warnings))
 
 
 def of_moves(found: list[Move]) -> Iterator[Row]:
     """The rows of the moves."""
     name = f"trust/moved by {LIMITS_MOVED:g} limits"
-    red = [each for each in found if each.verdict == "fail"]
-    undecided = sum(each.verdict == "undecided" for each in found)
-    green = [f"{each.system} at {each.first} of {each.collections}" for each in found if each.verdict == "pass"]
+    red = [each for each in found if each.colour == "red"]
+    undecided = sum(each.colour == "undecided" for each in found)
+    green = [f"{each.system} at {each.first} of {each.collections}" for each in found if each.colour == "green"]
     note = f"{len(found)} draws, {undecided} undecided; green: {', '.join(green[:6]) or 'none'}"
     yield Row(f"{name}, red", 100 * len(red) / len(found), "%", Bar(low=99), note)
     named = 100 * sum(each.named for each in red) / max(1, len(red))
@@ -98,7 +98,7 @@ class Pair:
     by_baseline: tuple[str, ...]
     """Red findings of the comparison with the accepted recording."""
     warned: bool
-    verdict: str
+    colour: Colour
     """By itself, with nothing set."""
     reasons: tuple[str, ...]
 
@@ -115,13 +115,13 @@ def second_recordings(which: tuple[str, int]) -> list[Pair]:
             )
         except InputError:  # too few poses
             continue
-        now, verdict, reasons = _snapshot(scene)
+        now, colour, reasons = _snapshot(scene)
         if now is None:
             continue
         _, findings = against_baseline(accepted, now)
         red = tuple(each.text for each in findings if each.severity == "red")
         warned = any(each.severity == "warning" for each in findings)
-        found.append(Pair(change, system, robot, red, warned, verdict, reasons))
+        found.append(Pair(change, system, robot, red, warned, colour, reasons))
     return found
 
 
@@ -132,10 +132,10 @@ def _accepted(system: str, robot: int) -> Snapshot:
     return now
 
 
-def _snapshot(scene: Scene) -> tuple[Snapshot | None, str, tuple[str, ...]]:
+def _snapshot(scene: Scene) -> tuple[Snapshot | None, Colour, tuple[str, ...]]:
     result, _, calibration = judged(with_nothing_set(scene))
     now = snapshot(calibration, scene.told, calibration.rms_px) if calibration and result.converged else None
-    return now, result.verdict, result.reasons
+    return now, colour_of(result), result.reasons
 
 
 def of_pairs(found: list[Pair]) -> Iterator[Row]:
@@ -145,7 +145,7 @@ def of_pairs(found: list[Pair]) -> Iterator[Row]:
     said = f"; {red[0].system} {red[0].robot}, {red[0].change}: {red[0].by_baseline[0][:100]}" if red else ""
     note = f"{len(found)} pairs with other light, distance, focus, number; {warned} warned{said}"
     yield Row("trust/second recording, red", float(len(red)), "by baseline", Bar(high=0), note)
-    alone = [each for each in found if each.verdict == "fail"]
+    alone = [each for each in found if each.colour == "red"]
     said = f"; {alone[0].system} {alone[0].robot}, {alone[0].change}: {alone[0].reasons[0][:100]}" if alone else ""
-    undecided = sum(each.verdict == "undecided" for each in found)
+    undecided = sum(each.colour == "undecided" for each in found)
     yield Row("trust/second recording, red alone", float(len(alone)), "", note=f"{undecided} undecided{said}")

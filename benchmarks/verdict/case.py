@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from calibration.pipeline.matrix.running_cell import calibrate_cell, table_of
 BY_NAME: dict[str, Kind] = {kind.name: kind for kind in (CLEAN, *KINDS)}
 SIGMAS, LEAST = 3.0, (1.0, 0.05)
 """Where no limit is set, a result may be off by so many standard deviations of a good robot, and by mm and degrees."""
+Colour = Literal["red", "undecided", "green"]
 AS_WELL = 10.0
 """Costs (squared standard deviations) that differ by less are alike: of so many tests none could tell."""
 
@@ -164,8 +166,8 @@ def run(case: Case) -> Outcome:
         harm=harm,
         limits=harm.over(limits) if harm else None,
         clean_limits=_clean_limits(case),
-        red=result.verdict == "fail",
-        undecided=result.verdict == "undecided",
+        red=colour_of(result) == "red",
+        undecided=colour_of(result) == "undecided",
         reasons=result.reasons,
         kinds=tuple(f.kind for f in result.findings if f.severity == "red"),
         named=_named(result, case.planted),
@@ -176,6 +178,14 @@ def run(case: Case) -> Outcome:
         seconds=seconds,
         invisible=calibration is not None and _fits_as_well(case, calibration.cost),
     )
+
+
+def colour_of(result: CellResult) -> Colour:
+    """Whether the verdict is red, undecided or green; whatever a user makes of undecided."""
+    severities = {str(finding.severity) for finding in result.findings}
+    if "red" in severities or (result.verdict == "fail" and "undecided" not in severities):
+        return "red"
+    return "undecided" if "undecided" in severities else "green"
 
 
 def _fits_as_well(case: Case, cost: float) -> bool:

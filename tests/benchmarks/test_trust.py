@@ -44,4 +44,4 @@ def test_every_module_of_the_folder_is_measured(monkeypatch: pytest.MonkeyPatch)
 def test_a_sensor_that_moves_in_the_middle_is_red_and_named() -> None:
     found = moves.moved(2)
     assert 0 < found.first < found.collections
-    assert (found.verdict, found.named) == ("fail", True)
+    assert (found.colour, found.named) == ("red", True)
