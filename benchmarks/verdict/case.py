@@ -182,10 +182,10 @@ def run(case: Case) -> Outcome:
 
 def colour_of(result: CellResult) -> Colour:
     """Whether the verdict is red, undecided or green; whatever a user makes of undecided."""
-    severities = {str(finding.severity) for finding in result.findings}
-    if "red" in severities or (result.verdict == "fail" and "undecided" not in severities):
+    undecided = {finding.text for finding in result.findings if str(finding.severity) == "undecided"}
+    if not result.converged or set(result.reasons) - undecided:
         return "red"
-    return "undecided" if "undecided" in severities else "green"
+    return "undecided" if undecided else "green"
 
 
 def _fits_as_well(case: Case, cost: float) -> bool:

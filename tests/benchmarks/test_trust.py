@@ -3,6 +3,7 @@
 import pkgutil
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import cast
 
 import pytest
 
@@ -10,7 +11,11 @@ from benchmarks import trust
 from benchmarks.rows import Row
 from benchmarks.trust import moves
 from benchmarks.trust.defects import most_green, of_unforeseen
-from benchmarks.verdict.case import Case, Outcome, run
+from benchmarks.verdict.case import Case, Outcome, colour_of, run
+from calibration.diagnosis.finding import Finding, Severity
+from calibration.estimation.starting_noise import StartingNoise
+from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.matrix.cell_result import nothing_yet
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +33,15 @@ def test_undecided_is_neither_red_nor_green(harmful: Outcome) -> None:
     values = {row.name.rpartition(", ")[2]: row.value for row in of_unforeseen(found)}
     assert values == {"red": 50, "green": 25, "named": 100}
     assert most_green(found) == "raw images 1 of 4"
+
+
+def test_a_reason_that_is_not_an_undecided_finding_is_red() -> None:
+    cell = replace(nothing_yet(Cell("robot", StartingNoise())), converged=True)
+    undecided = Finding("precision", cast("Severity", "undecided"), "it can show 3 mm")
+    assert colour_of(cell) == "green"
+    assert colour_of(replace(cell, findings=(undecided,), reasons=(undecided.text,))) == "undecided"
+    assert colour_of(replace(cell, findings=(undecided,), reasons=(undecided.text, "a rule"))) == "red"
+    assert colour_of(replace(cell, converged=False)) == "red"
 
 
 def test_every_module_of_the_folder_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
