@@ -42,6 +42,7 @@ MODULES = {
     "scenarios": "many worlds",
     "trust": "error bars with the camera_info of other calibrations",
     "verdict": "planted defects that a run without a truth finds and names, false alarms, error bars",
+    "trust": "what a user who has set nothing is told of unforeseen defects, good robots, moves",
     "static_analysis": "a large repository, a change of it, refactorings without new findings",
     "ros_defects": "planted defects of ROS packages that the static analysis finds at their line, false findings",
     "baseline": "the accepted baseline: false alarms and moves between two recordings, changes in histories",

@@ -27,7 +27,7 @@ QUALITIES = ((20, 0.1, 0.0001), (30, 0.1, 0.0001), (20, 0.15, 0.0002), (30, 0.15
 """Views, noise of their corners (px), and how flat the board is (most of its bow about each axis, m)."""
 
 
-def measure(quick: bool) -> Iterator[Row]:
+def rows(quick: bool) -> Iterator[Row]:
     """The normalised squared error of each system that ships, over the four qualities of camera_info."""
     seeds = 2 if quick else 8
     for system in entries():

@@ -13,7 +13,8 @@ from pathlib import Path
 from benchmarks.verdict import recordings, summary
 from benchmarks.verdict.case import Outcome
 from benchmarks.verdict.catalogue import cases, outcomes
-from benchmarks.verdict.kinds import ALL, CLEAN, KINDS
+from benchmarks.verdict.kind import ALL
+from benchmarks.verdict.kinds import CLEAN, KINDS
 from benchmarks.verdict.strata import STRATA
 
 

@@ -6,15 +6,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from benchmarks.verdict.kinds import CLEAN, KINDS, Kind
+from benchmarks.verdict.kind import Kind
+from benchmarks.verdict.kinds import CLEAN, KINDS
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Stratum, clean, generator
 from calibration.dataset.model import Dataset
 from calibration.diagnosis.check_data import check_data
-from calibration.diagnosis.limits import Limits, allowed
+from calibration.diagnosis.limits import TWIST, Limits, sizes
 from calibration.errors import CalibrationError, InputError
 from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.estimation.calibrate import calibrate
@@ -32,6 +34,9 @@ from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import calibrate_cell, table_of
 
 BY_NAME: dict[str, Kind] = {kind.name: kind for kind in (CLEAN, *KINDS)}
+SIGMAS, LEAST = 3.0, (1.0, 0.05)
+"""Where no limit is set, a result may be off by so many standard deviations of a good robot, and by mm and degrees."""
+Colour = Literal["red", "undecided", "green"]
 AS_WELL = 10.0
 """Costs (squared standard deviations) that differ by less are alike: of so many tests none could tell."""
 
@@ -99,6 +104,8 @@ class Outcome:
     clean_limits: float
     """The same of the scene without the defect."""
     red: bool
+    undecided: bool
+    """Whether nothing is wrong, but an error bar reaches over a limit: neither red nor green."""
     reasons: tuple[str, ...]
     kinds: tuple[str, ...]
     """Of the red findings."""
@@ -150,7 +157,7 @@ def run(case: Case) -> Outcome:
     """Plant, judge, compare."""
     scene = case.scene()
     begin = time.perf_counter()
-    result, rms_red, calibration = judged(scene if case.limits else _nothing_set(scene))
+    result, rms_red, calibration = judged(scene if case.limits else with_nothing_set(scene))
     seconds = time.perf_counter() - begin
     harm = harm_of(calibration.dataset, scene) if calibration else None
     limits = case.allowed
@@ -159,7 +166,8 @@ def run(case: Case) -> Outcome:
         harm=harm,
         limits=harm.over(limits) if harm else None,
         clean_limits=_clean_limits(case),
-        red=result.verdict == "fail",
+        red=colour_of(result) == "red",
+        undecided=colour_of(result) == "undecided",
         reasons=result.reasons,
         kinds=tuple(f.kind for f in result.findings if f.severity == "red"),
         named=_named(result, case.planted),
@@ -170,6 +178,14 @@ def run(case: Case) -> Outcome:
         seconds=seconds,
         invisible=calibration is not None and _fits_as_well(case, calibration.cost),
     )
+
+
+def colour_of(result: CellResult) -> Colour:
+    """Whether the verdict is red, undecided or green; whatever a user makes of undecided."""
+    undecided = {finding.text for finding in result.findings if str(finding.severity) == "undecided"}
+    if not result.converged or set(result.reasons) - undecided:
+        return "red"
+    return "undecided" if undecided else "green"
 
 
 def _fits_as_well(case: Case, cost: float) -> bool:
@@ -222,9 +238,10 @@ def harm_of(calibrated: Dataset, scene: Scene) -> Harm | None:
     return Harm(error.translation_mm, error.rotation_deg, error.joint_mm, error.joint_deg)
 
 
-def _nothing_set(scene: Scene) -> Scene:
+def with_nothing_set(scene: Scene, limits: Limits | None = None) -> Scene:
+    """The scene of a user who has set nothing but, perhaps, limits: no rules, no assumptions."""
     options = replace(scene.system.options, assume=Assumptions())
-    return replace(scene, system=replace(scene.system, limits=Limits(), options=options))
+    return replace(scene, system=replace(scene.system, limits=limits or Limits(), options=options, rules=None))
 
 
 def _nees(case: Case, scene: Scene) -> Iterator[float]:
@@ -265,17 +282,20 @@ def _run_clean(case: Case) -> Outcome:
 
 @cache
 def _where_none_is_set(stratum: Stratum, system: str, seed: int) -> Limits:
-    """Limits of `calibration.diagnosis.limits` for the worst sensor of the scene without a defect."""
-    scene = _nothing_set(clean(stratum, system, seed))
+    """Three standard deviations of the worst sensor of the scene without a defect, where its collections agree.
+
+    They are written here, not taken from the verdict that is measured.
+    """
+    scene = with_nothing_set(clean(stratum, system, seed))
     found = calibrate(scene.told, scene.system.options)
-    each = [allowed(found, Limits(), sensor) for sensor in scene.told.sensors]
-    joint_mm, joint_deg = Limits().joint
-    return Limits(
-        translation_mm=max(one.translation_mm for one in each),
-        rotation_deg=max(one.rotation_deg for one in each),
-        joint_mm=joint_mm,
-        joint_deg=joint_deg,
+    assert found.error_bars
+    expected, setup = found.error_bars.expected, found.solution.setup
+    blocks = [setup.block(sensor.edge) for sensor in scene.told.sensors.values()]
+    each = [sizes(np.sqrt(np.diagonal(expected[block])), TWIST) for block in blocks if expected.get(block) is not None]
+    mm, deg = (
+        max(least, *(SIGMAS * one for one in of)) for least, of in zip(LEAST, zip(*each, strict=True), strict=True)
     )
+    return Limits(translation_mm=mm, rotation_deg=deg, joint_mm=LEAST[0], joint_deg=LEAST[1])
 
 
 def _named(result: CellResult, kind: Kind) -> int:

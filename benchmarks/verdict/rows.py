@@ -9,7 +9,8 @@ from benchmarks.rows import Bar, Row
 from benchmarks.verdict import recordings, software, summary
 from benchmarks.verdict.case import Outcome
 from benchmarks.verdict.catalogue import cases, outcomes
-from benchmarks.verdict.kinds import ALL, CLEAN, KINDS
+from benchmarks.verdict.kind import ALL
+from benchmarks.verdict.kinds import CLEAN, KINDS
 from benchmarks.verdict.strata import STRATA
 
 SEEDS = 3

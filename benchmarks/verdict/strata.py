@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Literal, get_args
@@ -27,8 +27,10 @@ from calibration.simulation.collection.capture import Requirements
 from calibration.simulation.collection.document import dataset_document, truth_document
 from calibration.simulation.collection.poses import collect_pose, kept, single_threaded_opencv
 from calibration.simulation.joints import joint_values
+from calibration.simulation.motion.candidates import find_candidates
 from calibration.simulation.motion.expected import expected_dataset
 from calibration.simulation.motion.generation import generate_motion
+from calibration.simulation.motion.sequence import Motion
 from calibration.simulation.placement import place, play
 from calibration.simulation.scenarios.scenario import Scenario
 from calibration.simulation.scenarios.scenario_set import read_scenario_set
@@ -73,7 +75,8 @@ def clean(stratum: Stratum, system: str, seed: int) -> Scene:
         return _rendered(system, seed % RENDERED_WORLDS)
     rng = generator(stratum, system, seed)
     scene = _exact(system, seed, rng)
-    return _noisy(scene if stratum == "exact" else _imperfect(scene, rng), rng, outliers=stratum == "good")
+    good = stratum == "good"
+    return _noisy(_imperfect(scene, rng) if good else scene, rng, GOOD_OUTLIERS if good else 0.0)
 
 
 @cache
@@ -81,7 +84,37 @@ def _system(name: str) -> System:
     return read_system(entries()[name].dataset)
 
 
-def recording(system: str, robot: int, seed: int, moved: Mapping[str, Array] | None = None) -> Scene:
+def at_zero(system: str) -> Mapping[tuple[str, str], Array]:
+    """The transforms (4, 4) of a system's description with all joints at zero."""
+    return _system(system).nominal.transforms({})
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """How a recording was made."""
+
+    collections: int = POSES_EXACT
+    distance: float = 1.0
+    """Of the pattern from the camera, in times of the usual."""
+    noise_px: float | None = None
+    """Of the corners; None for a good detector's, which differs between recordings."""
+    outliers: float = GOOD_OUTLIERS
+    """Share of the corners."""
+    at_random: bool = False
+    """Whether the poses are as a person takes them, not the best ones."""
+
+
+USUAL = Conditions()
+
+
+def recording(
+    system: str,
+    robot: int,
+    seed: int,
+    moved: Mapping[str, Array] | None = None,
+    conditions: Conditions = USUAL,
+    links: bool = False,
+) -> Scene:
     """A good robot's recording: lenses, assembly, camera_info and board are the robot's, motion and noise its own.
 
     Args:
@@ -89,22 +122,50 @@ def recording(system: str, robot: int, seed: int, moved: Mapping[str, Array] | N
         robot: its seed.
         seed: of the recording.
         moved: twists (6,) of sensors in their frames, since the robot was built.
+        conditions: how it was made.
+        links: whether each link of an arm is off from its description, as much as is assumed of a good one.
+
+    Raises:
+        InputError: too few poses were found.
     """
     rng = generator("recording", system, robot, seed)
-    scene = _exact(system, seed, generator("robot", system, robot))
+    scene = _exact(system, seed, generator("robot", system, robot), conditions)
+    if links:
+        scene = _with_wrong_links(scene, generator("links", system, robot))
     for sensor, twist in (moved or {}).items():
         edge = scene.world.sensors[sensor].edge
         world = scene.world.with_transforms({edge: retract(scene.world.transforms[edge], twist)})
         scene = scene.seen_as_in(replace(scene, world=world))
-    return _noisy(_imperfect(scene, rng, generator("held", system, robot)), rng, outliers=True)
+    imperfect = _imperfect(scene, rng, generator("held", system, robot))
+    return _noisy(imperfect, rng, conditions.outliers, conditions.noise_px)
 
 
-def _exact(name: str, seed: int, rng: np.random.Generator) -> Scene:
+def _with_wrong_links(scene: Scene, rng: np.random.Generator) -> Scene:
+    calibrated = {joint.edge for joint in scene.told.joints.values()}
+    edges = [edge for edge in moving_edges(scene) if edge not in calibrated]
+    off = {edge: retract(scene.world.transforms[edge], _twists(rng, 1, *GOOD_ARM)) for edge in edges}
+    return scene.seen_as_in(replace(scene, world=scene.world.with_transforms(off)))
+
+
+def _motion(system: System, seed: int, conditions: Conditions) -> Motion:
+    if conditions.distance != 1:
+        least, most = (conditions.distance * each for each in system.motion.distance or ())
+        system = replace(system, motion=replace(system.motion, distance=(least, most)))
+    if not conditions.at_random:
+        return generate_motion(system, conditions.collections, seed)
+    candidates = find_candidates(system, conditions.collections, seed)
+    if len(candidates) < conditions.collections:
+        raise InputError(f"{system.name}: found {len(candidates)} poses, expected {conditions.collections}")
+    order = generator("poses", system.name, seed).permutation(len(candidates))
+    return candidates.motion.take(sorted(order[: conditions.collections].tolist()))
+
+
+def _exact(name: str, seed: int, rng: np.random.Generator, conditions: Conditions = USUAL) -> Scene:
     """Exact labels of a motion, with lenses and an assembly of its own."""
     system = _system(name)
     scenario = Scenario(1, seed, _values(system, rng))
     built = build_world(system, scenario)
-    placement = place(built, generate_motion(built, POSES_EXACT, 1 + seed))
+    placement = place(built, _motion(built, 1 + seed, conditions))
     world = expected_dataset(built, placement)
     described = {sensor.edge: system.nominal.transforms({})[sensor.edge] for sensor in world.sensors.values()}
     told = world.with_transforms(described)
@@ -174,8 +235,8 @@ def moving_edges(scene: Scene) -> list[tuple[str, str]]:
     return [e for e in dict.fromkeys(found) if not world.moving_transforms]
 
 
-def _noisy(scene: Scene, rng: np.random.Generator, outliers: bool) -> Scene:
-    sigma = rng.uniform(*PIXEL_NOISE)
+def _noisy(scene: Scene, rng: np.random.Generator, outliers: float, noise_px: float | None = None) -> Scene:
+    sigma = rng.uniform(*PIXEL_NOISE) if noise_px is None else noise_px
 
     def noisy(_: int, __: str, labels: Labels) -> Labels:
         if isinstance(labels, PointLabels):
@@ -184,7 +245,7 @@ def _noisy(scene: Scene, rng: np.random.Generator, outliers: bool) -> Scene:
             return replace(labels, points=labels.points * (1 + error / ranges)[:, None])
         pixels = labels.pixels + sigma * rng.normal(size=labels.pixels.shape)
         if outliers:
-            wrong = rng.random(len(pixels)) < GOOD_OUTLIERS
+            wrong = rng.random(len(pixels)) < outliers
             pixels = pixels + wrong[:, None] * rng.uniform(-GOOD_OUTLIER, GOOD_OUTLIER, pixels.shape)
         return CornerLabels(labels.ids, pixels)
 

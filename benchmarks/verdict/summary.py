@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.verdict.case import BY_NAME, Outcome
-from benchmarks.verdict.kinds import CLEAN, KINDS, Kind
+from benchmarks.verdict.kind import Kind
+from benchmarks.verdict.kinds import CLEAN, KINDS
 
 Rows = Sequence[Outcome]
 Test = Callable[[Outcome], bool]

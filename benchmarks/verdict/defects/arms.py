@@ -1,22 +1,27 @@
 """Arms that are not where their description and their encoders say: the world is changed, not what the user has."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from benchmarks.verdict.scene import Scene
-from benchmarks.verdict.strata import moving_edges
+from benchmarks.verdict.strata import at_zero, moving_edges
 from calibration.dataset.model import Edge
 from calibration.geometry import rotations
 from calibration.geometry.transforms import inverse, retract, transform, translation
-from calibration.geometry.types import Array
+from calibration.geometry.types import Array, IntArray
 
 Plant = Callable[[Scene, float, np.random.Generator], Scene]
 
 
 def _moved(scene: Scene, edge: Edge, T: Array) -> Scene:
-    return scene.seen_as_in(replace(scene, world=scene.world.with_transforms({edge: T})))
+    return _all_moved(scene, {edge: T})
+
+
+def _all_moved(scene: Scene, transforms: Mapping[Edge, Array]) -> Scene:
+    return scene.seen_as_in(replace(scene, world=scene.world.with_transforms(transforms)))
 
 
 def _link(scene: Scene, rng: np.random.Generator) -> Edge:
@@ -146,10 +151,95 @@ def poses_of_others(scene: Scene, size: float, rng: np.random.Generator) -> Scen
     source = np.arange(n)
     wrong = rng.permutation(n)[: max(1, round(size * n))]
     source[wrong] = (wrong + rng.integers(1, n, len(wrong))) % n
+    return _told_as_in(scene, moving_edges(scene), source)
+
+
+def _told_as_in(scene: Scene, edges: Collection[Edge], source: IntArray) -> Scene:
+    """The scene whose user has the states of some joints from other collections (N,)."""
     told = scene.told
-    joints = {joint.edge for joint in told.joints.values()}
-    plain = {e: told.transforms[e][source] for e in moving_edges(scene) if e not in joints}
-    told = replace(
-        told, joints={name: replace(j, positions=j.positions[source]) for name, j in told.joints.items()}
-    ).with_transforms(plain)
-    return replace(scene, told=told.with_joints({name: j.values for name, j in told.joints.items()}))
+    joints = {name: joint for name, joint in told.joints.items() if joint.edge in edges}
+    plain = {e: told.transforms[e][source] for e in edges if e not in {j.edge for j in joints.values()}}
+    changed = {name: replace(j, positions=j.positions[source]) for name, j in joints.items()}
+    told = replace(told, joints={**told.joints, **changed}).with_transforms(plain)
+    return replace(scene, told=told.with_joints({name: j.values for name, j in changed.items()}))
+
+
+def stale_states(scene: Scene, way: float, rng: np.random.Generator) -> Scene:
+    """States of the collection before: 1 of all joints, 2 of one, 3 of all, in half of the collections."""
+    n, edges = len(scene.told.collections), moving_edges(scene)
+    late = rng.random(n) < (0.5 if way == 3 else 1.1)
+    source = np.maximum(0, np.arange(n) - late)
+    return _told_as_in(scene, [_link(scene, rng)] if way == 2 else edges, source)
+
+
+def stuck_joint(scene: Scene, share: float, rng: np.random.Generator) -> Scene:
+    """A joint whose state is not read anew for a share of the recording."""
+    source = np.arange(len(scene.told.collections))
+    length = max(2, round(share * len(source)))
+    first = int(rng.integers(0, len(source) - length + 1))
+    source[first : first + length] = first
+    return _told_as_in(scene, [_link(scene, rng)], source)
+
+
+def flipped_axis(scene: Scene, way: float, rng: np.random.Generator) -> Scene:
+    """A joint that is described to move the other way: 1 and 2 one of them, 3 all."""
+    told, zero = scene.told, at_zero(scene.system.name)
+    joints = {joint.edge: name for name, joint in told.joints.items()}
+    for edge in moving_edges(scene) if way == 3 else [_link(scene, rng)]:
+        if edge in joints:
+            joint = told.joints[joints[edge]]
+            told = replace(told, joints={**told.joints, joint.name: replace(joint, positions=-joint.positions)})
+            told = told.with_joints({joint.name: joint.values})
+        else:
+            told = told.with_transforms({edge: zero[edge] @ inverse(told.transforms[edge]) @ zero[edge]})
+    return replace(scene, told=told)
+
+
+def gravity_sag(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """An arm that hangs lower the farther it reaches, m where it reaches farthest."""
+    world = scene.world
+    edge = max(moving_edges(scene), key=lambda each: len(world.tree.path(world.world, each[1])))
+    T_world_parent = world.transform(world.world, edge[0])
+    place = world.transform(world.world, edge[1])[:, :3, 3]
+    first = min(moving_edges(scene), key=lambda each: len(world.tree.path(world.world, each[1])))
+    reach = np.linalg.norm((place - world.transform(world.world, first[0])[:, :3, 3])[:, :2], axis=1)
+    down = -size * (reach / reach.max()) ** 2
+    lower = translation(down[:, None] * np.array([0.0, 0.0, 1.0]))
+    return _moved(scene, edge, inverse(T_world_parent) @ lower @ T_world_parent @ world.transforms[edge])
+
+
+def eccentric_gear(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A gear whose error comes again with each turn, degrees."""
+    edge, axis, positions = _turning(scene, rng)
+    error = np.radians(size) * np.sin(positions + rng.uniform(0, 2 * np.pi))
+    return _moved(scene, edge, scene.world.transforms[edge] @ _motion(axis, error, False))
+
+
+def slipping_belt(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A belt that slips steadily, degrees from the first collection to the last."""
+    edge, axis, positions = _turning(scene, rng)
+    slip = np.radians(size) * np.linspace(0, 1, len(positions))
+    return _moved(scene, edge, scene.world.transforms[edge] @ _motion(axis, slip, False))
+
+
+def coarse_encoder(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """An encoder that tells only multiples of so many degrees."""
+    edge, axis, positions = _turning(scene, rng)
+    step = np.radians(size)
+    return _moved(scene, edge, scene.world.transforms[edge] @ _motion(axis, -np.mod(positions, step), False))
+
+
+def cancelling_joints(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Two joints one after the other, as parallel as there are, off by degrees that nearly cancel."""
+    world = scene.world
+    turning = []
+    for edge in sorted(moving_edges(scene), key=lambda each: len(world.tree.path(world.world, each[1]))):
+        axis, _, slides = _axis(world.transforms[edge])
+        if not slides:
+            turning.append((edge, axis, world.transform(world.world, edge[1])[0, :3, :3] @ axis))
+    first, second = max(pairwise(turning), key=lambda pair: abs(pair[0][2] @ pair[1][2]))
+    back = -np.sign(first[2] @ second[2])
+    changed = {}
+    for (edge, axis, _), by in ((first, size), (second, back * size)):
+        changed[edge] = world.transforms[edge] @ _motion(axis, np.radians(by), False)
+    return _all_moved(scene, changed)

@@ -50,6 +50,34 @@ def twist(scene: Scene, height: float, _: np.random.Generator) -> Scene:
     return scene.seen_as_in(replace(scene, shape=tuple(np.add(scene.shape, (0, 0, height)).tolist())))
 
 
+def bowed_and_stretched(scene: Scene, share: float, rng: np.random.Generator) -> Scene:
+    """A print that is stretched by a share on a board that is bent, half as many metres in the middle."""
+    return stretch(bow_x(scene, share / 2, rng), share, rng)
+
+
+def _printed(scene: Scene, corners: Array) -> Scene:
+    """The scene with the corners (K, 3) of the pattern printed elsewhere."""
+    real = replace(next(iter(scene.world.patterns.values())), corners=corners)
+    return scene.seen_as_in(replace(scene, world=replace(scene.world, patterns={real.name: real})))
+
+
+def uneven_print(scene: Scene, size: float, _: np.random.Generator) -> Scene:
+    """Columns that lie wider and wider apart: the middle ones are off by so many metres."""
+    corners = next(iter(scene.world.patterns.values())).corners.copy()
+    x = (corners[:, 0] - corners[:, 0].min()) / np.ptp(corners[:, 0])
+    corners[:, 0] -= 4 * size * x * (1 - x)
+    return _printed(scene, corners)
+
+
+def exchanged_board(scene: Scene, share: float, rng: np.random.Generator) -> Scene:
+    """From one of the collections on another board, whose squares are larger by a share."""
+    other = _printed(scene, scene.pattern.corners * (1 + share))
+    n = len(scene.told.collections)
+    first = int(rng.integers(n // 4, 3 * n // 4 + 1))
+    collections = (*scene.told.collections[:first], *other.told.collections[first:])
+    return replace(scene, told=replace(scene.told, collections=collections))
+
+
 def border(scene: Scene, width: float, _: np.random.Generator) -> Scene:
     """A border that is told too wide, m."""
     pattern = scene.pattern

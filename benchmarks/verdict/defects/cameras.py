@@ -9,6 +9,7 @@ from benchmarks.verdict.scene import Scene
 from calibration.dataset.model import CornerLabels, Labels
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import Equidistant, PlumbBob
+from calibration.geometry.transforms import local, retract
 from calibration.geometry.types import Array
 
 
@@ -191,3 +192,127 @@ def outliers(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
         return uv + wrong[:, None] * rng.uniform(-50, 50, uv.shape)
 
     return mapped(scene, scene.cameras, spoilt)
+
+
+def zoom(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A lens that is zoomed between two collections, by a share."""
+    n = len(scene.told.collections)
+    first = int(rng.integers(n // 4, 3 * n // 4 + 1))
+
+    def zoomed(uv: Array, camera: Camera, i: int) -> Array:
+        centre = (camera.cx, camera.cy)
+        return (uv - centre) * (1 + size) + centre if i >= first else uv
+
+    return mapped(scene, [one_of(scene.cameras, rng)], zoomed)
+
+
+def principal_drift(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A lens that sinks in its barrel, px from the first collection to the last."""
+    angle, last = rng.uniform(0, 2 * np.pi), max(1, len(scene.told.collections) - 1)
+    way = size * np.array([np.cos(angle), np.sin(angle)])
+    return mapped(scene, [one_of(scene.cameras, rng)], lambda uv, _, i: uv + way * (i / last))
+
+
+def stabilised_images(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Images that a stabiliser has shifted, each by other px."""
+    shifts = rng.normal(0, size, (len(scene.told.collections), 2))
+    return mapped(scene, [one_of(scene.cameras, rng)], lambda uv, _, i: uv + shifts[i])
+
+
+def some_scaled(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Half of the images have another resolution."""
+    scaled = rng.random(len(scene.told.collections)) < 0.5
+    return mapped(scene, [one_of(scene.cameras, rng)], lambda uv, _, i: (uv + 0.5) * size - 0.5 if scaled[i] else uv)
+
+
+def windscreen(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A screen before the camera whose waves shift the image, px."""
+    u0, v0 = rng.uniform(0, 2 * np.pi, 2)
+
+    def bent(uv: Array, camera: Camera, _: int) -> Array:
+        u, v = uv.T
+        waves = 3 * np.pi * v / camera.height + u0, 3 * np.pi * u / camera.width + v0
+        return uv + size * np.sin(np.stack(waves, 1))
+
+    return mapped(scene, [one_of(scene.cameras, rng)], bent)
+
+
+def quantised(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Corners that are told as multiples of so many px."""
+    return mapped(scene, scene.cameras, lambda uv, _, __: np.round(uv / size) * size)
+
+
+def correlated(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Corners that err together in each view, as in blurred images: px of shift, and as much of shear and scale."""
+
+    def erring(uv: Array, _: Camera, __: int) -> Array:
+        extent = (uv - uv.mean(0)) / max(1.0, float(uv.std(0).max()))
+        return uv + rng.normal(0, size, 2) + extent @ rng.normal(0, size, (2, 2))
+
+    return mapped(scene, scene.cameras, erring)
+
+
+def binned(scene: Scene, way: float, rng: np.random.Generator) -> Scene:
+    """1: the columns alone are binned, 2: camera_info alone is, 3: both, with the pixel's corner for its centre."""
+    name = one_of(scene.cameras, rng)
+    half = np.array([0.5, 0.5 if way == 3 else 1.0])
+    camera = camera_of(scene, name)
+    binned_camera = replace(
+        camera, fx=camera.fx / 2, fy=camera.fy / 2, cx=camera.cx / 2, cy=camera.cy / 2,
+        width=camera.width // 2, height=camera.height // 2,
+    )  # fmt: skip
+    if way != 2:
+        scene = mapped(scene, [name], lambda uv, _, __: (uv + 0.5) * half - 0.5)
+    return scene if way == 1 else _told(scene, name, binned_camera)
+
+
+def _rectified(camera: Camera, size: float) -> Camera:
+    """What a rectification makes of a camera whose lens has k1 = -size."""
+    wider = 1 + 0.4 * size
+    return replace(camera, fx=camera.fx * wider, fy=camera.fy * wider, distortion=PlumbBob())
+
+
+def rectified_images(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Images are rectified, camera_info is the raw lens with k1 = -size."""
+    name = one_of(scene.cameras, rng)
+    camera = camera_of(scene, name)
+    scene = scene.seen_as_in(replace(scene, world=scene.world.with_cameras({name: _rectified(camera, size)})))
+    return _told(scene, name, replace(camera, distortion=PlumbBob(k1=-size, k2=size / 5)))
+
+
+def raw_images(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Images are raw, of a lens with k1 = -size, and camera_info is that of the rectified ones."""
+    name = one_of(scene.cameras, rng)
+    camera = camera_of(scene, name)
+    raw = replace(camera, distortion=PlumbBob(k1=-size, k2=size / 5))
+    scene = scene.seen_as_in(replace(scene, world=scene.world.with_cameras({name: raw})))
+    return _told(scene, name, _rectified(camera, size))
+
+
+def order_of_coefficients(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """k3 of a lens with k1 = -size is written before p1 and p2."""
+    name = one_of(scene.cameras, rng)
+    camera = camera_of(scene, name)
+    lens = PlumbBob(k1=-size, k2=size / 2, p1=size / 200, p2=-size / 200, k3=-size / 8)
+    scene = scene.seen_as_in(replace(scene, world=scene.world.with_cameras({name: replace(camera, distortion=lens)})))
+    return _told(scene, name, replace(camera, distortion=replace(lens, p1=lens.k3, p2=lens.p1, k3=lens.p2)))
+
+
+def rolling_shutter(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """The pattern moves on towards its next pose by so many metres while an image is read, row after row."""
+    name = one_of(scene.cameras, rng)
+    T = scene.pose(name)
+    way = local(T, np.roll(T, -1, axis=0))
+    way *= size / np.maximum(np.linalg.norm(way[:, :3], axis=1, keepdims=True), 1e-9)
+    first, last = (replace(scene, seen={**scene.seen, name: retract(T, end * way)}) for end in (-0.5, 0.5))
+
+    def read(i: int, sensor: str, labels: Labels) -> Labels | None:
+        if sensor != name or not isinstance(labels, CornerLabels):
+            return labels
+        with np.errstate(all="ignore"):
+            moves = last.expected(i, name, labels.ids) - first.expected(i, name, labels.ids)
+        row = labels.pixels[:, 1:] / camera_of(scene, name).height - 0.5
+        here = np.asarray(np.isfinite(moves).all(-1))
+        return CornerLabels(labels.ids[here], (labels.pixels + row * moves)[here]) if here.sum() >= 4 else None
+
+    return scene.labelled(read)

@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.verdict.defects.cameras import one_of
 from benchmarks.verdict.scene import Scene
 from calibration.dataset.model import Labels, PointLabels
-from calibration.geometry.transforms import apply
+from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array
 
 Change = Callable[[Array, int], Array]
@@ -31,6 +31,61 @@ def range_bias(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
 def range_scale(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     """Lengthen all ranges by a share."""
     return _mapped(scene, one_of(scene.lidars, rng), lambda p, _: p * (1 + size))
+
+
+def range_drift(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Ranges that grow as the LiDAR becomes warm, m from the first collection to the last."""
+    last = max(1, len(scene.told.collections) - 1)
+    return _mapped(scene, one_of(scene.lidars, rng), lambda p, i: p * (1 + size * (i / last) / _ranges(p)))
+
+
+def intensity_bias(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Black squares that are measured farther away than white ones, m."""
+    sensor, corners = one_of(scene.lidars, rng), scene.pattern.corners
+    square = np.linalg.norm(corners[1] - corners[0])
+
+    def farther(points: Array, i: int) -> Array:
+        places = (apply(inverse(scene.pose(sensor)[i]), points) - corners[0])[:, :2] / square
+        black = np.floor(places).sum(1, keepdims=True) % 2
+        moved: Array = points * (1 + size * black / _ranges(points))
+        return moved
+
+    return _mapped(scene, sensor, farther)
+
+
+def _turned(points: Array, azimuth: Array) -> Array:
+    """Points (N, 3) at other azimuths (N,)."""
+    flat = np.linalg.norm(points[:, :2], axis=-1)
+    turned: Array = np.c_[flat * np.cos(azimuth), flat * np.sin(azimuth), points[:, 2]]
+    return turned
+
+
+def azimuth_scale(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """An angle between beams that is told too great by a share."""
+    return _mapped(scene, one_of(scene.lidars, rng), lambda p, _: _turned(p, np.arctan2(p[:, 1], p[:, 0]) * (1 + size)))
+
+
+def deskewed(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Points that are deskewed for a drive of so many metres a turn, while the robot stands."""
+    angle = rng.uniform(0, 2 * np.pi)
+    way = size * np.array([np.cos(angle), np.sin(angle), 0.0])
+    return _mapped(
+        scene, one_of(scene.lidars, rng), lambda p, _: p + np.outer(np.arctan2(p[:, 1], p[:, 0]) / (2 * np.pi), way)
+    )
+
+
+def ring_angles(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Elevations of the rings, each off by other degrees; rings lie a degree apart at least."""
+    errors = np.radians(rng.normal(0, size, 181))
+
+    def bent(points: Array, _: int) -> Array:
+        flat, ranges = np.linalg.norm(points[:, :2], axis=-1), _ranges(points)[:, 0]
+        elevation = np.arctan2(points[:, 2], flat)
+        elevation += errors[np.round(np.degrees(elevation)).astype(int) + 90]
+        moved: Array = np.c_[points[:, :2] * (ranges * np.cos(elevation) / flat)[:, None], ranges * np.sin(elevation)]
+        return moved
+
+    return _mapped(scene, one_of(scene.lidars, rng), bent)
 
 
 def tilt(scene: Scene, size: float, rng: np.random.Generator) -> Scene:

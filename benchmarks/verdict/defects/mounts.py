@@ -66,15 +66,56 @@ def pattern_moved(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     return _moved(scene, edge, _after(scene, rng) * np.concatenate([size * _way(rng), np.zeros(3)]))
 
 
+def breathing(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A mount that moves to and fro with the temperature, m to either side, once in a recording."""
+    sensor, n = scene.told.sensors[_free(scene, rng)], len(scene.told.collections)
+    share = np.sin(2 * np.pi * np.arange(n) / n)[:, None]
+    return _moved(scene, sensor.edge, share * np.concatenate([size * _way(rng), np.zeros(3)]))
+
+
+def loosened(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A mount that is loosened, shakes for a quarter of the recording, m, and is set again as far from where it was."""
+    sensor, n = scene.told.sensors[_free(scene, rng)], len(scene.told.collections)
+    first = int(rng.integers(n // 4, n // 2 + 1))
+    shifts = rng.normal(0, size, (n, 3))
+    shifts[:first], shifts[first + n // 4 :] = 0.0, size * _way(rng)
+    return _moved(scene, sensor.edge, np.c_[shifts, np.zeros((n, 3))])
+
+
 def lag(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     """Delay a sensor's data: it saw the pattern a distance (m) back on the way from the last pose."""
-    sensor = one_of(list(scene.told.sensors), rng)
+    return _at_other_moments(scene, one_of(list(scene.told.sensors), rng), np.array(size))
+
+
+def lidar_lag(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """Delay the data of a LiDAR, likewise."""
+    return _at_other_moments(scene, one_of(scene.lidars, rng), np.array(size))
+
+
+def jittered_stamps(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A camera whose time stamps are off by other times, as if it saw the pattern so many metres before."""
+    distances = np.abs(rng.normal(0, size, len(scene.told.collections) - 1))
+    return _at_other_moments(scene, one_of(scene.cameras, rng), distances)
+
+
+def _at_other_moments(scene: Scene, sensor: str, distances: Array) -> Scene:
+    """A sensor that saw the pattern distances (N - 1,) back on the way from the last pose."""
     T = scene.pose(sensor)
     back = local(T[1:], T[:-1])
     length = np.maximum(np.linalg.norm(back[:, :3], axis=1), 1e-9)
     late = T.copy()
-    late[1:] = retract(T[1:], back * np.minimum(1, size / length)[:, None])
+    late[1:] = retract(T[1:], back * np.minimum(1, distances / length)[:, None])
     return scene.seen_as_in(replace(scene, seen={sensor: late}))
+
+
+def trembling(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A pattern in a trembling hand, m and 2.5 rad a metre: a fixed one in each collection, others for each sensor."""
+    n = len(scene.told.collections)
+    sigmas = size * np.repeat([1.0, 2.5], 3)
+    common = rng.normal(0, sigmas, (n, 6))
+    twists = {name: common if scene.pattern.fixed else rng.normal(0, sigmas, (n, 6)) for name in scene.told.sensors}
+    seen = {name: retract(scene.pose(name), twist) for name, twist in twists.items()}
+    return scene.seen_as_in(replace(scene, seen=seen))
 
 
 def sway(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
