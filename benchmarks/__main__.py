@@ -40,7 +40,6 @@ MODULES = {
     "motion": "what a generated motion costs, and how well its poses determine a calibration",
     "collection": "whole collections in simulation, and how near the truth they calibrate",
     "scenarios": "many worlds",
-    "trust": "error bars with the camera_info of other calibrations",
     "verdict": "planted defects that a run without a truth finds and names, false alarms, error bars",
     "trust": "what a user who has set nothing is told of unforeseen defects, good robots, moves",
     "static_analysis": "a large repository, a change of it, refactorings without new findings",
