@@ -21,7 +21,7 @@ from calibration.geometry.transforms import local
 from calibration.geometry.types import Array
 from calibration.records import field, result
 
-Kind = Literal["pose", "parameter", "added", "removed"]
+Kind = Literal["pose", "parameter", "lens", "added", "removed"]
 MOST_FREEDOM = 1e6
 """Upper limit of the degrees of freedom; beyond it the distribution is practically chi-squared."""
 LEAST = 1e-9
@@ -33,7 +33,10 @@ class Change:
     """Difference of one calibrated transform or parameter from an earlier one."""
 
     name: str = field("The sensor, the transform or the parameter.")
-    kind: Kind = field("pose, parameter; added and removed where only one of the two calibrations has it.")
+    kind: Kind = field(
+        "pose, parameter, lens (all parameters of a camera together); added and removed where only one of the two "
+        "calibrations has it."
+    )
     translation_mm: tuple[float, ...] = field("Translation, in the earlier child frame.", unit="mm", default=())
     rotation_deg: tuple[float, ...] = field("Rotation vector, in that frame.", unit="degrees", default=())
     value: float | None = field("Difference of a parameter.", default=None)
@@ -78,7 +81,7 @@ class Comparison:
     @property
     def significance(self) -> float:
         """Significance level of each single difference: family-wise over all of them (Bonferroni)."""
-        return FAMILY_WISE / max(1, sum(each.kind in ("pose", "parameter") for each in self.changes))
+        return FAMILY_WISE / max(1, sum(each.kind in ("pose", "parameter", "lens") for each in self.changes))
 
 
 def compare(before: Snapshot, now: Snapshot) -> Comparison:
@@ -88,13 +91,15 @@ def compare(before: Snapshot, now: Snapshot) -> Comparison:
     later = {each.edge: each for each in now.poses}
     values = {each.name: each for each in before.parameters}
     new_values = {each.name: each for each in now.parameters}
-    count = len(earlier.keys() & later.keys()) + len(values.keys() & new_values.keys())
+    lenses = [] if same else sorted(before.lens_correlations.keys() & now.lens_correlations.keys())
+    count = len(earlier.keys() & later.keys()) + len(values.keys() & new_values.keys()) + len(lenses)
     freedom = _freedom(before, now)
     threshold = t_squared_quantile(FAMILY_WISE / max(1, count), freedom)
     changes = [_pose_change(earlier[edge], later[edge], same, threshold, freedom) for edge in earlier if edge in later]
     changes += [
         _parameter_change(values[name], new_values[name], same, freedom) for name in values if name in new_values
     ]
+    changes += [each for name in lenses if (each := _lens_change(before, now, name, freedom))]
     changes += _unmatched({each.name for each in earlier.values()}, {each.name for each in later.values()})
     changes += _unmatched(values.keys(), new_values.keys())
     return Comparison(before, now, tuple(changes))
@@ -158,6 +163,25 @@ def _parameter_change(before: Parameter, now: Parameter, same: bool, freedom: fl
     )
 
 
+def _lens_change(before: Snapshot, now: Snapshot, camera: str, freedom: float) -> Change | None:
+    """Compare all parameters of a camera together, which make up for each other; None for another lens model.
+
+    Of its covariance only a factor is estimated from the collections, by all k parameters of each, so that the squared
+    distance over k is F-distributed with k and k n degrees of freedom.
+    """
+    earlier, later = before.lens(camera), now.lens(camera)
+    if earlier is None or later is None or earlier[0] != later[0]:
+        return None
+    chi_squared, k = _mahalanobis(later[1] - earlier[1], earlier[2] + later[2]), len(earlier[0])
+    score = float(score_of_f(chi_squared / k, k, k * min(max(freedom, 1.0), MOST_FREEDOM)))
+    return Change(
+        name=f"{camera}'s lens",
+        kind="lens",
+        sigmas=_finite(math.sqrt(chi_squared)),
+        p=0.5 * math.erfc(score / math.sqrt(2)),
+    )
+
+
 def _label_covariance(pose: Pose) -> Array | None:
     """Covariance (6, 6) from the labels' noise alone, without that of fixed parameters; None for a fixed pose."""
     C = pose.covariance
@@ -180,11 +204,16 @@ def covariance_of_difference(before: Pose, now: Pose) -> Array | None:
 
 def _chi_squared(d: Array, C: Array) -> tuple[float, float]:
     """Return ``d^T C^-1 d``, and the largest standard deviation of a translation in any direction, m."""
+    return _mahalanobis(d, C), float(np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1]))
+
+
+def _mahalanobis(d: Array, C: Array) -> float:
+    """Return ``d^T C^-1 d``."""
     scale = np.sqrt(np.maximum(np.diagonal(C), 1e-300))
     values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
     values = np.maximum(values, LEAST * values[-1])
     white = vectors.T @ (d / scale) / np.sqrt(values)
-    return float(white @ white), float(np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1]))
+    return float(white @ white)
 
 
 def _norms(d: Array) -> tuple[float, float]:

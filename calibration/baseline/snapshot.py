@@ -193,6 +193,10 @@ class Snapshot:
     engine: Name = field("The version that calibrated.")
     poses: tuple[Pose, ...] = field("Calibrated transforms.")
     parameters: tuple[Parameter, ...] = field("Calibrated parameters of joints and cameras.", default=())
+    lens_correlations: Mapping[str, tuple[Annotated[float, between(-1, 1)], ...]] = field(
+        "By camera, the correlations of its parameters in their order, below the diagonal, row by row.",
+        default_factory=dict,
+    )
     rms_px: Positive | None = field(
         "Root mean square of the table, or of the reprojected corners.", unit="px", default=None
     )
@@ -216,6 +220,18 @@ class Snapshot:
     starts: Count | None = field("Starts in all.", default=None)
     software: tuple[Start, ...] = field("Results of the team's software from each initial guess.", default=())
     although: Name | None = field("Reason for accepting it although the verdict was fail.", default=None)
+
+    def lens(self, camera: str) -> tuple[tuple[str, ...], Array, Array] | None:
+        """Return the names, values (k,) and covariance (k, k) of a camera's parameters; None if it has none."""
+        own = [each for each in self.parameters if each.of == camera]
+        correlations, k = self.lens_correlations.get(camera, ()), len(own)
+        if not own or len(correlations) != k * (k - 1) // 2:
+            return None
+        matrix = np.zeros((k, k))
+        matrix[np.tril_indices(k, -1)] = correlations
+        sigmas = np.array([each.sigma for each in own])
+        covariance = (np.eye(k) + matrix + matrix.T) * np.outer(sigmas, sigmas)
+        return tuple(each.parameter for each in own), np.array([each.value for each in own]), covariance
 
 
 def snapshot(
@@ -261,6 +277,7 @@ class Snapshots:
                 for edge, T in sorted(_at_description(calibration, self._given))
             ),
             parameters=tuple(_parameters(calibration)),
+            lens_correlations={name: _lens_correlations(each) for name, each in calibration.intrinsics.items()},
             rms_px=_known(rms_px, 6),
             noise=NoiseLevels(**{k: _significant(v, 4) for k, v in noise.items()}),
             effective_collections=_significant(bars.effective_collections, 3) if bars else None,
@@ -422,6 +439,11 @@ def _each(
     rows = zip(found.parameters, found.values.tolist(), found.units, found.sigmas.tolist(), of_labels, strict=True)
     for parameter, value, unit, sigma, own in rows:
         yield Parameter(name, parameter, _significant(value, 12), unit, _significant(sigma, 4), own)
+
+
+def _lens_correlations(found: CalibratedIntrinsics) -> tuple[float, ...]:
+    correlations = found.covariance / np.outer(found.sigmas, found.sigmas)
+    return _rounded(np.clip(correlations[np.tril_indices(len(correlations), -1)], -1, 1), 6)
 
 
 def _views(dataset: Dataset) -> dict[str, int]:

@@ -103,6 +103,8 @@ def _suspected(change: Change) -> str:
     """Return what is likely to have changed on the robot."""
     if change.kind == "pose":
         return "its mount"
+    if change.kind == "lens":
+        return "its focus and zoom"
     return "the joint" if change.unit in ("m", "rad") else "the lens"
 
 
@@ -138,6 +140,8 @@ def _nothing_moved(comparison: Comparison, since: str) -> list[Finding]:
 
 def _size(change: Change) -> str:
     """Describe a change's size and direction: "4.9 +- 0.3 mm along its x, 0.5 +- 0.02 deg about its z"."""
+    if change.kind == "lens":
+        return f"its parameters together by {_sigmas(change.sigmas)}"
     if change.kind == "parameter":
         sigma = "" if change.sigma is None else f" +- {change.sigma:.2g}"
         unit = "" if change.unit in (None, "1") else f" {change.unit}"

@@ -107,7 +107,11 @@ def findings_of(results: Results, severity: Severity) -> tuple[str, ...]:
 
 def cells_without_table(results: Results) -> str:
     """Describe the RMS of cells without a table."""
-    names = [cell.system for cell in results.cells if cell.table and Path(cell.table).name == REPROJECTION]
+    names = [
+        cell.system
+        for cell in results.cells
+        if cell.table and Path(cell.table).name == REPROJECTION and not (cell.details and cell.details.of_cameras_alone)
+    ]
     if not names:
         return ""
     which = f"RMS of {', '.join(dict.fromkeys(names))}: of all corners against where the calibration puts them"

@@ -117,6 +117,11 @@ class Details:
     snapshot: Snapshot | None = field("The result as `calibration accept` keeps it.", default=None)
     changes: tuple[Change, ...] = field("Differences from the accepted calibration.", default=())
 
+    @property
+    def of_cameras_alone(self) -> bool:
+        """Whether only intrinsics are calibrated."""
+        return bool(self.intrinsics) and not self.transforms
+
 
 @result(kw_only=True)
 class CellResult:
