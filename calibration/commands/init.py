@@ -1,6 +1,7 @@
 """``init``: create calibration.yml and a workflow for a dataset."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -9,7 +10,7 @@ from calibration.commands.parameters import boolean_option, path
 from calibration.errors import ExitCode, InputError
 from calibration.files import write_atomically
 from calibration.pipeline.configuration import read_configuration
-from calibration.pipeline.first_configuration import first_configuration
+from calibration.pipeline.first_configuration import FirstConfiguration, first_configuration
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.text import one_line
 
@@ -35,16 +36,20 @@ jobs:
 @click.option("--output", type=path, default=".", show_default=True, help="Folder of the repository.")
 @click.option("--suite", default=SUITE, show_default=True, help="Where the workflow comes from.")
 @boolean_option("--overwrite", help="Replace files that are there.")
-def command(dataset: Path, output: Path, suite: str, overwrite: bool) -> ExitCode:
+@boolean_option("--although", help="Write them although the recording does not pass; it will be red.")
+def command(dataset: Path, output: Path, suite: str, overwrite: bool, although: bool) -> ExitCode:
     """Write a first calibration.yml for a dataset, and the workflow that runs it on every push."""
-    return init(dataset, output, suite, Runner.from_environment(os.environ), overwrite=overwrite)
+    runner = Runner.from_environment(os.environ)
+    return init(dataset, output, suite, runner, overwrite=overwrite, although=although)
 
 
-def init(dataset: Path, output: Path, suite: str, runner: Runner, *, overwrite: bool = False) -> ExitCode:
-    """Calibrate a dataset, and write its limits for later runs.
+def init(
+    dataset: Path, output: Path, suite: str, runner: Runner, *, overwrite: bool = False, although: bool = False
+) -> ExitCode:
+    """Calibrate a dataset, judge it without limits, and write those of a good robot for later runs.
 
     Returns:
-        FAIL if the dataset does not pass the new configuration; the log has the reasons.
+        FAIL if the dataset does not pass; the log has the reasons. Nothing is written then, but for ``although``.
 
     Raises:
         InputError: a file exists, or the dataset is wrong or cannot be calibrated.
@@ -58,17 +63,34 @@ def init(dataset: Path, output: Path, suite: str, runner: Runner, *, overwrite: 
         if file.exists() and not overwrite:
             raise InputError(f"{file}: there is such a file already: move it, or add --overwrite")
     first = first_configuration(dataset, output)
-    write_atomically(configuration, first.text)
-    write_atomically(workflow, _WORKFLOW.format(suite=repository, version=version))
-    read_configuration(configuration)
+    written = although or not first.reasons
+    if written:
+        write_atomically(configuration, first.text)
+        write_atomically(workflow, _WORKFLOW.format(suite=repository, version=version))
+        read_configuration(configuration)
     with stop_commands(runner):
-        for each in (*first.missing, *first.reasons):
-            runner.log(one_line(f"{first.name}: {each}"))
-        word = "fails as it is" if first.reasons else "passes"
-        runner.log(one_line(f"{configuration}, {workflow}: written; {first.name} {word}"))
-        if suite == SUITE:
-            runner.log(one_line(f"{workflow}: put the owner of your copy of the suite in the place of OWNER"))
-        if not first.reasons:
-            commit = f"commit these, {dataset} and calibration-baseline.json"
-            runner.log(one_line(f"next: calibration run, calibration accept; then {commit}"))
-    return ExitCode.FAIL if first.reasons else ExitCode.PASS
+        for each in _said(first, dataset, configuration, workflow, suite=suite, written=written):
+            runner.log(one_line(each))
+    return ExitCode.FAIL if first.reasons or first.undecided else ExitCode.PASS
+
+
+def _said(
+    first: FirstConfiguration, dataset: Path, configuration: Path, workflow: Path, *, suite: str, written: bool
+) -> Iterator[str]:
+    """Yield the lines of the log: all that was found, what was written, what is next."""
+    yield from (f"{first.name}: {each}" for each in (*first.missing, *first.found))
+    yield from (f"{first.name}: undecided: {each}" for each in first.undecided)
+    yield from (f"{first.name}: fails: {each}" for each in first.reasons)
+    if not written:
+        yield (
+            f"{configuration}: not written: mend what is named and record again; --although writes it, and every run "
+            f"will fail"
+        )
+        return
+    word = "fails as it is" if first.reasons else "is undecided" if first.undecided else "passes"
+    yield f"{configuration}, {workflow}: written; {first.name} {word}"
+    if suite == SUITE:
+        yield f"{workflow}: put the owner of your copy of the suite in the place of OWNER"
+    if word == "passes":
+        commit = f"commit these, {dataset} and calibration-baseline.json"
+        yield f"next: calibration run, calibration accept; then {commit}"

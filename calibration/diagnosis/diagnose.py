@@ -4,8 +4,8 @@ from calibration.dataset.model import Dataset
 from calibration.diagnosis.camera_info import camera_info
 from calibration.diagnosis.description import FAR_AWAY, far_from_description
 from calibration.diagnosis.exchanged_labels import exchanged_labels
-from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.limits import Limits
+from calibration.diagnosis.finding import CONTRADICTION, Finding
+from calibration.diagnosis.limits import Limits, allowed, stated
 from calibration.diagnosis.mirrored import mirrored
 from calibration.diagnosis.missing_files import missing_files
 from calibration.diagnosis.precision import precision
@@ -19,6 +19,8 @@ from calibration.diagnosis.wrong_views import wrong_views
 from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 
+HOPELESS = 2.0
+"""Standard deviation, in default limits, from which on mirrored data are tried, which takes a calibration each."""
 UNEXPLAINED = (NOTHING, UNTESTED)
 """Findings on a calibration without suspects."""
 
@@ -47,7 +49,7 @@ def diagnose(
     useless = any(each.severity == "red" for each in rejected) and not far
     explained = any(each.kind != FAR_AWAY for each in far)  # a single cause is reported instead of its consequences
     suspected = what_does_not_fit(calibration, limits)
-    hopeless = useless or any(each.kind == "contradiction" and each.severity == "red" for each in suspected) or far
+    hopeless = useless or far or _is_hopeless(calibration, suspected)
     flipped = mirrored(calibration, description, options) if hopeless and not explained else ()
     return (
         *missing_files(calibration.dataset),
@@ -58,7 +60,7 @@ def diagnose(
         *wrong_views(calibration),
         *(each for each in suspected if each.severity != "red"),
         *_of_residuals(calibration, limits, suspected),
-        *(() if truth_known else (*too_few(calibration), *precision(calibration, limits))),
+        *(() if truth_known else (*too_few(calibration), *precision(calibration, limits, suspected))),
         *projection(calibration, limits),
         *(() if explained else far),
         *(exchanged_labels(calibration, description, options) if useless else ()),
@@ -74,6 +76,16 @@ def _of_residuals(calibration: Calibration, limits: Limits, suspected: tuple[Fin
     if calibration.of_cameras_alone:
         return of_cameras_alone(calibration, limits, residuals(calibration))
     return residuals(calibration) if all(each.kind in UNEXPLAINED for each in suspected) else ()
+
+
+def _is_hopeless(calibration: Calibration, suspected: tuple[Finding, ...]) -> bool:
+    """Whether views contradict each other so much that a sensor is uncertain by far more than a good one."""
+    names = {name for each in suspected if each.kind == CONTRADICTION for name in each.sensors}
+    known = {name: sigmas for name, sigmas in stated(calibration).items() if name in names}
+    return any(
+        allowed(calibration, Limits(), name).exceeded(mm / HOPELESS, degrees / HOPELESS)
+        for name, (mm, degrees) in known.items()
+    )
 
 
 def _not_determined(calibration: Calibration) -> tuple[Finding, ...]:

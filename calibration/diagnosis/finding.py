@@ -4,6 +4,8 @@ from typing import Literal
 
 from calibration.records import field, result
 
+SUSPECT, CONTRADICTION = "suspect", "contradiction"
+"""Kinds of findings that say that something is wrong, by themselves or with others."""
 Severity = Literal["red", "undecided", "warning", "note"]
 
 

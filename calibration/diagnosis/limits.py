@@ -13,9 +13,13 @@ from calibration.records import at_least, between, field, one_of, record
 Limit = Annotated[float, at_least(0)]
 _LIMITS = ("rms-px", "translation-mm", "rotation-deg", "joint-mm", "joint-deg", "projection-px")
 UNSET = 3.0
-"""Default limit, in standard deviations of a calibration whose collections agree,"""
+"""Default limit, in standard deviations of a good robot of this kind (`calibration.estimation.nominal`),"""
 SMALLEST = (1.0, 0.05)
-"""but at least this, mm and degrees."""
+"""but at least this, mm and degrees,"""
+LARGEST = (10.0, 0.5)
+"""and at most this: mm for each metre between sensor and pattern (and for less than one), and degrees."""
+LARGEST_WITH_LENS = 2.0
+"""Degrees at most where the camera's intrinsics are calibrated too: its principal point is as good as a rotation."""
 UNITS = ("m", "rad")
 TWIST = ("m",) * 3 + ("rad",) * 3
 """Units of a transform's parameters."""
@@ -45,6 +49,11 @@ class Limits:
     )
 
     @property
+    def any_set(self) -> bool:
+        """Whether any limit of a sensor or a joint is set: then those that are not ask nothing."""
+        return any(each is not None for each in (self.translation_mm, self.rotation_deg, self.joint_mm, self.joint_deg))
+
+    @property
     def sensor(self) -> tuple[float, float]:
         """Limits of a sensor's displacement (mm) and rotation (degrees), set or default."""
         return _or(self.translation_mm, SMALLEST[0]), _or(self.rotation_deg, SMALLEST[1])
@@ -66,7 +75,7 @@ def _or(limit: float | None, least: float) -> float:
 
 @frozen
 class Allowed:
-    """Allowed displacement and rotation of a sensor or a joint."""
+    """Allowed displacement and rotation of a sensor or a joint; infinite where nothing is asked."""
 
     translation_mm: float
     rotation_deg: float
@@ -78,23 +87,42 @@ class Allowed:
         return translation_mm > self.translation_mm or rotation_deg > self.rotation_deg
 
     def __str__(self) -> str:
-        return f"{self.translation_mm:.3g} mm, {self.rotation_deg:.2g} deg{'' if self.set else ', as none is set'}"
+        each = ((self.translation_mm, "mm", ".3g"), (self.rotation_deg, "deg", ".2g"))
+        limits = ", ".join(
+            f"{limit:{form}} {unit}" if limit < np.inf else f"none in {unit}" for limit, unit, form in each
+        )
+        return limits if self.set else f"{limits}, as none is set"
 
 
 def allowed(calibration: Calibration, limits: Limits, name: str) -> Allowed:
-    """Return the allowed error of a calibrated sensor or joint: the user's limits, or defaults."""
-    joint, dataset = calibration.joints.get(name), calibration.dataset
-    edge = dataset.joints[name].edge if joint else dataset.sensors[name].edge
+    """Return the allowed error of a calibrated sensor or joint: the user's limits, or defaults if none is set.
+
+    A default is what a good robot of this kind could state (`calibration.estimation.nominal`): nothing that is wrong
+    with this one widens it.
+    """
     given = limits_of(calibration, limits, name)
+    if limits.any_set:
+        mm, degrees = (float("inf") if limit is None else limit for limit in given)
+        return Allowed(mm, degrees, True)
+    joint, dataset = calibration.joints.get(name), calibration.dataset
+    block = calibration.solution.setup.block(dataset.joints[name].edge if joint else dataset.sensors[name].edge)
     sigma = (0.0, 0.0)
-    block = calibration.solution.setup.block(edge)
-    if calibration.error_bars and (C := calibration.error_bars.expected.get(block)) is not None:
+    if calibration.error_bars and (C := calibration.solution.nominal.get(block)) is not None:
         sigma = sizes(np.sqrt(np.diagonal(C)), joint.units if joint else TWIST)
-    found = [
-        max(least, UNSET * one) if limit is None else limit
-        for limit, one, least in zip(given, sigma, SMALLEST, strict=True)
-    ]
-    return Allowed(found[0], found[1], given != (None, None))
+    far = 1.0 if joint else max(1.0, _distance(calibration, name))
+    most = (LARGEST[0] * far, LARGEST_WITH_LENS if name in calibration.intrinsics else LARGEST[1])
+    mm, degrees = (
+        float(min(max(least, UNSET * one), greatest))
+        for one, least, greatest in zip(sigma, SMALLEST, most, strict=True)
+    )
+    return Allowed(mm, degrees, False)
+
+
+def _distance(calibration: Calibration, sensor: str) -> float:
+    """Return the median distance of a sensor from what it sees, m; 0 if it sees nothing."""
+    problem, values = calibration.solution.setup.problem, calibration.solution.values
+    seen = [problem.poses(group, values)[:, :3, 3] for group in problem.groups if group.sensor == sensor]
+    return float(np.median(np.linalg.norm(np.concatenate(seen), axis=-1))) if seen else 0.0
 
 
 def limits_of(calibration: Calibration, limits: Limits, name: str) -> tuple[float | None, float | None]:

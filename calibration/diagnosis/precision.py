@@ -1,55 +1,117 @@
 """Check that the standard deviations of a result are small enough for its limits."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.limits import Limits, limits_of, stated
+from calibration.diagnosis.finding import CONTRADICTION, SUSPECT, Finding, Severity
+from calibration.diagnosis.limits import TWIST, Limits, allowed, limits_of, sizes, stated
 from calibration.estimation.held import CAMERA_INFO
 from calibration.estimation.result import Calibration
 from calibration.geometry.types import Array
 
 DISAGREEING = 1.4
 """Collections disagree if that widens the standard deviation by this factor: it is more than half of the variance."""
+KIND = "precision"
+NAMES = ("mm", "deg")
+ADD = "add collections with other rotations of the pattern or the robot"
+MEND = "mend first what does not fit"
+MARGIN = 1.1
+"""Number of collections that is advised, over the one that their noise asks for."""
+MANY = 200
+"""Number of collections above which better ones are advised instead."""
+HELPS = 0.03
+"""Part of the variance of all that is assumed, from which on a fixed parameter is named."""
+ENOUGH_ROOM = 0.75
+"""Part of the wanted variance that one contribution may take if narrowing the other alone is to help."""
 
 
-def precision(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
-    """Report a failure if a limit does not hold with the guard band of the reported standard deviation.
+def precision(calibration: Calibration, limits: Limits, suspected: Sequence[Finding] = ()) -> tuple[Finding, ...]:
+    """Report limits that do not hold with the guard band of the reported standard deviation.
+
+    They are undecided where nothing is wrong with the data, which only tell too little; else a failure. Nothing is said
+    where a failure is reported already.
 
     Args:
         calibration: a calibration that has converged.
-        limits: those that the user has set; without any, nothing is checked.
+        limits: those that the user has set; without any, the default ones.
+        suspected: causes and contradictions that were found.
     """
+    if any(each.severity == "red" for each in suspected):
+        return ()
+    wrong = any(each.kind in (SUSPECT, CONTRADICTION) for each in suspected)
     findings = []
     for name, sigmas in stated(calibration).items():
-        for sigma, limit, unit in zip(sigmas, limits_of(calibration, limits, name), ("mm", "deg"), strict=True):
-            if limit is not None and limits.guard * sigma > limit:
-                text = (
-                    f"'{name}' is not determined well enough: {sigma:.2g} {unit} (standard deviation, in all), "
-                    f"limit {limit:g} {unit} with a guard band of {limits.guard:g} standard deviations; "
-                    f"{_remedy(calibration, name)}"
-                )
-                findings.append(Finding("precision", "undecided", text, (name,), value=sigma, unit=unit))
-                break
+        limit = allowed(calibration, limits, name)
+        most = (limit.translation_mm, limit.rotation_deg)
+        unit = max((0, 1), key=lambda i: sigmas[i] / most[i])
+        wanted = most[unit] / limits.guard if limits.guard else np.inf
+        if sigmas[unit] <= wanted:
+            continue
+        remedy = MEND if wrong else _remedy(calibration, name, unit, wanted)
+        text = (
+            f"'{name}' is not determined well enough: {sigmas[unit]:.2g} {NAMES[unit]} (standard deviation, in all), "
+            f"limit {most[unit]:.3g} {NAMES[unit]}{'' if limit.set else ', as none is set,'} with a guard band of "
+            f"{limits.guard:g} standard deviations, so that it can show {limits.guard * sigmas[unit]:.2g} "
+            f"{NAMES[unit]}; {remedy}"
+        )
+        severity: Severity = "red" if wrong else "undecided"
+        findings.append(Finding(KIND, severity, text, (name,), value=sigmas[unit], unit=NAMES[unit]))
     return tuple(findings)
 
 
-def _remedy(calibration: Calibration, name: str) -> str:
-    """Return advice on the largest contribution to the standard deviation."""
-    dataset = calibration.dataset
-    edge = (dataset.sensors.get(name) or dataset.joints[name]).edge
-    block, bars = calibration.solution.setup.block(edge), calibration.error_bars
+def _remedy(calibration: Calibration, name: str, unit: int, wanted: float) -> str:
+    """Return what would narrow the standard deviation of a sensor or a joint to a wanted one.
+
+    Args:
+        calibration: the calibration.
+        name: the sensor or the joint.
+        unit: 0 for lengths, 1 for angles.
+        wanted: mm or degrees.
+    """
+    joint, setup, bars = calibration.joints.get(name), calibration.solution.setup, calibration.error_bars
+    edge = calibration.dataset.joints[name].edge if joint else calibration.dataset.sensors[name].edge
+    block = setup.block(edge)
     if bars is None or block not in bars.labels:
-        return "add collections with other rotations of the pattern or the robot"
-    if wider(bars.total[block], bars.expected[block]) > DISAGREEING:
-        return "the collections disagree by more than their labels' noise: look at the arm, the mounts and time stamps"
-    if wider(bars.expected[block], bars.labels[block]) > DISAGREEING:
-        most = max(bars.worth, key=lambda name: bars.worth[name])
-        if most.startswith(CAMERA_INFO):
-            return f"most of it is the {most}: calibrate it with more views, and hand its intrinsics-covariance on"
-        return f"most of it is the {most}: state under 'assume' how well you know it, or calibrate it"
-    return "add collections with other rotations of the pattern or the robot"
+        return ADD
+    units, at = joint.units if joint else TWIST, setup.problem.shared_parameters[block]
+    worth = {cause: sizes(np.linalg.norm(moved[at], axis=1), units)[unit] ** 2 for cause, moved in bars.held.items()}
+    assumed, wanted = sum(worth.values()), wanted**2
+    scatter = max(0.0, sizes(np.sqrt(np.diagonal(bars.total[block])), units)[unit] ** 2 - assumed)
+    count = len(calibration.solution.model.G)
+    if assumed <= ENOUGH_ROOM * wanted:
+        return _more_collections(count, scatter / (wanted - assumed))
+    room = wanted - scatter if scatter <= ENOUGH_ROOM * wanted else wanted / 2
+    named = sorted((each for each in worth if worth[each] > HELPS * assumed), key=lambda each: -worth[each])
+    known = sum(worth[each] for each in named)
+    better = (known / max(room - (assumed - known), 0.1 * room)) ** 0.5
+    how = "state it under 'assume', or calibrate it"
+    if named[0].startswith(CAMERA_INFO):
+        how = "calibrate it with more views, and hand its intrinsics-covariance on"
+    know = (
+        f"most of it is what is assumed of the {_listed(named)}: it has to be known {_rounded_up(better):g} times as "
+        f"well ({how})"
+    )
+    if scatter <= ENOUGH_ROOM * wanted:
+        return f"{know}; more collections would not help"
+    return f"{know}, and {_more_collections(count, 2 * scatter / wanted)}"
+
+
+def _more_collections(count: int, factor: float) -> str:
+    """Return the advice to take so many times the collections."""
+    if count * factor > MANY:
+        return f"{ADD}, from nearer"
+    needed = int(np.ceil(count * factor * MARGIN))
+    return f"take about {needed} collections like these {count}, or some with other rotations"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", the ".join(names[:-1]) + f" and the {names[-1]}" if names[1:] else names[0]
+
+
+def _rounded_up(number: float) -> float:
+    return float(np.ceil(10 * number) / 10)
 
 
 def wider(C: Array, D: Array) -> float:

@@ -2,7 +2,7 @@
 
 from calibration.diagnosis.finding import Finding
 from calibration.estimation.result import Calibration
-from calibration.estimation.suspects import CONTRADICTION, disagreement
+from calibration.estimation.suspects import CONTRADICTING, disagreement
 
 ENOUGH = 7
 """Minimum of independent collections for suspects and standard deviations to explain a disagreement."""
@@ -15,7 +15,7 @@ ALONE = 0.7
 
 
 def too_few(calibration: Calibration) -> tuple[Finding, ...]:
-    """Report a failure if few views disagree by more than their noise and single ones decide the result.
+    """Report an undecided result if few views disagree by more than their noise and single ones decide it.
 
     The result follows such a view, so that its residual is small despite its error: no standard deviation covers that.
     """
@@ -24,11 +24,11 @@ def too_few(calibration: Calibration) -> tuple[Finding, ...]:
     if bars is None or count >= ENOUGH or bars.decisive < ALONE:
         return ()
     ratio = disagreement(model).ratio
-    if ratio <= CONTRADICTION:
+    if ratio <= CONTRADICTING:
         return ()
     text = (
         f"{count} collections are too few for views that disagree by {ratio**0.5:.2g} times their noise: one of them "
         f"alone decides {bars.decisive:.0%} of what is known of some direction; take "
         f"{BETTER_OF_CAMERAS if calibration.of_cameras_alone else BETTER}"
     )
-    return (Finding("too-few", "red", text, value=ratio, unit="1"),)
+    return (Finding("too-few", "undecided", text, value=ratio, unit="1"),)

@@ -4,21 +4,30 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.diagnosis.finding import Finding, Severity
+from calibration.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
 from calibration.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
 from calibration.diagnosis.projection import projection_limit, shifts
 from calibration.estimation.held import PLACE, Cause
 from calibration.estimation.result import Calibration
-from calibration.estimation.suspects import Explanation, Suspect, explain
+from calibration.estimation.suspects import CONTRADICTING, LENS, Disagreement, Suspect, explain
+from calibration.geometry.transforms import adjoint
 from calibration.geometry.types import Array
 
-KIND = "suspect"
 NOTHING = "nothing-suspicious"
 UNTESTED = "untested"
-GROSS: Mapping[str, float] = {"focal length": 0.025, "image scale": 0.025, "principal point": 15.0}
-"""Deviation of camera_info (relative, px) that is a failure regardless of its effect: it belongs to another camera."""
+GROSS: Mapping[str, tuple[float, str]] = {
+    "focal length": (0.025, "camera"),
+    "image scale": (0.025, "camera"),
+    "principal point": (15.0, "camera"),
+    "radial distortion": (0.01, "camera"),
+    "size": (0.01, "board"),
+    "lengths": (0.01, "arm"),
+}
+"""Deviation (relative, px; of distortion, of the distance from the image's centre) that is a failure regardless of its
+effect: more than a good one of this kind errs, so that it belongs to another one."""
 ADVICE: Mapping[str, str] = {
     "focal length": "calibrate the intrinsics, or take the camera_info that belongs to this lens and resolution",
+    LENS: "calibrate the intrinsics (add it to 'intrinsics'), or take the camera_info that belongs to this lens",
     "aspect": "calibrate the intrinsics; were the images scaled?",
     "principal point": "calibrate the intrinsics; were the images cropped?",
     "pixel convention": "pixel (0, 0) is the centre of the first pixel here; shift cx and cy by half a pixel",
@@ -63,45 +72,51 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
         return (Finding(UNTESTED, "note", text),)
     findings = [_finding(calibration, limits, suspect) for suspect in explanation.suspects]
     findings += _together(calibration, limits, explanation.suspects, findings)
-    findings += _contradiction(calibration, limits, explanation)
+    findings += _contradictions(calibration, limits, explanation.disagreement)
     return tuple(findings) or (_nothing(calibration),)
 
 
 def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
     if calibration.of_cameras_alone:
         return _finding_on_cameras(calibration, limits, suspect)
-    moved = _moved(calibration, suspect.moves)
+    cause = suspect.cause
+    before, after = _moved(calibration, suspect.moves), _moved(calibration, _moves_after(calibration, suspect))
+    moved = {name: _larger(before[name], after[name]) for name in before}
     over = [name for name, motion in moved.items() if allowed(calibration, limits, name).exceeded(*motion)]
     sensor = max(over or moved, key=lambda name: moved[name][0], default="")
     mm, degrees = moved.get(sensor, (0.0, 0.0))
-    names = " or ".join(dict.fromkeys(_name(each) for each in (suspect.cause, *suspect.rivals)))
+    names = " or ".join(dict.fromkeys(_name(each) for each in (cause, *suspect.rivals)))
     since = ""
     collections: tuple[str, ...] = ()
     if suspect.since is not None:
         keys = _keys(calibration, suspect.since)
         since, collections = f" from collection {keys[0]} on", keys
-    size = f"{_size(suspect.cause, suspect.value, suspect.sigma)}"
-    verb = "has moved" if suspect.cause.kind == PLACE else "does not fit"
+    verb = "has moved" if cause.kind == PLACE else "does not fit"
     either = ", the data cannot tell which" if suspect.rivals else ""
-    gross = float(np.abs(suspect.value).max()) > GROSS.get(suspect.cause.kind, np.inf)
-    harm = f"moves {sensor} by {mm:.3g} mm and {degrees:.2g} deg" if sensor else "moves no sensor"
+    gross = _gross(calibration, suspect)
+    harm = f"it moves {sensor} by {_distance(mm, degrees)}" if sensor else "it moves no sensor"
+    if cause.kind == PLACE and sensor:
+        was, now = _distance(*before[sensor]), _distance(*after[sensor])
+        harm = f"the result is {was} from where {sensor} was before, {now} from where it is now"
+    text = f"{names} {verb}{since}{either}: {_size(cause, suspect.value, suspect.sigma)}"
     if over:
-        text = f"{names} {verb}{since}{either}: {size}; it {harm} (limit {allowed(calibration, limits, sensor)}): "
-        text += ADVICE[suspect.cause.kind]
+        text += f"; {harm} (limit {allowed(calibration, limits, sensor)}): {ADVICE[cause.kind]}"
     elif gross:
-        text = f"{names} {verb}{since}{either}: {size}, more than any camera errs: {ADVICE[suspect.cause.kind]}"
+        text += f", more than any {GROSS[cause.kind][1]} errs: {ADVICE[cause.kind]}"
+    elif not sensor or limits.any_set:
+        text += f"; harmless: {harm}"
     else:
-        text = f"{names} {verb}{since}{either}: {size}; harmless: it {harm}"
-    one = suspect.cause.size == 1
+        text += f"; {harm} (limit {allowed(calibration, limits, sensor)})"
+    one = cause.size == 1
     return Finding(
-        KIND,
+        SUSPECT,
         "red" if over or gross else "note",
         text,
         sensors=tuple(over) if over else tuple(filter(None, [sensor])),
         collections=collections,
         value=float(suspect.value[0]) if one else None,
         sigma=float(suspect.sigma[0]) if one else None,
-        unit=suspect.cause.unit if one else None,
+        unit=cause.unit if one else None,
         moves_mm=round(mm, 4),
         moves_deg=round(degrees, 5),
     )
@@ -120,7 +135,49 @@ def _finding_on_cameras(calibration: Calibration, limits: Limits, suspect: Suspe
         f"{camera} by {moved[camera]:.2g} px (limit {limit:.3g} px)"
     )
     text += f": {ADVICE.get(suspect.cause.kind, 'look at it')}" if red else ""
-    return Finding(KIND, "red" if red else "note", text, (camera,), value=round(moved[camera], 4), unit="px")
+    return Finding(SUSPECT, "red" if red else "note", text, (camera,), value=round(moved[camera], 4), unit="px")
+
+
+def _distance(mm: float, degrees: float) -> str:
+    return f"{mm:.3g} mm and {degrees:.2g} deg"
+
+
+def _larger(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    return max(one[0], other[0]), max(one[1], other[1])
+
+
+def _gross(calibration: Calibration, suspect: Suspect) -> bool:
+    """Whether a cause is off by more than any camera, board or arm errs."""
+    kind, value = suspect.cause.kind, suspect.value
+    if kind not in GROSS:
+        return False
+    if kind == "radial distortion":
+        camera = calibration.dataset.sensors[suspect.cause.subject.split(" and ")[0]].camera
+        if camera is None:
+            return False
+        r = np.linspace(0, min(camera.width / camera.fx, camera.height / camera.fy) / 2, 20)
+        value = sum(k * r ** (2 * i) for i, k in enumerate(value.tolist(), 1)) + np.zeros(1)
+    return float(np.abs(value).max()) > GROSS[kind][0]
+
+
+def _moves_after(calibration: Calibration, suspect: Suspect) -> Array:
+    """Return the changes (S,) of the calibrated parameters to where the sensors are at the end of the recording.
+
+    Those of a suspect are to where they were before it moved. A sensor that is held moves all others the other way.
+    """
+    dataset, setup, moves = calibration.dataset, calibration.solution.setup, suspect.moves.copy()
+    moved = dataset.sensors.get(suspect.cause.subject)
+    if suspect.cause.kind != PLACE or moved is None:
+        return moves
+    at = setup.problem.shared_parameters
+    if (block := setup.block(moved.edge)) in at:
+        moves[at[block]] += suspect.value
+        return moves
+    for sensor in dataset.sensors.values():
+        if (block := setup.block(sensor.edge)) in at:
+            T_sensor_moved = dataset.transform(sensor.frame, moved.frame)[-1]
+            moves[at[block]] -= adjoint(T_sensor_moved) @ suspect.value
+    return moves
 
 
 def _together(
@@ -141,7 +198,7 @@ def _together(
                 f"{causes} do not fit: together they move {name} by {mm:.3g} mm and {degrees:.2g} deg (limit {limit}): "
             )
             text += ADVICE[suspects[0].cause.kind]
-            return [Finding(KIND, "red", text, (name,), moves_mm=round(mm, 4), moves_deg=round(degrees, 5))]
+            return [Finding(SUSPECT, "red", text, (name,), moves_mm=round(mm, 4), moves_deg=round(degrees, 5))]
     return []
 
 
@@ -158,7 +215,11 @@ def _size(cause: Cause, value: Array, sigma: Array) -> str:
         )
     if cause.unit == "collections":
         return f"{value[0]:+.3g} +- {sigma[0]:.1g} of the way to the next collection"
+    if cause.kind == LENS:
+        return "off in several parameters at once"
     factor, unit = _UNITS.get(cause.unit, (1.0, cause.unit))
+    if cause.unit == "1":  # a relative change of d is extrapolated with an error of its square
+        sigma = np.hypot(sigma, value**2 / 2)
     if "distortion" in cause.kind or cause.kind == "lens model":
         factor, unit = 1.0, ""
     numbers = ", ".join(f"{factor * v:+.3g} +- {factor * s:.1g}" for v, s in zip(value, sigma, strict=True))
@@ -184,29 +245,54 @@ def _keys(calibration: Calibration, since: int) -> tuple[str, ...]:
     )
 
 
-def _contradiction(calibration: Calibration, limits: Limits, explanation: Explanation) -> list[Finding]:
-    """Report views that contradict each other by more than the noise, an arm and fixed parameters explain."""
-    found = explanation.disagreement
-    if not found.contradicts:
-        return []
-    cluster, subject = found.worst
-    key = _keys(calibration, cluster)[0]
+def _contradictions(calibration: Calibration, limits: Limits, found: Disagreement) -> list[Finding]:
+    """Report sensors whose views contradict each other by more than noise and all that is assumed explain.
+
+    Each is tested by itself, so that good ones do not hide a bad one: red if its error bar reaches over the limit.
+    """
+    if calibration.of_cameras_alone:
+        return _contradiction_of_cameras(calibration, found)
+    setup = calibration.solution.setup
+    at = setup.problem.shared_parameters
+    edges = {sensor.name: sensor.edge for sensor in calibration.dataset.sensors.values()}
+    beyond = {name: found.beyond(at[block]) for name, edge in edges.items() if (block := setup.block(edge)) in at}
+    findings = []
+    for name, ratio in sorted(beyond.items(), key=lambda each: -each[1]):
+        if ratio <= CONTRADICTING:
+            continue
+        subject, key = _worst(calibration, found, (name, *calibration.dataset.patterns))
+        mm, degrees = stated(calibration)[name]
+        limit = allowed(calibration, limits, name)
+        harmful = limit.exceeded(limits.guard * mm, limits.guard * degrees)
+        text = (
+            f"the views of {name} contradict each other: they scatter {ratio**0.5:.2g} times as far as noise and all "
+            f"that is assumed explain, most {subject} in collection {key}, and leave it uncertain by "
+            f"{_distance(mm, degrees)} (limit {limit}, with a guard band of {limits.guard:g}); no fixed parameter "
+            f"explains it: time stamps, or something that moved or gave way"
+        )
+        findings.append(Finding(CONTRADICTION, "red" if harmful else "note", text, (name,), (key,), value=ratio))
+    return findings
+
+
+def _worst(calibration: Calibration, found: Disagreement, names: Sequence[str]) -> tuple[str, str]:
+    """Return the sensor or pattern of these and the collection that disagree most."""
+    of = {name: found.sizes[name] for name in names if name in found.sizes}
+    subject = max(of, key=lambda name: of[name].max())
+    return subject, _keys(calibration, int(of[subject].argmax()))[0]
+
+
+def _contradiction_of_cameras(calibration: Calibration, found: Disagreement) -> list[Finding]:
+    """Report views of cameras alone that contradict each other, as a note: what it does is in their error bars."""
     level = calibration.noise_levels.pixel
-    noise = f"{found.excess * level:.2g} px where {level:.2g} px is the noise" if level else f"{found.excess:.2g} sigma"
-    harmful = any(
-        allowed(calibration, limits, name).exceeded(limits.guard * mm, limits.guard * degrees)
-        for name, (mm, degrees) in stated(calibration).items()
-    )
-    is_set = limits.translation_mm is not None or limits.rotation_deg is not None
-    severity: Severity = "note" if not harmful else "red" if is_set else "warning"
-    why = "a board that bends, motion in the images, or a lens with more than its model"
-    if not calibration.of_cameras_alone:
-        why = "time stamps, or something that moved or gave way"
+    if not found.contradicts or not level:
+        return []
+    subject, key = _worst(calibration, found, tuple(found.sizes))
     text = (
-        f"the views contradict each other by {noise}, most {subject} in collection {key}, and no fixed parameter "
-        f"explains it: {why}"
+        f"the views contradict each other by {found.excess * level:.2g} px where {level:.2g} px is the noise, most "
+        f"{subject} in collection {key}, and no fixed parameter explains it: a board that bends, motion in the images, "
+        f"or a lens with more than its model"
     )
-    return [Finding("contradiction", severity, text, (subject,), (key,), value=found.ratio)]
+    return [Finding(CONTRADICTION, "note", text, (subject,), (key,), value=found.ratio)]
 
 
 def _nothing(calibration: Calibration) -> Finding:

@@ -144,7 +144,7 @@ class Calibrator:
     def _from_all_views(self, start: LinearStart) -> "Calibration | _Rest":
         """Calibrate with all views; if some contradict the others, return what remains without them."""
         dataset, setup, options = self._dataset, self._guesses.setup, self._options
-        dropped = wrong_views(setup, start.values)
+        dropped = wrong_views(setup, start.values, options.assume)
         if not dropped:
             return from_linear_start(dataset, setup, start, options)
         if (whole := _explained(dataset, setup, start, options)) is not None:

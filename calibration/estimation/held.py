@@ -31,8 +31,13 @@ STILL = 1e-6
 """Tolerance (m, and elements of rotations) of transforms that do not move between collections."""
 CAMERA_INFO = "camera_info"
 """Kind of a camera's intrinsics in all, whose errors are correlated; its parts are causes too, which are tested."""
+ARM_ACCURACY = 6.0
+"""How far an arm's pose is off, in assumed errors of one link: 0.3 mm and 0.6 mrad along each axis, the absolute
+accuracy of a good industrial arm (1 mm at most). It differs from pose to pose, as an error of one link would not."""
 PLACE = "place"
 """Kind of causes that are only tested from some collection on: over all of them the pose is calibrated or gauge."""
+LINK = "link"
+"""Kind of the errors of an arm's moving transforms."""
 CROOKED = 1e-4
 """Limit of the motion off the axis, relative to that about or along it, for a joint with one axis."""
 
@@ -224,7 +229,7 @@ def _combinations(subject: str, weights: Sequence[dict[str, float]]) -> tuple[Co
 def _of_moving_edge(edge: Edge, T: Array, assume: Assumptions) -> Iterator[Cause]:
     name = "-".join(edge)
     sigma = (assume.arm_translation,) * 3 + (assume.arm_rotation,) * 3
-    yield Cause("link", name, "m", sigma, lambda group: group.twist(edge))
+    yield Cause(LINK, name, "m", sigma, lambda group: group.twist(edge))
     axis = joint_axis(T)
     if axis is None:
         lengths = _lengths(T)
@@ -276,22 +281,22 @@ def joint_axis(T: Array) -> tuple[Array, Array, bool] | None:
     return None
 
 
-def moved_sensor(sensor: Sensor) -> Cause:
+def moved_sensor(sensor: Sensor, assumed: tuple[float, ...] = (0.0,) * 6) -> Cause:
     """Cause of a displaced sensor, apart from others that may share its transform."""
 
     def twists(group: SeenGroup) -> Array | None:
         return group.twist(sensor.edge) if group.sensor.name == sensor.name else None
 
-    return Cause(PLACE, sensor.name, "m", (0.0,) * 6, twists, counts=False)
+    return Cause(PLACE, sensor.name, "m", assumed, twists, counts=False)
 
 
-def moved_pattern(pattern: Pattern) -> Cause:
+def moved_pattern(pattern: Pattern, assumed: tuple[float, ...] = (0.0,) * 6) -> Cause:
     """Cause of a displaced fixed pattern."""
 
     def twists(group: SeenGroup) -> Array | None:
         return np.tile(np.eye(6), (len(group.T), 1, 1)) if group.pattern.name == pattern.name else None
 
-    return Cause(PLACE, pattern.name, "m", (0.0,) * 6, twists, counts=False)
+    return Cause(PLACE, pattern.name, "m", assumed, twists, counts=False)
 
 
 def lag(sensor: Sensor) -> Cause:

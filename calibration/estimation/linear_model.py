@@ -23,7 +23,9 @@ from calibration.estimation.blocks import Values
 from calibration.estimation.cluster_sums import ClusterSums, GroupColumns
 from calibration.estimation.distinct import distinct
 from calibration.estimation.held import (
+    ARM_ACCURACY,
     CAMERA_INFO,
+    LINK,
     Cause,
     Combination,
     SeenGroup,
@@ -79,10 +81,6 @@ class LinearModel:
         gradient: Array = self.g.sum(0)
         gradient[: self.shared] = 0.0
         return gradient
-
-    def columns_of(self, cause: Cause) -> slice:
-        """Return the columns of a cause."""
-        return next(at for each, at in zip(self.causes, self.places, strict=True) if each is cause)
 
 
 def linear_model(
@@ -197,10 +195,17 @@ def _causes(problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], ass
     cameras = {each.sensor.name: camera for each in groups if (camera := each.names.camera) is not None}
     given = {name: priors.get(name) or dataset.sensors[name].uncertainty for name in cameras}
     lenses = {name: lens_errors(camera, assume, given[name]) for name, camera in cameras.items()}
+    found = causes(dataset, groups, assume, free, lenses)
+    arm = ARM_ACCURACY * any(cause.kind == LINK for cause in found)
+    steady = (arm * assume.arm_translation,) * 3 + (arm * assume.arm_rotation,) * 3
     return [
-        *causes(dataset, groups, assume, free, lenses),
-        *(cause(dataset.sensors[name]) for name in seen for cause in (lag, moved_sensor)),
-        *(moved_pattern(dataset.patterns[name]) for name in patterns),
+        *found,
+        *(
+            cause
+            for name in seen
+            for cause in (lag(dataset.sensors[name]), moved_sensor(dataset.sensors[name], steady))
+        ),
+        *(moved_pattern(dataset.patterns[name], steady) for name in patterns),
     ]
 
 

@@ -17,6 +17,7 @@ from calibration.estimation.error_bars import ErrorBars
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.linear_model import LinearModel, linear_model
 from calibration.estimation.noise_levels import NoiseLevels
+from calibration.estimation.nominal import nominal_covariances
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.repeated import repeated_collections
 from calibration.frozen import frozen
@@ -105,6 +106,11 @@ class Solution:
     def model(self) -> LinearModel:
         """Linear model at the optimum, of calibrated and fixed parameters."""
         return linear_model(self.setup.problem, self.values, self.weighting, self.dataset, self.assume, self.clusters)
+
+    @cached_property
+    def nominal(self) -> Mapping[int, Array]:
+        """Covariance (k, k) of each shared block that a good robot would have with these views."""
+        return nominal_covariances(self)
 
     @cached_property
     def clusters(self) -> IntArray:

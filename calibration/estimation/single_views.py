@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration.dataset.model import CornerLabels
 from calibration.dataset.pattern import Pattern
-from calibration.estimation.blocks import Block
+from calibration.estimation.blocks import Block, Values
 from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.least_squares import SETTLING, Termination, settle
 from calibration.estimation.median import median
@@ -23,6 +23,8 @@ from calibration.geometry.types import Array, BoolArray, IntArray
 
 THOROUGHLY = Termination(decrease=1e-12, iterations=100)
 """To machine precision: written results must not depend on where a solver stops."""
+MEDIAN_OF_TWO = np.sqrt(2 * np.log(2))
+"""Median length of a residual of two coordinates, in standard deviations of one (Rayleigh's distribution)."""
 POOR_FIT = 1.5
 """RMS (px) of a view after its linear pose, above which it may have outliers."""
 
@@ -116,3 +118,24 @@ def _fitted_badly(term: CornerTerm, T: Array) -> IntArray:
         there = ~np.isnan(squares)
         rms = np.sqrt(np.where(there, squares, 0.0).sum(-1) / np.count_nonzero(there, axis=-1))
         return np.flatnonzero(given & ~(rms <= min(2 * median(rms[given]), POOR_FIT)))
+
+
+def noise_inside_views(problem: Problem, values: Values) -> dict[str, float]:
+    """Return the noise of the corners that each camera's views tell of themselves, whatever contradicts them.
+
+    Args:
+        problem: the problem.
+        values: of its blocks; the intrinsics are theirs.
+
+    Returns:
+        By camera, the standard deviation of each image coordinate, px, from the median residual of all its corners.
+    """
+    found: dict[str, float] = {}
+    for group in problem.groups:
+        term, *_ = problem.terms(group, values)
+        if isinstance(term, CornerTerm):
+            T, _ = refined_poses(term, term.linear_poses, huber=1.0, until=SETTLING)
+            residuals = term.magnitudes(T)
+            noise = median(residuals[np.isfinite(residuals)]) / MEDIAN_OF_TWO
+            found[group.sensor] = max(noise, found.get(group.sensor, 0.0))
+    return found

@@ -22,13 +22,15 @@ A cluster is a collection, or several that depend on each other (`calibration.es
 errors are independent of the others'.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from calibration.estimation.error_bars import DECISIVE
 from calibration.estimation.held import PLACE, Cause
 from calibration.estimation.linear_model import LinearModel
+from calibration.estimation.nominal import arm_scatter
 from calibration.estimation.significance import score_of_f, threshold
 from calibration.frozen import frozen
 from calibration.geometry.types import Array, IntArray
@@ -46,10 +48,14 @@ SIDE = 4
 `calibration.estimation.wrong_views`."""
 EXACTLY = 1e6
 """Degrees of freedom of a covariance that is not estimated."""
-CONTRADICTION = 3.0
+CONTRADICTING = 3.0
 """Clusters contradict each other if they disagree by more than this times what is assumed."""
 STRETCHES = {"stretch", "stretch along x", "stretch along y"}
 """Kinds that differ by the overall scale, which the data may not determine."""
+LENS = "intrinsics"
+"""Kind of all errors of a camera_info together, which is only tested instead of something that has moved."""
+OF_LENS = ("focal length", "aspect", "principal point", "radial distortion", "tangential distortion")
+"""Kinds that it consists of."""
 HALF_PIXEL = (0.35, 0.65)
 """Deviation of the principal point that indicates the other convention of pixel centres."""
 
@@ -97,13 +103,24 @@ class Disagreement:
     """Its expected value, by the assumed errors of an arm and of all other fixed parameters."""
     excess: float
     """Unexplained part of the labels' residuals, in standard deviations of the noise."""
-    worst: tuple[int, str]
-    """Cluster and sensor that disagree most."""
+    sizes: Mapping[str, Array]
+    """(K,): how far each cluster's views of a sensor or a pattern disagree with the others."""
+    labels: Array
+    """(S, S): covariance of the calibrated parameters by the noise inside the views,"""
+    found: Array
+    """(S, S): that by the disagreement of clusters,"""
+    assumed: Array
+    """(S, S): and what is expected of it, by that noise and the assumed errors."""
 
     @property
     def contradicts(self) -> bool:
         """Whether clusters disagree by far more than the noise and the assumed errors explain."""
-        return self.ratio > CONTRADICTION * self.expected
+        return self.ratio > CONTRADICTING * self.expected
+
+    def beyond(self, at: slice) -> float:
+        """Return the variance of some parameters by the disagreement of clusters, over its expected value."""
+        own = np.linalg.inv(self.labels[at, at])
+        return float(np.sum(own * self.found[at, at]) / np.sum(own * self.assumed[at, at]))
 
 
 @frozen(eq=False)
@@ -140,9 +157,36 @@ def explain(model: LinearModel) -> Explanation | None:
         best = max([best, *(each for each in near if _are_stretches(each.cause, best.cause))], key=_displaced)
         rivals = [each.cause for each in sorted(near, key=lambda each: -each.gain) if each.cause is not best.cause]
         rivals = [each for each in dict.fromkeys(rivals) if each.size <= best.cause.size]
-        found.append(replace(best, rivals=tuple(rivals[:2])))
-        state = state.with_cause(model.columns_of(best.cause), best.since)
+        best = replace(best, rivals=tuple(rivals[:2]))
+        if best.cause.kind == PLACE:
+            best = max(_lenses(model, state, limit, EQUAL * best.gain), key=lambda each: each.gain, default=best)
+        found.append(best)
+        state = state.with_cause(_columns_of(model, best.cause), best.since)
     return Explanation(tuple(found), _disagreement(model, state))
+
+
+def _lenses(model: LinearModel, state: "_State", limit: float, least: float) -> Iterator[Suspect]:
+    """Yield the cameras whose intrinsics explain at least so much if all of them are free.
+
+    Errors of a lens that no single cause covers look like something that has moved, as the places in the image change.
+    """
+    for subject in dict.fromkeys(cause.subject for cause in model.causes if cause.kind in OF_LENS):
+        parts = [cause for cause in model.causes if cause.subject == subject and cause.kind in OF_LENS]
+        effects = tuple(each for part in parts if not callable(part.effect) for each in part.effect)
+        lens = Cause(LENS, subject, "1", (0.0,) * len(effects), effects, counts=False)
+        columns = _columns_of(model, lens)[None]
+        of = _Candidates([lens], [None], columns, np.ones((1, len(state.G)), bool))
+        yield from (each for each in _tested(state, of, limit) if each.gain >= least)
+
+
+def _columns_of(model: LinearModel, cause: Cause) -> IntArray:
+    """Return the columns of a cause, or of all that a whole lens consists of."""
+    own = [
+        np.arange(at.start, at.stop)
+        for each, at in zip(model.causes, model.places, strict=True)
+        if each is cause or (cause.kind == LENS and each.subject == cause.subject and each.kind in OF_LENS)
+    ]
+    return np.concatenate(own)
 
 
 def _are_stretches(cause: Cause, other: Cause) -> bool:
@@ -169,27 +213,60 @@ def disagreement(model: LinearModel) -> Disagreement:
 def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
     """Compute the disagreement of clusters that remains after the causes that have been set free.
 
-    The assumed errors of fixed parameters would make each cluster's own optimum scatter by ``P_k G_kh s^2 G_kh^T`` in
-    the metric of its own information, with ``P_k = G_k^+``.
+    The assumed errors of fixed parameters, and of an arm in each cluster, would make each cluster's own optimum scatter
+    by ``P_k G_kh s^2 G_kh^T`` in the metric of its own information, with ``P_k = G_k^+``.
     """
     S = state.shared
     whitening = _whitening(state.G[:, :S, :S], state.alone[:S])
-    scatter = np.swapaxes(whitening, 1, 2) @ (state.G[:, :S, state.held] * state.sigmas)
-    expected = float((scatter**2).sum())
+    arm = arm_scatter(model)
+    assumed = np.concatenate([state.G[:, :S, state.held] * state.sigmas, arm[:, :S]], -1)
+    expected = float(((np.swapaxes(whitening, 1, 2) @ assumed) ** 2).sum())
     freedom = max(1.0, state.freedom)
     places = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == PLACE]
     displacements = [
         (state.residual[:, None, at] @ _whitening(state.G[:, at, at], state.alone[at]))[:, 0] for _, at in places
     ]  # (K, k) each, by its sensor or pattern
-    sizes = np.array([(own**2).sum(-1) for own in displacements])
-    sensor, cluster = np.unravel_index(int(sizes.argmax()), sizes.shape)
     allowed = freedom + expected
+    found, assumed_covariance = _clustered(state, arm)
     return Disagreement(
         ratio=state.disagreement / freedom,
         expected=allowed / freedom,
         excess=float(np.sqrt(max(0.0, state.disagreement - freedom) / len(model.G) / S)),
-        worst=(int(cluster), places[sensor][0].subject),
+        sizes={cause.subject: (own**2).sum(-1) for (cause, _), own in zip(places, displacements, strict=True)},
+        labels=state.inverse[:S, :S],
+        found=found,
+        assumed=assumed_covariance,
     )
+
+
+def _clustered(state: "_State", arm: Array) -> tuple[Array, Array]:
+    """Return the covariance (S, S) of the calibrated parameters with collections as clusters, and what is expected.
+
+    As in `calibration.estimation.error_bars`, of the residuals that are left once causes have been set free. An error
+    of a fixed parameter changes the gradient of each cluster, and the optimum of all of them.
+
+    Args:
+        state: the model.
+        arm: (K, C, H), gradients by errors of an arm that differ from cluster to cluster.
+    """
+    S, free = state.shared, state.free
+    values, vectors = np.linalg.eigh(state.inverse)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    w, U = np.linalg.eigh(np.eye(len(free)) - root.T @ state.G[:, free[:, None], free] @ root)
+    back = root[:S] @ U / np.sqrt(np.maximum(w, DECISIVE))[:, None] @ np.swapaxes(U, 1, 2) @ root.T  # (K, S, F)
+    own = state.G[:, free][:, :, state.held] * state.sigmas
+    held = own - state.G[:, free[:, None], free] @ (state.inverse @ own.sum(0))
+    shaken = arm[:, free[free < arm.shape[1]]]
+    found = back @ state.residual[:, free, None]
+    moved = np.concatenate([back @ held, back[:, :, : shaken.shape[1]] @ shaken], -1)
+    return _outer(found), state.inverse[:S, :S] + _outer(moved)
+
+
+def _outer(columns: Array) -> Array:
+    """Return ``sum_k c_k c_k^T`` (S, S) of columns (K, S, n)."""
+    flat = np.swapaxes(columns, 0, 1).reshape(columns.shape[1], -1)
+    product: Array = flat @ flat.T
+    return product
 
 
 def _plausible(suspect: Suspect) -> bool:
@@ -262,9 +339,8 @@ class _State:
         disagreement, rank = float((white**2).sum()), float(np.any(whitening, 1).sum())
         return cls(G, free, inverse, residual, disagreement, rank - len(free), shared, held, sigmas, alone)
 
-    def with_cause(self, at: slice, since: int | None) -> "_State":
-        """Return the state with one more cause free."""
-        own = np.arange(at.start, at.stop)
+    def with_cause(self, own: IntArray, since: int | None) -> "_State":
+        """Return the state with one more cause free, by its columns."""
         mask = (np.arange(len(self.G)) >= (since or 0)).astype(float)[:, None, None]
         C = self.G.shape[-1]
         k = len(own)

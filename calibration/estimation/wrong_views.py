@@ -11,7 +11,7 @@ Fischler and R. C. Bolles, "Random sample consensus", 1981), then that of all co
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -20,11 +20,13 @@ import numpy as np
 from calibration.dataset.modalities import NoiseKind
 from calibration.dataset.model import Dataset
 from calibration.errors import InputError, UndeterminedError
+from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.estimation.blocks import Pose, Values
 from calibration.estimation.build import Setup
 from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.flipped_patterns import unflipped
 from calibration.estimation.gauge import free_gauge
+from calibration.estimation.held import ARM_ACCURACY, STILL
 from calibration.estimation.least_squares import Termination, choose, minimise, settle
 from calibration.estimation.linear_start import linear_start, local_poses
 from calibration.estimation.median import median
@@ -50,6 +52,8 @@ SPREADS = 12.0
 MEDIANS = 8.0
 """Residual of a wrong view, in multiples of the agreeing ones' median beyond the noise inside the views: an arm's own
 errors are not wrong views."""
+ARM_ERRORS = 4.0
+"""Residual of a wrong view, in multiples of what an arm's own error makes (`ARM_ACCURACY`)."""
 FIRST = 3.0
 """Limit of the residuals of the first, bare majority, in multiples of the largest one of its best half."""
 DRAWN = 3
@@ -75,18 +79,19 @@ SURPLUS = 2.6
 """Required number of equations of a bare majority, as a multiple of the unknowns."""
 
 
-def wrong_views(setup: Setup, start: Values) -> tuple[DroppedView, ...]:
+def wrong_views(setup: Setup, start: Values, assume: Assumptions = EXACT) -> tuple[DroppedView, ...]:
     """Find the views that contradict the majority of the others, in the order of the collections.
 
     Args:
         setup: the problem.
         start: its initial values. If a few steps from there fit all views well, no view is tested.
+        assume: how well an arm is known: what it is off by is no wrong view.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         values = _nearer(setup.problem, start)
         if values is None:
             return ()
-        verdicts = [verdict for each in _together(setup) if (verdict := _tested(setup, each, values)) is not None]
+        verdicts = [verdict for each in _together(setup) if (verdict := _tested(setup, each, values, assume))]
         return tuple(
             _dropped(setup, verdicts, group, c)
             for c in range(setup.problem.collections)
@@ -161,6 +166,29 @@ def _middle(magnitudes: Array, counts: IntArray) -> Array:
     return np.where(np.isnan(middle), np.inf, middle)
 
 
+def _noticeable(dataset: Dataset, group: ViewGroup, assume: Assumptions) -> float:
+    """Return the median residual below which a view is never wrong, px or m: by far more than its arm is off by."""
+    term = group.terms[0]
+    least = NOTICEABLE[term.kind]
+    if not _is_on_an_arm(dataset, group):
+        return least
+    length, angle = ARM_ACCURACY * assume.arm_translation, ARM_ACCURACY * assume.arm_rotation
+    if isinstance(term, CornerTerm):
+        away = median(np.linalg.norm(term.linear_poses[:, :3, 3], axis=-1))
+        return max(least, ARM_ERRORS * float(np.sqrt(term.camera.fx * term.camera.fy)) * (length / away + angle))
+    if isinstance(term, RangeTerm):
+        away = median(np.linalg.norm(term.points, axis=1)[term.present])
+        return max(least, ARM_ERRORS * (length + angle * away))
+    return max(least, ARM_ERRORS * length)
+
+
+def _is_on_an_arm(dataset: Dataset, group: ViewGroup) -> bool:
+    """Whether something moves between a sensor and the pattern that it sees, as the robot says."""
+    path = dataset.tree.path(dataset.sensors[group.sensor].frame, dataset.patterns[group.pattern].parent_link)
+    transforms = [dataset.transforms[step.parent, step.child] for step in path]
+    return any(np.abs(T - T[0]).max() > STILL for T in transforms)
+
+
 # ----------------------------------------------------------------------------------------------
 
 
@@ -188,7 +216,7 @@ def _together(setup: Setup) -> Iterator[tuple[int, ...]]:
     yield from ((i, j) for i, j in combinations(range(len(own)), 2) if own[i] and own[i] == own[j])
 
 
-def _tested(setup: Setup, which: tuple[int, ...], values: Values) -> _Verdict | None:
+def _tested(setup: Setup, which: tuple[int, ...], values: Values, assume: Assumptions) -> _Verdict | None:
     """Test some groups for collections that contradict the majority; None if that is not possible."""
     part = _part(setup, which)
     if part is None or not part.problem.shared:
@@ -202,8 +230,9 @@ def _tested(setup: Setup, which: tuple[int, ...], values: Values) -> _Verdict | 
     unknown = sum(isinstance(problem.blocks[i].parameters, Pose) for i in problem.shared)
     draw = DRAWN_OF_POINTS if points else 1 if unknown == 1 else DRAWN
     some = np.sort(np.random.default_rng(0).permutation(collections)[:MOST])
-    most = _Consensus(part, values, some, equations).majority(draw)
-    if most is None or (found := _Consensus(part, values, collections, equations).agreed(most)) is None:
+    noticeable = {group.sensor: _noticeable(part.dataset, group, assume) for group in problem.groups}
+    most = _Consensus(part, values, some, equations, noticeable).majority(draw)
+    if most is None or (found := _Consensus(part, values, collections, equations, noticeable).agreed(most)) is None:
         return None
     best, wrong = found
     return _Verdict(which, part, best, np.isin(np.arange(problem.collections), collections), wrong)
@@ -242,8 +271,14 @@ def _thinned(term: Term) -> Term:
 class _Consensus:
     """Search for the shared transforms on which most collections agree."""
 
-    def __init__(self, setup: Setup, values: Values, collections: IntArray, equations: int) -> None:
-        """Create the search over collections, each with this number of equations."""
+    def __init__(
+        self, setup: Setup, values: Values, collections: IntArray, equations: int, noticeable: Mapping[str, float]
+    ) -> None:
+        """Create the search over collections, each with this number of equations.
+
+        ``noticeable`` is the smallest residual of a wrong view of each sensor.
+        """
+        self._noticeable = noticeable
         self._tested = np.isin(np.arange(setup.problem.collections), collections)
         self.problem = setup.problem.seen_in(self._tested)
         self.setup = replace(setup, problem=self.problem)
@@ -377,7 +412,7 @@ class _Consensus:
         spread = 1.4826 * median(np.abs(agreeing - middle))
         beyond_noise = math.sqrt(max(0.0, middle**2 - self._noise[group.terms[0].kind] ** 2))
         far = max(middle + SPREADS * spread, MEDIANS * beyond_noise, widest * float(agreeing.max()))
-        return max(NOTICEABLE[group.terms[0].kind], optimism * far)
+        return max(self._noticeable[group.sensor], optimism * far)
 
 
 # ----------------------------------------------------------------------------------------------

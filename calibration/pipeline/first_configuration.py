@@ -1,4 +1,4 @@
-"""Generate a first ``calibration.yml`` for a dataset, with a table and limits that suit its calibration."""
+"""Generate a first ``calibration.yml`` for a dataset, with a table and the limits of a good robot of its kind."""
 
 import json
 import math
@@ -13,40 +13,36 @@ import yaml
 
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
-from calibration.diagnosis.limits import SMALLEST, Limits
+from calibration.diagnosis.finding import SUSPECT
+from calibration.diagnosis.limits import SMALLEST, UNSET, Limits, allowed, stated
 from calibration.diagnosis.projection import projection_limit
 from calibration.errors import InputError
 from calibration.estimation.chosen_lenses import with_chosen_lenses
 from calibration.estimation.lens_choice import LensChoice
+from calibration.estimation.nominal import MOST_NOISE
 from calibration.estimation.options import Options
+from calibration.estimation.result import Calibration
+from calibration.estimation.single_views import noise_inside_views
 from calibration.estimation.starting_noise import StartingNoise
-from calibration.evaluation.measured_poses import COLUMNS
 from calibration.importing.document import ROUGH
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import load
-from calibration.pipeline.matrix.running_cell import run_cell
+from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.system import System
-from calibration.temporary_folder import temporary_folder
 
 SHARED = 3
 """Minimum of collections in which two sensors see a pattern, for a table of both."""
-ROOM = 1.5
-"""Limit of the RMS, in multiples of the current one."""
-LEAST_RMS = 0.5
-"""Lower bound of that limit, px: corners of a good camera in bad light."""
-LEAST_POSE = 1e-3
-"""Lower bound of the limit for measured poses, mm and deg: the resolution of their decimals."""
-SIGMAS = 4.0
-"""Limits in reported standard deviations: those of a later recording may be twice as large, and the guard band of two
-still holds. Between halves of recordings of an arm they differ by up to a factor of two.
-"""
+OF_GUARD_BAND = 2 / 3
+"""Share of a default limit that a cause may move a sensor by: two of the three standard deviations of a good robot."""
+UNITS = ("mm", "deg")
 STEPS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Mantissas of rounded limits."""
 HEAD = """\
 # Written by `calibration init`: the checks of this recording, and of later ones in its place.
 # Change the limits to what your robot needs; `calibration run` checks them.
 """
+ALTHOUGH = "# This recording does not pass, and was to be written although it does not:"
 _PLAIN = re.compile(r"[A-Za-z_./][\w./:-]*")
 
 
@@ -58,13 +54,20 @@ class FirstConfiguration:
     text: str
     """Content of calibration.yml."""
     reasons: tuple[str, ...]
-    """Reasons why the dataset fails; empty if it passes."""
+    """Reasons why the recording is no base of a configuration; empty if it passes."""
+    undecided: tuple[str, ...] = ()
+    """Limits that it cannot decide."""
+    found: tuple[str, ...] = ()
+    """All else that was found: causes, warnings, notes."""
     missing: tuple[str, ...] = ()
     """Omitted data, because the files are missing."""
 
 
 def first_configuration(path: Path, root: Path) -> FirstConfiguration:
-    """Calibrate a dataset, and generate its configuration.
+    """Calibrate a dataset, judge it without limits, and generate its configuration.
+
+    Its limits are what a good robot of this kind could be told with: what is wrong with this recording does not widen
+    them.
 
     Args:
         path: the dataset's folder, in ``root``.
@@ -81,24 +84,52 @@ def first_configuration(path: Path, root: Path) -> FirstConfiguration:
     lenses = with_chosen_lenses(dataset, options).choices
     options = replace(options, lens={name: each.chosen.name for name, each in lenses.items()})
     system = System(dataset.name, path, evaluate=evaluate, options=options)
-    first = _calibrated(system)
-    if first.error is not None or not first.converged:
+    first, calibration = _calibrated(system)
+    if calibration is None or first.error is not None or not first.converged:
         why = "; ".join(first.reasons) or "no optimum was found"
         raise InputError(f"{path}: cannot be calibrated: {why}{_other_mounting(dataset)}")
-    limits, comments = _limits(first) if first.sigma else _limits_of_cameras(dataset)
-    judged = _calibrated(replace(system, limits=limits))
+    limits, comments = _limits(calibration) if first.sigma else _limits_of_cameras(dataset)
+    judged, _ = _calibrated(replace(system, limits=limits))
+    reasons = (*first.reasons, *_noisy(calibration), *_moving(calibration, first)) or judged.reasons
     lines = [
+        *(_comment(f"{ALTHOUGH} {each}") for each in reasons),
+        "",
+        "systems:",
         f"  {_scalar(system.name)}:",
         _line("dataset", path.resolve().relative_to(root.resolve()).as_posix(), _seen(dataset)),
         *_option_lines(system.options, lenses),
         *([_line("evaluate", evaluate, why)] if evaluate else []),
-        *_rule_lines(evaluate, first),
         "    limits:",
         *(f"      {key}: {value:g}   # {comments[key]}" for key, value in _set(limits).items()),
     ]
+    others = (each for each in first.findings if each.severity != "undecided" and each.text not in reasons)
+    found = tuple(f"{each.severity}: {each.text}" for each in others)
     missing = tuple(map(dataset.missing_files_of, dataset.missing_files))
-    reasons = (*judged.reasons, *judged.undecided)
-    return FirstConfiguration(system.name, f"{HEAD}\nsystems:\n" + "\n".join(lines) + "\n", reasons, missing)
+    return FirstConfiguration(system.name, HEAD + "\n".join(lines) + "\n", reasons, judged.undecided, found, missing)
+
+
+def _noisy(calibration: Calibration) -> Iterator[str]:
+    """Yield a reason for each camera whose corners are worse than a detector's, where they place a sensor."""
+    if calibration.of_cameras_alone:
+        return
+    most = MOST_NOISE["pixel"]
+    for name, noise in noise_inside_views(calibration.solution.setup.problem, calibration.solution.values).items():
+        if noise > most:
+            yield (
+                f"the corners of '{name}' are off by {noise:.2g} px within single views, a detector errs by {most:g} px"
+                f" at most: look at focus, light and exposure; is the lens's distortion known, and is the board flat "
+                f"and as it is described?"
+            )
+
+
+def _moving(calibration: Calibration, first: CellResult) -> Iterator[str]:
+    """Yield the causes that move a sensor by more than the error bar of collections that agree."""
+    for each in first.findings:
+        if each.kind != SUSPECT or each.severity == "red" or each.moves_mm is None or each.moves_deg is None:
+            continue
+        limits = [allowed(calibration, Limits(), sensor) for sensor in each.sensors]
+        if any(one.exceeded(each.moves_mm / OF_GUARD_BAND, each.moves_deg / OF_GUARD_BAND) for one in limits):
+            yield each.text
 
 
 def _other_mounting(dataset: Dataset) -> str:
@@ -135,29 +166,14 @@ def _option_lines(options: Options, lenses: Mapping[str, LensChoice]) -> Iterato
             yield f"  {_line(name, model, lenses[name].reason)}"
 
 
-def _rule_lines(evaluate: str | None, result: CellResult) -> Iterator[str]:
-    """Yield the rules over a table, with some room above the averages of this recording."""
-    if evaluate and result.rms_px is not None and "-to-rgb:" in evaluate:
-        most = nice(max(ROOM * result.rms_px, LEAST_RMS))
-        why = f"{result.rms_px:.3g} px in this recording, times {ROOM:g}; {_least(LEAST_RMS, 'px')}"
-        yield "    rules:"
-        yield f"      - {{column: RMS (pix), row: Averages, max: {most:g}}}   # {why}"
-    if result.poses is not None:
-        yield "    rules:"
-        for column, value in zip(COLUMNS, (result.poses.translation_mm, result.poses.rotation_deg), strict=True):
-            rule = f"- {{column: {column}, row: Averages, max: {nice(max(ROOM * value, LEAST_POSE)):g}}}"
-            yield f"      {rule}   # {value:.3g} in this recording, times {ROOM:g}"
-
-
 def nice(number: float) -> float:
     """Return the next larger round number."""
     power = 10.0 ** math.floor(math.log10(number))
     return float(f"{next(step for step in STEPS if step * power >= number * (1 - 1e-9)) * power:.6g}")
 
 
-def _calibrated(system: System) -> CellResult:
-    with temporary_folder() as folder:
-        return run_cell(Cell(system.name, StartingNoise()), load(system), folder)
+def _calibrated(system: System) -> tuple[CellResult, Calibration | None]:
+    return calibrate_cell(Cell(system.name, StartingNoise()), load(system))
 
 
 def _table(dataset: Dataset) -> tuple[str | None, str]:
@@ -194,23 +210,17 @@ def _seen(dataset: Dataset) -> str:
     return f"{len(dataset.collections)} collections; {', '.join(counts)}"
 
 
-def _limits(result: CellResult) -> tuple[Limits, dict[str, str]]:
-    """Derive limits from the reported standard deviations, with the reason of each."""
-    sigma = result.sigma
-    if sigma is None:
-        raise AssertionError("a calibration states its standard deviations")
-    stated = {
-        "translation-mm": (sigma.translation_mm, SMALLEST[0], "mm"),
-        "rotation-deg": (sigma.rotation_deg, SMALLEST[1], "deg"),
-        "joint-mm": (sigma.joint_mm, SMALLEST[0], "mm"),
-        "joint-deg": (sigma.joint_deg, SMALLEST[1], "deg"),
-    }
+def _limits(calibration: Calibration) -> tuple[Limits, dict[str, str]]:
+    """Return the default limits, of the least precise sensor and joint, rounded up, with the reason of each."""
+    sensors = [name for name in stated(calibration) if name not in calibration.joints]
     values, comments = {}, {}
-    for key, (one, least, unit) in stated.items():
-        if one is None:
-            continue
-        values[key.replace("-", "_")] = nice(max(SIGMAS * one, least))
-        comments[key] = f"{SIGMAS:g} x {one:.2g} {unit}, this recording's standard deviation; {_least(least, unit)}"
+    for of, word in ((sensors, ("translation_mm", "rotation_deg")), (calibration.joints, ("joint_mm", "joint_deg"))):
+        each = {name: allowed(calibration, Limits(), name) for name in of}
+        for i, key in enumerate(word if each else ()):
+            numbers = {name: (limit.translation_mm, limit.rotation_deg)[i] for name, limit in each.items()}
+            name = max(numbers, key=lambda one: numbers[one])
+            values[key] = nice(numbers[name])
+            comments[key.replace("_", "-")] = _why(numbers[name], stated(calibration)[name][i], SMALLEST[i], UNITS[i])
     return Limits(**values), comments
 
 
@@ -224,8 +234,12 @@ def _limits_of_cameras(dataset: Dataset) -> tuple[Limits, dict[str, str]]:
     return Limits(projection_px=nice(most)), {"projection-px": why}
 
 
-def _least(number: float, unit: str) -> str:
-    return f"no less than {number:g} {unit}"
+def _why(limit: float, sigma: float, least: float, unit: str) -> str:
+    """Return the reason of a limit."""
+    what = f"{UNSET:g} standard deviations of a good robot that sees this: {limit:.2g} {unit}"
+    if limit <= least:
+        what = f"the least that is asked for, more than {UNSET:g} standard deviations of a good robot that sees this"
+    return f"{what}; this recording states {sigma:.2g} {unit} in all"
 
 
 def _set(limits: Limits) -> Mapping[str, float]:
@@ -238,6 +252,10 @@ def _line(key: str, value: Any, why: str) -> str:
     shown = f"[{', '.join(map(_scalar, value))}]" if isinstance(value, list) else _scalar(value)
     printable = "".join(c if c.isprintable() else "?" for c in why)
     return f"    {_scalar(key)}: {shown}   # {printable}"
+
+
+def _comment(text: str) -> str:
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _scalar(text: str) -> str:

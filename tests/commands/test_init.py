@@ -65,13 +65,10 @@ def test_every_limit_has_a_reason(repository: Path) -> None:
     bring(repository, "t2rgb")
     main(["init", "--dataset", "data/t2rgb"])
     lines = (repository / "calibration.yml").read_text().splitlines()
-    numbers = [line for line in lines if "-mm:" in line or "-deg:" in line or "max:" in line]
-    assert len(numbers) == 3
-    assert all("this recording" in line.partition("#")[2] for line in numbers)
-    limit = yaml.safe_load((repository / "calibration.yml").read_text())["systems"]["t2rgb"]["limits"]
-    main(["run", "--jobs", "1"])
-    (cell,) = json.loads((repository / "output" / "results.json").read_text())["cells"]
-    assert 4 * cell["sigma"]["translation_mm"] <= limit["translation-mm"] <= 6 * cell["sigma"]["translation_mm"] + 1
+    numbers = [line for line in lines if "-mm:" in line or "-deg:" in line]
+    assert len(numbers) == 2
+    assert not any("max:" in line for line in lines)  # nothing is asked that this recording alone has taught
+    assert all("a good robot that sees this" in line.partition("#")[2] for line in numbers)
 
 
 def test_what_is_left_to_do_is_said(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Few collections of an arm: red where they disagree, as one of them then decides the result."""
+"""Few collections of an arm: undecided where they disagree, as one of them then decides the result."""
 
 import numpy as np
 import pytest
@@ -18,9 +18,9 @@ def arm(collections: int, error: float) -> Dataset:
 
 
 @pytest.mark.parametrize("collections", [3, 5, 6])
-def test_few_that_disagree_are_red(collections: int) -> None:
+def test_few_that_disagree_are_undecided(collections: int) -> None:
     [found] = too_few(calibrate(arm(collections, 0.005)))
-    assert (found.kind, found.severity) == ("too-few", "red")
+    assert (found.kind, found.severity) == ("too-few", "undecided")
     assert found.text.startswith(f"{collections} collections are too few")
 
 
