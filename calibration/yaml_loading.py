@@ -31,9 +31,8 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         self._depth += 1
         if self._depth > MAX_DEPTH:
-            raise yaml.composer.ComposerError(
-                None, None, f"it is nested too deeply: more than {MAX_DEPTH} levels", self.peek_event().start_mark
-            )
+            problem = f"it is nested too deeply: more than {MAX_DEPTH} levels"
+            raise yaml.composer.ComposerError(None, None, problem, self.get_mark())
         node: yaml.Node | None = super().compose_node(parent, index)
         self._depth -= 1
         return node
@@ -67,7 +66,6 @@ class _Loader(yaml.SafeLoader):
 
     def construct_tuple(self, node: yaml.SequenceNode) -> list[Any]:
         return self.construct_sequence(node, deep=True)
-
 
     def construct_matrix(self, node: yaml.MappingNode) -> dict[Hashable, Any]:
         return self.construct_mapping(node, deep=True)

@@ -11,7 +11,6 @@ import numpy as np
 from calibration.dataset.document import Node
 from calibration.dataset.lens_uncertainty import LensUncertainty
 from calibration.dataset.sensors import MAX_INTRINSIC, MAX_PIXELS, read_camera
-from calibration.errors import InputError
 from calibration.estimation.intrinsics_file import read_calibrated
 from calibration.files import read_bytes
 from calibration.geometry import rotations
