@@ -13,7 +13,7 @@ MAX_CHUNK = 1 << 28
 """Limit of the bytes that one chunk, or one message, unpacks to."""
 UNPACKED_FREELY = 1 << 26
 """Bytes that a bag may unpack to, however small it is: a few images of one colour, or depths without a return."""
-UNPACKED_FREELY_TO_DISK = 1 << 30
+UNPACKED_FREELY_TO_DISK = 1 << 28
 """The same of a file that is compressed as a whole: there it goes to the disk."""
 MAX_RATIO = 250
 """Limit of unpacked bytes for each packed one, beyond these; recorded images have 2 to 10, rendered ones 100."""
