@@ -26,15 +26,18 @@ def without_escapes(text: str) -> str:
 def one_line(text: str) -> str:
     """Put a text on one line, without control of the terminal or the runner.
 
-    Line breaks become spaces; non-printable characters become visible escapes; ``##[``, which the runner takes for a
-    command anywhere in a line, is broken up.
+    Line breaks become spaces; the rest is done by `visible`.
     """
-    return visible(_LINE_BREAKS.sub(" ", text.strip())).replace("##[", "## [")
+    return visible(_LINE_BREAKS.sub(" ", text.strip()))
 
 
 def visible(text: str) -> str:
-    """Replace control characters, changes of the writing direction and invisible characters by escapes."""
-    return _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+    """Replace control characters, changes of the writing direction and invisible characters by escapes.
+
+    ``##[``, which the runner takes for a command anywhere in a line, is broken up.
+    """
+    text = _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+    return text.replace("##[", "## [")
 
 
 def escape_markup(text: str) -> str:

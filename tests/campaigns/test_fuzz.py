@@ -19,6 +19,9 @@ FOUND: list[tuple[str, int]] = [
     ("ros2-db3", 1982475173),
     ("intrinsics", 1282849089),
     ("intrinsics", 102923761),
+    ("rules", 1272987056),
+    ("rules", 1099103031),
+    ("opencv", 173518645),
 ]
 """Cases that failed once, by target and seed: each stays as it should be."""
 

@@ -50,6 +50,11 @@ def test_no_part_of_an_annotation_commands_a_terminal(github: Runner, character:
     assert printed(github).count(character.encode("unicode_escape").decode()) == 3
 
 
+def test_no_part_of_an_annotation_commands_the_runner(github: Runner) -> None:
+    annotate(github, [Annotation("##[error]a", file="##[error]a", title="##[error]a")])
+    assert printed(github) == "::error file=## [error]a,title=## [error]a::## [error]a\n"
+
+
 @pytest.mark.parametrize(("count", "commands"), [(8, 8), (9, 9), (10, 10), (300, 10)])
 def test_on_github_at_most_ten_are_printed(github: Runner, count: int, commands: int) -> None:
     annotate(github, [Annotation(f"number {number}") for number in range(count)])
