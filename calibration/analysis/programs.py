@@ -119,14 +119,13 @@ def json_output(name: str, result: ProgramResult) -> Any:
     """Parse what a program wrote as JSON.
 
     Raises:
-        InfrastructureError: it is none: without memory, shellcheck ends with the exit code of findings.
+        ProgramFailedError: it is none: without memory, shellcheck ends with the exit code of findings.
     """
     try:
         return json.loads(result.output)
     except ValueError:
-        raise InfrastructureError(
-            f"{name} failed with exit code {result.code} and without findings: {_last(result.errors)}"
-        ) from None
+        how = f"failed with exit code {result.code} and wrote no findings: {_last(result.errors)}"
+        raise ProgramFailedError(f"{name} {how}", result.code) from None
 
 
 def _last(errors: str) -> str:
