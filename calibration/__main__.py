@@ -231,8 +231,19 @@ def _answer(runner: Runner, command: click.Command | str, name: str, arguments: 
         return _report_bug(runner, error)
     except MemoryError:
         raise  # reported by the caller, where the traceback, and the memory that it references, is freed
-    except Exception as error:  # unexpected, hence a bug: print the traceback
-        return _report_bug(runner, error)
+    except Exception as error:
+        if _is_out_of_memory(error):
+            raise MemoryError from None
+        return _report_bug(runner, error)  # unexpected, hence a bug: print the traceback
+
+
+def _is_out_of_memory(error: BaseException | None) -> bool:
+    """Return whether an exception comes of a MemoryError, or is OpenCV's or a loader's word for one."""
+    while error is not None:
+        if isinstance(error, MemoryError) or "insufficient memory" in str(error).lower():
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _open_closed_streams() -> None:

@@ -43,10 +43,30 @@ def write_atomically(path: Path | str, content: bytes | str) -> None:
 
     Raises:
         InfrastructureError: the file cannot be written.
+        InputError: a folder of its path is a link, below one of `follow_no_links`.
     """
     data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     with _replacing(Path(path)) as temporary:
         temporary.write_bytes(data)
+
+
+_without_links: set[Path] = set()
+"""Folders below which nothing is written through a link."""
+
+
+def follow_no_links(folder: Path) -> None:
+    """Refuse from now on to write through links to folders that are below a folder: they may come with a checkout."""
+    _without_links.add(Path.cwd() / os.path.normpath(folder))
+
+
+def _refuse_links(path: Path) -> None:
+    absolute = Path.cwd() / os.path.normpath(path)
+    for folder in _without_links.intersection(absolute.parents):
+        below = absolute.parents[: absolute.parents.index(folder)]
+        if link := next((each for each in below if each.is_symlink()), None):
+            raise InputError(
+                f"{link}: found a link, expected a folder: remove it, as results are not written through links"
+            )
 
 
 def link_or_copy(source: Path | str, target: Path | str) -> None:
@@ -67,6 +87,7 @@ def link_or_copy(source: Path | str, target: Path | str) -> None:
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside a file, which replaces the file if the block succeeds."""
+    _refuse_links(path)
     temporary = path.with_name(f".{os.urandom(8).hex()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -13,8 +13,38 @@ MAX_ALIASED = 100_000
 """Limit of values that aliases add, because a few nested aliases can expand to billions."""
 
 
+MAX_DEPTH = 100
+"""Limit of lists and mappings inside of each other, judged while reading."""
+_TAG = "tag:yaml.org,2002:"
+
+
 class _Loader(yaml.SafeLoader):
-    """Safe loader that refuses repeated keys in a mapping, and reads ``!!python/tuple`` as a list."""
+    """Safe loader that refuses repeated keys in a mapping, and scalars that do not fit their tag.
+
+    It reads ``!!python/tuple`` as a list, and ``!!opencv-matrix`` as a mapping.
+    """
+
+    def __init__(self, stream: bytes) -> None:
+        super().__init__(stream)
+        self._depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            problem = f"it is nested too deeply: more than {MAX_DEPTH} levels"
+            raise yaml.composer.ComposerError(None, None, problem, self.get_mark())
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
+            # What Python says of an explicit tag (!!bool x is a KeyError), or of a date or number that is none.
+            found = shorten(repr(node.value)) if isinstance(node, yaml.ScalarNode) else "a list or mapping"
+            problem = f"found {found}, expected a value of the type {node.tag.removeprefix(_TAG)}"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from None
 
     def construct_document(self, node: yaml.Node) -> Any:
         sizes: dict[int, int] = {}
@@ -37,8 +67,12 @@ class _Loader(yaml.SafeLoader):
     def construct_tuple(self, node: yaml.SequenceNode) -> list[Any]:
         return self.construct_sequence(node, deep=True)
 
+    def construct_matrix(self, node: yaml.MappingNode) -> dict[Hashable, Any]:
+        return self.construct_mapping(node, deep=True)
 
-_Loader.add_constructor("tag:yaml.org,2002:python/tuple", _Loader.construct_tuple)
+
+_Loader.add_constructor(f"{_TAG}python/tuple", _Loader.construct_tuple)
+_Loader.add_constructor(f"{_TAG}opencv-matrix", _Loader.construct_matrix)
 
 
 def _unfolded(node: yaml.Node, sizes: dict[int, int]) -> int:
@@ -64,10 +98,8 @@ def parse_yaml(data: bytes, path: Path) -> object:
     except yaml.MarkedYAMLError as error:
         line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
         raise InputError(f"{path}{line}: this is not valid YAML: {error.problem or error.context}") from None
-    except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
+    except (yaml.YAMLError, ValueError) as error:
         raise InputError(f"{path}: this is not valid YAML: {error}") from None
-    except RecursionError:
-        raise InputError(f"{path}: the YAML is nested too deeply") from None
 
 
 def line_in(data: bytes, keys: Sequence[str], value: str | None) -> int | None:

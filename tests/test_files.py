@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from calibration.errors import InfrastructureError
-from calibration.files import link_or_copy, write_atomically
+from calibration.errors import InfrastructureError, InputError
+from calibration.files import follow_no_links, link_or_copy, write_atomically
 from calibration.temporary_folder import temporary_folder
 from calibration.workflow.signals import Terminated, terminate_cleanly
 
@@ -140,3 +140,26 @@ def test_what_cannot_be_removed_is_an_error_or_stays(tmp_path: Path) -> None:
             folder.rmdir()
             folder.touch()
         folder.unlink()
+
+
+@pytest.mark.parametrize("relative", [True, False])
+def test_nothing_is_written_through_a_link_in_the_output(
+    relative: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    elsewhere, output = tmp_path / "elsewhere", Path("out") if relative else tmp_path / "out"
+    elsewhere.mkdir()
+    (tmp_path / "output").mkdir()
+    (tmp_path / "out").symlink_to("output")  # the output itself may be a link: the caller named it
+    (output / "robot").symlink_to(elsewhere)
+    write_atomically(output / "robot" / "before", "x")
+    follow_no_links(output)
+    for name in ("robot/a", "robot/deep/a", "b/../robot/a"):
+        with pytest.raises(InputError, match="out/robot: found a link, expected a folder"):
+            write_atomically(output / name, "x")
+    assert names(elsewhere) == ["before"]
+    write_atomically(output / "other" / "a", "x")
+    (output / "results.json").symlink_to(elsewhere / "before")
+    write_atomically(output / "results.json", "new")
+    assert (elsewhere / "before").read_text() == "x"
+    assert (output / "other" / "a").read_text() == "x"

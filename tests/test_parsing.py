@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 
 from calibration.dataset.document import read_json
 from calibration.errors import InputError
@@ -65,3 +66,33 @@ def test_the_key_is_cut_to_a_short_line() -> None:
     with pytest.raises(ValueError, match="occurs twice") as caught:
         parse_json(f'{{"{key}": 1, "{key}": 2}}')
     assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        *("!!timestamp x", "!!timestamp 1", "!!bool x", "!!int x", "!!int ''", "!!float x", "!!null [a]"),
+        *("!!binary \u20ac", "2024-13-45", "9" * 5001, "!!opencv-matrix x", "!!omap x", "!!int 9:9:z"),
+    ],
+)
+def test_a_value_that_does_not_fit_its_tag_is_refused_with_its_line(value: str, tmp_path: Path) -> None:
+    (tmp_path / "calibration.yml").write_text(f"a: 1\nb: {value}\n")
+    with pytest.raises(InputError, match=r"calibration\.yml:2: this is not valid YAML: "):
+        read_yaml(tmp_path / "calibration.yml", "a file")
+
+
+@pytest.mark.parametrize("piece", ["[", "{a: ", "- ", "? "])
+def test_depth_is_judged_while_reading(piece: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scanner that had to see all levels would take minutes of as many: here it is never asked for most of them."""
+    scanned = []
+    fetch = yaml.SafeLoader.fetch_more_tokens
+    monkeypatch.setattr(yaml.SafeLoader, "fetch_more_tokens", lambda loader: (scanned.append(1), fetch(loader)))
+    (tmp_path / "calibration.yml").write_text(piece * 100_000)
+    with pytest.raises(InputError, match="nested too deeply: more than 100 levels"):
+        read_yaml(tmp_path / "calibration.yml", "a file")
+    assert len(scanned) < 5_000
+
+
+def test_a_document_of_many_levels_is_read(tmp_path: Path) -> None:
+    (tmp_path / "calibration.yml").write_text("[" * 99 + "1" + "]" * 99)
+    assert str(read_yaml(tmp_path / "calibration.yml", "a file")) == "[" * 99 + "1" + "]" * 99

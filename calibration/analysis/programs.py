@@ -1,14 +1,19 @@
 """External programs of the analysers: run without a shell, with a time limit and without secrets."""
 
+import json
 import os
+import re
+import resource
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from calibration.errors import InfrastructureError
 from calibration.temporary_folder import temporary_folder
@@ -16,6 +21,9 @@ from calibration.workflow.text import one_line, shorten
 
 MAX_OUTPUT = 200_000_000
 """Limit of a program's output in bytes."""
+MAX_MEMORY = 2 << 30
+"""Limit of a program's memory in bytes, without what it reserves and never uses, which is a terabyte for shellcheck."""
+_QUOTED_CODE = re.compile(r"^ *[0-9]* *\|", re.MULTILINE)
 
 
 class ProgramFailedError(InfrastructureError):
@@ -84,6 +92,9 @@ def run_program(
             )
         except OSError as error:
             raise InfrastructureError(f"{name} cannot be started: {error.strerror}") from None
+        if sys.platform == "linux":  # from here, as nothing may run between fork and exec beside other threads
+            with suppress(ProcessLookupError):
+                resource.prlimit(process.pid, resource.RLIMIT_DATA, (MAX_MEMORY, MAX_MEMORY))
         try:
             errors = process.communicate(timeout=seconds)[1].decode("utf-8", "replace")
         except subprocess.TimeoutExpired:
@@ -104,5 +115,20 @@ def run_program(
         return ProgramResult(process.returncode, output.read().decode("utf-8", "replace"), errors)
 
 
+def json_output(name: str, result: ProgramResult) -> Any:
+    """Parse what a program wrote as JSON.
+
+    Raises:
+        ProgramFailedError: it is none: without memory, shellcheck ends with the exit code of findings.
+    """
+    try:
+        return json.loads(result.output)
+    except ValueError:
+        how = f"failed with exit code {result.code} and wrote no findings: {_last(result.errors)}"
+        raise ProgramFailedError(f"{name} {how}", result.code) from None
+
+
 def _last(errors: str) -> str:
-    return shorten(one_line(" ".join(errors.split())), 400) or "it gave no reason"
+    """Return what a program says, up to the lines that it quotes: they may be of a file outside of the repository."""
+    said = _QUOTED_CODE.split(errors, maxsplit=1)[0]
+    return shorten(one_line(" ".join(said.split())), 400) or "it gave no reason"

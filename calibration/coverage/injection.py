@@ -11,6 +11,7 @@ from typing import Any
 import coverage
 from coverage.exceptions import ConfigError, CoverageException
 
+from calibration import MAX_IMAGE_PIXELS
 from calibration.errors import InputError
 from calibration.workflow.text import one_line, shorten
 
@@ -21,11 +22,16 @@ _HIDDEN = (
     *("CODACY_PROJECT_TOKEN", "CODACY_API_TOKEN"),
 )
 """Variables that are hidden from the tests: those of an outer measurement, and tokens."""
+_OUR_LIMIT = ("OPENCV_IO_MAX_IMAGE_PIXELS", str(MAX_IMAGE_PIXELS))
 
 
 def plain(environment: Mapping[str, str]) -> dict[str, str]:
     """Return the environment for a program of the team: without action inputs and tokens."""
-    return {name: text for name, text in environment.items() if not name.startswith("INPUT_") and name not in _HIDDEN}
+    return {
+        name: text
+        for name, text in environment.items()
+        if not name.startswith("INPUT_") and name not in _HIDDEN and (name, text) != _OUR_LIMIT
+    }
 
 
 def measuring(environment: Mapping[str, str], configuration: Path, notes: Path, brought: Path) -> dict[str, str]:

@@ -52,6 +52,8 @@ class Node:
                 raise self.fault(f"found the key {shown(key)}, expected text")
             if len(key) > LONGEST_KEY:
                 raise self.fault(f"found a key of {len(key)} characters ({shown(key)}), expected at most {LONGEST_KEY}")
+            if not is_unicode(key):
+                raise self.fault(f"found the key {shown(key)}, which has half of a surrogate pair, expected Unicode")
             yield key, Node(self.file, (*self.keys, key), value)
 
     def elements(self) -> Iterator["Node"]:
@@ -75,6 +77,8 @@ class Node:
         """Return the value as text, or raise InputError."""
         if type(self.value) is not str:
             raise self.unexpected("text")
+        if not is_unicode(self.value):
+            raise self.unexpected("text in Unicode, without halves of surrogate pairs")
         return self.value
 
     def name(self) -> str:
@@ -126,6 +130,17 @@ class Node:
         """Return a one-line error with the location of this value and a message."""
         where = "/".join(_shortened(str(key)) for key in self.keys)  # keys of YAML may be numbers
         return InputError(f"{self.file}: {where}: {message}" if where else f"{self.file}: {message}")
+
+
+def is_unicode(text: str) -> bool:
+    r"""Return whether a text has no half of a surrogate pair (``"\ud800"``), which cannot be written in UTF-8."""
+    if text.isascii():
+        return True
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 class NotNumbersError(Exception):

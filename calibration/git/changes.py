@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from calibration.errors import InputError
 from calibration.git.repository import Repository
 
-_HUNK = re.compile(rb"@@ -[0-9]+(?:,([0-9]+))? \+([0-9]+)(?:,([0-9]+))? @@")
+_HUNK = re.compile(rb"@@ -[0-9]{1,12}(?:,([0-9]{1,12}))? \+([0-9]{1,12})(?:,([0-9]{1,12}))? @@")
 _BINARY = re.compile(rb'Binary files .* and ("?b/.*) differ')
 _ESCAPE = re.compile(rb"\\([0-7]{3}|.)")
 _LETTERS = {b"a": b"\a", b"b": b"\b", b"f": b"\f", b"n": b"\n", b"r": b"\r", b"t": b"\t", b"v": b"\v"}
@@ -16,21 +16,24 @@ def changed_lines(difference: bytes) -> dict[str, set[int]]:
     """Return the numbers of the added or altered lines of each file, by its path.
 
     Args:
-        difference: output of git, with the prefixes ``a/`` and ``b/``.
+        difference: output of git without context, with the prefixes ``a/`` and ``b/``.
     """
     found: dict[str, set[int]] = {}
     file: str | None = None
-    skip = 0  # remaining lines of a hunk, whose content must not be parsed as headers
+    skip = number = 0  # remaining lines of a hunk, whose content must not be parsed as headers; the next line's number
     for line in difference.split(b"\n"):
         if skip and not line.startswith(b"\\"):  # "\ No newline at end of file" is not a line
             skip -= 1
+            if line.startswith(b"+") and file is not None:  # counted, as a hunk may claim any number
+                found[file].add(number)
+                number += 1
         elif line.startswith(b"+++ "):
             file = _path(line[4:])
         elif (hunk := _HUNK.match(line)) is not None:
-            before, first, after = int(hunk[1] or 1), int(hunk[2]), int(hunk[3] or 1)
-            skip = before + after
+            number = int(hunk[2])
+            skip = int(hunk[1] or 1) + int(hunk[3] or 1)
             if file is not None:
-                found.setdefault(file, set()).update(range(first, first + after))
+                found.setdefault(file, set())
     return found
 
 

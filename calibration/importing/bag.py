@@ -4,7 +4,10 @@ Messages are decoded by the library's own definitions, never by those in a bag, 
 program code from definitions.
 """
 
+import errno
 import heapq
+import json
+import re
 import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -13,8 +16,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.errors import CalibrationError, InputError
+from calibration.dataset.document import Node
+from calibration.errors import CalibrationError, InfrastructureError, InputError
+from calibration.files import read_bytes
+from calibration.importing.unpacking import MAX_CHUNK, UnpackingError, begin_pass, bound_library, unpack_files
 from calibration.optional import optional
+from calibration.temporary_folder import temporary_folder
+from calibration.yaml_file import read_yaml
 
 if TYPE_CHECKING:
     from rosbags.rosbag1 import Reader as Reader1
@@ -24,6 +32,11 @@ if TYPE_CHECKING:
 ENDINGS = (".bag", ".db3", ".mcap")
 """Endings of single files; a ROS 2 folder has a metadata.yaml."""
 SECOND = 10**9
+MAX_METADATA_BYTES = 1 << 22
+"""Limit of the size of a metadata.yaml."""
+_WHOLE_FILES = re.compile(rb"^[ '\"]*compression_mode['\"]?\s*:\s*['\"]?file\b", re.IGNORECASE | re.MULTILINE)
+_SQLITE_LIMIT_LENGTH = 0
+"""SQLite's number of the limit of a value's length (https://www.sqlite.org/c3ref/c_limit_attached.html)."""
 MORE_TYPES = dict.fromkeys(
     ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), "geometry_msgs/TransformStamped[] transforms"
 )
@@ -83,6 +96,7 @@ class Bag:
         Raises:
             InputError: the bag is damaged.
         """
+        begin_pass()
         streams = [self._of_part(part, topics, start, stop) for part in self._parts]
         yield from streams[0] if len(streams) == 1 else heapq.merge(*streams, key=lambda message: message.recorded)
 
@@ -146,14 +160,40 @@ def open_bag(paths: Sequence[Path]) -> Iterator[Bag]:
         raise InputError(f"{paths[0]}: found bags of ROS 1 and of ROS 2, expected one kind")
     ros = kinds.pop()
     reader_of = optional(f"rosbags.rosbag{ros}", "reading bags").Reader
+    bound_library()
+    begin_pass()
     with ExitStack() as stack:
         parts = []
         for path in paths:
             with _readable(path):
-                reader = reader_of(path)
+                reader = reader_of(_unpacked(path, stack) if path.is_dir() else path)
                 stack.enter_context(reader)
+                _bound_messages(reader)
                 parts.append(_Part(path, reader))
         yield Bag(parts, ros)
+
+
+def _unpacked(folder: Path, stack: ExitStack) -> Path:
+    """Return the folder of a ROS 2 bag, or a temporary one with its files if they are compressed as a whole."""
+    metadata = folder / "metadata.yaml"
+    data = read_bytes(metadata, MAX_METADATA_BYTES, "a bag's metadata")
+    if not _WHOLE_FILES.search(data):
+        return folder
+    bag = Node(metadata, (), read_yaml(metadata, "a bag's metadata"))["rosbag2_bagfile_information"]
+    files = [folder / Path(each.text()).name for each in bag["relative_file_paths"].elements()]
+    unpacked = stack.enter_context(temporary_folder(prefix="calibration-bag-"))
+    names = [file.name for file in unpack_files(files, unpacked)]
+    document = {**bag.mapping(), "compression_mode": "", "compression_format": "", "relative_file_paths": names}
+    (unpacked / metadata.name).write_text(json.dumps({"rosbag2_bagfile_information": document}))
+    return unpacked
+
+
+def _bound_messages(reader: "Reader1 | Reader2") -> None:
+    """Bound the size of a message of an SQLite database, which can claim more than the file has."""
+    storage = getattr(reader, "storage", None)
+    for each in getattr(storage, "storages", [storage]):
+        if (database := getattr(each, "dbconn", None)) is not None:
+            database.limit(_SQLITE_LIMIT_LENGTH, MAX_CHUNK)
 
 
 def _ros_of(path: Path) -> int:
@@ -163,6 +203,8 @@ def _ros_of(path: Path) -> int:
     if path.is_dir():
         if not (path / "metadata.yaml").is_file():
             raise InputError(f"{path}: found no metadata.yaml in it, expected a ROS 2 bag, or a file {_endings()}")
+        if strange := [each.name for each in path.iterdir() if not each.is_file() and not each.is_dir()]:
+            raise InputError(f"{path / strange[0]}: this is no regular file, expected a file of a bag")
         return 2
     if path.suffix not in ENDINGS:
         raise InputError(f"{path}: expected a bag: a file {_endings()}, or a folder with metadata.yaml")
@@ -184,6 +226,10 @@ def _readable(path: Path, what: str = "this bag cannot be read") -> Iterator[Non
         yield
     except CalibrationError:
         raise
+    except UnpackingError as error:
+        raise InputError(f"{path}: {what}: {error}") from None
     except Exception as error:
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+            raise InfrastructureError(f"{path}: there is no space to unpack it: {error.filename}") from error
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: {what}: {reason}; is it truncated, unindexed or encrypted?") from None

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from calibration.dataset.document import Node
 from calibration.dataset.lens_uncertainty import LensUncertainty
 from calibration.dataset.sensors import MAX_INTRINSIC, MAX_PIXELS, read_camera
-from calibration.errors import InputError
 from calibration.estimation.intrinsics_file import read_calibrated
 from calibration.files import read_bytes
 from calibration.geometry import rotations
@@ -20,7 +18,8 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import MODELS
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
-from calibration.yaml_file import MAX_BYTES, read_yaml
+from calibration.yaml_file import MAX_BYTES
+from calibration.yaml_loading import parse_yaml
 
 KALIBR_MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bob"}
 """ROS's names of Kalibr's distortion models; the other ones (fov) have no equivalent."""
@@ -74,10 +73,10 @@ def read_lens(path: Path, name: str | None = None) -> KnownLens:
         InputError: the file cannot be read, has an unknown format, has several cameras or none of this name, or
             something in it is missing or wrong.
     """
-    if read_bytes(path, MAX_BYTES, "a file of intrinsics").startswith(b"%YAML"):
-        root = Node(path, (), _opencv_document(path))
-    else:
-        root = Node(path, (), read_yaml(path, "a file of intrinsics"))
+    data = read_bytes(path, MAX_BYTES, "a file of intrinsics")
+    if data.startswith(b"%YAML"):  # OpenCV's first line is not valid in YAML 1.1 (``%YAML:1.0``)
+        data = b"#" + data
+    root = Node(path, (), parse_yaml(data, path))
     document = root.mapping()
     if "cameras" in document:
         return _of_our_calibration(root["cameras"], name)
@@ -228,32 +227,3 @@ def _numbers(node: Node) -> list[Any]:
     if rows and all(isinstance(row.value, list) for row in rows):
         return [number.number() for row in rows for number in row.elements()]
     return [number.number() for number in rows]
-
-
-class _OpenCv(yaml.SafeLoader):
-    """Loader for OpenCV's YAML, whose matrices have a custom tag."""
-
-
-def _matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:
-    if not isinstance(node, yaml.MappingNode):
-        raise yaml.constructor.ConstructorError(None, None, "an opencv-matrix is a mapping", node.start_mark)
-    return loader.construct_mapping(node, deep=True)
-
-
-_OpenCv.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
-
-
-def _opencv_document(path: Path) -> object:
-    """Load OpenCV's YAML, whose first line is not valid in YAML 1.1 (``%YAML:1.0``)."""
-    text = read_bytes(path, MAX_BYTES, "a file of intrinsics").split(b"\n", 1)[-1]
-    try:
-        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
-            raise InputError(f"{path}: found an alias, expected a file that OpenCV has written")
-        return yaml.load(text, _OpenCv)  # noqa: S506 (a safe loader)
-    except yaml.MarkedYAMLError as error:
-        line = f":{error.problem_mark.line + 2}" if error.problem_mark else ""
-        raise InputError(f"{path}{line}: this is not valid YAML: {error.problem or error.context}") from None
-    except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
-        raise InputError(f"{path}: this is not valid YAML: {error}") from None
-    except RecursionError:
-        raise InputError(f"{path}: the YAML is nested too deeply") from None

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from calibration import MAX_IMAGE_PIXELS
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
 from calibration.files import read_bytes
@@ -18,8 +19,6 @@ from calibration.records import field, result
 
 MAX_BYTES = 500_000_000
 """Limit of an image file's size in bytes."""
-MAX_PIXELS = 200_000_000
-"""Limit of an image's pixels."""
 
 
 @result
@@ -74,15 +73,17 @@ def decoded_image(data: bytes, where: str) -> Image:
     """Decode an image from the content of a file, like `read_image`.
 
     Raises:
-        InputError: it is not an image.
+        InputError: it is not an image, or has too many pixels, which its header tells.
     """
     try:
         with _without_stderr():
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
+        if "CV_IO_MAX_IMAGE" in error.err:
+            raise InputError(f"{where}: this image is too large, expected {MAX_IMAGE_PIXELS} pixels at most") from None
         raise InputError(f"{where}: this image cannot be read: {error.err}") from None
-    if image is None or image.size > 3 * MAX_PIXELS:
-        raise InputError(f"{where}: this is not a readable image, or it is truncated or too large")
+    if image is None:
+        raise InputError(f"{where}: this is not a readable image, or it is truncated")
     return np.asarray(image, np.uint8)
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration import MAX_IMAGE_PIXELS
 from calibration.dataset.depth_image import NO_RETURN, UNIT, decode_png
 from calibration.dataset.document import Node
 from calibration.dataset.edges import FAR, QUATERNION_TOLERANCE
@@ -18,7 +19,7 @@ from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import from_quaternion
 from calibration.geometry.types import Array
-from calibration.importing.image_views import MAX_PIXELS, decoded_image
+from calibration.importing.image_views import decoded_image
 from calibration.labelling.detection import DepthImage, Image
 
 _COLOURS = {
@@ -46,6 +47,8 @@ _COLOURS = {
 """Encodings of an Image, and OpenCV's conversions to BGR."""
 DEPTHS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
 """Encodings of depth images: number type, and unit in m."""
+MAX_DEPTH_PIXELS = 1 << 24
+"""Limit of a depth image's pixels: its conversion takes some dozens of bytes for each."""
 _CHANNELS = {"bgra8": 4, "rgba8": 4, "8UC4": 4, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgr16": 3, "rgb16": 3}
 _DEPTH_HEADER = struct.Struct("<iff")
 """Header of the transport compressedDepth: the kind of compression, and the two parameters of inverse depth."""
@@ -65,8 +68,7 @@ def image_of(message: Any, where: str) -> Image:
     encoding, height, width = message.encoding, message.height, message.width
     if encoding not in _COLOURS:
         raise InputError(f"{where}: found the encoding '{encoding}', expected one of {', '.join(_COLOURS)}")
-    if not 0 < height * width <= MAX_PIXELS:
-        raise InputError(f"{where}: found an image of {width} x {height} pixels")
+    _check_pixels(height, width, MAX_IMAGE_PIXELS, where)
     size = 2 if encoding in _TWO_BYTES else 1
     channels = _CHANNELS.get(encoding, 2 if "yu" in encoding else 1)
     pixels: NDArray[Any] = _rows(message, width * channels * size, where)
@@ -97,8 +99,7 @@ def depth_of(message: Any, where: str) -> DepthImage:
     if encoding not in DEPTHS:
         raise InputError(f"{where}: found the encoding '{encoding}', expected one of depth: {', '.join(DEPTHS)}")
     kind, metres = DEPTHS[encoding]
-    if not 0 < height * width <= MAX_PIXELS:
-        raise InputError(f"{where}: found an image of {width} x {height} pixels")
+    _check_pixels(height, width, MAX_DEPTH_PIXELS, where)
     order = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     rows = _rows(message, width * order.itemsize, where).view(order)
     return _in_units(rows.astype(float) * metres)
@@ -129,9 +130,11 @@ def _compressed_metres(message: Any, where: str) -> Array:
         _, a, b = _DEPTH_HEADER.unpack_from(data)
         data = data[_DEPTH_HEADER.size :]
     try:
-        counts = decode_png(data).astype(float)
+        pixels = decode_png(data)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
+    _check_pixels(pixels.shape[0], pixels.shape[1], MAX_DEPTH_PIXELS, where)
+    counts = pixels.astype(float)
     if encoding != "32FC1":
         return counts * DEPTHS[encoding][1]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -146,21 +149,25 @@ def _in_units(metres: Array) -> DepthImage:
     return np.where(measured, counts, NO_RETURN).astype(np.uint16)
 
 
+def _check_pixels(height: int, width: int, most: int, where: str) -> None:
+    if not 0 < height * width <= most:
+        raise InputError(f"{where}: found an image of {width} x {height} pixels, expected 1 to {most} pixels")
+
+
 def _rows(message: Any, row: int, where: str) -> NDArray[np.uint8]:
     """Return the bytes (H, row) of an Image, without padding of its rows.
 
     Raises:
         InputError: there are fewer.
     """
-    data = np.frombuffer(bytes(message.data), np.uint8)
+    data = np.frombuffer(message.data, np.uint8)
     height = int(message.height)
     if message.step < row or len(data) < message.step * (height - 1) + row:
         raise InputError(
             f"{where}: found {len(data)} bytes in rows of {message.step}, expected {height} rows of {row} or more"
         )
-    padded = np.zeros(message.step * height, np.uint8)
-    padded[: min(len(data), len(padded))] = data[: len(padded)]
-    return np.ascontiguousarray(padded.reshape(height, message.step)[:, :row])
+    # The last row need not be padded, so this is no slice of a reshaped array.
+    return np.lib.stride_tricks.as_strided(data, (height, row), (int(message.step), 1)).copy()
 
 
 def camera_of(message: Any, where: str) -> Camera | None:

@@ -7,6 +7,7 @@ from itertools import accumulate, takewhile
 from pathlib import Path
 
 from calibration.errors import InfrastructureError
+from calibration.files import follow_no_links
 from calibration.report.report import SUMMARY_FILE, Report
 from calibration.report.results_json import RESULTS_FILE
 from calibration.workflow.annotations import annotate
@@ -66,8 +67,11 @@ def _bounded(outputs: Mapping[str, OutputValue | None]) -> tuple[dict[str, Outpu
 def remove_results(folder: Path, names: Iterable[str]) -> None:
     """Remove files of an earlier run from a folder, so that they are not mistaken for current results.
 
+    From then on nothing is written through links in the folder.
+
     Raises :class:`InfrastructureError` if one cannot be removed.
     """
+    follow_no_links(folder)
     for name in names:
         try:
             (folder / name).unlink(missing_ok=True)

@@ -1,9 +1,11 @@
 """Workflow commands: lines of the log that the runner executes (``::error file=a.csv,line=3::...``)."""
 
+from calibration.workflow.text import visible
+
 
 def workflow_command(name: str, message: str = "", **properties: str | int | None) -> str:
     """Format a workflow command; properties that are None are omitted."""
-    given = [f"{key}={escape_property(str(value))}" for key, value in properties.items() if value is not None]
+    given = [f"{key}={escape_property(visible(str(value)))}" for key, value in properties.items() if value is not None]
     return f"::{name}{' ' if given else ''}{','.join(given)}::{escape_data(message)}"
 
 

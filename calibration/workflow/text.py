@@ -7,10 +7,11 @@ LONGEST_CELL = 200
 """Limit of characters of a table cell."""
 _LINE_BREAKS = re.compile(r"[ \t]*[\n\v\f\r\x1c-\x1e\x85\u2028\u2029]+[ \t]*")
 _UNPRINTABLE = re.compile(
-    r"[\x00-\x08\x0e-\x1b\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f\ufeff\ud800-\udfff"
+    r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff"
     r"\U000e0000-\U000e007f]"
 )
-"""Control characters, changes of the writing direction, invisible characters, halves of surrogate pairs."""
+"""Control characters and line breaks (but tab, CR and LF), changes of the writing direction, invisible characters,
+halves of surrogate pairs."""
 
 
 _ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|[ -/]+[0-~]|[0-Z\\^-~])")
@@ -25,15 +26,18 @@ def without_escapes(text: str) -> str:
 def one_line(text: str) -> str:
     """Put a text on one line, without control of the terminal or the runner.
 
-    Line breaks become spaces; non-printable characters become visible escapes; ``##[``, which the runner takes for a
-    command anywhere in a line, is broken up.
+    Line breaks become spaces; the rest is done by `visible`.
     """
-    return visible(_LINE_BREAKS.sub(" ", text.strip())).replace("##[", "## [")
+    return visible(_LINE_BREAKS.sub(" ", text.strip()))
 
 
 def visible(text: str) -> str:
-    """Replace control characters, changes of the writing direction and invisible characters by escapes."""
-    return _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+    """Replace control characters, changes of the writing direction and invisible characters by escapes.
+
+    ``##[``, which the runner takes for a command anywhere in a line, is broken up.
+    """
+    text = _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+    return text.replace("##[", "## [")
 
 
 def escape_markup(text: str) -> str:

@@ -1,5 +1,6 @@
 """Every analyser on a planted defect, and on files that are made to break it."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -154,3 +155,50 @@ def test_the_files_that_count_are_those_of_the_analysers(tmp_path: Path) -> None
     copy = Copy(tmp_path, tuple(names), present=("package.xml", *names))
     wanted = {name for name in names if any(each.wants(name, copy) for each in ANALYSERS.values())}
     assert {name for name in names if may_be_analysed(name)} == wanted
+
+
+def test_the_memory_of_a_program_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calibration.analysis.programs.MAX_MEMORY", 100 << 20)
+    code = "import time; time.sleep(0.5); print(len(bytearray(%d << 20)))"
+    assert run_program("x", [sys.executable, "-c", code % 10], tmp_path, 30, (0,)).output == "10485760\n"
+    with pytest.raises(InfrastructureError, match=r"x failed with exit code 1: .*MemoryError"):
+        run_program("x", [sys.executable, "-c", code % 1000], tmp_path, 30, (0,))
+
+
+SOURCED = "#!/bin/sh\n# shellcheck source=/dev/zero\n. ./x\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "files"),
+    [
+        ("ruff", {"a.py": "x = 1\n", "ruff.toml": 'extend = "/dev/zero"\n'}),
+        ("shellcheck", {"a.sh": SOURCED, ".shellcheckrc": "external-sources=true\n"}),
+    ],
+)
+def test_a_file_without_end_takes_no_more_memory_than_a_program_may_have(
+    name: str, files: dict[str, str | bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calibration.analysis.programs.MAX_MEMORY", 300 << 20)
+    with pytest.raises(InfrastructureError, match=f"{name} failed with exit code"):
+        look(tmp_path, name, files)
+
+
+RUFF_ERROR = """ruff failed
+  Cause: Failed to parse /elsewhere
+  Cause: TOML parse error at line 1, column 16
+  |
+1 | root:x:0:secret
+  |                ^
+key with no value, expected `=`
+"""
+
+
+def test_an_error_quotes_no_line_of_a_file_elsewhere(tmp_path: Path) -> None:
+    """As `extend = "/elsewhere"` in ruff.toml makes ruff do."""
+    program = [sys.executable, "-c", f"import sys; sys.exit({RUFF_ERROR!r})"]
+    with pytest.raises(InfrastructureError, match=r"parse /elsewhere Cause: TOML parse error at line 1, column 16$"):
+        run_program("ruff", program, tmp_path, 60, (0,))
+    (tmp_path / "x").write_text("root:x:0:secret\n")
+    with pytest.raises(InfrastructureError, match="ruff failed with exit code 2") as error:
+        look(tmp_path, "ruff", {"a.py": "x = 1\n", "ruff.toml": f'extend = "{tmp_path}/x"\n'})
+    assert "secret" not in str(error.value)

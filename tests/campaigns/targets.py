@@ -16,8 +16,14 @@ import numpy as np
 
 from benchmarks.ros_defects.workspace import Workspace
 from calibration.__main__ import main
+from calibration.analysis.earlier_sarif import read_earlier
 from calibration.analysis.ros.check import check as check_ros
+from calibration.analysis.ros.cpp_code import read_cpp
+from calibration.analysis.ros.launch_markup import read_launch_xml, read_launch_yaml
+from calibration.analysis.ros.launch_python import read_launch_python
+from calibration.analysis.ros.python_code import read_python
 from calibration.analysis.ros.tree import Tree
+from calibration.analysis.sarif import FINGERPRINT
 from calibration.analysis.suppressions import read_suppressions
 from calibration.baseline.document import read_baseline
 from calibration.coverage.junit import parse_junit
@@ -30,14 +36,22 @@ from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import read_truth
 from calibration.dataset.writing import DatasetWriter
 from calibration.diagnosis.check_data import check_data
-from calibration.errors import CalibrationError
+from calibration.errors import CalibrationError, InputError
 from calibration.estimation.intrinsics_file import read_intrinsics
 from calibration.estimation.starting_noise import StartingNoise
+from calibration.evaluation.annotation import read_annotation
+from calibration.execution.batch.documents import Input, job_entry, jobs_document, read_job
 from calibration.execution.extraction import Budget, extract
 from calibration.execution.globs import Glob
+from calibration.execution.job import Container, Job, Readiness
+from calibration.exports.urdf import calibrated_urdf
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import translation
+from calibration.git.changes import changed_lines
 from calibration.git.repository import Repository
+from calibration.github.comment_text import comment_text
+from calibration.image.context import read_ignore_file
+from calibration.image.recipe.repositories import read_repositories
 from calibration.image.specification import read_image_specification
 from calibration.importing.bag import open_bag
 from calibration.importing.camera_files import read_lens
@@ -55,6 +69,7 @@ from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.results import read_results
+from calibration.recorder.page import parsed
 from calibration.report.brief import read_brief
 from calibration.rigel.conversion import convert
 from calibration.rigel.document import read_rigelfile
@@ -336,7 +351,161 @@ def _packages(path: Path) -> None:
     check_ros(Tree(path.parent, files))
 
 
+SARIF = {
+    "version": "2.1.0",
+    "runs": [
+        {
+            "tool": {"driver": {"name": "x", "rules": []}},
+            "results": [
+                {
+                    "ruleId": f"ruff/F{line}",
+                    "level": "error",
+                    "message": {"text": "m"},
+                    "locations": [
+                        {
+                            "physicalLocation": {
+                                "artifactLocation": {"uri": "a%20b.py"},
+                                "region": {"startLine": line},
+                            }
+                        }
+                    ],
+                    "partialFingerprints": {FINGERPRINT: "abc"},
+                }
+                for line in (1, 2)
+            ],
+        }
+    ],
+}
+ANNOTATION = {"000": {side: {"ixs": [1.0, 2, 3], "iys": [1.0, 2, 3]} for side in ("top", "right", "bottom", "left")}}
+MATRIX = b"!!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 500., 0., 320., 0., 500., 240., 0., 0., 1. ]\n"
+FILE_STORAGE = (
+    b"%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\ncamera_matrix: " + MATRIX + b"distortion_coefficients: "
+    b"!!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ 0., 0., 0., 0., 0. ]\n"
+)
+OUR_STORAGE = (
+    b"%YAML:1.0\n---\nname_0: left\nsize_0: [ 640, 480 ]\nmodel_0: plumb_bob\nK_0: "
+    + MATRIX
+    + b"D_0: [0.,0.,0.,0.,0.]\n"
+)
+ROBOT_CAL_TOOLS = b"intrinsics: {fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0}\n"
+LAUNCH = b"""\
+<launch><arg name="a" default="b"/><group ns="x"><node pkg="p" type="t" name="n"><remap from="/a" to="/b"/>
+<param name="q" value="$(arg a)"/><rosparam file="$(find p)/c.yaml"/></node></group>
+<include file="$(find p)/launch/b.launch"><arg name="z" value="1"/></include></launch>
+"""
+LAUNCH_YAML = b"""\
+launch:
+- arg: {name: a, default: b}
+- node: {pkg: p, exec: t, name: n, namespace: x, remap: [{from: /a, to: /b}], param: [{name: q, value: 1}]}
+- group:
+  - push-ros-namespace: {namespace: y}
+  - include: {file: $(find-pkg-share p)/b.yaml, arg: [{name: z, value: 2}]}
+"""
+LAUNCH_PYTHON = b"""\
+from launch import LaunchDescription
+from launch_ros.actions import Node
+from launch.actions import IncludeLaunchDescription, DeclareLaunchArgument
+def generate_launch_description():
+    name = 'n' + str(1)
+    nodes = [Node(package='p', executable=f'e{i}', name=name, namespace='x', remappings=[('a', 'b')],
+                  parameters=[{'q': 1}], arguments=['--x', str(i)]) for i in range(3)]
+    return LaunchDescription([DeclareLaunchArgument('a', default_value='b'), *nodes,
+                              IncludeLaunchDescription('f', launch_arguments={'z': '1'}.items())])
+"""
+NODE_PYTHON = b"""\
+import rospy
+from std_msgs.msg import String
+class N(object):
+    def __init__(self):
+        self.t = rospy.get_param('~topic', '/a')
+        self.p = rospy.Publisher(self.t, String, queue_size=1)
+        self.s = rospy.Subscriber('b', String, self.cb)
+        rospy.Service('~s', Empty, lambda r: None)
+        for i in range(3): rospy.Publisher('x%d' % i, String)
+def main():
+    rospy.init_node('n')
+"""
+NODE_CPP = b"""\
+#include <ros/ros.h>
+#include "p/M.h"
+int main(int c, char** v) { ros::init(c, v, "n"); ros::NodeHandle n("~");
+auto p = n.advertise<std_msgs::String>("a", 1); auto s = n.subscribe("b", 1, cb); n.getParam("q", x);
+auto q = this->create_publisher<std_msgs::msg::String>("t", rclcpp::QoS(1).reliable()); return 0; }
+"""
+REPOSITORIES = b"""\
+repositories:
+  a/b: {type: git, url: https://x.org/a.git, version: 0123456789012345678901234567890123456789}
+  c: {type: git, url: https://x.org/c.git, version: v1}
+"""
+DIFFERENCE = b"""\
+diff --git a/x b/x
+index 1..2 100644
+--- a/x
++++ b/x
+@@ -1,2 +3,4 @@ f
++a
+-b
+@@ -9 +11 @@
++c
+\\ No newline at end of file
++++ "b/\\303\\251.py"
+"""
+BRIEF = {
+    "schema": 1,
+    "verdict": "pass",
+    "sentence": "1 cell calibrated",
+    "reasons": ["a @b #1 http://x.y www.z.org GH-1 </details> <img> `x` ![](y) [a](b)"],
+    "tables": [{"columns": ["a", "b"], "rows": [["1", "x|y"], ["2", "<b>"]]}],
+}
+
+
+def _lenses(path: Path) -> None:
+    for name in ("left", "cam0"):
+        with contextlib.suppress(InputError):
+            read_lens(path, name)
+    read_lens(path)
+
+
+def _commented(path: Path) -> None:
+    """What is written on a pull request has no markup, mention or link but ours."""
+    text = comment_text(read_brief(path), "n", {"run": "https://github.com/a/b"}, "a" * 40)
+    body = text.replace("https://github.com/a/b", "")
+    if len(text) > 65536 or (found := re.search(r"<(?!br>|!--).{0,60}|@[A-Za-z0-9]|https?://", body)):
+        raise AssertionError(f"in the comment: {found and found[0]}, {len(text)} characters")
+
+
+def _text(path: Path) -> str:
+    return path.read_bytes().decode("utf-8", "replace")
+
+
+def _job() -> list[bytes]:
+    ready = Readiness(port=80, seconds=1.0)
+    job = Job("a", (Container("m", "image", ("x",), environment={"A": "b"}, readiness=ready),), seconds=3600.0)
+    return [jobs_document([job_entry(job, (Input(0, "k", "0" * 64, 3),), memory=100)])]
+
+
+def _exported(path: Path) -> None:
+    calibrated_urdf(path.read_bytes(), {("tripod", "tripod_plate"): np.eye(4)}, "robot.urdf")
+
+
 TARGETS: Mapping[str, Target] = {
+    "sarif": Target("earlier.sarif", lambda: [json.dumps(SARIF).encode()], read_earlier),
+    "annotation": Target("annotation.json", lambda: [json.dumps(ANNOTATION).encode()], read_annotation, 4),
+    "opencv": Target("camera.yml", lambda: [FILE_STORAGE, OUR_STORAGE, ROBOT_CAL_TOOLS], _lenses, 4),
+    "comment-text": Target("comment.json", lambda: [json.dumps(BRIEF).encode()], _commented),
+    "repositories": Target("a.repos", lambda: [REPOSITORIES], read_repositories),
+    "dockerignore": Target(".dockerignore", lambda: [b"# c\n*.py\n!a\n**/b\n/c/\n[a-z]?\n"], read_ignore_file),
+    "job": Target("job.json", _job, lambda path: read_job(path.read_bytes(), 0, "job"), 4),
+    "launch-xml": Target("a.launch", lambda: [LAUNCH], lambda path: read_launch_xml("a.launch", path.read_bytes())),
+    "launch-yaml": Target("a.yaml", lambda: [LAUNCH_YAML], lambda path: read_launch_yaml("a.yaml", _text(path)), 4),
+    "launch-python": Target("a.py", lambda: [LAUNCH_PYTHON], lambda path: read_launch_python("a.py", _text(path))),
+    "ros-python": Target("a.py", lambda: [NODE_PYTHON], lambda path: read_python("a.py", _text(path))),
+    "ros-cpp": Target("a.cpp", lambda: [NODE_CPP], lambda path: read_cpp("a.cpp", _text(path))),
+    "urdf-export": Target("robot.urdf", _files("datasets/riwbot/robot.urdf"), _exported, 4),
+    "motion-upload": Target(
+        "motion.json", _files("datasets/t2rgb/motion.json"), lambda path: parsed("m\n.json", path.read_bytes()), 4
+    ),
+    "git-diff": Target("difference", lambda: [DIFFERENCE], lambda path: changed_lines(path.read_bytes())),
     "changes": Target("dataset.json", _changes, lambda path: read_dataset(path, given=DATASETS / "t2rgb"), 2),
     "ros-packages": Target("workspace", _workspaces, _packages, 4),
     "simulation": Target("simulation.yml", _files("datasets/riwbot/simulation.yml"), _system, 2),

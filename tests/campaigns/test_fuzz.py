@@ -19,6 +19,9 @@ FOUND: list[tuple[str, int]] = [
     ("ros2-db3", 1982475173),
     ("intrinsics", 1282849089),
     ("intrinsics", 102923761),
+    ("rules", 1272987056),
+    ("rules", 1099103031),
+    ("opencv", 173518645),
 ]
 """Cases that failed once, by target and seed: each stays as it should be."""
 
@@ -55,7 +58,24 @@ def _bug(_: Path) -> None:
 
 
 def _memory(_: Path) -> None:
-    np.zeros(fuzz.MEMORY)
+    np.zeros(fuzz.ADDRESSES)
+
+
+def test_memory_and_time_of_each_case_are_measured() -> None:
+    found = fuzz.Campaign()
+    found.run("small", Target("file", lambda: [b"1"], lambda path: path.read_bytes()), 7)
+    assert found.failures == []
+    found.run("large", Target("file", lambda: [b"1"], lambda _: np.ones(200 << 17).sum()), 7)
+    assert found.failures == []
+    assert found.largest["small"] < 50 << 20 < 190 << 20 < found.largest["large"]
+    assert set(found.slowest) == {"small", "large"}
+
+
+def test_a_case_that_uses_too_much_memory_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fuzz, "MEMORY", 100 << 20)
+    found = fuzz.Campaign()
+    found.run("large", Target("file", lambda: [b"1"], lambda _: np.ones(200 << 17).sum()), 7)
+    assert re.fullmatch(r"large --case 7: (199|2\d\d) MiB", found.failures[0])
 
 
 def _long(_: Path) -> None:

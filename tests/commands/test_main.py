@@ -8,6 +8,7 @@ import warnings
 from pathlib import Path
 
 import click
+import cv2
 import numpy as np
 import pytest
 
@@ -139,6 +140,12 @@ def test_wrong_usage_is_bad_input_in_one_line(
 def test_the_exit_code_is_the_return_value(ends_with: list[object], end: object, code: int) -> None:
     ends_with.append(end)
     assert main(["end"]) == code
+
+
+def _caused_by(cause: BaseException) -> Exception:
+    error = RuntimeError("a worker ended")
+    error.__cause__ = cause
+    return error
 
 
 @pytest.mark.parametrize(
@@ -290,6 +297,12 @@ def test_a_bug_shows_its_traceback(
     ("error", "code", "line"),
     [
         (MemoryError(), 3, "error: there is not enough memory: use fewer collections or processes, or more memory"),
+        (
+            cv2.error("(-4:Insufficient memory) Failed to allocate"),
+            3,
+            "error: there is not enough memory",
+        ),
+        (_caused_by(MemoryError()), 3, "error: there is not enough memory"),
         (np.linalg.LinAlgError("Singular matrix"), 2, "error: the data: found numbers that cannot be solved (Singular"),
     ],
 )

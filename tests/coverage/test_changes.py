@@ -123,3 +123,9 @@ def test_the_base_is_where_a_branch_left(tmp_path: Path) -> None:
     commit(tmp_path, {"d.py": "1\n"})
     with pytest.raises(InputError, match="base main: no common ancestor with HEAD is in this checkout"):
         find_base(repository, "main", [])
+
+
+@pytest.mark.parametrize("count", ["9" * 9, "9" * 5001])
+def test_a_hunk_that_claims_more_lines_than_it_has_takes_no_memory(count: str) -> None:
+    difference = f"+++ b/a.py\n@@ -0,0 +7,{count} @@\n+x\n+y\n"
+    assert changed_lines(difference.encode()) in ({"a.py": {7, 8}}, {})

@@ -42,6 +42,19 @@ def test_on_github_annotations_are_commands(github: Runner, workspace: Path) -> 
     assert complained(github) == ""
 
 
+@pytest.mark.parametrize("character", ["\x1b", "\x07", "\u2028", "\u2029", "\x85", "\x0b", "\u202e"])
+def test_no_part_of_an_annotation_commands_a_terminal(github: Runner, character: str) -> None:
+    text = f"a{character}b"
+    annotate(github, [Annotation(text, file=text, line=4, title=text)])
+    assert character not in printed(github)
+    assert printed(github).count(character.encode("unicode_escape").decode()) == 3
+
+
+def test_no_part_of_an_annotation_commands_the_runner(github: Runner) -> None:
+    annotate(github, [Annotation("##[error]a", file="##[error]a", title="##[error]a")])
+    assert printed(github) == "::error file=## [error]a,title=## [error]a::## [error]a\n"
+
+
 @pytest.mark.parametrize(("count", "commands"), [(8, 8), (9, 9), (10, 10), (300, 10)])
 def test_on_github_at_most_ten_are_printed(github: Runner, count: int, commands: int) -> None:
     annotate(github, [Annotation(f"number {number}") for number in range(count)])

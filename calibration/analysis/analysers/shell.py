@@ -1,6 +1,5 @@
 """Analyser shellcheck: shell scripts."""
 
-import json
 import re
 from collections.abc import Sequence
 from pathlib import PurePosixPath
@@ -8,7 +7,7 @@ from pathlib import PurePosixPath
 from calibration.analysis.analysers.analyser import Analyser, arguments, in_repository
 from calibration.analysis.copies import Copy
 from calibration.analysis.finding import Category, Finding, Severity
-from calibration.analysis.programs import program, run_program
+from calibration.analysis.programs import json_output, program, run_program
 
 _SHELL = re.compile(r"#!.*\b(sh|bash|dash|ksh)\b")
 _SEVERITIES: dict[str, Severity] = {"error": "error", "warning": "warning"}
@@ -33,7 +32,7 @@ class Shellcheck(Analyser):
             if group:
                 command = [program("shellcheck"), "--format=json1", *options, "--", *arguments(group)]
                 result = run_program(self.name, command, copy.root, seconds, (0, 1))
-                found += [_finding(entry, copy) for entry in json.loads(result.output)["comments"]]
+                found += [_finding(entry, copy) for entry in json_output(self.name, result)["comments"]]
         return found
 
 
