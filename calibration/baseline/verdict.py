@@ -13,6 +13,7 @@ from calibration.frozen import frozen
 from calibration.report import at_most
 
 MOVED = "baseline"
+UNMOVED = "baseline-unmoved"
 NO_BASELINE = "no-baseline"
 ALONG = 0.9
 """A direction with at least this component along an axis is named by the axis."""
@@ -133,7 +134,7 @@ def _nothing_moved(comparison: Comparison, since: str) -> list[Finding]:
         return []
     worst = max(poses, key=lambda each: each.unseen_mm)
     text = f"nothing has moved since {since}; a move of {worst.name} by up to {worst.unseen_mm:.2g} mm would go unseen"
-    return [Finding(MOVED, "note", text, (worst.name,))]
+    return [Finding(UNMOVED, "note", text, (worst.name,))]
 
 
 def _size(change: Change) -> str:
@@ -143,7 +144,7 @@ def _size(change: Change) -> str:
         unit = "" if change.unit in (None, "1") else f" {change.unit}"
         return f"by {change.value:+.3g}{sigma}{unit}"
     parts = [
-        f"{size:.3g} +- {sigma:.2g} {unit} {_direction(vector, word)}"
+        f"{size:.3g} +- {sigma:.2g} {unit}{_direction(vector, word) if size > sigma else ''}"
         for size, sigma, unit, vector, word in (
             (change.mm, change.sigma_mm, "mm", change.translation_mm, "along"),
             (change.deg, change.sigma_deg, "deg", change.rotation_deg, "about"),
@@ -158,8 +159,8 @@ def _direction(vector: tuple[float, ...], word: str) -> str:
     parts = np.array(vector) / (norm or 1.0)
     axis = int(np.abs(parts).argmax())
     if abs(parts[axis]) >= ALONG:
-        return f"{word} its {'-' if parts[axis] < 0 else ''}{'xyz'[axis]}"
-    return f"{word} its ({', '.join(f'{part:.2f}' for part in parts)})"
+        return f" {word} its {'-' if parts[axis] < 0 else ''}{'xyz'[axis]}"
+    return f" {word} its ({', '.join(f'{part:.2f}' for part in parts)})"
 
 
 def _sigmas(sigmas: float) -> str:

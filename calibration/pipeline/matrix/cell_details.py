@@ -3,10 +3,13 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from calibration.dataset.model import Dataset, Edge
+from calibration.dataset.pattern import Pattern
+from calibration.dataset.reading import FILE_NAME
 from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.precision import worst_false_accept
 from calibration.estimation.intrinsics import CalibratedIntrinsics
@@ -21,6 +24,7 @@ from calibration.pipeline.matrix.cell_result import (
     Deviation,
     Parameter,
     ProjectionResult,
+    Recording,
     Transform,
     Worth,
 )
@@ -50,6 +54,7 @@ def described(result: CellResult, calibration: Calibration, description: Dataset
         dropped_views=calibration.dropped_views,
         effective_collections=round(bars.effective_collections, 2) if (bars := calibration.error_bars) else None,
         hangs_on=_hangs_on(bars.worth) if bars else (),
+        recording=_recording(description),
     )
     return replace(
         result,
@@ -92,6 +97,26 @@ def _projection(calibration: Calibration, name: str) -> ProjectionResult:
         near_px=cells(near),
         far_px=cells(far),
     )
+
+
+def _recording(dataset: Dataset) -> Recording:
+    """Describe a dataset; its path is relative to the working directory if it is below it."""
+    folder = dataset.path.parent if dataset.path.name == FILE_NAME else dataset.path
+    if folder.is_absolute() and folder.is_relative_to(Path.cwd()):
+        folder = folder.relative_to(Path.cwd())
+    return Recording(
+        dataset=folder.as_posix(),
+        collections=len(dataset.collections),
+        sensors=tuple(dataset.sensors),
+        patterns=tuple(map(_pattern, dataset.patterns.values())),
+    )
+
+
+def _pattern(pattern: Pattern) -> str:
+    """Describe a pattern: "charuco, 77 corners, 60 mm apart"."""
+    first, second = pattern.neighbours
+    apart = np.linalg.norm(pattern.corners[first] - pattern.corners[second], axis=-1).mean()
+    return f"{pattern.kind}, {len(pattern.corners)} corners, {1e3 * apart:.4g} mm apart"
 
 
 def _transform(calibration: Calibration, description: Dataset, edge: Edge) -> Transform:
