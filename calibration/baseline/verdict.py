@@ -73,7 +73,7 @@ def _on_the_same_data(change: Change, comparison: Comparison, settings: Baseline
     if not exceeds(change, settings.same_data):
         return None
     text = (
-        f"{change.name} differs from {since} on the same data: {_size(change)}, {_sigmas(change.sigmas)}; "
+        f"{change.name} differs from {since} on the same data: {size_of_change(change)}, {_sigmas(change.sigmas)}; "
         f"{_why(comparison)}, or {ACCEPT}"
     )
     return _found("red", change, text)
@@ -91,7 +91,9 @@ def _on_other_data(change: Change, comparison: Comparison, settings: BaselineSet
     if change.p >= comparison.significance:
         return None
     moved = "has moved" if change.kind == "pose" else "has changed"
-    text = f"{change.name} {moved} since {since}: {_size(change)}; p {_probability(change.p)} that this is chance"
+    text = (
+        f"{change.name} {moved} since {since}: {size_of_change(change)}; p {_probability(change.p)} that this is chance"
+    )
     harmless = change.kind == "pose" and change.mm <= settings.translation_mm and change.deg <= settings.rotation_deg
     if harmless:
         allowed = f"{settings.translation_mm:g} mm, {settings.rotation_deg:g} deg"
@@ -137,7 +139,7 @@ def _nothing_moved(comparison: Comparison, since: str) -> list[Finding]:
     return [Finding(UNMOVED, "note", text, (worst.name,))]
 
 
-def _size(change: Change) -> str:
+def size_of_change(change: Change) -> str:
     """Describe a change's size and direction: "4.9 +- 0.3 mm along its x, 0.5 +- 0.02 deg about its z"."""
     if change.kind == "parameter":
         sigma = "" if change.sigma is None else f" +- {change.sigma:.2g}"

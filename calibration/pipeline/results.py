@@ -89,7 +89,7 @@ class Exported:
 
 
 @result
-class TestedCommit:
+class CommitOfRun:
     """Commit that was tested."""
 
     hash: str = field("Its hash; of a pull request, that of its branch.")
@@ -158,7 +158,7 @@ class Results:
     )
     exports: tuple[Exported, ...] = field("Exports of the systems that passed.", default=())
     analysis: Analysed | None = field("Static analysis, where calibration.yml asks for it.", default=None, omitted=True)
-    commit: TestedCommit | None = field("The commit that was tested, in a checkout.", default=None, omitted=True)
+    commit: CommitOfRun | None = field("The commit that was tested, in a checkout.", default=None, omitted=True)
 
     @property
     @computed()

@@ -191,8 +191,7 @@ def test_the_verdicts_line_commands_nothing() -> None:
 
 
 def test_no_number_that_is_not_finite_reaches_the_results() -> None:
-    with pytest.raises(ValueError, match="JSON"):
-        make(results={"x": math.nan}).written()
+    assert json.loads(str(make(results={"x": math.nan}).written()["results.json"]))["x"] is None
 
 
 def test_results_of_an_earlier_run_are_removed(tmp_path: Path) -> None:

@@ -117,13 +117,14 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
         title: of the report and its annotations.
     """
     found = report(gathered.results, output, title)
-    results_of_jobs = [f"{job} {result}" for job, result in gathered.jobs.items()]
+    others = [f"{job} {result}" for job, result in gathered.jobs.items() if result != SUCCESS]
+    judged = [found.sentence] if gathered.results.judged else []
     verdict = gathered.verdict
     return replace(
         found,
         verdict=verdict,
         error=gathered.exit_code,
-        sentence="; ".join((*([found.sentence] if gathered.results.judged else []), ", ".join(results_of_jobs))),
+        sentence="; ".join((*judged, *([", ".join(others)] if others else []))) or "all jobs succeeded",
         reasons=(*gathered.problems, *found.reasons),
         blocks=(*found.blocks, jobs_table(gathered.jobs, cost), Text(cost.sentence)),
         results=RunResults(**vars(found.results), cost=cost),

@@ -12,6 +12,7 @@ from calibration.dataset.pattern import Pattern
 from calibration.dataset.reading import FILE_NAME
 from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.precision import worst_false_accept
+from calibration.errors import UndeterminedError
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.projection import projection_of
 from calibration.estimation.result import CalibratedJoint, Calibration
@@ -167,7 +168,8 @@ def _sigma(calibration: Calibration, labels_only: bool = False) -> Deviation | N
         mm, mrad = calibration.label_sigma_mm, calibration.label_sigma_mrad
     joints = [] if labels_only else list(calibration.joints.values())
     sigmas = [each for joint in joints for each in zip(joint.units, joint.sigmas.tolist(), strict=True)]
-    return rounded_deviation(
+    return finite_deviation(
+        "the standard deviations",
         max(map(mm, edges)),
         float(np.degrees(max(map(mrad, edges)) / 1e3)),
         max((1e3 * sigma for unit, sigma in sigmas if unit == "m"), default=None),
@@ -175,10 +177,30 @@ def _sigma(calibration: Calibration, labels_only: bool = False) -> Deviation | N
     )
 
 
-def rounded_deviation(
-    translation_mm: float, rotation_deg: float, joint_mm: float | None, joint_deg: float | None
+def finite_deviation(
+    what: str,
+    translation_mm: float,
+    rotation_deg: float,
+    joint_mm: float | None = None,
+    joint_deg: float | None = None,
 ) -> Deviation:
-    """Round to a nanometre and a similarly small angle."""
+    """Round to a nanometre and a similarly small angle.
+
+    Args:
+        what: what deviates, for the message.
+        translation_mm: of sensors.
+        rotation_deg: of sensors.
+        joint_mm: of joints, if there are any.
+        joint_deg: likewise.
+
+    Raises:
+        UndeterminedError: a number is not finite, so that nothing could be compared with it or written of it.
+    """
+    if not all(math.isfinite(v) for v in (translation_mm, rotation_deg, joint_mm, joint_deg) if v is not None):
+        raise UndeterminedError(
+            f"{what}: found a number that is not finite, expected millimetres and degrees; look for a label, a "
+            "transform or a lens that is far from the others"
+        )
     return Deviation(
         round(translation_mm, 6),
         round(rotation_deg, 8),

@@ -23,7 +23,7 @@ def calibrate_stage(run: Run) -> Run:
         InputError: a dataset, an evaluation, a truth or the baseline is wrong.
         InfrastructureError: a file cannot be written, a process died, or there is no engine.
     """
-    from calibration.pipeline.tested_commit import tested_commit  # brings git
+    from calibration.pipeline.commit_of_run import commit_of_run  # brings git
 
     matrix, update = run.matrix, None
     if run.baseline is not None:
@@ -36,7 +36,7 @@ def calibrate_stage(run: Run) -> Run:
             advance(count, total, _line(cell), important=not cell.passes)
 
         found = run_matrix(matrix, run.output, run.jobs, run.fail_fast, done, run.target)
-    commit = tested_commit(run.config.parent if run.config else Path(), os.environ)
+    commit = commit_of_run(run.config.parent if run.config else Path(), os.environ)
     results = replace(run.results, cells=found.cells, comparisons=found.comparisons, baseline=update, commit=commit)
     return replace(run, results=results, given=found.datasets)
 

@@ -6,10 +6,10 @@ from pathlib import Path
 from calibration.errors import CalibrationError
 from calibration.git.event import Event
 from calibration.git.repository import Repository
-from calibration.pipeline.results import TestedCommit
+from calibration.pipeline.results import CommitOfRun
 
 
-def tested_commit(folder: Path, environment: Mapping[str, str]) -> TestedCommit | None:
+def commit_of_run(folder: Path, environment: Mapping[str, str]) -> CommitOfRun | None:
     """Return the commit of the checkout around a folder; None without a checkout, a commit or git.
 
     On a pull request the checkout is a merge that nobody has written, so the hash is that of the branch.
@@ -21,4 +21,4 @@ def tested_commit(folder: Path, environment: Mapping[str, str]) -> TestedCommit 
         return None
     if commit is None:
         return None
-    return TestedCommit(branch if isinstance(branch, str) else commit.hash, commit.date)
+    return CommitOfRun(branch if isinstance(branch, str) else commit.hash, commit.date)
