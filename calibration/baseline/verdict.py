@@ -13,6 +13,7 @@ from calibration.frozen import frozen
 from calibration.report import at_most
 
 MOVED = "baseline"
+UNMOVED = "baseline-unmoved"
 NO_BASELINE = "no-baseline"
 ALONG = 0.9
 """A direction with at least this component along an axis is named by the axis."""
@@ -72,7 +73,7 @@ def _on_the_same_data(change: Change, comparison: Comparison, settings: Baseline
     if not exceeds(change, settings.same_data):
         return None
     text = (
-        f"{change.name} differs from {since} on the same data: {_size(change)}, {_sigmas(change.sigmas)}; "
+        f"{change.name} differs from {since} on the same data: {size_of_change(change)}, {_sigmas(change.sigmas)}; "
         f"{_why(comparison)}, or {ACCEPT}"
     )
     return _found("red", change, text)
@@ -90,7 +91,9 @@ def _on_other_data(change: Change, comparison: Comparison, settings: BaselineSet
     if change.p >= comparison.significance:
         return None
     moved = "has moved" if change.kind == "pose" else "has changed"
-    text = f"{change.name} {moved} since {since}: {_size(change)}; p {_probability(change.p)} that this is chance"
+    text = (
+        f"{change.name} {moved} since {since}: {size_of_change(change)}; p {_probability(change.p)} that this is chance"
+    )
     harmless = change.kind == "pose" and change.mm <= settings.translation_mm and change.deg <= settings.rotation_deg
     if harmless:
         allowed = f"{settings.translation_mm:g} mm, {settings.rotation_deg:g} deg"
@@ -135,10 +138,10 @@ def _nothing_moved(comparison: Comparison, since: str) -> list[Finding]:
         return []
     worst = max(poses, key=lambda each: each.unseen_mm)
     text = f"nothing has moved since {since}; a move of {worst.name} by up to {worst.unseen_mm:.2g} mm would go unseen"
-    return [Finding(MOVED, "note", text, (worst.name,))]
+    return [Finding(UNMOVED, "note", text, (worst.name,))]
 
 
-def _size(change: Change) -> str:
+def size_of_change(change: Change) -> str:
     """Describe a change's size and direction: "4.9 +- 0.3 mm along its x, 0.5 +- 0.02 deg about its z"."""
     if change.kind == "lens":
         return f"its parameters together by {_sigmas(change.sigmas)}"
@@ -147,7 +150,7 @@ def _size(change: Change) -> str:
         unit = "" if change.unit in (None, "1") else f" {change.unit}"
         return f"by {change.value:+.3g}{sigma}{unit}"
     parts = [
-        f"{size:.3g} +- {sigma:.2g} {unit} {_direction(vector, word)}"
+        f"{size:.3g} +- {sigma:.2g} {unit}{_direction(vector, word) if size > sigma else ''}"
         for size, sigma, unit, vector, word in (
             (change.mm, change.sigma_mm, "mm", change.translation_mm, "along"),
             (change.deg, change.sigma_deg, "deg", change.rotation_deg, "about"),
@@ -162,8 +165,8 @@ def _direction(vector: tuple[float, ...], word: str) -> str:
     parts = np.array(vector) / (norm or 1.0)
     axis = int(np.abs(parts).argmax())
     if abs(parts[axis]) >= ALONG:
-        return f"{word} its {'-' if parts[axis] < 0 else ''}{'xyz'[axis]}"
-    return f"{word} its ({', '.join(f'{part:.2f}' for part in parts)})"
+        return f" {word} its {'-' if parts[axis] < 0 else ''}{'xyz'[axis]}"
+    return f" {word} its ({', '.join(f'{part:.2f}' for part in parts)})"
 
 
 def _sigmas(sigmas: float) -> str:

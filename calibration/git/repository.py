@@ -169,6 +169,11 @@ class Repository:
         code, output, _ = self._git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}")
         return None if code else output.decode("ascii").strip()
 
+    def newest(self) -> Commit | None:
+        """Return the checked-out commit; None if the repository has none."""
+        code, output, _ = self._git("log", "--format=%H%x09%cs%x09%s", "--max-count=1", "--no-show-signature")
+        return None if code else Commit(*output.decode("utf-8", "replace").rstrip("\n").split("\t", 2))
+
     def parents(self, commit: str) -> list[str]:
         """Return the hashes of a commit's parents, including those missing in a shallow checkout."""
         code, output, _ = self._git("cat-file", "commit", commit)

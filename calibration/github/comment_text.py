@@ -8,7 +8,6 @@ from calibration.github.comments import LONGEST
 from calibration.report.brief import Brief
 from calibration.workflow.summary import escape_markdown, markdown_table
 
-REASONS_SHOWN = 10
 ROWS_SHOWN = 40
 LONGEST_TEXT = LONGEST - 4096
 """Characters; leaves room for the marker, and for characters that GitHub counts differently."""
@@ -33,11 +32,10 @@ def comment_text(brief: Brief, name: str, links: Mapping[str, str], commit: str 
     mark = {"pass": "✅", "undecided": "🟡", "fail": "❌"}[brief.verdict]
     title = f"Calibration{f' ({name})' if name else ''}: {brief.verdict}"
     parts = [f"### {mark} {_inactive(title)}\n\n{_inactive(brief.sentence)}\n"]
+    if brief.about:
+        parts.append(f"{_inactive(brief.about)}\n")
     if brief.reasons:
-        lines = [_inactive(reason) for reason in brief.reasons[:REASONS_SHOWN]]
-        if (more := len(brief.reasons) - REASONS_SHOWN) > 0:
-            lines.append(f"and {more} more")
-        parts.append("".join(f"- {line}\n" for line in lines))
+        parts.append("".join(f"- {_inactive(reason)}\n" for reason in brief.reasons))
     for table in brief.tables:
         text = _apart(markdown_table(table.columns, table.rows[:ROWS_SHOWN]))
         if (more := len(table.rows) - ROWS_SHOWN) > 0:

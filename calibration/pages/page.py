@@ -47,4 +47,5 @@ def verdict_line(verdict: str, sentence: str) -> Html:
 
 def bullets(lines: Sequence[str]) -> Html:
     """Return a list; empty if there are no lines."""
-    return element("ul", *(element("li", line) for line in lines), class_="reasons") if lines else Html("")
+    items = (element("li", line.replace(" +- ", " ± ")) for line in lines)
+    return element("ul", *items, class_="reasons") if lines else Html("")

@@ -58,8 +58,9 @@ def _accepted(system: str, results: Results, output: Path, although: str | None)
     failed = [(cell, why) for cell in cells if (why := _against(cell))]
     if failed and although is None:
         cell, why = failed[0]
+        what = "has failed" if cell.verdict == "fail" else "is undecided"
         raise InputError(
-            f"{cell.name}: has failed ({shorten(why[0], 200)}); what has failed is accepted with --although 'why' only"
+            f"{cell.name}: {what} ({shorten(why[0], 200)}); what {what} is accepted with --although 'why' only"
         )
     references = [cell for cell in results.comparisons if cell.system == system and not cell.by_other_method]
     ours = [cell for cell in cells if cell.method == OUR_METHOD] or references
@@ -82,7 +83,7 @@ def _against(cell: CellResult) -> tuple[str, ...]:
     settled = {finding.text for finding in cell.findings if finding.kind in ABOUT_THE_BASELINE}
     reasons = tuple(reason for reason in cell.reasons if reason not in settled)
     if not reasons and cell.verdict == "undecided" and not cell.undecided_passes:
-        reasons = tuple(f"undecided: {reason}" for reason in cell.undecided)
+        reasons = cell.undecided
     return reasons or (() if cell.converged else ("it has not converged",))
 
 

@@ -17,7 +17,7 @@ from calibration.pipeline.result_messages import (
     findings_of,
     image_line,
     other_methods,
-    undecided_lines,
+    undecided_limits,
     verdict_sentence,
     without_result,
 )
@@ -27,8 +27,10 @@ from calibration.pipeline.result_tables import (
     changes_table,
     collections_table,
     grid,
+    hangs_on_table,
     parameters_table,
     precision_table,
+    recordings_table,
     transforms_table,
     truth_table,
     updates_table,
@@ -87,13 +89,15 @@ def report(results: Results, output: Path, title: str) -> Report:
         sentence=verdict_sentence(results),
         reasons=(
             *failures(results),
-            *undecided_lines(results, passes=False),
             *(results.baseline.reasons if results.baseline else ()),
             *(reason for each in results.exports for reason in each.reasons),
             *(results.analysis.reasons if results.analysis else ()),
         ),
-        warnings=(*undecided_lines(results, passes=True), *findings_of(results, "warning"), *left_out),
+        undecided=tuple(undecided_limits(results, results.systems)),
+        about=f"Commit {results.commit}" if results.commit else "",
+        warnings=(*findings_of(results, "warning"), *left_out),
         blocks=(
+            recordings_table(results),
             main,
             Text(_UNDER_GRID if main.rows else "", only="summary"),
             Text(cells_without_table(results)),
@@ -102,6 +106,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             Lines(tuple(other_methods(results)), only="summary"),
             transforms_table(results),
             cameras_table(results),
+            hangs_on_table(results),
             parameters_table(results),
             changes_table(results),
             updates_table(results),
@@ -151,16 +156,18 @@ def _write_cells(cells: Sequence[CellResult], output: Path) -> None:
     """Write one after the other, as they are large."""
     for cell in cells:
         if cell.details and (file := own_file(cell)):
-            write_atomically(output / file, results_text(cell.verdict, Results((cell,)), cell.reasons))
+            write_atomically(output / file, results_text(cell.verdict, Results((cell,)), cell.all_reasons))
 
 
 def _suites(results: Results) -> dict[str, list[Outcome]]:
     def outcome(group: str, each: CellResult | Collected) -> Outcome:
         found = Outcome(name=each.name, group=group, reasons=each.reasons, error=each.error, seconds=each.seconds)
-        if not isinstance(each, CellResult) or each.verdict != "undecided":
+        if not isinstance(each, CellResult) or not each.undecided:
             return found
         reasons = tuple(f"undecided: {reason}" for reason in each.undecided)
-        return replace(found, skipped=reasons[0]) if each.undecided_passes else replace(found, reasons=reasons)
+        if each.passes:
+            return replace(found, skipped="\n".join(reasons))
+        return replace(found, reasons=(*found.reasons, *reasons), is_undecided=each.verdict == "undecided")
 
     suites = {s: [outcome(s, cell) for cell in results.cells if cell.system == s] for s in results.systems}
     collected = [outcome("collected", each) for each in results.collections]

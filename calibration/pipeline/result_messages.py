@@ -1,7 +1,7 @@
 """Messages about a pipeline's results: the verdict in one line, reasons, findings, notes."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from calibration.baseline.quality import QUALITY
@@ -13,21 +13,21 @@ from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.results import Analysed, ImageResult, Results
 from calibration.report import count_of
 
-REASONS_SHOWN = 4
+NOT_CONVERGED = "it has not converged"
 
 
 def verdict_sentence(results: Results) -> str:
     """Return the verdict in one line."""
     done, failed = [], []
     for things, what, verb in ((results.cells, "cell", "calibrated"), (results.collections, "dataset", "collected")):
-        wrong = sum(thing.verdict == "fail" for thing in things)
-        undecided = sum(thing.verdict == "undecided" for thing in things)
+        verdicts = Counter(thing.verdict for thing in things)
         count = count_of(len(things), what)
         nothing = not results.judged and results.image is None and results.analysis is None
-        if wrong or (what == "cell" and nothing):
-            failed.append(f"{wrong} of {count} failed")
-        elif undecided:
-            failed.append(f"{undecided} of {count} undecided")
+        counted = [(verdicts["fail"], "failed")] if verdicts["fail"] or (what == "cell" and nothing) else []
+        counted += [(verdicts["undecided"], "undecided")] if verdicts["undecided"] else []
+        if counted:
+            (number, word), *more = counted
+            failed += [f"{number} of {count} {word}", *(f"{number} {word}" for number, word in more)]
         elif things:
             done.append(f"{count} {verb}")
     if results.image is not None and not results.judged:
@@ -43,65 +43,75 @@ def _analysis_sentence(analysis: Analysed) -> str:
 
 
 def failures(results: Results) -> list[str]:
-    """Return a line for everything that failed, with its first reasons; results.json has all of them.
+    """Return the reasons of everything that failed, a line each, worst first."""
+    collected = [f"collected {each.name}: {reason}" for each in results.collections for reason in each.reasons]
+    return failures_of_cells(results, results.systems) + collected
 
-    Equal reasons of several cells of a system are merged into one line.
+
+def failures_of_cells(results: Results, systems: Collection[str]) -> list[str]:
+    """Return the reasons of the cells of some systems that failed, a line each, worst first.
+
+    Equal reasons of several cells of a system are merged into one line; cells are named if there are several in all.
     """
     references = {cell.start_of_cell: cell for cell in results.comparisons if not cell.by_other_method}
+    lines = {
+        cell.name: (*cell.reasons, *_whose_fault(cell, references.get(cell.start_of_cell))) or (NOT_CONVERGED,)
+        for cell in results.cells
+        if cell.verdict == "fail" and cell.system in systems
+    }
+    return _lines_of_cells(results.cells, lines)
+
+
+def undecided_limits(results: Results, systems: Collection[str]) -> list[str]:
+    """Return a line for every undecided limit of the cells of some systems, likewise."""
+    lines = {
+        cell.name: [f"undecided: {why}" for why in cell.undecided] for cell in results.cells if cell.system in systems
+    }
+    return _lines_of_cells(results.cells, lines)
+
+
+def _lines_of_cells(cells: Sequence[CellResult], lines: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the lines of cells, given by the cells' names, each once; of several cells with their names in front."""
     alike: dict[tuple[str, str], list[CellResult]] = {}
-    for cell in results.cells:
-        if cell.verdict == "fail":
-            why = f"{_first(cell.reasons)}{_whose_fault(cell, references.get(cell.start_of_cell))}"
-            alike.setdefault((cell.system, why), []).append(cell)
-    starts = Counter(cell.system for cell in results.cells)
-    cells = [f"{_names(each, starts[system])}: {why}" for (system, why), each in alike.items()]
-    return cells + [f"collected {c.name}: {_first(c.reasons)}" for c in results.collections if c.verdict == "fail"]
-
-
-def undecided_lines(results: Results, *, passes: bool) -> list[str]:
-    """Return a line for every undecided limit, once for all cells of a system with the same reason.
-
-    Args:
-        results: the results.
-        passes: of the cells where an undecided verdict counts as passed, or of the others.
-    """
-    alike: dict[tuple[str, str], list[CellResult]] = {}
-    for cell in results.cells:
-        if cell.verdict == "undecided" and cell.undecided_passes is passes:
-            for why in cell.undecided:
-                alike.setdefault((cell.system, why), []).append(cell)
-    starts = Counter(cell.system for cell in results.cells)
-    return [f"{_names(cells, starts[system])}: undecided: {why}" for (system, why), cells in alike.items()]
+    for cell in cells:
+        for line in dict.fromkeys(lines.get(cell.name, ())):
+            alike.setdefault((cell.system, line), []).append(cell)
+    if len(cells) == 1:
+        return [line for _, line in alike]
+    starts = Counter(cell.system for cell in cells)
+    return [f"{_names(each, starts[system])}: {line}" for (system, line), each in alike.items()]
 
 
 def _names(alike: Sequence[CellResult], starts: int) -> str:
-    """Describe cells of a system with the same reasons."""
+    """Describe the cells of a system that have a line in common."""
     first, more = alike[0], len(alike) - 1
-    if more == 0:
-        return first.name
+    if starts == 1:
+        return first.system
     if len(alike) == starts:
         return f"{first.system}, all {starts} starts"
-    return f"{first.name}, and {count_of(more, 'more start')}"
+    return first.name if more == 0 else f"{first.name}, and {count_of(more, 'more start')}"
 
 
-def _whose_fault(cell: CellResult, reference: CellResult | None) -> str:
+def _whose_fault(cell: CellResult, reference: CellResult | None) -> tuple[str, ...]:
     """Describe our engine's result, on the same data and initial guess, for a failed cell of the team's software."""
     if reference is None or cell.error is not None:  # a failure of the container engine is not the software's fault
-        return ""
+        return ()
     if reference.verdict != "fail":
         rms = "" if reference.rms_px is None else f" ({reference.rms_px:.4f} px)"
-        return f". Our engine passes on the same data from the same start{rms}: look at the software"
-    return f". Our engine fails on the same data too ({_first(reference.reasons)}): look at the data"
-
-
-def _first(reasons: Sequence[str]) -> str:
-    more = len(reasons) - REASONS_SHOWN
-    return "; ".join(reasons[:REASONS_SHOWN]) + (f"; and {more} more" if more > 0 else "")
+        return (f"our engine passes on the same data from the same start{rms}: look at the software",)
+    why = next(iter(reference.reasons), NOT_CONVERGED)
+    return (f"our engine fails on the same data too ({why}): look at the data",)
 
 
 def findings_of(results: Results, severity: Severity) -> tuple[str, ...]:
-    """Return the findings of one severity, once per system."""
-    texts = (f"{c.system}: {found.text}" for c in results.cells for found in c.findings if found.severity == severity)
+    """Return the findings of one severity, once per system, with the system in front if there are several."""
+    several = len({cell.system for cell in results.cells}) > 1
+    texts = (
+        f"{cell.system}: {found.text}" if several else found.text
+        for cell in results.cells
+        for found in cell.uncontradicted_findings
+        if found.severity == severity
+    )
     return tuple(dict.fromkeys(texts))
 
 

@@ -9,7 +9,7 @@ from calibration.baseline.verdict import exceeds
 from calibration.pipeline.matrix.cell import noise_text
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, Details, Deviation, Transform
 from calibration.pipeline.results import Collected, Results
-from calibration.report import Table, shown
+from calibration.report import VERDICTS, Table, shown
 
 SIDE_BY_SIDE = 3
 """Limit of the systems side by side in a log."""
@@ -83,11 +83,10 @@ def _text(cells: Sequence[CellResult]) -> str:
     passed = sum(cell.verdict == "pass" for cell in cells)
     if cells[0].by_other_method:
         return ", ".join(parts) or "no result"
-    if undecided := sum(cell.verdict == "undecided" for cell in cells):
-        parts.append("UNDECIDED" if len(cells) == 1 else f"UNDECIDED: {undecided}/{len(cells)}")
-    if passed + undecided < len(cells):
-        parts.append("FAIL" if len(cells) == 1 else f"FAIL: {passed}/{len(cells)} pass")
-    elif len(cells) > 1 and not undecided:
+    if passed < len(cells):
+        word = "FAIL" if any(cell.verdict == "fail" for cell in cells) else "UNDECIDED"
+        parts.append(word if len(cells) == 1 else f"{word}: {passed}/{len(cells)} pass")
+    elif len(cells) > 1:
         parts.append(f"{passed}/{len(cells)} pass")
     return ", ".join(parts) or "no result"
 
@@ -155,7 +154,7 @@ def collections_table(results: Results) -> Table:
 
 
 def transforms_table(results: Results) -> Table:
-    """Return a row for each calibrated transform of each system's first cell that passed, with standard deviations."""
+    """Return a row for each calibrated transform of each system's best cell, with standard deviations."""
     first = _details(results)
     rows = [
         (
@@ -173,7 +172,28 @@ def transforms_table(results: Results) -> Table:
         ("Calibrated", "x, y, z (mm)", "roll, pitch, yaw (deg)", "From the description"),
         tuple(rows),
         TRANSFORMS_SHOWN,
+        brief=True,
     )
+
+
+def hangs_on_table(results: Results) -> Table:
+    """Return a row for each fixed parameter whose usual uncertainty makes most of the error bars of a best cell."""
+    rows = [
+        (f"{system}: {each.cause}", f"{each.mm:.2g} mm")
+        for system, found in _details(results).items()
+        for each in found.hangs_on
+    ]
+    return Table(("What the result hangs on", "Its usual uncertainty is worth"), tuple(rows), TRANSFORMS_SHOWN)
+
+
+def recordings_table(results: Results) -> Table:
+    """Return a row for each system: what was calibrated."""
+    rows = [
+        (system, of.dataset, "; ".join(of.patterns), str(of.collections), ", ".join(of.sensors))
+        for system, found in _details(results, converged=False).items()
+        if (of := found.recording)
+    ]
+    return Table(("Robot", "Dataset", "Pattern", "Collections", "Sensors"), tuple(rows), brief=True, only="summary")
 
 
 def _vector(values: Sequence[float], sigmas: Sequence[float] | None, factor: float, digits: int) -> str:
@@ -192,7 +212,7 @@ def _moved(transform: Transform) -> str:
 
 
 def parameters_table(results: Results) -> Table:
-    """Return a row for each calibrated parameter of a joint or a camera, of each system's first cell that passed."""
+    """Return a row for each calibrated parameter of a joint or a camera, of each system's best cell."""
     first = _details(results)
     rows: list[tuple[str, ...]] = [
         (
@@ -217,9 +237,9 @@ def parameters_table(results: Results) -> Table:
 
 
 def cameras_table(results: Results) -> Table:
-    """Return a row for each camera with calibrated intrinsics, of each system's first cell."""
+    """Return a row for each camera with calibrated intrinsics, of each system's best cell."""
     rows = []
-    for system, found in _details(results, failed=True).items():
+    for system, found in _details(results).items():
         for each in found.projection:
             own = {row.parameter: row for row in found.intrinsics if row.name == each.camera}
             focal, centre = (
@@ -230,14 +250,14 @@ def cameras_table(results: Results) -> Table:
             off += f"{each.far_median_px:.2g} ({each.far_worst_px:.2g}) far away"
             rows.append((f"{system}: {each.camera}", each.model, focal, centre, off))
     header = ("Camera", "Lens", "fx, fy (px)", "cx, cy (px)", "Projection +- median (worst), px")
-    return Table(header, tuple(rows), TRANSFORMS_SHOWN)
+    return Table(header, tuple(rows), TRANSFORMS_SHOWN, brief=True)
 
 
 def changes_table(results: Results) -> Table:
     """Return a row for each calibrated transform or parameter that differs from the accepted one, beyond rounding."""
     rows = [
         (f"{system}: {each.name}", _change(each), _in_sigmas(each))
-        for system, found in _details(results, failed=True).items()
+        for system, found in _details(results).items()
         for each in found.changes
         if exceeds(each, SameData())
     ]
@@ -265,16 +285,23 @@ def _change(change: Change) -> str:
     if change.kind != "pose":
         return change.kind if change.value is None else f"{change.value:+.3g} {change.unit}"
     return (
-        f"{change.mm:.3g} +- {change.sigma_mm:.2g} mm ({_vector(change.translation_mm, None, 1.0, 2)}), "
-        f"{change.deg:.2g} +- {change.sigma_deg:.1g} deg ({_vector(change.rotation_deg, None, 1.0, 3)})"
+        f"{change.mm:.3g} +- {change.sigma_mm:.2g} mm"
+        f"{_direction(change.translation_mm, 2) if change.mm > change.sigma_mm else ''}, "
+        f"{change.deg:.2g} +- {change.sigma_deg:.1g} deg"
+        f"{_direction(change.rotation_deg, 3) if change.deg > change.sigma_deg else ''}"
     )
+
+
+def _direction(vector: Sequence[float], digits: int) -> str:
+    return f" ({_vector(vector, None, 1.0, digits)})"
 
 
 def _in_sigmas(change: Change) -> str:
     return f"{change.sigmas:.2g}" if change.sigmas < 1e6 else "-"
 
 
-def _details(results: Results, failed: bool = False) -> dict[str, Details]:
-    """Return the details of each system's first cell that passed, or that may have failed."""
-    passed = [cell for cell in (*results.cells, *results.comparisons) if failed or cell.verdict == "pass"]
-    return {cell.system: cell.details for cell in reversed(passed) if cell.details}
+def _details(results: Results, converged: bool = True) -> dict[str, Details]:
+    """Return the details of each system's best cell, the first with the best verdict, by default of the converged."""
+    cells = [cell for cell in (*results.cells, *results.comparisons) if cell.details and cell.converged >= converged]
+    best_first = sorted(cells, key=lambda cell: VERDICTS.index(cell.verdict))
+    return {cell.system: cell.details for cell in reversed(best_first) if cell.details}

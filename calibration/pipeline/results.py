@@ -89,6 +89,17 @@ class Exported:
 
 
 @result
+class CommitOfRun:
+    """Commit that was tested."""
+
+    hash: str = field("Its hash; of a pull request, that of its branch.")
+    date: str = field("Of the checked-out commit, YYYY-MM-DD.")
+
+    def __str__(self) -> str:
+        return f"{self.hash[:7]} of {self.date}"
+
+
+@result
 class Numbers:
     """Statistics of several cells; the worst is null if no cell has such a number."""
 
@@ -147,6 +158,7 @@ class Results:
     )
     exports: tuple[Exported, ...] = field("Exports of the systems that passed.", default=())
     analysis: Analysed | None = field("Static analysis, where calibration.yml asks for it.", default=None, omitted=True)
+    commit: CommitOfRun | None = field("The commit that was tested, in a checkout.", default=None, omitted=True)
 
     @property
     @computed()

@@ -17,11 +17,12 @@ from calibration.report.results_json import (
     results_text,
 )
 from calibration.report.table import Table, shown
-from calibration.report.verdict import Verdict, verdict_of
+from calibration.report.verdict import VERDICTS, Verdict, verdict_of, worst_verdict
 
 __all__ = [
     "FILES",
     "RESULTS_FILE",
+    "VERDICTS",
     "Block",
     "Check",
     "Code",
@@ -45,4 +46,5 @@ __all__ = [
     "show",
     "shown",
     "verdict_of",
+    "worst_verdict",
 ]

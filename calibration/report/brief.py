@@ -29,7 +29,8 @@ class Brief:
     schema: Literal[1] = field("Version of this format.", default=1)
     verdict: Verdict = field("Whether all requirements are met; undecided if the data cannot tell.")
     sentence: str = field("The verdict's numbers in one line.")
-    reasons: tuple[str, ...] = field("Why the verdict is not pass.", default=())
+    about: str = field("What the results are of: the commit and its date.", default="")
+    reasons: tuple[str, ...] = field("Why the verdict is not pass, worst first.", default=())
     tables: tuple[BriefTable, ...] = field("Tables of the comment.", default=())
 
     @property

@@ -43,7 +43,8 @@ def _case(outcome: Outcome) -> str:
         text = _valid(
             "\n".join(cut(outcome.reasons, MOST_LINES, RESULTS_FILE)) or outcome.skipped or "failed for no known reason"
         )
-        begin = _begin(result, {"message": text.partition("\n")[0]})
+        type_ = {"type": "undecided"} if outcome.is_undecided and result == "failure" else {}
+        begin = _begin(result, {"message": text.partition("\n")[0], **type_})
         children.append(f"{begin}>{text.translate(_IN_TEXT)}</{result}>" if text else f"{begin} />")
     return _element("testcase", {key: _valid(text) for key, text in attributes.items()}, children, "    ")
 

@@ -21,6 +21,8 @@ class Outcome:
     """Group in reports, such as a system."""
     reasons: tuple[str, ...] = ()
     """Reasons of a failure, one line each."""
+    is_undecided: bool = False
+    """Whether the reasons are undecided limits: to JUnit a failure of its own type."""
     error: ErrorCode | None = None
     """Exit code if the work failed because of bad input (2) or infrastructure (3)."""
     skipped: str | None = None

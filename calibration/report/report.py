@@ -8,7 +8,7 @@ from typing import Any
 from calibration.errors import ExitCode
 from calibration.files import write_atomically
 from calibration.frozen import frozen
-from calibration.report.blocks import Block, Lines
+from calibration.report.blocks import MOST_LINES, Block, Lines, cut
 from calibration.report.brief import BRIEF_FILE, Brief, BriefTable
 from calibration.report.junit import junit_xml
 from calibration.report.outcome import Outcome
@@ -23,7 +23,8 @@ from calibration.workflow.text import one_line
 SUMMARY_FILE, JUNIT_FILE = "summary.md", "junit.xml"
 FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)
 """Files of every report."""
-REASONS_SHOWN = 50
+ROWS_IN_BRIEF = 50
+"""Limit of the rows of a table in the brief report."""
 
 
 @frozen(kw_only=True)
@@ -42,9 +43,13 @@ class Report:
     outputs: Mapping[str, OutputValue | None]
     """Outputs of the step, beside the verdict and the paths of the files; None becomes an empty text."""
     reasons: tuple[str, ...] = ()
-    """Reasons of a failure, one line each: listed first, and annotated as errors."""
+    """Reasons of a failure, one line each, worst first: listed first, and annotated as errors."""
+    undecided: tuple[str, ...] = ()
+    """Undecided limits, one line each: listed after the reasons, and annotated as warnings."""
+    about: str = ""
+    """What the results are of, in one line below the verdict: the commit and its date."""
     error: ExitCode | None = None
-    """Exit code if it differs from that of the verdict, 0 or 1."""
+    """Exit code if it differs from that of the verdict: 0 for pass, else 1."""
     warnings: tuple[str, ...] = ()
     """Annotated as warnings."""
     notes: tuple[str, ...] = ()
@@ -66,9 +71,14 @@ class Report:
         return ExitCode.PASS if self.verdict == "pass" else ExitCode.FAIL
 
     @property
+    def all_reasons(self) -> tuple[str, ...]:
+        """Why the verdict is not pass, worst first."""
+        return (*self.reasons, *self.undecided)
+
+    @property
     def document(self) -> dict[str, Any]:
         """Content of results.json."""
-        return results_document(self.verdict, self.results, self.reasons)
+        return results_document(self.verdict, self.results, self.all_reasons)
 
     @property
     def brief(self) -> Brief | None:
@@ -79,8 +89,9 @@ class Report:
         return Brief(
             verdict=self.verdict,
             sentence=self.sentence,
-            reasons=self.reasons[:REASONS_SHOWN],
-            tables=tuple(BriefTable(table.columns, table.rows[:REASONS_SHOWN]) for table in tables if table.rows),
+            about=self.about,
+            reasons=cut(self.all_reasons, MOST_LINES, RESULTS_FILE),
+            tables=tuple(BriefTable(table.columns, table.rows[:ROWS_IN_BRIEF]) for table in tables if table.rows),
         )
 
     @property
@@ -99,8 +110,10 @@ class Report:
     def markdown(self) -> str:
         """Return the summary: the verdict, its reasons, then the blocks."""
         parts = [f"## {escape_markdown(self.title)}: {escape_markdown(self.line)}\n"]
-        if self.reasons:
-            parts.append(Lines(self.reasons, most=REASONS_SHOWN).markdown())
+        if self.about:
+            parts.append(f"{escape_markdown(self.about)}\n")
+        if self.all_reasons:
+            parts.append(Lines(self.all_reasons).markdown())
         for block in self.blocks:
             if block.only == "log" or not (text := block.markdown()):
                 continue
@@ -114,14 +127,15 @@ class Report:
 
     def all_annotations(self) -> list[Annotation]:
         """Return all annotations, failures first."""
-        listed = ((self.reasons, Level.ERROR), (self.warnings, Level.WARNING), (self.notes, Level.NOTICE))
+        warnings = (*self.undecided, *self.warnings)
+        listed = ((self.reasons, Level.ERROR), (warnings, Level.WARNING), (self.notes, Level.NOTICE))
         own = [Annotation(line, level, *self.places.get(line, ())) for lines, level in listed for line in lines]
         return [replace(each, title=each.title or self.title) for each in (*self.annotations, *own)]
 
     def written(self) -> dict[str, str | bytes]:
         """Return the content of all files by their names."""
         texts = {
-            RESULTS_FILE: results_text(self.verdict, self.results, self.reasons),
+            RESULTS_FILE: results_text(self.verdict, self.results, self.all_reasons),
             JUNIT_FILE: junit_xml(self.suites),
         }
         if self.brief is not None:

@@ -25,7 +25,7 @@ class Head:
 
     schema: Literal[1] = field("Version of this format; keys may be added, renaming one requires a new version.")
     verdict: Verdict = field("Whether all requirements are met; undecided if the data cannot tell.")
-    reasons: tuple[str, ...] = field("Why the verdict is not pass, one line each.", default=())
+    reasons: tuple[str, ...] = field("Why the verdict is not pass, one line each, worst first.", default=())
 
 
 def results_document(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> dict[str, Any]:

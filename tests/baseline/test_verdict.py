@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from calibration.baseline.comparison import Change
 from calibration.baseline.settings import BaselineSettings, MaxIncrease, SameData
 from calibration.baseline.snapshot import Parameter, Snapshot, Start, snapshot
-from calibration.baseline.verdict import Accepted, against_baseline, software_against_baseline
+from calibration.baseline.verdict import Accepted, against_baseline, size_of_change, software_against_baseline
 from calibration.diagnosis.finding import Finding
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.options import Options
@@ -43,6 +44,14 @@ def test_other_data_give_a_note_on_the_largest_undetected_move(before: Snapshot)
     [finding] = found(before, taken(stereo(3)))
     assert finding.severity == "note"
     assert f"nothing has moved since {SINCE}; a move of right by up to" in finding.text
+
+
+def test_a_rotation_within_its_error_bar_has_no_axis() -> None:
+    moved = Change(name="camera", kind="pose", translation_mm=(0, 0, 3.0), mm=3.0, sigma_mm=0.1, deg=0.002)
+    within = replace(moved, rotation_deg=(-0.001, -0.001, 0.0014), sigma_deg=0.005)
+    beyond = replace(moved, rotation_deg=(0, 0.002, 0), sigma_deg=0.0005)
+    assert size_of_change(within) == "3 +- 0.1 mm along its z, 0.002 +- 0.005 deg"
+    assert size_of_change(beyond) == "3 +- 0.1 mm along its z, 0.002 +- 0.0005 deg about its y"
 
 
 def test_a_sensor_that_has_moved_is_red_by_name_size_and_direction(before: Snapshot, moved: Snapshot) -> None:

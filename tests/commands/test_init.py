@@ -57,7 +57,7 @@ def test_parts_without_files_are_reported(repository: Path, capfd: pytest.Captur
     assert "softbot: 14 data files of sensor 'lidar3d' not found: lidar3d_000.pcd" in capfd.readouterr().out
     assert main(["run", "--jobs", "1"]) == 0
     said = capfd.readouterr().err
-    assert "warning: softbot: 14 data files of sensor 'lidar3d' not found" in said
+    assert "warning: 14 data files of sensor 'lidar3d' not found" in said
     assert "it is not calibrated, and stays where the robot's description puts it" in said
 
 

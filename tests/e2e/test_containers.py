@@ -139,7 +139,7 @@ def test_the_root_action_passes_the_example_and_not_what_got_worse(
     commit(repository.folder)
     run = repository.act("push")
     assert run.code == 1
-    assert any("Our engine passes on the same data from the same start" in line for line in run.annotations), run.log
+    assert any("our engine passes on the same data from the same start" in line for line in run.annotations), run.log
 
 
 def test_the_root_action_promotes_what_has_passed_alone(

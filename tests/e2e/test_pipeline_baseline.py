@@ -80,7 +80,7 @@ def test_the_life_of_an_accepted_calibration(caller: Caller, api: GitHub, tmp_pa
     assert knocked.tables["Since the baseline"][1][0] == "robot: right\\_camera"
     [comment] = api.bodies()
     assert "❌ Calibration: fail" in comment
-    assert "- robot, 0 m, 0 rad, seed 1: right\\_camera has moved since calibration-baseline.json of 20" in comment
+    assert "- right\\_camera has moved since calibration-baseline.json of 20" in comment
     assert "| Since the baseline | Difference | In standard deviations |" in comment
 
     accept(folder)

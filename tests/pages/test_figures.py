@@ -53,7 +53,8 @@ def test_labels_of_a_scene_lie_neither_over_the_drawing_nor_over_each_other() ->
 )
 def test_a_table_breaks_lines_between_values_only(text: str, shown: str) -> None:
     made = table(("0 m, 0 rad", text), ((text, text),)).replace("\u00a0", "_")
-    assert f'<th scope="row">{shown}</th><td>{shown}</td>' in made
+    mark = ' class="fail"' if "FAIL" in text else ""
+    assert f'<th scope="row">{shown}</th><td{mark}>{shown}</td>' in made
 
 
 def test_axes_have_units_and_several_marks() -> None:

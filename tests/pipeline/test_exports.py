@@ -55,6 +55,16 @@ def test_a_system_that_fails_leaves_none_and_none_of_an_earlier_run(repository: 
     assert not FOLDER.exists() or list(FOLDER.iterdir()) == []
 
 
+def test_what_is_undecided_is_exported_by_its_rule_and_said(
+    repository: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for rule, code in (("fail", 1), ("pass", 0)):
+        configure(repository, limits={"translation-mm": 0.001}, undecided=rule)
+        assert main(["run"]) == code
+        assert FOLDER.exists() == (rule == "pass")
+    assert "robot: undecided: 'right_camera' is not determined well enough" in capsys.readouterr().out
+
+
 def test_a_description_that_does_not_fit_is_red(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copy(DATASETS / "riwbot" / "robot.urdf", repository / "robot")
     assert main(["run"]) == 1

@@ -1,6 +1,7 @@
 """``report.html`` of real runs, read in a browser: everything drawn, nothing loaded, usable without eyes or scripts."""
 
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 CONFIGURATION = {
     "systems": {
         "cameras": {"dataset": "t2rgb", "evaluate": "rgb-to-rgb:left_camera:right_camera"},
-        "lidar": {"dataset": "rlbot", "truth": "none"},
+        "lidar": {"dataset": "rlbot", "truth": "none", "limits": {"translation-mm": 0.1}},
         "red": {"dataset": "riwbot", "limits": {"translation-mm": 0.0001}},
     }
 }
@@ -31,7 +32,7 @@ RULES = ("wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice")
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of a run of three systems, one of them red."""
+    """The page of a run of three systems: one that passes, an undecided and a red one."""
     folder = tmp_path_factory.mktemp("run")
     for name in ("t2rgb", "rlbot", "riwbot"):
         without = ("*.png",) if name == "t2rgb" else ("*.jpg", "*.png")
@@ -106,6 +107,21 @@ def test_the_same_results_make_the_same_bytes(report: Path, tmp_path: Path) -> N
     again = tmp_path / "output"
     assert main(["run", "--config", str(folder / "calibration.yml"), "--output", str(again), "--jobs", "2"]) == 1
     assert (again / "report.html").read_bytes() == report.read_bytes()
+
+
+def test_a_page_has_every_table_and_each_reason_once_whatever_its_colour(report: Path) -> None:
+    text = report.read_text()
+    sections = {name: text.split(f'id="system-{name}"')[1].split("</section>")[0] for name in CONFIGURATION["systems"]}
+    for (name, part), verdict in zip(sections.items(), ("pass", "undecided", "fail"), strict=True):
+        assert f'class="verdict {verdict}"' in part, name
+        for column in ("Calibrated", "x, y, z (mm)", "What the result hangs on"):
+            assert f">{column}</th>" in part
+        assert "In space" in part
+        assert "Residuals" in part
+    for name, reason in (("lidar", "is not determined well enough"), ("red", "error against the truth")):
+        assert sections[name].count(reason) == text.count(reason) > 0
+    collections = json.loads((ROOT / "datasets" / "riwbot" / "dataset.json").read_text())["collections"]
+    assert re.search(rf"<td>charuco[^<]*</td><td>{len(collections)}</td><td>rgb_world</td>", text)
 
 
 def test_it_is_small(report: Path) -> None:

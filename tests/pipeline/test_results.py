@@ -4,17 +4,19 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 import jsonschema
 import pytest
+from defusedxml.ElementTree import fromstring
 
+from calibration.baseline.verdict import UNMOVED
 from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.what_does_not_fit import NOTHING
 from calibration.errors import ExitCode, InputError
 from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, Parameter
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import CELLS_A_PROCESS, report, write_cells, write_results
-from calibration.pipeline.result_messages import failures
+from calibration.pipeline.result_messages import failures, findings_of
 from calibration.pipeline.result_tables import grid, parameters_table, precision_table, truth_table
 from calibration.pipeline.results import (
     SCHEMA,
@@ -27,6 +29,7 @@ from calibration.pipeline.results import (
 )
 from calibration.pipeline.system import NoiseGrid
 from calibration.report import Report
+from calibration.workflow.annotations import Level
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.matrix.test_cell_verdict import CELL
 
@@ -272,10 +275,46 @@ def test_equal_reasons_of_several_starts_are_merged() -> None:
         "robot, 0.5 m, 0.5 rad, seed 1, and 1 more start: a false minimum",
         "robot, 0.5 m, 0.5 rad, seed 3: too far",
     ]
-    assert line(FAILED, replace(FAILED, system="arm")) == [
-        "robot, 0.5 m, 0.5 rad, seed 1: a false minimum",
-        "arm, 0.5 m, 0.5 rad, seed 1: a false minimum",
+    assert line(FAILED, replace(FAILED, system="arm")) == ["robot: a false minimum", "arm: a false minimum"]
+
+
+def test_each_reason_is_a_line_of_its_own_named_only_among_several_cells() -> None:
+    reasons = tuple(f"reason {number}" for number in range(9))
+    one = replace(CELL, reasons=reasons)
+
+    assert told(Results((one,))).reasons == reasons
+    assert failures(Results((one, replace(one, seed=2, reasons=reasons[:1])))) == [
+        "robot, all 2 starts: reason 0",
+        *(f"robot, 0.5 m, 0 rad, seed 1: {reason}" for reason in reasons[1:]),
     ]
+    document = told(Results((one,)))
+    for text in (document.markdown(), document.brief.text if document.brief else ""):
+        assert [text.count(reason) for reason in reasons] == [1] * 9
+
+
+def test_an_undecided_limit_is_a_reason_and_a_warning_after_what_is_red(tmp_path: Path) -> None:
+    open_ = CELL.found((Finding("precision", "undecided", "'camera' is not determined well enough"),))
+    line = "undecided: 'camera' is not determined well enough"
+    for rule, code in ((False, ExitCode.FAIL), (True, ExitCode.PASS)):
+        found = told(Results((replace(open_, undecided_passes=rule),)))
+        assert (found.verdict, found.exit_code, found.sentence) == ("undecided", code, "1 of 1 cell undecided")
+        assert [(each.level, each.message) for each in found.all_annotations()] == [(Level.WARNING, line)]
+        assert found.document["reasons"] == [line]
+        [case] = fromstring(found.written()["junit.xml"])[0]
+        assert case[0].tag == ("skipped" if rule else "failure")
+        assert case[0].get("type") == (None if rule else "undecided")
+    red = open_.failing("RMS: found 3")
+    assert told(Results((red,))).all_reasons == ("RMS: found 3", line)
+    assert told(Results((red, replace(open_, seed=2)))).sentence == "1 of 2 cells failed, 1 undecided"
+
+
+def test_a_failed_cell_does_not_say_that_all_is_well() -> None:
+    notes = (Finding(NOTHING, "note", "nothing suspicious"), Finding(UNMOVED, "note", "nothing has moved"))
+    well = CELL.found((*notes, Finding("rejected-labels", "note", "3 of 90 labels"), notes[0]))
+
+    assert findings_of(Results((well,)), "note") == ("nothing suspicious", "nothing has moved", "3 of 90 labels")
+    assert findings_of(Results((well.failing("RMS: found 3"),)), "note") == ("3 of 90 labels",)
+    assert len(well.findings) == 3  # each once
 
 
 def test_the_summary_has_each_warning_once() -> None:
@@ -284,7 +323,7 @@ def test_the_summary_has_each_warning_once() -> None:
 
     report = told(Results((warned, replace(warned, seed=2))))
 
-    assert report.warnings == ("robot: the camera is far off",)
+    assert report.warnings == ("the camera is far off",)
     assert [report.markdown().count(each.text) for each in found] == [1, 1]
     assert "3 of 90 labels" in report.log()
 
@@ -297,7 +336,7 @@ def test_a_red_finding_fails_the_cell_whoever_reads_it(tmp_path: Path) -> None:
 
     assert read.cells[0].verdict == "fail"
     assert read.cells == (red,)
-    assert "robot, 0.5 m, 0 rad, seed 1: the camera is far off" in told(read).reasons
+    assert told(read).reasons == ("the camera is far off",)
 
 
 def test_cells_as_a_table_and_as_junit(tmp_path: Path) -> None:
@@ -306,7 +345,7 @@ def test_cells_as_a_table_and_as_junit(tmp_path: Path) -> None:
     rows = list(csv.DictReader((tmp_path / "cells.csv").read_text().splitlines()))
     assert [row["Verdict"] for row in rows] == ["pass", "fail", "fail"]
     assert rows[0]["Trans error (mm)"] == "0.5000"
-    suite = ET.fromstring((tmp_path / "junit.xml").read_text())  # noqa: S314 (our own file)
+    suite = fromstring((tmp_path / "junit.xml").read_text())
     assert len(suite.findall(".//testcase")) == 3
     assert len(suite.findall(".//failure")) == 1
     assert len(suite.findall(".//error")) == 1
@@ -381,19 +420,17 @@ def test_the_team_s_software_and_our_engine_side_by_side() -> None:
 
 
 def test_whose_fault_it_is() -> None:
-    [line] = failures(software_cells(True))
-    assert line.endswith(
-        "RMS: found 3. Our engine passes on the same data from the same start (0.5000 px): look at the software"
-    )
-    [line] = failures(software_cells(False))
-    assert line.endswith("Our engine fails on the same data too (RMS: found 2.5): look at the data")
+    passes = "our engine passes on the same data from the same start (0.5000 px): look at the software"
+    assert failures(software_cells(True))[-1] == passes
+    fails = "our engine fails on the same data too (RMS: found 2.5): look at the data"
+    assert failures(software_cells(False))[-1] == fails
     assert "Methods without a result" not in told(software_cells(False)).markdown()
     died = software_cells(True)
     died = replace(
         died, cells=(replace(died.cells[0], reasons=("the engine is gone",), error=ExitCode.INFRASTRUCTURE),)
     )
     [line] = failures(died)
-    assert line.endswith(": the engine is gone")  # which is not the software's fault
+    assert line == "the engine is gone"  # which is not the software's fault
 
 
 def test_our_engine_beside_the_software_has_no_part_in_the_verdict() -> None:

@@ -100,7 +100,7 @@ def test_everything_that_people_read_is_bounded(tmp_path: Path) -> None:
         reasons=lines, blocks=blocks, suites={"s": [Outcome(name="a", reasons=lines)]}, results={"all": lines}
     )
     publish(report, Runner(stderr=err, stdout=io.StringIO()), tmp_path)
-    assert (tmp_path / "summary.md").read_text().count("of many") == 50 + 2 * 1000
+    assert (tmp_path / "summary.md").read_text().count("of many") == 3 * 1000
     assert (tmp_path / "junit.xml").read_text().count("of many") == 1000 + 1  # the first is also the message
     assert (tmp_path / "junit.xml").read_text().count("and 4000 more, see results.json") == 1
     assert err.getvalue().splitlines()[-1] == "and 4000 more"
@@ -191,8 +191,7 @@ def test_the_verdicts_line_commands_nothing() -> None:
 
 
 def test_no_number_that_is_not_finite_reaches_the_results() -> None:
-    with pytest.raises(ValueError, match="JSON"):
-        make(results={"x": math.nan}).written()
+    assert json.loads(str(make(results={"x": math.nan}).written()["results.json"]))["x"] is None
 
 
 def test_results_of_an_earlier_run_are_removed(tmp_path: Path) -> None:

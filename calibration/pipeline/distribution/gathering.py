@@ -72,7 +72,7 @@ def gather(needs: Needs, plan: Plan | None, folder: Path) -> Gathered:
         InputError: a file is not a results file, or has unplanned cells.
     """
     if plan is None:
-        return Gathered(Results(), {"plan": needs.results["plan"]}, (_problem("plan", needs, folder),))
+        return Gathered(Results(), {"plan": needs.results["plan"]}, _problems("plan", needs, folder))
     jobs = {"plan": SUCCESS} | {job: needs.results.get(job, "missing") for job, runs in plan.jobs.items() if runs}
     jobs |= {job: result for job, result in needs.unplanned.items() if result != "skipped"}
     parts = [_cells_of(cell, plan, folder) for cell in plan.cells]
@@ -84,6 +84,7 @@ def gather(needs: Needs, plan: Plan | None, folder: Path) -> Gathered:
         collected.image,
         next((part.baseline for part in parts if part.baseline is not None), None),
         tuple({each.system: each for part in parts for each in part.exports}.values()),
+        commit=next((part.commit for part in parts if part.commit is not None), None),
     )
     failed = {
         cell.job for cell, part in zip(plan.cells, parts, strict=True) if not all(found.passes for found in part.cells)
@@ -92,18 +93,18 @@ def gather(needs: Needs, plan: Plan | None, folder: Path) -> Gathered:
         failed |= {job for job in jobs if job.startswith("collect-data")}
     lost = [job for job, result in jobs.items() if result != SUCCESS and job not in failed]
     needs = replace(needs, results={**needs.results, **jobs})
-    return Gathered(results, jobs, tuple(_problem(job, needs, folder) for job in lost), plan)
+    return Gathered(results, jobs, tuple(each for job in lost for each in _problems(job, needs, folder)), plan)
 
 
-def _problem(job: str, needs: Needs, folder: Path) -> str:
+def _problems(job: str, needs: Needs, folder: Path) -> tuple[str, ...]:
     """Return the reasons why a job did not succeed: of its own results, or the error that it has reported."""
     if reasons := reasons_in(folder / job):
-        return f"{job}: {'; '.join(reasons)}"
+        return tuple(f"{job}: {reason}" for reason in reasons)
     if error := needs.errors.get(job):
-        return f"{job}: {brief(one_line(error))}"
+        return (f"{job}: {brief(one_line(error))}",)
     result = needs.results[job]
     what = {"failure": "failed", "cancelled": "was cancelled", "skipped": "did not run"}.get(result, f"is {result}")
-    return f"the job {job} {what}: see its log"
+    return (f"the job {job} {what}: see its log",)
 
 
 def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> Report:
@@ -116,13 +117,14 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
         title: of the report and its annotations.
     """
     found = report(gathered.results, output, title)
-    results_of_jobs = [f"{job} {result}" for job, result in gathered.jobs.items()]
+    others = [f"{job} {result}" for job, result in gathered.jobs.items() if result != SUCCESS]
+    judged = [found.sentence] if gathered.results.judged else []
     verdict = gathered.verdict
     return replace(
         found,
         verdict=verdict,
         error=gathered.exit_code,
-        sentence="; ".join((*([found.sentence] if gathered.results.judged else []), ", ".join(results_of_jobs))),
+        sentence="; ".join((*judged, *([", ".join(others)] if others else []))) or "all jobs succeeded",
         reasons=(*gathered.problems, *found.reasons),
         blocks=(*found.blocks, jobs_table(gathered.jobs, cost), Text(cost.sentence)),
         results=RunResults(**vars(found.results), cost=cost),

@@ -3,12 +3,16 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from calibration.dataset.model import Dataset, Edge
+from calibration.dataset.pattern import Pattern
+from calibration.dataset.reading import FILE_NAME
 from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.precision import worst_false_accept
+from calibration.errors import UndeterminedError
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.projection import projection_of
 from calibration.estimation.result import CalibratedJoint, Calibration
@@ -21,6 +25,7 @@ from calibration.pipeline.matrix.cell_result import (
     Deviation,
     Parameter,
     ProjectionResult,
+    Recording,
     Transform,
     Worth,
 )
@@ -50,6 +55,7 @@ def described(result: CellResult, calibration: Calibration, description: Dataset
         dropped_views=calibration.dropped_views,
         effective_collections=round(bars.effective_collections, 2) if (bars := calibration.error_bars) else None,
         hangs_on=_hangs_on(bars.worth) if bars else (),
+        recording=_recording(description),
     )
     return replace(
         result,
@@ -92,6 +98,26 @@ def _projection(calibration: Calibration, name: str) -> ProjectionResult:
         near_px=cells(near),
         far_px=cells(far),
     )
+
+
+def _recording(dataset: Dataset) -> Recording:
+    """Describe a dataset; its path is relative to the working directory if it is below it."""
+    folder = dataset.path.parent if dataset.path.name == FILE_NAME else dataset.path
+    if folder.is_absolute() and folder.is_relative_to(Path.cwd()):
+        folder = folder.relative_to(Path.cwd())
+    return Recording(
+        dataset=folder.as_posix(),
+        collections=len(dataset.collections),
+        sensors=tuple(dataset.sensors),
+        patterns=tuple(map(_pattern, dataset.patterns.values())),
+    )
+
+
+def _pattern(pattern: Pattern) -> str:
+    """Describe a pattern: "charuco, 77 corners, 60 mm apart"."""
+    first, second = pattern.neighbours
+    apart = np.linalg.norm(pattern.corners[first] - pattern.corners[second], axis=-1).mean()
+    return f"{pattern.kind}, {len(pattern.corners)} corners, {1e3 * apart:.4g} mm apart"
 
 
 def _transform(calibration: Calibration, description: Dataset, edge: Edge) -> Transform:
@@ -142,7 +168,8 @@ def _sigma(calibration: Calibration, labels_only: bool = False) -> Deviation | N
         mm, mrad = calibration.label_sigma_mm, calibration.label_sigma_mrad
     joints = [] if labels_only else list(calibration.joints.values())
     sigmas = [each for joint in joints for each in zip(joint.units, joint.sigmas.tolist(), strict=True)]
-    return rounded_deviation(
+    return finite_deviation(
+        "the standard deviations",
         max(map(mm, edges)),
         float(np.degrees(max(map(mrad, edges)) / 1e3)),
         max((1e3 * sigma for unit, sigma in sigmas if unit == "m"), default=None),
@@ -150,10 +177,30 @@ def _sigma(calibration: Calibration, labels_only: bool = False) -> Deviation | N
     )
 
 
-def rounded_deviation(
-    translation_mm: float, rotation_deg: float, joint_mm: float | None, joint_deg: float | None
+def finite_deviation(
+    what: str,
+    translation_mm: float,
+    rotation_deg: float,
+    joint_mm: float | None = None,
+    joint_deg: float | None = None,
 ) -> Deviation:
-    """Round to a nanometre and a similarly small angle."""
+    """Round to a nanometre and a similarly small angle.
+
+    Args:
+        what: what deviates, for the message.
+        translation_mm: of sensors.
+        rotation_deg: of sensors.
+        joint_mm: of joints, if there are any.
+        joint_deg: likewise.
+
+    Raises:
+        UndeterminedError: a number is not finite, so that nothing could be compared with it or written of it.
+    """
+    if not all(math.isfinite(v) for v in (translation_mm, rotation_deg, joint_mm, joint_deg) if v is not None):
+        raise UndeterminedError(
+            f"{what}: found a number that is not finite, expected millimetres and degrees; look for a label, a "
+            "transform or a lens that is far from the others"
+        )
     return Deviation(
         round(translation_mm, 6),
         round(rotation_deg, 8),

@@ -6,7 +6,9 @@ from typing import Literal
 
 from calibration.baseline.comparison import Change
 from calibration.baseline.snapshot import Snapshot
+from calibration.baseline.verdict import UNMOVED
 from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.what_does_not_fit import NOTHING
 from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.result import DroppedView, RejectedLabel
 from calibration.pipeline.matrix.cell import Cell, Comparison, noise_text
@@ -16,6 +18,8 @@ from calibration.report import Verdict
 from calibration.report.outcome import ErrorCode
 
 OUR_METHOD = "calibration-ci"
+REASSURING = (NOTHING, UNMOVED)
+"""Kinds of findings that say that all is well."""
 
 
 @record(case="snake", unknown="ignore")
@@ -93,6 +97,16 @@ class Worth:
 
 
 @result(kw_only=True)
+class Recording:
+    """Recording that was calibrated."""
+
+    dataset: str = field("Its path.")
+    collections: int = field("Number of its collections.")
+    sensors: tuple[str, ...] = field("Its sensors.")
+    patterns: tuple[str, ...] = field("Its patterns: kind, corners, and how far these are apart.")
+
+
+@result(kw_only=True)
 class Details:
     """Details of a calibration, in a cell's own results but not in those of the matrix."""
 
@@ -114,6 +128,7 @@ class Details:
         "Number of independent collections of equal weight with the same information.", default=None
     )
     hangs_on: tuple[Worth, ...] = field("Contributions to the uncertainty of the result, largest first.", default=())
+    recording: Recording | None = field("What was calibrated.", default=None)
     snapshot: Snapshot | None = field("The result as `calibration accept` keeps it.", default=None)
     changes: tuple[Change, ...] = field("Differences from the accepted calibration.", default=())
 
@@ -179,6 +194,18 @@ class CellResult:
         return self.verdict == "pass" or (self.verdict == "undecided" and self.undecided_passes)
 
     @property
+    def all_reasons(self) -> tuple[str, ...]:
+        """Why the verdict is not pass, worst first."""
+        return (*self.reasons, *self.undecided)
+
+    @property
+    def uncontradicted_findings(self) -> tuple[Finding, ...]:
+        """The findings; of a failed cell without those that say that all is well."""
+        if self.verdict != "fail":
+            return self.findings
+        return tuple(each for each in self.findings if each.kind not in REASSURING)
+
+    @property
     def by_other_method(self) -> bool:
         """Whether it is from a comparison method; it is not judged."""
         return self.method not in (OUR_METHOD, SOFTWARE)
@@ -206,7 +233,9 @@ class CellResult:
         return replace(self, reasons=(*self.reasons, *reasons))
 
     def found(self, findings: tuple[Finding, ...]) -> "CellResult":
-        """Return the result with additional findings, and their reasons and warnings."""
+        """Return the result with additional findings, each once, and their reasons and warnings."""
+        known = {each.text for each in self.findings}
+        findings = tuple({each.text: each for each in findings if each.text not in known}.values())
         texts: dict[str, list[str]] = {"red": [], "undecided": [], "warning": [], "note": []}
         for each in findings:
             texts[each.severity].append(each.text)

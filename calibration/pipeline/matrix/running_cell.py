@@ -26,7 +26,7 @@ from calibration.evaluation.truth import truth_error
 from calibration.files import write_atomically
 from calibration.frozen import frozen
 from calibration.pipeline.matrix.cell import REPROJECTION, Cell, Comparison
-from calibration.pipeline.matrix.cell_details import described, rounded_deviation
+from calibration.pipeline.matrix.cell_details import described, finite_deviation
 from calibration.pipeline.matrix.cell_result import (
     CellResult,
     Deviation,
@@ -166,10 +166,11 @@ def _evaluated(
                 result, rms = result.found((Finding("table", "red", text),)), None
             made = Evaluated(replace(result, rms_px=rms), (name, table.to_csv()))
             if table.columns == measured_poses.COLUMNS:
-                mm, deg = (round(table.average(column), 4) for column in table.columns)
-                made = replace(made, result=replace(made.result, poses=Deviation(mm, deg)))
+                mm, deg = (table.average(column) for column in table.columns)
+                poses = finite_deviation(f"the averages of {name}", round(mm, 4), round(deg, 4))
+                made = replace(made, result=replace(made.result, poses=poses))
         if calibration is not None and (system.evaluation is None or made.result.rms_px is None):
-            rms = None if math.isnan(calibration.rms_px) else round(calibration.rms_px, 4)
+            rms = round(calibration.rms_px, 4) if math.isfinite(calibration.rms_px) else None
             made = replace(made, result=replace(made.result, rms_px=rms))
         made = replace(made, result=replace(made.result, truth=distance_from_truth(judged, system)))
         return replace(made, dataset=system.dataset_text(dataset), complete=True)
@@ -215,7 +216,8 @@ def distance_from_truth(dataset: Dataset, system: LoadedSystem) -> Deviation | N
     if system.truth is None:
         return None
     error = truth_error(dataset, system.truth)
-    return rounded_deviation(error.translation_mm, error.rotation_deg, error.joint_mm, error.joint_deg)
+    numbers = (error.translation_mm, error.rotation_deg, error.joint_mm, error.joint_deg)
+    return finite_deviation("the distance from the truth", *numbers)
 
 
 def table_of(dataset: Dataset, system: LoadedSystem, calibration: Calibration | None) -> Table | None:

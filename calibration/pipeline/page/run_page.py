@@ -22,20 +22,23 @@ from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
 from calibration.pipeline.page.label_residuals import label_residuals
 from calibration.pipeline.page.projection import projection_figures
+from calibration.pipeline.result_messages import failures, failures_of_cells, undecided_limits, verdict_sentence
 from calibration.pipeline.result_tables import (
     cameras_table,
     changes_table,
     collections_table,
     grid,
+    hangs_on_table,
     parameters_table,
     precision_table,
+    recordings_table,
     transforms_table,
     truth_table,
     updates_table,
 )
 from calibration.pipeline.results import Results
 from calibration.pipeline.system import System
-from calibration.report import Report
+from calibration.report import VERDICTS, Report, Verdict
 
 if TYPE_CHECKING:
     from calibration.baseline.history import History
@@ -67,35 +70,66 @@ def report_page(
     """
     shown = {system: cell for system in results.systems if (cell := _shown(results, system)) is not None}
     systems = {system.name: system for system in matrix.systems} if matrix else {}
-    sections = _sections_within_limit(
-        shown, lambda name, cell: _system(name, cell, output, systems.get(name), accepted, (given or {}).get(name))
-    )
-    links = [element("li", element("a", system, href=f"#{_anchor(system)}")) for system in sections]
+    several = len(shown) > 1
+    verdicts = {name: _of_system(results, name).verdict for name in shown}
+
+    def section_of(name: str) -> Html:
+        own = _of_system(results, name)
+        own_head = _verdict_of_system(own) if several else Html("")
+        if len(own.cells) > 1:
+            own_head = join([own_head, element("p", f"Shown: {shown[name].name}", class_="soft")])
+        return _system(name, shown[name], own_head, output, systems.get(name), accepted, (given or {}).get(name))
+
+    sections = _sections_within_limit(verdicts, section_of)
+    in_sections = {*failures_of_cells(results, sections), *undecided_limits(results, sections)} if several else set()
+    links = [
+        element("li", element("a", name, href=f"#{_anchor(name)}"), *_unless_passed(verdicts[name]))
+        for name in sections
+    ]
     left_out = len(shown) - len(sections)
-    tables = (grid, truth_table, precision_table, updates_table, collections_table)
+    tables = (recordings_table, grid, truth_table, precision_table, updates_table, collections_table)
+    title = "Calibration" if several or not shown else f"Calibration of {next(iter(shown))}"
     head = [
-        element("h1", "Calibration"),
+        element("h1", title),
         verdict_line(report.verdict, report.sentence),
-        bullets(report.reasons),
-        element("nav", element("ul", *links), aria_label="Systems") if len(links) > 1 else Html(""),
+        element("p", report.about, class_="soft") if report.about else Html(""),
+        bullets(tuple(reason for reason in report.all_reasons if reason not in in_sections)),
+        element("nav", element("ul", *links), aria_label="Systems") if several else Html(""),
         element("p", _reason_of_left_out(left_out, len(shown)), class_="soft") if left_out else Html(""),
         *(table(each.columns, each.rows) for each in (make(results) for make in tables)),
     ]
-    return page(f"Calibration: {report.verdict}", [join(head), *sections.values()])
+    return page(f"{title}: {report.verdict}", [join(head), *sections.values()])
 
 
-def _sections_within_limit(
-    shown: Mapping[str, CellResult], section_of: Callable[[str, CellResult], Html]
-) -> dict[str, Html]:
+def _sections_within_limit(verdicts: Mapping[str, Verdict], section_of: Callable[[str], Html]) -> dict[str, Html]:
     """Return the sections of as many systems as the page takes, in their order; those that failed come first in it."""
     made: dict[str, Html] = {}
     characters = 0
-    for name in sorted(shown, key=lambda name: ("fail", "undecided", "pass").index(shown[name].verdict)):
-        made[name] = section_of(name, shown[name])
+    for name in sorted(verdicts, key=lambda name: -VERDICTS.index(verdicts[name])):
+        made[name] = section_of(name)
         characters += len(made[name])
         if characters > MAX_SECTION_CHARACTERS:
             break
-    return {name: made[name] for name in shown if name in made}
+    return {name: made[name] for name in verdicts if name in made}
+
+
+def _of_system(results: Results, name: str) -> Results:
+    """Return the cells of a system."""
+    cells, comparisons = (
+        tuple(cell for cell in all_of if cell.system == name) for all_of in (results.cells, results.comparisons)
+    )
+    return Results(cells, comparisons)
+
+
+def _verdict_of_system(results: Results) -> Html:
+    """Return the verdict of a system, and the reasons of its cells."""
+    reasons = (*failures(results), *undecided_limits(results, results.systems))
+    return join([verdict_line(results.verdict, verdict_sentence(results)), bullets(reasons)])
+
+
+def _unless_passed(verdict: Verdict) -> tuple[str, ...]:
+    """Return a mark of a verdict that is not pass."""
+    return () if verdict == "pass" else (" ", element("strong", verdict, class_=verdict))
 
 
 def _reason_of_left_out(left_out: int, systems: int) -> str:
@@ -106,9 +140,9 @@ def _reason_of_left_out(left_out: int, systems: int) -> str:
 
 
 def _shown(results: Results, system: str) -> CellResult | None:
-    """Return the cell of our engine that is shown for a system: the first that passed, else the first."""
+    """Return the cell of our engine that is shown for a system: the first with the best verdict, best if converged."""
     cells = [cell for cell in (*results.cells, *results.comparisons) if cell.system == system and cell.details]
-    return next((cell for cell in cells if cell.passes), next(iter(cells), None))
+    return min(cells, key=lambda cell: (VERDICTS.index(cell.verdict), not cell.converged), default=None)
 
 
 def _anchor(system: str) -> str:
@@ -118,20 +152,27 @@ def _anchor(system: str) -> str:
 def _system(
     name: str,
     cell: CellResult,
+    head: Html,
     output: Path,
     system: System | None,
     accepted: "History | None",
     given: Dataset | None,
 ) -> Html:
-    """Return the sections of one system, by one of its cells."""
-    tables = (transforms_table, cameras_table, parameters_table, changes_table)
-    notes = tuple(finding.text for finding in cell.findings if finding.severity not in ("red", "undecided"))
+    """Return the sections of one system, by one of its cells, below its verdict and reasons."""
+    tables = (transforms_table, cameras_table, hangs_on_table, parameters_table, changes_table)
+    of_cell = Results((cell,))
+    notes = tuple(each.text for each in cell.uncontradicted_findings if each.severity in ("warning", "note"))
     content = [
-        verdict_line(cell.verdict, cell.name),
-        bullets(cell.reasons),
-        bullets(tuple(f"undecided: {reason}" for reason in cell.undecided)),
-        *(table(each.columns, each.rows) for each in (make(Results((cell,))) for make in tables)),
-        join([element("h3", "What speaks for it, and what to look at"), bullets(notes)]) if notes else Html(""),
+        head,
+        *(table(each.columns, each.rows) for each in (make(of_cell) for make in tables)),
+        join(
+            [
+                element("h3", "To look at" if cell.verdict == "fail" else "What speaks for it, and what to look at"),
+                bullets(notes),
+            ]
+        )
+        if notes
+        else Html(""),
     ]
     try:
         calibrated_from = system.dataset if system else None

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from pathlib import Path
 
 from calibration.pipeline.judging import judge_results
 from calibration.pipeline.matrix.cell_result import CellResult
@@ -22,6 +23,8 @@ def calibrate_stage(run: Run) -> Run:
         InputError: a dataset, an evaluation, a truth or the baseline is wrong.
         InfrastructureError: a file cannot be written, a process died, or there is no engine.
     """
+    from calibration.pipeline.commit_of_run import commit_of_run  # brings git
+
     matrix, update = run.matrix, None
     if run.baseline is not None:
         from calibration.pipeline.matrix_baselines import with_accepted  # brings git
@@ -33,7 +36,8 @@ def calibrate_stage(run: Run) -> Run:
             advance(count, total, _line(cell), important=not cell.passes)
 
         found = run_matrix(matrix, run.output, run.jobs, run.fail_fast, done, run.target)
-    results = replace(run.results, cells=found.cells, comparisons=found.comparisons, baseline=update)
+    commit = commit_of_run(run.config.parent if run.config else Path(), os.environ)
+    results = replace(run.results, cells=found.cells, comparisons=found.comparisons, baseline=update, commit=commit)
     return replace(run, results=results, given=found.datasets)
 
 

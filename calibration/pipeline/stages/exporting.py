@@ -69,6 +69,7 @@ def _exported(system: System, exports: Exports, cells: Sequence[CellResult], out
         files[CALIBRATION] = text_of(document).encode()
     for name, content in files.items():
         write_atomically(output / folder / name, content)
+    notes += [f"undecided: {line}" for line in dict.fromkeys(line for cell in cells for line in cell.undecided)]
     return Exported(system=system.name, folder=folder, files=tuple(sorted(files)), notes=tuple(notes))
 
 

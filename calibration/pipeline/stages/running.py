@@ -136,7 +136,8 @@ def _run_stages(run: Run, stages: Collection[str]) -> Results:
             write_results(run.results, run.output, why)
         raise
     outputs = {**found.outputs, "report": run.output / PAGE_FILE}
-    publish(replace(found, places=_places(found.reasons, run), files=files, outputs=outputs), run.runner, run.output)
+    places = _places(found.all_reasons, run)
+    publish(replace(found, places=places, files=files, outputs=outputs), run.runner, run.output)
     return run.results
 
 
@@ -152,7 +153,12 @@ def _places(reasons: Sequence[str], run: Run) -> dict[str, tuple[Path, int]]:
     found = {}
     for reason in reasons:
         names = (system for system in run.matrix.systems if reason.startswith((f"{system.name},", f"{system.name}:")))
-        if (system := next(names, None)) is None:
+        system = next(names, None)
+        if len(run.results.cells) == 1:  # its reasons have no name in front
+            [cell] = run.results.cells
+            own = reason.removeprefix("undecided: ") in cell.all_reasons
+            system = next((each for each in run.matrix.systems if own and each.name == cell.system), system)
+        if system is None:
             continue
         rules = system.rules.rules if system.rules else ()
         column = next((rule.column for rule in rules if f"{rule.column}, " in reason), None)

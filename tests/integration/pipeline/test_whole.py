@@ -112,7 +112,7 @@ def test_from_a_specification_to_a_promoted_image(run: Run, registry: Registry) 
     assert document["image"]["built"]
     assert document["image"]["promoted"] == []
     assert digest(registry, "stable") is None
-    assert "Our engine passes on the same data" in log
+    assert "our engine passes on the same data" in log
 
     code, document, log = run()
     assert code == 0, log

@@ -25,7 +25,7 @@ from calibration.evaluation.specification import parse_evaluation
 from calibration.geometry.rotations import from_rpy, to_rpy
 from calibration.geometry.transforms import retract, translation
 from calibration.pipeline.matrix.cell import Cell, Comparison
-from calibration.pipeline.matrix.cell_details import described
+from calibration.pipeline.matrix.cell_details import described, finite_deviation
 from calibration.pipeline.matrix.cell_result import CellResult, Details, Parameter
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
@@ -60,6 +60,12 @@ def test_joints_are_reported_with_their_sigmas() -> None:
     values = np.concatenate([joint.values for joint in calibration.joints.values()])
     assert [each.value for each in found] == values.tolist()
     assert all(0 < each.sigma < 1 for each in found)
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_a_deviation_that_is_no_number_is_bad_input(number: float) -> None:
+    with pytest.raises(InputError, match="the distance from the truth: found a number that is not finite"):
+        finite_deviation("the distance from the truth", 1.0, 1.0, None, number)
 
 
 def test_a_cell_reports_the_largest_standard_deviations(tmp_path: Path) -> None:
