@@ -22,6 +22,7 @@ GROSS: Mapping[str, tuple[float, str]] = {
     "radial distortion": (0.01, "camera"),
     "size": (0.01, "board"),
     "lengths": (0.01, "arm"),
+    "encoder gain": (0.02, "arm"),
 }
 """Deviation (relative, px; of distortion, of the distance from the image's centre) that is a failure regardless of its
 effect: more than a good one of this kind errs, so that it belongs to another one."""

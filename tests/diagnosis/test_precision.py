@@ -21,7 +21,7 @@ def test_a_limit_below_the_guard_band_is_undecided_with_a_remedy() -> None:
     assert precision(exact, Limits(translation_mm=between, guard_band=1)) == ()
     assert precision(exact, Limits(translation_mm=3 * exact.sigma_mm(edge))) == ()
     [wider] = precision(assumed, Limits(translation_mm=3 * exact.sigma_mm(edge)))
-    assert "state it under 'assume'" in wider.text
+    assert "times as well (calibrate it with more views" in wider.text
     assert precision(exact, Limits()) == ()
 
 
