@@ -19,7 +19,7 @@ The modules of the engine, in the order of the computation:
 - ``label_columns``, ``held``, ``linear_model``: fixed parameters that may be wrong, with the derivatives of the labels
   with respect to them;
 - ``assumptions``, ``repeated``, ``error_bars``: assumed errors of fixed parameters, independent collections, and the
-  total covariance of the result;
+  total covariance of the result; ``nominal``: that of a good robot with the same views;
 - ``suspects``, ``significance``: fixed parameters that do not fit the labels;
 - ``lens_choice``, ``chosen_lenses``: the lens models of cameras without intrinsics; ``projection``: how sure the
   projection of calibrated ones is, over the image;

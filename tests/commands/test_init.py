@@ -145,7 +145,14 @@ def test_from_photographs_of_a_real_arm_to_a_verdict(
     (repository / "import.yml").write_text(json.dumps(description))
     import_data(repository / "import.yml", repository / "given", jobs=1)
     assert main(["init", "--dataset", "given"]) == 1
-    assert "image scale does not fit" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "given: fails: " in said
+    assert "image scale does not fit" in said
+    assert "calibration.yml: not written" in said
+    assert not Path("calibration.yml").exists()
+    assert main(["init", "--dataset", "given", "--although"]) == 1
+    assert "# This recording does not pass" in Path("calibration.yml").read_text()
+    assert main(["run", "--jobs", "1"]) == 1
     del camera["intrinsics"]
     (repository / "import.yml").write_text(json.dumps(description))
     import_data(repository / "import.yml", repository / "free", jobs=1)
