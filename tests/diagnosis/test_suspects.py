@@ -148,24 +148,39 @@ def test_one_side_that_is_stretched_is_one_cause() -> None:
     assert suspect.value[0] == pytest.approx(-0.0099, abs=0.001)
 
 
-def test_a_sensor_that_has_moved_is_named_with_the_collection() -> None:
+def knocked(since: int, twist: tuple[float, ...]) -> Dataset:
+    """An arm before a camera whose own frame is shifted and turned from a collection on."""
     dataset = eye_to_hand()
     (sensor,) = dataset.sensors.values()
     camera, pattern = sensor.camera, next(iter(dataset.patterns.values()))
     assert camera is not None
     collections = list(dataset.collections)
     T = dataset.transform(sensor.frame, pattern.link)
-    for i in range(12, 24):  # knocked: the camera's own frame turns and shifts
-        after = np.linalg.inv(retract(np.eye(4), np.array([0.01, 0.0, 0.005, 0.0, 0.01, 0.0]))) @ T[i]
+    for i in range(since, 24):
+        after = np.linalg.inv(retract(np.eye(4), np.array(twist))) @ T[i]
         labels = {
             key: CornerLabels(label.ids, camera.project(pattern.corners[label.ids] @ after[:3, :3].T + after[:3, 3]))
             for key, label in collections[i].labels.items()
             if isinstance(label, CornerLabels)
         }
         collections[i] = replace(collections[i], labels=labels)
-    [red, *_] = [f for f in findings(replace(dataset, collections=tuple(collections))) if f.severity == "red"]
+    return replace(dataset, collections=tuple(collections))
+
+
+def test_a_sensor_that_has_moved_is_named_with_the_collection() -> None:
+    dataset = knocked(12, (0.01, 0.0, 0.005, 0.0, 0.01, 0.0))
+    [red, *_] = [f for f in findings(dataset) if f.severity == "red"]
     assert "has moved from collection" in red.text
     assert dataset.keys[12] in red.collections
+
+
+def test_what_has_moved_late_is_as_far_off_as_it_stands_now() -> None:
+    """The result is near to where it was; the robot as it is now is 5 mm from there."""
+    limits = Limits(translation_mm=3, rotation_deg=1)
+    red = next(each for each in findings(knocked(20, (0.005, 0, 0, 0, 0, 0)), limits) if each.kind == "suspect")
+    assert red.severity == "red"
+    assert red.moves_mm == pytest.approx(4.5, abs=0.8)
+    assert "from where it is now (limit 3 mm, 1 deg)" in red.text
 
 
 def test_too_few_collections_are_reported_as_untested() -> None:
