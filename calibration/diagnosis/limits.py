@@ -16,8 +16,10 @@ UNSET = 3.0
 """Default limit, in standard deviations of a good robot of this kind (`calibration.estimation.nominal`),"""
 SMALLEST = (1.0, 0.05)
 """but at least this, mm and degrees,"""
-LARGEST = (10.0, 0.5)
+LARGEST = (6.0, 0.5)
 """and at most this: mm for each metre between sensor and pattern (and for less than one), and degrees."""
+LARGEST_OF_POSES = 10.0
+"""The same of measured poses, mm for each metre: those of a pattern by a camera of its own are no better."""
 LARGEST_WITH_LENS = 2.0
 """Degrees at most where the camera's intrinsics are calibrated too: its principal point is as good as a rotation."""
 UNITS = ("m", "rad")
@@ -110,7 +112,11 @@ def allowed(calibration: Calibration, limits: Limits, name: str) -> Allowed:
     if calibration.error_bars and (C := calibration.solution.nominal.get(block)) is not None:
         sigma = sizes(np.sqrt(np.diagonal(C)), joint.units if joint else TWIST)
     far = 1.0 if joint else max(1.0, _distance(calibration, name))
-    most = (LARGEST[0] * far, LARGEST_WITH_LENS if name in calibration.intrinsics else LARGEST[1])
+    poses = not joint and dataset.sensors[name].modality.has_poses
+    most = (
+        (LARGEST_OF_POSES if poses else LARGEST[0]) * far,
+        LARGEST_WITH_LENS if name in calibration.intrinsics else LARGEST[1],
+    )
     mm, degrees = (
         float(min(max(least, UNSET * one), greatest))
         for one, least, greatest in zip(sigma, SMALLEST, most, strict=True)
