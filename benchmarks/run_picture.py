@@ -17,7 +17,7 @@ PICTURE = ROOT / "docs" / "run.svg"
 SIZE, ADVANCE, LINE, MARGIN = 15, 9, 22, 20
 """Pixels: the height of the font, the width of a character, from line to line, around all."""
 CLASSES = (
-    ("head", r"\$ |Start |Against |How sure |Calibrated |Collected |Notes"),
+    ("head", r"\$ |Start |Against |How sure |Calibrated |What the result |Camera |Collected |Notes"),
     ("pass", "pass:"),
     ("fail", "fail:|.* FAIL"),
 )

@@ -15,6 +15,7 @@ SIDE_BY_SIDE = 3
 """Limit of the systems side by side in a log."""
 PARAMETERS_SHOWN = 200
 TRANSFORMS_SHOWN = 30
+CAUSES_SHOWN = 3
 
 
 def cells_table(results: Results) -> Table:
@@ -177,13 +178,13 @@ def transforms_table(results: Results) -> Table:
 
 
 def hangs_on_table(results: Results) -> Table:
-    """Return a row for each fixed parameter whose usual uncertainty makes most of the error bars of a best cell."""
+    """Return a row for each system: the fixed parameters whose usual uncertainty makes most of the error bars."""
     rows = [
-        (f"{system}: {each.cause}", f"{each.mm:.2g} mm")
+        (system, ", ".join(f"{each.cause} {each.mm:.2g} mm" for each in found.hangs_on[:CAUSES_SHOWN]))
         for system, found in _details(results).items()
-        for each in found.hangs_on
+        if found.hangs_on
     ]
-    return Table(("What the result hangs on", "Its usual uncertainty is worth"), tuple(rows), TRANSFORMS_SHOWN)
+    return Table(("What the result hangs on", "What the usual uncertainty of each is worth"), tuple(rows))
 
 
 def recordings_table(results: Results) -> Table:
@@ -304,4 +305,5 @@ def _details(results: Results, converged: bool = True) -> dict[str, Details]:
     """Return the details of each system's best cell, the first with the best verdict, by default of the converged."""
     cells = [cell for cell in (*results.cells, *results.comparisons) if cell.details and cell.converged >= converged]
     best_first = sorted(cells, key=lambda cell: VERDICTS.index(cell.verdict))
-    return {cell.system: cell.details for cell in reversed(best_first) if cell.details}
+    found = {cell.system: cell.details for cell in reversed(best_first) if cell.details}
+    return {system: found[system] for system in results.systems if system in found}
