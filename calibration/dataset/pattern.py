@@ -48,6 +48,11 @@ class Pattern:
         return float(np.sqrt(((self.corners - self.centre) ** 2).sum(-1).mean()))
 
     @cached_property
+    def columns(self) -> int:
+        """Number of corners in a row."""
+        return int((abs(self.corners[:, 1] - self.corners[0, 1]) < 1e-9).sum())
+
+    @cached_property
     def neighbours(self) -> tuple[IntArray, IntArray]:
         """Pairs of corners, each pair once, that are as near to each other as any two (5 % more at most): their ids."""
         apart = np.linalg.norm(self.corners[:, None] - self.corners, axis=-1)

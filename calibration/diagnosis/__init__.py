@@ -4,8 +4,9 @@
 - ``check_data`` and what it calls (``copies``, ``units``, ``board_order``): data that are refused without a solution;
 - ``what_does_not_fit``: suspects (`calibration.estimation.suspects`) as findings; ``too_few``: too few views;
 - ``projection``: calibrated intrinsics, by what they are worth in the image;
-- ``precision``, ``description``, ``exchanged_labels``, ``mirrored``, ``wrong_views``, ``rejected_labels``,
-  ``repeated``, ``residuals``: one check each;
+- ``precision``, ``description``, ``turned_boards``, ``wrong_views``, ``rejected_labels``, ``repeated``, ``residuals``:
+  one check each;
+- ``conventions``: other conventions by which a recording would fit, where it does not as it was read;
 - ``diagnose``: all of them, in the order of the report;
 - ``same_labels``, ``against_optimum``, ``table_follows``: checks of the output of other software.
 """

@@ -38,7 +38,7 @@ def check_board_order(dataset: Dataset) -> None:
             are mirrored for some cameras, and not for others; if they are for all, it is harmless.
     """
     for name, pattern in dataset.patterns.items():
-        columns = int((abs(pattern.corners[:, 1] - pattern.corners[0, 1]) < 1e-9).sum())
+        columns = pattern.columns
         count = len(pattern.corners)
         if count % columns or columns == count:
             continue

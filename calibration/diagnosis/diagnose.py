@@ -2,11 +2,10 @@
 
 from calibration.dataset.model import Dataset
 from calibration.diagnosis.camera_info import camera_info
+from calibration.diagnosis.conventions.trying import conventions, doubts
 from calibration.diagnosis.description import FAR_AWAY, far_from_description
-from calibration.diagnosis.exchanged_labels import exchanged_labels
-from calibration.diagnosis.finding import CONTRADICTION, Finding
-from calibration.diagnosis.limits import Limits, allowed, stated
-from calibration.diagnosis.mirrored import mirrored
+from calibration.diagnosis.finding import Finding
+from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.missing_files import missing_files
 from calibration.diagnosis.precision import precision
 from calibration.diagnosis.projection import of_cameras_alone, projection
@@ -14,13 +13,12 @@ from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.diagnosis.repeated import repeated
 from calibration.diagnosis.residuals import residuals
 from calibration.diagnosis.too_few import too_few
+from calibration.diagnosis.turned_boards import turned_boards
 from calibration.diagnosis.what_does_not_fit import NOTHING, UNTESTED, what_does_not_fit
 from calibration.diagnosis.wrong_views import wrong_views
 from calibration.estimation.options import Options
 from calibration.estimation.result import Calibration
 
-HOPELESS = 2.0
-"""Standard deviation, in default limits, from which on mirrored data are tried, which takes a calibration each."""
 UNEXPLAINED = (NOTHING, UNTESTED)
 """Findings on a calibration without suspects."""
 
@@ -37,24 +35,29 @@ def diagnose(
         limits: limits of its errors.
         truth_known: whether it is also compared with ground truth, which measures its error.
     """
+    found = _as_it_is(calibration, description, options, limits, truth_known)
+    if doubts(calibration, found) and (named := conventions(calibration, description, options)):
+        return (*missing_files(calibration.dataset), *named)  # all else is its consequence
+    return found
+
+
+def _as_it_is(
+    calibration: Calibration, description: Dataset, options: Options, limits: Limits, truth_known: bool
+) -> tuple[Finding, ...]:
+    """Run all checks of a calibration of the recording as it was read."""
     if not calibration.converged:
         return (
             *missing_files(calibration.dataset),
             *wrong_views(calibration),
-            *exchanged_labels(calibration, description, options),
-            *mirrored(calibration, description, options),
             *_said_by_the_engine(calibration),
         )
     far, rejected = far_from_description(calibration, description, options), rejected_labels(calibration)
-    useless = any(each.severity == "red" for each in rejected) and not far
     explained = any(each.kind != FAR_AWAY for each in far)  # a single cause is reported instead of its consequences
     suspected = what_does_not_fit(calibration, limits)
-    hopeless = useless or far or _is_hopeless(calibration, suspected)
-    flipped = mirrored(calibration, description, options) if hopeless and not explained else ()
     return (
         *missing_files(calibration.dataset),
         *_not_determined(calibration),
-        *flipped,
+        *turned_boards(calibration),
         *(far if explained else ()),
         *(each for each in suspected if each.severity == "red"),
         *wrong_views(calibration),
@@ -63,7 +66,6 @@ def diagnose(
         *(() if truth_known else (*too_few(calibration), *precision(calibration, limits, suspected))),
         *projection(calibration, limits),
         *(() if explained else far),
-        *(exchanged_labels(calibration, description, options) if useless else ()),
         *rejected,
         *repeated(calibration),
         *camera_info(calibration),
@@ -76,16 +78,6 @@ def _of_residuals(calibration: Calibration, limits: Limits, suspected: tuple[Fin
     if calibration.of_cameras_alone:
         return of_cameras_alone(calibration, limits, residuals(calibration))
     return residuals(calibration) if all(each.kind in UNEXPLAINED for each in suspected) else ()
-
-
-def _is_hopeless(calibration: Calibration, suspected: tuple[Finding, ...]) -> bool:
-    """Whether views contradict each other so much that a sensor is uncertain by far more than a good one."""
-    names = {name for each in suspected if each.kind == CONTRADICTION for name in each.sensors}
-    known = {name: sigmas for name, sigmas in stated(calibration).items() if name in names}
-    return any(
-        allowed(calibration, Limits(), name).exceeded(mm / HOPELESS, degrees / HOPELESS)
-        for name, (mm, degrees) in known.items()
-    )
 
 
 def _not_determined(calibration: Calibration) -> tuple[Finding, ...]:

@@ -4,7 +4,7 @@ from typing import Literal
 
 from calibration.records import field, result
 
-SUSPECT, CONTRADICTION = "suspect", "contradiction"
+SUSPECT, CONTRADICTION, CONVENTION = "suspect", "contradiction", "convention"
 """Kinds of findings that say that something is wrong, by themselves or with others."""
 Severity = Literal["red", "undecided", "warning", "note"]
 

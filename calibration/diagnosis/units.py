@@ -20,6 +20,8 @@ LARGEST_SQUARE = 1.0
 """m: limit of the squares of a pattern, and of the border around it."""
 FARTHEST_POINT = 200.0
 """m: limit of the range of labelled points."""
+FARTHEST_MEASURED = 50.0
+"""m: limit of the distance of a pattern whose poses are measured."""
 TOO_FAR, MOVES_TOO_FAR = 10.0, 5.0
 """Two sensors, or two poses of one, that see the same board are at most the sum of their distances to it apart.
 Transforms that separate sensors, or the poses of one, by more than this multiple are in other units; relative poses
@@ -44,6 +46,7 @@ def check_units(dataset: Dataset) -> None:
     for name, pattern in dataset.patterns.items():
         _check_pattern(dataset, name, pattern)
     _check_points(dataset)
+    _check_measured_poses(dataset)
     for name, joint in dataset.joints.items():
         _check_joint(dataset, name, joint)
     _check_transforms(dataset)
@@ -84,6 +87,21 @@ def _check_points(dataset: Dataset) -> None:
             raise InputError(
                 f"{dataset.path}: sensor '{sensor}': found the pattern {far:g} m away, expected {FARTHEST_POINT:g} m "
                 f"at most; this looks like millimetres: {far / MM:g} m"
+            )
+
+
+def _check_measured_poses(dataset: Dataset) -> None:
+    for sensor in dataset.sensors:
+        distances = [
+            float(np.linalg.norm(label.T[:3, 3]))
+            for collection in dataset.collections
+            for (_, name), label in collection.labels.items()
+            if name == sensor and isinstance(label, PoseLabels)
+        ]
+        if distances and (far := median(np.array(distances))) > FARTHEST_MEASURED:
+            raise InputError(
+                f"{dataset.path}: sensor '{sensor}': found measured poses of the pattern {far:g} m away, expected "
+                f"{FARTHEST_MEASURED:g} m at most; this looks like millimetres: {far / MM:g} m"
             )
 
 

@@ -22,6 +22,7 @@ from calibration.estimation.options import Options as Options
 from calibration.estimation.result import Calibration, DroppedView
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.estimation.suspects import explains_all
+from calibration.estimation.turned_boards import with_boards_turned_back
 from calibration.estimation.wrong_views import without, wrong_views
 from calibration.frozen import frozen
 from calibration.latest import Latest
@@ -59,7 +60,8 @@ class Calibrator:
             dataset: the labels, and transforms that serve as the initial guess. It is not changed.
             options: options of all its calibrations.
         """
-        self._dataset, self._options = dataset, options
+        self._dataset, self._turned = with_boards_turned_back(dataset)
+        self._options = options
         self._of_all_views: Latest[LinearStart, Calibration | _Rest] = Latest(LinearStart.equals)
         self._of_the_rest: Latest[LinearStart, Calibration] = Latest(LinearStart.equals)
         self._of_solved_setup: Latest[Setup, Guesses] = Latest(is_)
@@ -74,7 +76,8 @@ class Calibrator:
         dataset = self._dataset
         with solvable(dataset.path):
             try:
-                return self._what_is_determined(noise)
+                found = self._what_is_determined(noise)
+                return replace(found, turned_views=self._turned) if self._turned else found
             except UndeterminedError as error:
                 if not dataset.missing_files:
                     raise

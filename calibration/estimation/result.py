@@ -161,6 +161,9 @@ class Calibration:
     """Cameras with free intrinsics, by name."""
     dropped_views: tuple[DroppedView, ...] = ()
     """Rejected views that contradict the majority of the others, which alone determine the result."""
+    turned_views: tuple[tuple[str, str, str], ...] = ()
+    """Views (pattern, sensor, collection) of a chessboard that were numbered from its other end; they are turned back
+    in `dataset`."""
     not_determined: str = ""
     """Reason why only the relative poses of the sensors are calibrated, not their poses on the robot; empty
     otherwise."""

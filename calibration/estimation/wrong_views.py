@@ -138,10 +138,10 @@ def _fits(problem: Problem, group: ViewGroup, values: Values) -> bool:
     def below(limit: float) -> bool:
         return bool((np.count_nonzero(magnitudes <= limit, axis=-1) > middle).all())
 
-    return below(NOTICEABLE[term.kind]) or below(ABOVE_NOISE * _noise(group))
+    return below(NOTICEABLE[term.kind]) or below(ABOVE_NOISE * noise_in_own_fits(group))
 
 
-def _noise(group: ViewGroup) -> float:
+def noise_in_own_fits(group: ViewGroup) -> float:
     """Return the median over the views of the labels' residuals from their own view's fit, px or m."""
     term = group.terms[0]
     if isinstance(term, CornerTerm):
@@ -153,7 +153,7 @@ def _noise(group: ViewGroup) -> float:
     return 0.0
 
 
-def _medians(problem: Problem, group: ViewGroup, values: Values) -> Array:
+def median_residuals(problem: Problem, group: ViewGroup, values: Values) -> Array:
     """Return the median residual (V,) of each view's labels, px or m."""
     term, *_ = problem.terms(group, values)
     return _middle(term.magnitudes(problem.poses(group, values)), term.counts)
@@ -288,7 +288,7 @@ class _Consensus:
         self._noise = {g.terms[0].kind: 0.1 * NOTICEABLE[g.terms[0].kind] for g in self.problem.groups}
         for group in self.problem.groups:
             kind = group.terms[0].kind
-            self._noise[kind] = max(self._noise[kind], _noise(group))
+            self._noise[kind] = max(self._noise[kind], noise_in_own_fits(group))
 
     def majority(self, draw: int) -> Values | None:
         """Return the values on which a bare majority agrees best; None if no collections determine any."""
@@ -336,7 +336,7 @@ class _Consensus:
         """Return the median residual (G, N) of each group's labels, px or m; 0 without a view."""
         out = np.zeros((len(self.problem.groups), self.problem.collections))
         for miss, group in zip(out, self.problem.groups, strict=True):
-            miss[group.collections] = _medians(self.problem, group, values)
+            miss[group.collections] = median_residuals(self.problem, group, values)
         return out
 
     def _in_noise(self, values: Values) -> Array:

@@ -13,7 +13,7 @@ import yaml
 
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
-from calibration.diagnosis.finding import SUSPECT
+from calibration.diagnosis.finding import CONVENTION, SUSPECT
 from calibration.diagnosis.limits import SMALLEST, UNSET, Limits, allowed, stated
 from calibration.diagnosis.projection import projection_limit
 from calibration.errors import InputError
@@ -85,12 +85,14 @@ def first_configuration(path: Path, root: Path) -> FirstConfiguration:
     options = replace(options, lens={name: each.chosen.name for name, each in lenses.items()})
     system = System(dataset.name, path, evaluate=evaluate, options=options)
     first, calibration = _calibrated(system)
+    named = any(each.kind == CONVENTION for each in first.findings)
     if calibration is None or first.error is not None or not first.converged:
         why = "; ".join(first.reasons) or "no optimum was found"
-        raise InputError(f"{path}: cannot be calibrated: {why}{_other_mounting(dataset)}")
+        raise InputError(f"{path}: cannot be calibrated: {why}{'' if named else _other_mounting(dataset)}")
     limits, comments = _limits(calibration) if first.sigma else _limits_of_cameras(dataset)
     judged, _ = _calibrated(replace(system, limits=limits))
-    reasons = (*first.reasons, *_noisy(calibration), *_moving(calibration, first)) or judged.reasons
+    found_here = () if named else (*_noisy(calibration), *_moving(calibration, first))
+    reasons = (*first.reasons, *found_here) or judged.reasons
     lines = [
         *(_comment(f"{ALTHOUGH} {each}") for each in reasons),
         "",

@@ -46,6 +46,8 @@ def _rules(found: RuleSet | tuple[RuleEntry, ...], place: Place) -> RuleSet:
 
 Undecided = Literal["fail", "pass"]
 Datasets = Literal["full", "changes", "none"]
+Copies = Literal["leave-out", "refuse"]
+"""What happens to collections that are exact copies of others."""
 Truth = Annotated[str, Converted(Text, _truth)]
 """A path, "dataset" or "none"."""
 
@@ -119,6 +121,12 @@ class System:
         option=False,
     )
     exports: Exports | None = field("Exports if it passes: formats, robot-description.", default=None, option=False)
+    copies: Copies = field(
+        "Collections whose labels are those of another one, to the last digit: leave-out, with a warning that names "
+        "them; refuse, for a recording that must have none.",
+        default="leave-out",
+        option="Collections that are exact copies: leave-out or refuse (leave-out).",
+    )
     datasets: Datasets = field(
         "What a cell keeps of its calibrated dataset: full, ATOM's form, which any tool reads; changes, only what was "
         "calibrated, beside a reference to the dataset, for the commands here; none, which leaves the results, and no "

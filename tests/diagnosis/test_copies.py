@@ -8,7 +8,7 @@ import pytest
 
 from calibration.dataset.model import Collection, Dataset
 from calibration.dataset.reading import read_dataset
-from calibration.diagnosis.copies import check_copies
+from calibration.diagnosis.copies import check_copies, without_copies
 from calibration.errors import InputError
 from tests.estimation.systems import eye_in_hand, hand_and_world
 
@@ -49,6 +49,26 @@ def test_a_copied_collection_is_named(shared_data: Path) -> None:
     assert "the same labels, to the last digit: 022 = 003; expected" in refusal(repeated(recorded, 1, 3))
     assert ": 022 = 003, 023 = 003, 024 = 003, " in refusal(repeated(recorded, 20, 3))
     assert "and 12 more" in refusal(repeated(recorded, 20, 3))
+
+
+def test_copies_are_left_out_and_named(shared_data: Path) -> None:
+    recorded = read_dataset(shared_data / "t2rgb-paper")
+    assert without_copies(recorded) == (recorded, ())
+    left, [warning] = without_copies(repeated(repeated(recorded, 1, 0), 2, 5))
+    assert left.keys == recorded.keys
+    assert (warning.severity, warning.collections) == ("warning", ("022", "023", "024"))
+    assert "3 of 25 collections" in warning.text
+    assert "022 = 000, 023 = 005, 024 = 005" in warning.text
+    check_copies(left)
+
+
+def test_a_copied_view_is_left_out_of_the_later_collection() -> None:
+    dataset = hand_and_world(pixel_noise=0.1).dataset()
+    left, [warning] = without_copies(with_view_of(dataset, 2, 5, "cam"))
+    assert (warning.sensors, warning.collections) == (("cam",), ("005",))
+    assert ("board", "cam") in left.collections[2].labels
+    assert set(left.collections[5].labels) == {("board", "static")}
+    check_copies(left)
 
 
 @pytest.mark.parametrize("name", ["t2rgb", "riwbot"])

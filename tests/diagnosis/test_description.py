@@ -9,8 +9,8 @@ import pytest
 
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
+from calibration.diagnosis.conventions.changed import with_exchanged_labels
 from calibration.diagnosis.description import BY_CHANCE, far_from_description
-from calibration.diagnosis.exchanged_labels import exchanged_labels, with_exchanged
 from calibration.diagnosis.finding import Finding
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.options import Options
@@ -55,7 +55,7 @@ def test_recorded_cameras_with_another_square_than_the_printed_one(shared_data: 
 
 
 def test_recorded_cameras_exchanged(shared_data: Path) -> None:
-    [red] = found(with_exchanged(read_dataset(shared_data / "t2rgb-paper"), "left_camera", "right_camera"))
+    [red] = found(with_exchanged_labels(read_dataset(shared_data / "t2rgb-paper"), "left_camera", "right_camera"))
     assert (red.kind, red.severity, red.sensors) == ("exchanged-sensors", "red", ("left_camera", "right_camera"))
     assert "'right_camera' comes out 0.77 m and 0.02 degrees from where the robot's description puts it" in red.text
 
@@ -68,7 +68,7 @@ def test_recorded_cameras_exchanged(shared_data: Path) -> None:
 def test_two_of_several_sensors_exchanged(scene: Callable[..., Scene], pair: tuple[str, str]) -> None:
     dataset = scene(pixel_noise=0.1).dataset()
     assert found(dataset) == ()
-    [red] = found(with_exchanged(dataset, *pair)) or [None]
+    [red] = found(with_exchanged_labels(dataset, *pair)) or [None]
     assert red is not None
     assert (red.kind, set(red.sensors)) == ("exchanged-sensors", set(pair))
 
@@ -123,11 +123,3 @@ def test_random_errors_of_a_description_are_no_scale() -> None:
         description = moved(dataset, "right", pose(*(0.06 * e / np.linalg.norm(e))))
         kinds += [each.kind for each in far_from_description(calibration, description, Options())]
     assert len(kinds) <= 3 * BY_CHANCE * 150
-
-
-def test_an_exchange_of_cameras_on_different_bodies_is_found_without_a_description() -> None:
-    dataset = hand_and_world(pixel_noise=0.1).dataset()
-    assert exchanged_labels(calibrate(dataset), dataset, Options()) == ()
-    wrong = with_exchanged(dataset, "cam", "static")
-    [red] = exchanged_labels(calibrate(wrong), wrong, Options())
-    assert (red.kind, red.severity, red.sensors) == ("exchanged-sensors", "red", ("cam", "static"))

@@ -247,6 +247,10 @@ class CellResult:
             warnings=(*self.warnings, *texts["warning"]),
         )
 
+    def explained(self, findings: tuple[Finding, ...], *instead: Finding) -> "CellResult":
+        """Return the result with findings that explain its reasons, which only follow from them."""
+        return replace(self, reasons=()).found((*findings, *instead))
+
 
 def nothing_yet(cell: Cell, method: str = OUR_METHOD, start: str | None = None) -> CellResult:
     """Empty result, for a cell that has not run."""

@@ -13,9 +13,11 @@ from calibration.dataset.truth import Truth
 from calibration.dataset.writing import DatasetWriter, bring_payload
 from calibration.diagnosis.against_optimum import OurOptimum, find_optimum
 from calibration.diagnosis.check_data import check_data
+from calibration.diagnosis.conventions.trying import conventions
 from calibration.diagnosis.diagnose import diagnose
 from calibration.diagnosis.finding import Finding
 from calibration.diagnosis.limits import Limits
+from calibration.errors import InputError
 from calibration.estimation.calibrate import Calibrator
 from calibration.estimation.lens_choice import LensChoice
 from calibration.estimation.options import Options
@@ -45,6 +47,8 @@ class LoadedSystem:
     """What is written of its cells' calibrated datasets."""
     accepted: Accepted | None = None
     """Accepted calibration to compare with; None if there is none."""
+    left_out: tuple[Finding, ...] = ()
+    """Warnings of what the dataset is without."""
     lenses: Mapping[str, LensChoice] = dataclass_field(default_factory=dict)
     """Lens models that were chosen by their fit, by camera."""
 
@@ -64,6 +68,15 @@ class LoadedSystem:
     @cached_property
     def _sound(self) -> None:
         check_data(self.dataset)
+
+    @cached_property
+    def conventions(self) -> tuple[Finding, ...]:
+        """Findings on the conventions of a sound dataset that cannot be calibrated."""
+        try:
+            self.check()
+        except InputError:
+            return ()
+        return conventions(None, self.dataset, self.options)
 
     @cached_property
     def writer(self) -> DatasetWriter:

@@ -16,6 +16,8 @@ from calibration.dataset.changes import refuse_changes
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.dataset.truth import choose_truth
+from calibration.diagnosis.copies import without_copies
+from calibration.diagnosis.finding import Finding
 from calibration.errors import InputError
 from calibration.estimation.chosen_lenses import with_chosen_lenses
 from calibration.estimation.starting_noise import StartingNoise
@@ -194,7 +196,10 @@ def load(system: System) -> LoadedSystem:
         InputError: the dataset, the truth, the evaluation, a rule for its table, a comparison method or the
             covariance of intrinsics is wrong; no lens model fits a camera.
     """
-    lenses = with_chosen_lenses(read_dataset(system.dataset), system.options)
+    dataset, copies = read_dataset(system.dataset), tuple[Finding, ...]()
+    if system.copies == "leave-out" and system.software is None:  # which is given the folder with all collections
+        dataset, copies = without_copies(dataset)
+    lenses = with_chosen_lenses(dataset, system.options)
     dataset = lenses.dataset
     truth = choose_truth(dataset, system.truth)
     _check_methods(system)
@@ -219,6 +224,7 @@ def load(system: System) -> LoadedSystem:
         system.limits,
         system.datasets,
         system.accepted,
+        copies,
         lenses.choices,
     )
     if system.datasets == "changes":

@@ -11,8 +11,7 @@ from calibration.baseline.verdict import against_baseline
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import FILE_NAME
 from calibration.diagnosis.diagnose import diagnose
-from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.mirrored import mirrored
+from calibration.diagnosis.finding import CONVENTION, Finding
 from calibration.errors import CalibrationError
 from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.estimation.intrinsics_file import write_intrinsics
@@ -89,16 +88,16 @@ def _calibrated(cell: Cell, system: LoadedSystem) -> Calibration:
 
 
 def _without_calibration(cell: Cell, system: LoadedSystem, error: CalibrationError) -> CellResult:
-    return _failed(nothing_yet(cell), error).found(mirrored(None, system.dataset, system.options))
+    result = _failed(nothing_yet(cell), error).found(system.left_out)
+    named = system.conventions
+    return result.explained(named, Finding("engine", "note", str(error))) if named else result
 
 
 def _diagnosed(cell: Cell, system: LoadedSystem, calibration: Calibration) -> CellResult:
-    return described(nothing_yet(cell), calibration, system.dataset, system.limits).found(
-        (
-            *diagnose(calibration, system.dataset, system.options, system.limits, system.truth is not None),
-            *system.lens_notes,
-        )
-    )
+    result = described(nothing_yet(cell), calibration, system.dataset, system.limits)
+    found = diagnose(calibration, system.dataset, system.options, system.limits, system.truth is not None)
+    result = result.explained(found) if any(each.kind == CONVENTION for each in found) else result.found(found)
+    return result.found((*system.left_out, *system.lens_notes))
 
 
 def _finished(cell: Cell, system: LoadedSystem, calibration: Calibration) -> Evaluated:
@@ -112,7 +111,7 @@ def _finished(cell: Cell, system: LoadedSystem, calibration: Calibration) -> Eva
 
 def _compared(result: CellResult, calibration: Calibration, system: LoadedSystem) -> CellResult:
     """Return the result with its snapshot, and the differences from the accepted calibration."""
-    if not calibration.converged or result.details is None:
+    if not calibration.converged or result.details is None or any(f.kind == CONVENTION for f in result.findings):
         return result
     now = system.snapshots.of(calibration, result.rms_px)
     comparison, findings = against_baseline(system.accepted, now) if system.accepted else (None, ())

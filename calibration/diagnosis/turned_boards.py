@@ -1,0 +1,24 @@
+"""Report of views of a chessboard that were numbered from its other end."""
+
+from calibration.diagnosis.finding import Finding
+from calibration.estimation.result import Calibration
+from calibration.estimation.turned_boards import LOOKS_THE_SAME
+
+NAMED = 8
+"""Number of collections that a message names."""
+
+
+def turned_boards(calibration: Calibration) -> tuple[Finding, ...]:
+    """Report by pattern and sensor the views that were turned back."""
+    findings = []
+    for pattern, sensor in dict.fromkeys((p, s) for p, s, _ in calibration.turned_views):
+        keys = tuple(key for p, s, key in calibration.turned_views if (p, s) == (pattern, sensor))
+        listed = ", ".join(keys[:NAMED]) + (f" and {len(keys) - NAMED} more" if keys[NAMED:] else "")
+        views = len(calibration.dataset.detections(pattern, sensor))
+        text = (
+            f"{sensor}: {len(keys)} of {views} views of '{pattern}' are numbered from its other end ({listed}), and "
+            f"were turned back: {LOOKS_THE_SAME}; take one with an odd and an even number of squares, or a charuco "
+            f"board"
+        )
+        findings.append(Finding("turned-board", "warning", text, (sensor,), keys, value=float(len(keys))))
+    return tuple(findings)
