@@ -1,7 +1,7 @@
 """The usual mistakes, planted in good recordings of others: is each red, and named by the first reason?
 
-``python -m benchmarks.trust.mistakes`` prints every one. A recording is a line in `recordings.RECORDINGS`, a mistake one
-in `usual.MISTAKES`.
+``python -m benchmarks.trust.mistakes`` prints every one. A recording is a line in `recordings.RECORDINGS`, a mistake
+one in `usual.MISTAKES`.
 """
 
 from collections.abc import Iterator
