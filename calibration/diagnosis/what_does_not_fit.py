@@ -53,6 +53,7 @@ ADVICE: Mapping[str, str] = {
     "encoder offset": "look at this joint's zero, or calibrate its position_bias",
     "encoder gain": "look at this joint's unit and gear ratio",
     "backlash": "approach every pose from the same side",
+    "scale of poses": "are they in metres? Where a camera alone gave them, their scale is unknown: scale: free",
     "lag": "look at time stamps; stop the robot for each collection",
     PLACE: "something was knocked; collect anew, or calibrate the collections before and after apart",
 }

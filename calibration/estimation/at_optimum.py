@@ -63,7 +63,8 @@ def calibration_at(
     """
     optimum, weighting = result.optimum, result.weighting
     values = optimum.values
-    solution = Solution(setup, values, weighting, calibrated_dataset(setup, values, setup.dataset), options.assume)
+    used = calibrated_dataset(setup, values, setup.dataset)
+    solution = Solution(setup, values, weighting, used, options.assume, options.scale == "free")
     weak = () if reason else _weak_directions(setup, optimum)
     bars = None if reason else _error_bars(solution)
     total, labels = (bars.total, bars.labels) if bars else ({}, {})

@@ -19,6 +19,17 @@ from calibration.estimation.noise_levels import estimate_scales
 from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.optimisation import HUBER
 from calibration.estimation.options import Options as Options
+from calibration.estimation.pose_scale import (
+    MOST_STEPS,
+    OTHER_SCALE,
+    SAME,
+    divided,
+    has_poses,
+    next_ratio,
+    rough_ratio,
+    undetermined_scale,
+    unknown_scale,
+)
 from calibration.estimation.result import Calibration, DroppedView
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.estimation.suspects import explains_all
@@ -60,11 +71,16 @@ class Calibrator:
             dataset: the labels, and transforms that serve as the initial guess. It is not changed.
             options: options of all its calibrations.
         """
-        self._dataset, self._turned = with_boards_turned_back(dataset)
+        self._given, self._turned = with_boards_turned_back(dataset)
         self._options = options
         self._of_all_views: Latest[LinearStart, Calibration | _Rest] = Latest(LinearStart.equals)
         self._of_the_rest: Latest[LinearStart, Calibration] = Latest(LinearStart.equals)
         self._of_solved_setup: Latest[Setup, Guesses] = Latest(is_)
+
+    @cached_property
+    def _dataset(self) -> Dataset:
+        """The dataset that is calibrated: of measured poses whose scale is free, with the scale that was found."""
+        return self._given if self._options.scale == "known" else _with_scale(self._given, self._options)[0]
 
     def calibrate(self, noise: StartingNoise) -> Calibration:
         """Calibrate from the initial guess with noise.
@@ -73,16 +89,31 @@ class Calibrator:
             UndeterminedError: as `calibrate`.
             InputError: likewise.
         """
-        dataset = self._dataset
-        with solvable(dataset.path):
+        with solvable(self._given.path):
+            dataset = self._dataset
             try:
                 found = self._what_is_determined(noise)
                 return replace(found, turned_views=self._turned) if self._turned else found
             except UndeterminedError as error:
+                if (factor := self._unknown_scale()) is not None:
+                    raise unknown_scale(dataset, factor) from error
                 if not dataset.missing_files:
                     raise
                 missing = "; ".join(map(dataset.missing_files_of, dataset.missing_files))
                 raise UndeterminedError(f"{error}; {missing}") from error
+
+    def _unknown_scale(self) -> float | None:
+        """Return the factor by which the translations of measured poses must be divided to fit; None if there is none.
+
+        What is near 1, or does not fit either, is not the reason why nothing is determined.
+        """
+        if self._options.scale == "free" or not has_poses(self._dataset):
+            return None
+        try:
+            _, factor = _with_scale(self._dataset, self._options)
+        except UndeterminedError:
+            return None
+        return factor if abs(np.log(factor)) > OTHER_SCALE else None
 
     def _what_is_determined(self, noise: StartingNoise) -> Calibration:
         """Calibrate; if the robot's motion is insufficient for that, calibrate the sensors relative to each other."""
@@ -168,6 +199,24 @@ class _Rest:
 
     guesses: Guesses
     dropped: tuple[DroppedView, ...]
+
+
+def _with_scale(dataset: Dataset, options: Options) -> tuple[Dataset, float]:
+    """Return the dataset with the translations of its measured poses divided by their scale, and that factor."""
+    factor = 1.0
+    for step in range(MOST_STEPS):
+        setup = _setup_of(dataset, options)
+        start = Guesses(setup).linear(StartingNoise())
+        if step == 0:
+            ratio = rough_ratio(setup, start.values)
+        else:
+            ratio = next_ratio(from_linear_start(dataset, setup, start, options))
+        if ratio is None:
+            break
+        dataset, factor = divided(dataset, ratio), factor * ratio
+        if step and abs(ratio - 1) < SAME:
+            return dataset, factor
+    raise undetermined_scale(dataset)
 
 
 def _setup_of(dataset: Dataset, options: Options) -> Setup:

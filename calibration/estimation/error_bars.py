@@ -6,8 +6,11 @@ The inverse of the information, C, is valid for independent noise of the labels 
   by one factor per block, ``phi = tr(C^-1 V) / k``, at least 1, with the covariance V of the collections as clusters:
   ``V = sum_c d_c d_c^T`` with ``d_c = A^-1/2 (I - A^-1/2 G_c A^-1/2)^-1/2 A^-1/2 g_c``, which is unbiased if
   there is that noise alone (CR2: R. M. Bell and D. F. McCaffrey, "Bias reduction in standard errors for linear
-  regression with multi-stage samples", 2002). With this factor the expected ``e^T (phi C)^-1 e`` is k for any
-  shape of V.
+  regression with multi-stage samples", 2002). Where neighbouring clusters are alike, the products of nearby ones are
+  added, with Bartlett's weights (W. Newey and K. West, "A simple, positive semi-definite, heteroskedasticity and
+  autocorrelation consistent covariance matrix", 1987), as far as D. Andrews' rule for a first-order autoregression
+  says ("Heteroskedasticity and autocorrelation consistent covariance matrix estimation", 1991). With this factor the
+  expected ``e^T (phi C)^-1 e`` is k for any shape of V.
 - Fixed parameters are known with a standard deviation s (`calibration.estimation.assumptions`). Their error changes the
   result by ``W = -A^-1 B`` times it, so ``W diag(s^2) W^T`` is added (consider analysis: S. F. Schmidt, 1966).
 """
@@ -20,6 +23,10 @@ from calibration.estimation.linear_model import LinearModel
 from calibration.frozen import frozen
 from calibration.geometry.types import Array
 
+SERIAL = 4.0
+"""Correlation of neighbouring clusters, in its standard deviations, from which they are taken to be alike."""
+LONGEST = 0.97
+"""Largest correlation of neighbours that is taken; their sum is known too little to tell larger ones."""
 DECISIVE = 1e-6
 """Information left without a cluster, relative to the total, below which that cluster alone determines a direction."""
 
@@ -61,7 +68,10 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collectio
     squares = np.stack([(moves[blocks[block]][:3] ** 2).sum(0) for block in poses] or [np.zeros(len(model.total))])
     worth, held, considered = {}, {}, np.zeros((S, S))
     for cause, at, typical in zip(model.causes, model.places, model.typical, strict=True):
-        if cause.counts:
+        if cause.free:  # with the parameters it is calibrated, and what is left of its information is its own
+            left = model.total[at, at] + model.total[at, :S] @ moves[:, at]
+            considered = considered + moves[:, at] @ np.linalg.inv(left) @ moves[:, at].T
+        elif cause.counts:
             usual = cause.assumed
             if any(cause.assumed):
                 held[cause.name] = moved = moves[:, at] * np.array(cause.assumed)
@@ -91,5 +101,20 @@ def _clustered(model: LinearModel, C: Array) -> tuple[Array, float, float]:
     change = (U @ ((pull[:, None] @ U)[:, 0] / np.sqrt(left))[..., None])[..., 0]
     leverages = np.einsum("kii->k", share)
     effective = float(leverages.sum() ** 2 / (leverages**2).sum())
-    V = root @ (change.T @ change) @ root.T
+    V = root @ summed_products(change) @ root.T
     return V, effective, float(1 - w.min())
+
+
+def summed_products(change: Array) -> Array:
+    """Return the covariance (S, S) of the sum of changes (K, S) of mean 0; neighbours may be alike."""
+    V: Array = change.T @ change
+    K = len(change)
+    alike = float((change[1:] * change[:-1]).sum() / np.trace(V)) if np.trace(V) > 0 else 0.0
+    if alike * np.sqrt(K) < SERIAL:
+        return V
+    alike = min(alike, LONGEST)
+    width = int(np.ceil(1.1447 * (4 * alike**2 / (1 - alike**2) ** 2 * K) ** (1 / 3)))
+    for lag in range(1, min(width, K // 2)):
+        between = (1 - lag / width) * change[lag:].T @ change[:-lag]
+        V = V + between + between.T
+    return V

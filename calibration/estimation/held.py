@@ -34,6 +34,8 @@ CAMERA_INFO = "camera_info"
 ARM_ACCURACY = 6.0
 """How far an arm's pose is off, in assumed errors of one link: 0.3 mm and 0.6 mrad along each axis, the absolute
 accuracy of a good industrial arm (1 mm at most). It differs from pose to pose, as an error of one link would not."""
+SCALE = "scale of poses"
+"""Kind of the factor by which all measured translations are too long."""
 PLACE = "place"
 """Kind of causes that are only tested from some collection on: over all of them the pose is calibrated or gauge."""
 LINK = "link"
@@ -105,6 +107,8 @@ class Cause:
     """Whether it adds to the covariance of the result; False if another cause covers the same error."""
     tested: bool = True
     """Whether it may be a suspect; False if other causes are tested for its parts."""
+    free: bool = False
+    """Whether it is calibrated: found beforehand, and as well known as the labels tell beside all else."""
     known_by: LensSource | None = None
     """Of a camera's intrinsics in all, where its assumed standard deviations come from."""
 
@@ -125,6 +129,7 @@ def causes(
     assume: Assumptions,
     free: Mapping[str, Sequence[str]],
     lenses: Mapping[str, LensErrors],
+    free_scale: bool = False,
 ) -> list[Cause]:
     """Return all causes of a dataset's calibration.
 
@@ -134,6 +139,7 @@ def causes(
         assume: assumed standard deviations.
         free: by camera, the calibrated intrinsics, which are not fixed.
         lenses: by camera, the errors of its intrinsics.
+        free_scale: whether the scale of measured poses is calibrated.
     """
     seen = {each.sensor.name: each for each in groups}
     found = [
@@ -141,6 +147,11 @@ def causes(
         for name, each in seen.items()
         if not each.names.poses
         for cause in _of_sensor(each, assume, free.get(name, ()), lenses.get(name))
+    ]
+    found += [
+        Cause(SCALE, name, "1", (0.0,), ({(name, "scale"): 1.0},), counts=False, tested=not free_scale, free=free_scale)
+        for name, each in seen.items()
+        if each.names.poses
     ]
     cameras = {name: each.names.camera for name, each in seen.items() if each.names.camera is not None}
     if len(cameras) > 1 and not free:

@@ -34,6 +34,8 @@ SHAPE = (*BENT, "border")
 RANGING = ("bias", "scale", "elevation", "sweep_x", "sweep_y", "sweep_z")
 """Columns of a LiDAR or a depth camera: range offset (m) and scale, elevation offset of its beams
 (rad), and motion during a sweep (m per revolution, in its own frame)."""
+MEASURED = ("scale",)
+"""Columns of measured poses: by what factor their translations are too long."""
 LABELS = 2 * CHUNK
 """Labels per pass: more than `CHUNK`, as their rows do not fit into the second-level cache anyway."""
 
@@ -45,13 +47,13 @@ class ColumnNames:
     camera: Camera | None
     """Camera of a sensor with corner labels."""
     poses: bool = False
-    """Whether the labels are poses: all of their errors are noise."""
+    """Whether the labels are poses: but for their scale all of their errors are noise."""
 
     @cached_property
     def of_sensor(self) -> tuple[str, ...]:
         """Names of the first columns after those of the pose."""
         if self.poses:
-            return ()
+            return MEASURED
         return (*self.camera.parameters, *LENS) if self.camera else RANGING
 
     @cached_property
@@ -101,7 +103,8 @@ def _columns(term: Term, pattern: Pattern, T: Array, views: slice, weighting: We
         rows, places = term.rows(T, views, scale, huber, len(BENT))
         _fill_bent(rows[-1 - len(BENT) : -1], rows[:3], places, pattern)
     elif isinstance(term, PoseTerm):
-        rows, _ = term.rows(T, views, scale, huber)
+        rows, _ = term.rows(T, views, scale, huber, len(MEASURED))
+        _fill_measured(rows[POSE], rows[:3], T, pattern)
     else:
         rows, places = term.rows(T, views, scale, huber, len(RANGING) + len(SHAPE))
         _fill_ranging(rows[POSE : POSE + len(RANGING)], rows[:3], T, places)
@@ -126,6 +129,15 @@ def _fill_ranging(out: Array, pull: Array, T: Array, places: Array) -> None:
     out[1, :, 0] = along
     out[2, :, 0] = (pull * lower).sum(0)
     np.multiply(pull, np.arctan2(y, x) / (-2 * np.pi), out=out[3:, :, 0])
+
+
+def _fill_measured(out: Array, pull: Array, T: Array, pattern: Pattern) -> None:
+    """Fill the column of the scale (v, 3, 1): the pattern's frame, not its centre, is moved along its distance.
+
+    The rows ``pull`` (3, v, 3, 1) of an orientation are zero, and so is its column.
+    """
+    from_sensor = np.swapaxes(T[:, :3, :3], 1, 2) @ T[:, :3, 3:] - pattern.centre[:, None]  # along the pattern's axes
+    np.einsum("avdl,va->vdl", pull, from_sensor[..., 0], out=out)
 
 
 def _fill_bent(out: Array, pull: Array, places: Array, pattern: Pattern) -> None:

@@ -90,6 +90,7 @@ def linear_model(
     dataset: Dataset,
     assume: Assumptions,
     clusters: IntArray | None = None,
+    free_scale: bool = False,
 ) -> LinearModel:
     """Linearise at the optimum.
 
@@ -100,10 +101,11 @@ def linear_model(
         dataset: the collections that count, with the transforms of the optimum.
         assume: assumed standard deviations of fixed parameters.
         clusters: (N,), cluster of each collection, from 0; equal for dependent ones. Each is its own if None.
+        free_scale: whether the scale of measured poses is calibrated.
     """
     groups = seen_groups(dataset, problem.groups, [problem.poses(group, values) for group in problem.groups])
-    found = _causes(problem, dataset, groups, assume)
-    usual = found if assume == Assumptions() else _causes(problem, dataset, groups, Assumptions())
+    found = _causes(problem, dataset, groups, assume, free_scale)
+    usual = found if assume == Assumptions() else _causes(problem, dataset, groups, Assumptions(), free_scale)
     S, P = problem.sizes
     if S == 0:
         raise AssertionError("nothing is calibrated")
@@ -185,7 +187,9 @@ def _combinations(
             yield from enumerate(cause.effect, at.start)
 
 
-def _causes(problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], assume: Assumptions) -> list[Cause]:
+def _causes(
+    problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], assume: Assumptions, free_scale: bool
+) -> list[Cause]:
     """Return the causes of fixed parameters; and of each sensor and fixed pattern a displacement and a time offset."""
     intrinsics = [(block.intrinsics, block.held) for block in problem.blocks if block.intrinsics]
     free = {each.sensor: each.free for each, held in intrinsics if not held}
@@ -195,7 +199,7 @@ def _causes(problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], ass
     cameras = {each.sensor.name: camera for each in groups if (camera := each.names.camera) is not None}
     given = {name: priors.get(name) or dataset.sensors[name].uncertainty for name in cameras}
     lenses = {name: lens_errors(camera, assume, given[name]) for name, camera in cameras.items()}
-    found = causes(dataset, groups, assume, free, lenses)
+    found = causes(dataset, groups, assume, free, lenses, free_scale)
     arm = ARM_ACCURACY * any(cause.kind == LINK for cause in found)
     steady = (arm * assume.arm_translation,) * 3 + (arm * assume.arm_rotation,) * 3
     return [

@@ -24,6 +24,8 @@ def _listed(found: tuple[str, ...] | Literal["all"], _: Place) -> tuple[str, ...
 Start = Literal["linear", "given"]
 """Linear initial guess of the engine, or the noisy given one."""
 Loss = Literal["huber", "linear"]
+Scale = Literal["known", "free"]
+"""Whether the translations of measured poses are metric, or calibrated by a common factor."""
 Description = Literal["trusted", "rough"]
 """Reliability of the dataset's own transforms."""
 Names = Annotated[tuple[Annotated[str, length(1, 400)], ...], length(most=1000), UNIQUE]
@@ -59,6 +61,11 @@ class Options:
     pose_noise: PoseNoise | None = field(
         "How exactly poses of patterns were measured, where it is known; else the residuals tell.",
         default=None,
+        option=False,
+    )
+    scale: Scale = field(
+        "Of measured poses of patterns: known, or free where a camera alone gives them, as from structure from motion.",
+        default="known",
         option=False,
     )
     hold: Names = field(

@@ -101,11 +101,14 @@ class Solution:
     dataset: Dataset
     """The used collections, with the transforms of the optimum."""
     assume: Assumptions
+    free_scale: bool = False
+    """Whether the scale of measured poses is calibrated."""
 
     @cached_property
     def model(self) -> LinearModel:
         """Linear model at the optimum, of calibrated and fixed parameters."""
-        return linear_model(self.setup.problem, self.values, self.weighting, self.dataset, self.assume, self.clusters)
+        problem, weighting = self.setup.problem, self.weighting
+        return linear_model(problem, self.values, weighting, self.dataset, self.assume, self.clusters, self.free_scale)
 
     @cached_property
     def nominal(self) -> Mapping[int, Array]:

@@ -324,7 +324,10 @@ class _State:
         counting = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.counts]
         held = np.concatenate([np.arange(0), *(np.arange(at.start, at.stop) for _, at in counting)])
         sigmas = np.concatenate([np.zeros(0), *(np.array(cause.assumed) for cause, _ in counting)])
-        return cls._solved(G, g, np.arange(model.shared), model.shared, held, sigmas, model.alone)
+        state = cls._solved(G, g, np.arange(model.shared), model.shared, held, sigmas, model.alone)
+        for cause, at in zip(model.causes, model.places, strict=True):
+            state = state.with_cause(np.arange(at.start, at.stop), None) if cause.free else state
+        return state
 
     @classmethod
     def _solved(

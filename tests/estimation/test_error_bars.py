@@ -9,6 +9,7 @@ from calibration.dataset.model import Dataset
 from calibration.estimation import label_columns
 from calibration.estimation.assumptions import EXACT, OF_INTRINSICS, Assumptions
 from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.error_bars import summed_products
 from calibration.estimation.lens_errors import lens_errors
 from calibration.estimation.linear_model import LinearModel, linear_model
 from calibration.estimation.normal_equations import assemble
@@ -141,3 +142,16 @@ def test_a_clusters_sums_are_those_of_its_collections(name: str, labels: int, mo
         np.testing.assert_allclose(together.G[k], together.G[k].T, atol=1e-12 * np.abs(each.G).max())
         gradient = each.g[clusters == k].sum(0)
         np.testing.assert_allclose(together.g[k], gradient, atol=1e-9 * np.abs(each.g).max())
+
+
+@pytest.mark.parametrize(("alike", "expected"), [(0.0, 1.0), (0.8, 9.0)])
+def test_changes_that_are_alike_in_a_row_add_up(alike: float, expected: float) -> None:
+    """The variance of a sum of K of them: K (1 + alike) / (1 - alike) of a first-order autoregression; less by bias."""
+    rng = np.random.default_rng(0)
+    ratios = []
+    for _ in range(100):
+        change = rng.normal(size=(200, 3))
+        for k in range(1, 200):
+            change[k] = alike * change[k - 1] + np.sqrt(1 - alike**2) * change[k]
+        ratios.append(np.trace(summed_products(change)) / (3 * 200))
+    assert 0.6 * expected < np.mean(ratios) < 1.1 * expected

@@ -10,9 +10,14 @@ from calibration.__main__ import main
 from calibration.comparison.methods import METHODS, applicable
 from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
-from calibration.errors import InputError
+from calibration.diagnosis.limits import Limits
+from calibration.diagnosis.what_does_not_fit import what_does_not_fit
+from calibration.errors import InputError, UndeterminedError
+from calibration.estimation.assumptions import EXACT
 from calibration.estimation.calibrate import calibrate
+from calibration.estimation.held import SCALE
 from calibration.estimation.options import Options, PoseNoise
+from calibration.estimation.pose_scale import divided
 from calibration.evaluation.specification import parse_evaluation
 from calibration.geometry.transforms import distance, local
 from calibration.importing.importing import import_data
@@ -170,3 +175,63 @@ def test_without_a_table_the_error_names_one(tmp_path: Path, capsys: pytest.Capt
     assert main([*arguments, "--description", "rough"]) == 2
     assert "choose another table (evaluate), such as measured-poses:camera\n" in capsys.readouterr().err
     assert main([*arguments, "--description", "rough", "--evaluate", "measured-poses:camera"]) == 0
+
+
+def scaled(dataset: Dataset, factor: float) -> Dataset:
+    """The dataset as a camera alone would have measured it."""
+    return divided(dataset, 1 / factor)
+
+
+@pytest.mark.parametrize("factor", [0.01, 0.4, 1.0, 37.0])
+@pytest.mark.parametrize("in_hand", [True, False])
+def test_a_scale_that_is_free_is_found(tmp_path: Path, in_hand: bool, factor: float) -> None:
+    dataset = imported(tmp_path / "it", in_hand, noise=1e-3)
+    found = calibrate(scaled(dataset, factor), Options(description="rough", scale="free"))
+    parent, child = ("tool0", FRAME) if in_hand else ("tool0", "board_link")
+    m, rad = (float(v) for v in distance(X, found.dataset.transform(parent, child)[0]))
+    assert m < 1e-5
+    assert rad < 1e-5
+
+
+def test_error_bars_have_the_uncertainty_of_a_free_scale(tmp_path: Path) -> None:
+    """They are those of the scale as one more parameter beside the others; and as large as the errors."""
+    squares = []
+    for seed in range(20):
+        dataset = scaled(imported(tmp_path / str(seed), True, seed=seed), 3.0)
+        found = calibrate(dataset, Options(description="rough", scale="free"))
+        error = local(found.transforms["tool0", FRAME], X)
+        squares.append(float(error @ np.linalg.solve(found.covariances["tool0", FRAME], error)))
+    assert np.mean(squares) == pytest.approx(6, abs=3.5 * np.sqrt(2 * 6 / 20))
+    exact = calibrate(dataset, Options(description="rough", scale="free", assume=EXACT))
+    model, bars = exact.solution.model, exact.error_bars
+    [scale] = [at.start for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == SCALE]
+    columns = [*range(model.shared), scale]
+    joint = np.linalg.inv(model.total[np.ix_(columns, columns)])
+    for block, at in exact.solution.setup.problem.shared_parameters.items():
+        assert bars is not None
+        np.testing.assert_allclose(bars.expected[block], joint[at, at], rtol=1e-6, atol=1e-15)
+
+
+def said_of(dataset: Dataset) -> str:
+    """The error of a calibration, or its first finding."""
+    try:
+        return what_does_not_fit(calibrate(dataset, ROUGH), Limits())[0].text
+    except UndeterminedError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("factor", [0.05, 1.2, 20.0])
+def test_an_unknown_scale_is_named(tmp_path: Path, factor: float) -> None:
+    """By an error where nothing fits, else by the suspect that does not."""
+    said = said_of(scaled(imported(tmp_path / "it", True), factor))
+    assert "scale: free" in said
+    assert "nothing suspicious" in said_of(imported(tmp_path / "metric", True))
+
+
+def test_poses_that_only_turn_do_not_determine_their_scale(tmp_path: Path) -> None:
+    dataset = imported(tmp_path / "it", True)
+    edge = ("base_link", "tool0")
+    still = dataset.transforms[edge].copy()
+    still[:, :3, 3] = 0.0
+    with pytest.raises(InputError, match="do not determine"):
+        calibrate(dataset.with_transforms({edge: still}), Options(description="rough", scale="free"))
