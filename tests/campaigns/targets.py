@@ -259,6 +259,13 @@ patterns:
   board: {type: charuco, columns: 11, rows: 8, square: 0.06, marker: 0.045, dictionary: DICT_5X5_100}
 samples: {file: poses.csv, base: base_link, tool: tool0}
 """
+OPENCV = b"""
+cameraResolution: [640, 480]
+cameraMatrix: {rows: 3, cols: 3, data: [500, 0, 320, 0, 500, 240, 0, 0, 1]}
+cameraMatrix_std_dev: {rows: 4, cols: 1, data: [0.5, 0.5, 0.4, 0.4]}
+dist_coeffs: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
+stdDeviationsIntrinsics: {rows: 9, cols: 1, data: [0.5, 0.5, 0.4, 0.4, 0.002, 0.01, 0, 0, 0.02]}
+"""
 CAMERA_INFO = b"""\
 image_width: 640
 image_height: 480
@@ -523,7 +530,7 @@ TARGETS: Mapping[str, Target] = {
         "junit.xml", _files("datasets/*/junit.xml"), lambda path: parse_junit(path.read_bytes(), "junit.xml"), 4
     ),
     "import.yml": Target("import.yml", lambda: [IMPORT], read_description, 4),
-    "intrinsics": Target("camera.yaml", lambda: [CAMERA_INFO, CAMCHAIN], read_lens, 4),
+    "intrinsics": Target("camera.yaml", lambda: [CAMERA_INFO, CAMCHAIN, OPENCV], read_lens, 4),
     "camchain": Target("camchain.yaml", lambda: [STEREO], partial(read_lens, name="cam1"), 4),
     "hand-eye-samples": Target(
         "robot.samples", _hand_eye("robot.samples", "moveit.yaml"), partial(read_samples, in_hand=True), 4
