@@ -55,7 +55,9 @@ def failures_of_cells(results: Results, systems: Collection[str]) -> list[str]:
     """
     references = {cell.start_of_cell: cell for cell in results.comparisons if not cell.by_other_method}
     lines = {
-        cell.name: (*cell.reasons, *_whose_fault(cell, references.get(cell.start_of_cell))) or (NOT_CONVERGED,)
+        # Whose fault it is follows the first reason: GitHub shows nine annotations of a step.
+        cell.name: (*cell.reasons[:1], *_whose_fault(cell, references.get(cell.start_of_cell)), *cell.reasons[1:])
+        or (NOT_CONVERGED,)
         for cell in results.cells
         if cell.verdict == "fail" and cell.system in systems
     }

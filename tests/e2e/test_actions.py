@@ -242,7 +242,7 @@ def test_every_action_is_red_in_every_way(repository: Repository, base_image: st
             3,
             ["my table.csv/out"],
         ),
-        (Step("matrix-1", "calibrate-matrix", matrix | {"rules": "my limits.yml"}), 1, ["my robot", "0.01"]),
+        (Step("matrix-1", "calibrate-matrix", matrix | {"rules": "my limits.yml"}), 1, ["calibrate-matrix", "0.01"]),
         (Step("matrix-2", "calibrate-matrix", {"dataset": "nowhere"}), 2, ["nowhere"]),
         (
             Step("matrix-3", "calibrate-matrix", matrix | {"image": image, "command": "calibrate"}, NO_DOCKER),

@@ -262,7 +262,7 @@ def test_unit_tests_and_static_analysis_without_a_calibration(good: bool, caller
     run = caller.run("pull_request", "-e", str(event))
     assert run.code == (0 if good else 1), run.log
     for job in ("unit-tests", "static-analysis"):
-        assert any(f"{job} {'success' if good else 'failure'}" in line for line in run.printed)
+        assert f"| {job} | {'success' if good else 'failure'} |" in run.log
     said = [line for line in run.annotations if "gather-results::" in line]
     assert len(said) == (0 if good else 2)
     if not good:
@@ -288,5 +288,5 @@ def test_the_coverage_is_uploaded_by_a_job_in_which_no_test_runs(repository: Rep
         [asked] = server.asked
     assert asked.headers["project-token"] == TOKEN
     assert b'"robot.py"' in asked.body
-    assert any("coverage success" in line for line in run.printed)
+    assert "| coverage | success |" in run.log
     assert TOKEN not in run.log

@@ -124,7 +124,7 @@ def test_exchanged_mountings_are_asked_for(
     capsys.readouterr()
     assert main(["init", "--dataset", "data/robot"]) == 2
     error = capsys.readouterr().err
-    assert "or are 'camera' and 'board' mounted the other way round ('parent' in import.yml)?" in error
+    assert "'camera' and 'board' mounted the other way round: the same equations" in error
     assert error.count("\n") == 1
 
 
