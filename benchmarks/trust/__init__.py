@@ -1,4 +1,4 @@
-"""Whether the verdict can be trusted by who has set nothing: the bars of a first and of a later recording.
+"""Rows on a verdict without any limits set: of the first recording of a robot, and of later ones.
 
 Each module of this folder has a function ``rows(quick)`` that yields its rows; a new module needs no other line.
 """

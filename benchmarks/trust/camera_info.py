@@ -20,10 +20,10 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import local
 from calibration.geometry.types import Array
 
-HONEST = Bar(0.5, 1.5)
-SQUARES = (0.025, 0.04)
+NEES_BAR = Bar(0.5, 1.5)
+SQUARE_SIDES = (0.025, 0.04)
 """Sides of the chessboard's squares, m; it has 9 x 6 corners."""
-QUALITIES = ((20, 0.1, 0.0001), (30, 0.1, 0.0001), (20, 0.15, 0.0002), (30, 0.15, 0.0002))
+CALIBRATION_QUALITIES = ((20, 0.1, 0.0001), (30, 0.1, 0.0001), (20, 0.15, 0.0002), (30, 0.15, 0.0002))
 """Views, noise of their corners (px), and how flat the board is (most of its bow about each axis, m)."""
 
 
@@ -31,16 +31,18 @@ def rows(quick: bool) -> Iterator[Row]:
     """The normalised squared error of each system that ships, over the four qualities of camera_info."""
     seeds = 2 if quick else 8
     for system in entries():
-        found = on_all_cores(_score, [(system, quality, seed) for quality in QUALITIES for seed in range(seeds)])
-        exact = on_all_cores(_score, [(system, None, seed) for seed in range(seeds)])
-        each = [np.mean(part) for part in np.split(np.array(found), len(QUALITIES))]
+        found = on_all_cores(
+            _nees_of_recording, [(system, quality, seed) for quality in CALIBRATION_QUALITIES for seed in range(seeds)]
+        )
+        exact = on_all_cores(_nees_of_recording, [(system, None, seed) for seed in range(seeds)])
+        each = [np.mean(part) for part in np.split(np.array(found), len(CALIBRATION_QUALITIES))]
         note = f"with 20 and 30 views at 0.1 px, flat to 0.1 mm: {each[0]:.2f}, {each[1]:.2f}; at 0.15 px, 0.2 mm: "
         note += f"{each[2]:.2f}, {each[3]:.2f}; with the true camera_info {np.mean(exact):.2f}; {len(found)} recordings"
-        yield Row(f"trust/NEES/6 with camera_info of OpenCV, {system}", float(np.mean(found)), "", HONEST, note)
+        yield Row(f"trust/NEES/6 with camera_info of OpenCV, {system}", float(np.mean(found)), "", NEES_BAR, note)
 
 
-def _score(of: tuple[str, tuple[int, float, float] | None, int]) -> float:
-    """Calibrate one recording; the mean of its sensors."""
+def _nees_of_recording(of: tuple[str, tuple[int, float, float] | None, int]) -> float:
+    """Return the mean ``e^T C^-1 e / 6`` of the calibrated sensors of one recording."""
     system, quality, seed = of
     scene = recording(system, seed, seed)
     cameras = {}
@@ -67,14 +69,14 @@ def _by_opencv(true: Camera, views: int, noise: float, flat: float, rng: np.rand
     """Calibrate a camera as OpenCV's users do."""
     import cv2  # only here: slow to import
 
-    places = np.stack([*np.divmod(np.arange(54), 9)[::-1], np.zeros(54)], -1) * rng.uniform(*SQUARES)
+    places = np.stack([*np.divmod(np.arange(54), 9)[::-1], np.zeros(54)], -1) * rng.uniform(*SQUARE_SIDES)
     half = places.max(0)[:2] / 2
     a, b = ((places[:, :2] - half) / half).T
     bow = rng.uniform(-flat, flat, 2)
     bent = places + np.stack([0 * a, 0 * a, bow[0] * (1 - a**2) + bow[1] * (1 - b**2)], -1)
     seen: list[Array] = []
     while len(seen) < views:
-        pixels = _seen(true, bent, rng)
+        pixels = _detected_corners(true, bent, rng)
         if pixels is not None:
             seen.append((pixels + noise * rng.normal(size=pixels.shape)).astype(np.float32))
     objects = [places.astype(np.float32)] * views
@@ -82,7 +84,7 @@ def _by_opencv(true: Camera, views: int, noise: float, flat: float, rng: np.rand
     return true.with_intrinsics(np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D.ravel()[:5]]))
 
 
-def _seen(camera: Camera, corners: Array, rng: np.random.Generator) -> Array | None:
+def _detected_corners(camera: Camera, corners: Array, rng: np.random.Generator) -> Array | None:
     """Return the pixels (K, 2) of a board in a random view; None if it is not whole in the image."""
     middle, size = corners.mean(0), corners.max(0)[0]
     place = rng.uniform(0.15, 0.85, (1, 2)) * (camera.width, camera.height)

@@ -11,14 +11,14 @@ from benchmarks.verdict.foreseen import FORESEEN
 from benchmarks.verdict.kind import ALL, Kind
 from benchmarks.verdict.unforeseen import UNFORESEEN
 
-SEEDS = 3
+SEEDS_OF_EACH_CASE = 3
 SHOWN = 6
 """Kinds that a row names, the worst first."""
 
 
 def rows(quick: bool) -> Iterator[Row]:
     """Kinds not foreseen with nothing set; the others with calibration.yml's limits. On good robots."""
-    seeds = range(1 if quick else SEEDS)
+    seeds = range(1 if quick else SEEDS_OF_EACH_CASE)
     yield from of_unforeseen(_run(UNFORESEEN, seeds, quick, limits=False))
     yield from _of_foreseen(_run(FORESEEN, range(1), quick, limits=True))
 

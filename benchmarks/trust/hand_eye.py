@@ -28,14 +28,14 @@ from calibration.importing.importing import import_data
 from calibration.importing.samples import PATTERN, POSE
 
 DATA = "KINHEC_DATA"
-HONEST = Bar(0.5, 1.5)
-QUICK = 16
+NEES_BAR = Bar(0.5, 1.5)
+MAX_QUICK_SEQUENCES = 16
 """Sequences of a track, if quick."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """What became of one sequence."""
+    """Errors of one sequence's calibration: ours, and those of kinhec's solvers."""
 
     mm: float
     """Error of the hand-eye transform."""
@@ -58,7 +58,7 @@ def rows(quick: bool) -> Iterator[Row]:
         return
     sequences = load_manifest(Path(folder))
     for track, own in sequences.groupby("track"):
-        records = own.to_dict("records")[: QUICK if quick else None]
+        records = own.to_dict("records")[: MAX_QUICK_SEQUENCES if quick else None]
         scores = on_all_cores(_score, [(folder, record) for record in records])
         yield from _of_track(str(track), [each for each in scores if each is not None], len(scores))
 
@@ -77,7 +77,7 @@ def _of_track(track: str, scores: list[Score], count: int) -> Iterator[Row]:
         Bar(high=float(solvers[best])),
         f"{best}, {calibrated}",
     )
-    yield Row(f"{name}, NEES/6", float(np.mean([each.nees for each in scores])), "", HONEST, calibrated)
+    yield Row(f"{name}, NEES/6", float(np.mean([each.nees for each in scores])), "", NEES_BAR, calibrated)
 
 
 def _score(of: tuple[str, dict[str, Any]]) -> Score | None:
@@ -101,7 +101,7 @@ def _score(of: tuple[str, dict[str, Any]]) -> Score | None:
         try:
             found = solver(data, np.random.default_rng(0))["X"]
             others[name] = float(metrics.calibration_errors(found, sequence.X)["X_trans_err_mm"])
-        except Exception:
+        except Exception:  # of kinhec's own solvers, each with errors of its own: no result counts as infinitely far
             others[name] = np.inf
     return Score(
         1e3 * float(np.linalg.norm(T[:3, 3] - sequence.X[:3, 3])), float(e @ np.linalg.solve(C, e)) / 6, others

@@ -27,7 +27,7 @@ ATTAINABLE_MM = {"t2rgb": 4.0, "rlbot": 6.0, "riwbot": 2.5, "softbot": 5.0, "spj
 """Limits that a good recording of the system keeps."""
 LIMITS_MOVED = 2.0
 ROBOTS = 50
-"""Of each system: each has a recording that is accepted, and one with each change."""
+"""Number of robots of each system. Each has a recording that is accepted, and one for each change."""
 CHANGES: dict[str, Callable[[np.random.Generator], Conditions]] = {
     "light": lambda rng: Conditions(noise_px=rng.uniform(0.05, 0.3), outliers=rng.uniform(0, 0.01), at_random=True),
     "distance": lambda rng: Conditions(distance=rng.uniform(0.7, 1.4), at_random=True),

@@ -23,7 +23,7 @@ class Case:
 
     @property
     def is_right(self) -> bool:
-        """Whether a mistake is red and named first; whether a good recording is green."""
+        """Whether the verdict is the right one: a mistake is red and named first, a good recording is green."""
         if self.mistake is None:
             return self.told.verdict == "green"
         return self.told.verdict != "green" and any(word in self.told.reason for word in self.mistake.words)

@@ -75,7 +75,7 @@ def rotated(quat: list[float], v: list[float]) -> list[float]:
 
 
 Change = Callable[[list[float], list[float]], tuple[list[float], list[float]]]
-"""Of a pose: translation and quaternion xyzw."""
+"""A change of a pose: of its translation, and of its rotation as a quaternion xyzw."""
 
 
 def each_measured(document: Document, change: Change) -> Document:
