@@ -120,10 +120,11 @@ actions: ## write the inputs of the commands into every action.yml, and the reco
 	@$(setup) dev.txt .
 	$(python) -m tests.actions.write_inputs
 
-pictures: ## draw docs/run.svg and docs/report.png, the pictures of the README, and the maps of docs/convergence.md
+pictures: ## draw the pictures of the README, docs/recording.svg and the maps of docs/convergence.md
 	@$(setup) dev.txt .
 	$(python) -m benchmarks.run_picture
 	$(python) -m benchmarks.report_picture
+	$(python) -m benchmarks.recording.pictures
 	$(python) -m calibration convergence --dataset datasets/t2rgb --translation-noise 0:2:9 --rotation-noise 0:3:13 --output build/convergence
 	cp build/convergence/convergence.svg docs/convergence-t2rgb.svg
 

@@ -34,6 +34,7 @@ MODULES = {
     "process": "whole processes, from start to exit",
     "matrix": "many cells of one dataset with their tables: time and memory of each, share of two cores",
     "rendering": "simulated images, depth images and scans: how many, and where a detector finds their corners",
+    "recording": "what makes a recording good: poses, tilt, nearness, focus, light, motion",
     "labelling": "detectors on real and simulated images and clouds",
     "importing": "imports of bags: images and bytes a second, memory; what init makes of datasets",
     "aprilgrid": "aprilgrids in simulated images: near the truth, and no tag for another",
