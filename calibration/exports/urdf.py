@@ -18,7 +18,6 @@ from calibration.geometry import rotations
 from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array
 
-XACRO = b"http://www.ros.org/wiki/xacro"
 _ATTRIBUTE = r"""(\s{name}\s*=\s*)("[^"]*"|'[^']*')"""
 
 
@@ -66,8 +65,6 @@ def calibrated_urdf(content: bytes, transforms: Mapping[Edge, Array], where: str
         InputError: it is not a URDF, or is a xacro, two joints have the same child, or it lacks the frames of a
             transform or a joint to change.
     """
-    if XACRO in content:
-        raise InputError(f"{where}: this is a xacro, a URDF was expected: name it robot.urdf.xacro and it is expanded")
     joints = {joint.child: joint for joint in _joints(content, where)}
     origins: dict[str, Array] = {}
     notes = []
@@ -101,6 +98,11 @@ def _joints(content: bytes, where: str) -> list[_Joint]:
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         path.append(tag)
+        # The namespace alone is no sign of a xacro: xacro leaves it in what it has expanded.
+        if tag.startswith("xacro:"):
+            raise InputError(
+                f"{where}: found <{tag[:80]}>, a URDF was expected: name the file robot.urdf.xacro and it is expanded"
+            )
         if path[0] != "robot":
             raise InputError(f"{where}: found <{path[0]}>, <robot> was expected")
         if path == ["robot", "joint"]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.errors import InputError
 from calibration.geometry.transforms import adjoint, inverse, local
 from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.robot import Joint, Robot
@@ -78,6 +79,11 @@ def _way(robot: Robot, start: str, end: str) -> list[_Step]:
     way: list[_Step] = []
     for step in robot.tree.path(start, end):
         joint = by_edge[step.parent, step.child]
+        if joint.mimic is not None:
+            raise InputError(
+                f"{robot.path}: joint '{joint.name}', from '{start}' to '{end}', follows '{joint.mimic.joint}': no "
+                "positions can be found for a wanted pose; give those of the joints"
+            )
         if joint.is_movable:
             way.append(_Step(np.eye(4), joint, step.inverted))
             continue

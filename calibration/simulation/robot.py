@@ -1,12 +1,12 @@
 """Robots from URDF descriptions, with forward kinematics.
 
-URDF: a tree of links, each connected to its parent by a fixed, revolute, continuous or prismatic
-joint. A description is untrusted input: entities are refused, the size is bounded.
+URDF: a tree of links, each connected to its parent by a joint. Floating and planar joints have no position here, and
+stay at their origin. A description is untrusted input: entities are refused, the size is bounded.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, get_args
@@ -24,8 +24,24 @@ from calibration.geometry.transforms import from_xyz_rpy, inverse, transform, tr
 from calibration.geometry.types import Array
 from calibration.robot_description import read_robot_description
 
-JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
+JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "floating", "planar"]
 JOINT_KINDS: tuple[JointKind, ...] = get_args(JointKind)
+AXIS_KINDS: frozenset[JointKind] = frozenset(("revolute", "continuous", "prismatic"))
+"""Kinds that move along or about one axis."""
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """Position of a joint that follows another one: ``multiplier * position + offset``."""
+
+    joint: str
+    """The followed joint, which follows none itself."""
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+    def positions(self, followed: Array) -> Array:
+        """Return the positions (N,) from those of the followed joint (N,)."""
+        return self.multiplier * np.asarray(followed, float) + self.offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +59,8 @@ class Joint:
     lower: float = -math.inf
     """Lower limit of the position, rad or m."""
     upper: float = math.inf
+    mimic: Mimic | None = None
+    """What it follows; None for a joint with a position of its own."""
 
     @property
     def edge(self) -> Edge:
@@ -51,8 +69,8 @@ class Joint:
 
     @property
     def is_movable(self) -> bool:
-        """Whether the joint has a position."""
-        return self.kind != "fixed"
+        """Whether the joint has a position, its own or that of a joint that it follows."""
+        return self.kind in AXIS_KINDS
 
     @property
     def twist(self) -> Array:
@@ -92,8 +110,8 @@ class Robot:
 
     @cached_property
     def movable(self) -> Mapping[str, Joint]:
-        """The movable joints, by name."""
-        return {joint.name: joint for joint in self.joints if joint.is_movable}
+        """The joints with a position of their own, by name."""
+        return {joint.name: joint for joint in self.joints if joint.is_movable and joint.mimic is None}
 
     def transforms(self, joint_positions: Mapping[str, Array], count: int = 1) -> dict[Edge, Array]:
         """Forward kinematics: ``T_parent_child`` of every joint, (N, 4, 4), by (parent, child).
@@ -108,16 +126,23 @@ class Robot:
         for name, positions in joint_positions.items():
             self._check(name, np.asarray(positions, float))
         shape = np.broadcast_shapes(*(np.shape(p) for p in joint_positions.values())) if joint_positions else (count,)
+        rest = {name: np.array(joint.rest) for name, joint in self.movable.items()}
+        own = {name: np.broadcast_to(joint_positions.get(name, at), shape) for name, at in rest.items()}
+        unmoved = np.zeros(shape)
         return {
-            joint.edge: joint.transform(np.broadcast_to(joint_positions.get(joint.name, np.array(joint.rest)), shape))
+            joint.edge: joint.transform(
+                own.get(joint.name, unmoved) if joint.mimic is None else joint.mimic.positions(own[joint.mimic.joint])
+            )
             for joint in self.joints
         }
 
     def _check(self, name: str, positions: Array) -> None:
         joint = self.movable.get(name)
         if joint is None:
-            fixed = any(joint.name == name for joint in self.joints)
-            problem = "is fixed and has no position" if fixed else "is not in the robot"
+            follows = any(joint.name == name and joint.mimic is not None for joint in self.joints)
+            known_one = any(joint.name == name for joint in self.joints)
+            problem = "is fixed and has no position" if known_one else "is not in the robot"
+            problem = "follows another joint and has no position of its own" if follows else problem
             known = ", ".join(self.movable) or "none"
             raise _fault(f"{self.path}: joint '{name}' {problem} (joints that move: {known})")
         outside = ~((positions >= joint.lower) & (positions <= joint.upper))  # also true for NaN
@@ -208,15 +233,33 @@ def _read_joints(root: Element, path: Path) -> tuple[Joint, ...]:
     roots = sorted({joint.parent for joint in joints.values()} - parents.keys())
     if len(roots) > 1:
         raise _fault(f"{path}: the links are not one tree: {', '.join(map(repr, roots))} have no parent")
-    return tuple(joints.values())
+    return tuple(_with_followed(joint, joints, path) for joint in joints.values())
+
+
+def _with_followed(joint: Joint, joints: Mapping[str, Joint], path: Path) -> Joint:
+    """Return a joint whose mimic names the joint at the end of the chain that it follows."""
+    mimic, passed = joint.mimic, [joint.name]
+    while mimic is not None:
+        followed = joints.get(mimic.joint)
+        if followed is None or not followed.is_movable:
+            raise _fault(
+                f"{path}: joint '{passed[-1]}': follows '{mimic.joint}' by <mimic>, expected a joint that moves along "
+                "or about one axis"
+            )
+        if followed.name in passed:
+            raise _fault(f"{path}: joint '{joint.name}': follows itself by <mimic>: {', '.join(passed)}")
+        if followed.mimic is None:
+            break
+        passed.append(followed.name)
+        multiplier, offset = followed.mimic.multiplier, followed.mimic.offset
+        mimic = Mimic(followed.mimic.joint, mimic.multiplier * multiplier, mimic.multiplier * offset + mimic.offset)
+    return replace(joint, mimic=mimic)
 
 
 def _read_joint(element: Element, name: str, where: str) -> Joint:
     kind = element.get("type", "")
     if kind not in JOINT_KINDS:
         raise _fault(f"{where}: type '{kind}' is not supported (supported: {', '.join(JOINT_KINDS)})")
-    if element.find("mimic") is not None:
-        raise _fault(f"{where}: mimic joints are not supported")
     links: dict[str, str] = {}
     for role in ("parent", "child"):
         child = element.find(role)
@@ -231,7 +274,7 @@ def _read_joint(element: Element, name: str, where: str) -> Joint:
     )
     axis = np.array(_numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"{where}: axis"))
     length = float(np.linalg.norm(axis))
-    if kind != "fixed" and length < 1e-9:
+    if kind in AXIS_KINDS and length < 1e-9:
         raise _fault(f"{where}: axis xyz has length 0")
     lower, upper = _limits(element, kind, where)
     return Joint(
@@ -243,7 +286,19 @@ def _read_joint(element: Element, name: str, where: str) -> Joint:
         axis=axis / max(length, 1e-9),
         lower=lower,
         upper=upper,
+        mimic=_read_mimic(element, where) if kind in AXIS_KINDS else None,
     )
+
+
+def _read_mimic(element: Element, where: str) -> Mimic | None:
+    mimic = element.find("mimic")
+    if mimic is None:
+        return None
+    if not (followed := mimic.get("joint", "")):
+        raise _fault(f"{where}: mimic has no joint")
+    (multiplier,) = _numbers(mimic, "multiplier", (1.0,), f"{where}: mimic")
+    (offset,) = _numbers(mimic, "offset", (0.0,), f"{where}: mimic")
+    return Mimic(followed, multiplier, offset)
 
 
 def _limits(element: Element, kind: str, where: str) -> tuple[float, float]:
@@ -251,7 +306,7 @@ def _limits(element: Element, kind: str, where: str) -> tuple[float, float]:
         return -math.inf, math.inf
     limit = element.find("limit")
     if limit is None:
-        raise _fault(f"{where}: a {kind} joint needs a <limit> with lower and upper")
+        return -math.inf, math.inf
     (lower,) = _numbers(limit, "lower", (0.0,), f"{where}: limit")
     (upper,) = _numbers(limit, "upper", (0.0,), f"{where}: limit")
     if lower > upper:

@@ -124,7 +124,11 @@ def test_attributes_keep_their_order_and_place() -> None:
         (b"<sdf/>", ("base", "cam"), "found <sdf>, <robot> was expected"),
         (b"\xff\xfe<", ("base", "cam"), "a URDF in UTF-8 was expected"),
         (b'<!DOCTYPE r [<!ENTITY a "b">]><robot/>', ("base", "cam"), "document type declaration"),
-        (b'<robot xmlns:xacro="http://www.ros.org/wiki/xacro"/>', ("base", "cam"), "this is a xacro"),
+        (
+            b'<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:property name="a" value="1"/></robot>',
+            ("base", "cam"),
+            "<xacro:property>, a URDF was expected",
+        ),
         (
             URDF.replace(b'link="base"', b'link="cam"'),
             ("base", "cam"),
@@ -145,3 +149,10 @@ def test_a_dataset_that_is_not_calibrated_is_refused(tmp_path: Path) -> None:
     T[1, 0, 3] += 1e-3
     with pytest.raises(InputError, match="differ between collections"):
         calibrated(dataset.with_transforms({edge: T}))
+
+
+def test_a_left_over_namespace_of_xacro_is_kept() -> None:
+    """Xacro leaves its namespace in the URDF that it makes."""
+    content = URDF.replace(b"<robot ", b'<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', 1)
+    assert b"xmlns:xacro" in content
+    assert b"xmlns:xacro" in calibrated_urdf(content, {}, "r.urdf").content

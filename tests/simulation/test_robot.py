@@ -146,6 +146,38 @@ def test_a_joint_that_is_not_named_rests() -> None:
     assert T["turned", "slid"][0, 2, 3] == -0.1  # 0 is below its lower limit
 
 
+def test_mimic_joints_follow() -> None:
+    """A chain of two: tip2 follows tip1, which follows the turn."""
+    urdf = ARM.replace(
+        "</robot>",
+        """<link name="tip1"/><link name="tip2"/>
+        <joint name="first" type="revolute"><parent link="tip"/><child link="tip1"/>
+          <mimic joint="turn" multiplier="-2" offset="0.1"/></joint>
+        <joint name="second" type="prismatic"><parent link="tip"/><child link="tip2"/>
+          <mimic joint="first" multiplier="0.5" offset="0.01"/></joint></robot>""",
+    )
+    robot = parse_robot(urdf.encode(), FILE)
+    assert list(robot.movable) == ["turn", "slide", "spin"]
+    T = robot.transforms({"turn": np.array([0.0, 0.3])})
+    angles = [rotation.as_rotvec()[0] for rotation in Rotation.from_matrix(T["tip", "tip1"][:, :3, :3])]
+    np.testing.assert_allclose(angles, [0.1, -0.5])
+    np.testing.assert_allclose(T["tip", "tip2"][:, 0, 3], [0.06, -0.24])
+    with pytest.raises(InputError, match="'first' follows another joint"):
+        robot.transforms({"first": np.zeros(2)})
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_joints_without_an_axis_stay_at_their_origin(kind: str) -> None:
+    robot = parse_robot(ARM.replace("continuous", kind).encode(), FILE)
+    assert list(robot.movable) == ["turn", "slide"]
+    np.testing.assert_array_equal(robot.transforms({}, count=2)["slid", "tip"], np.stack([np.eye(4)] * 2))
+
+
+def test_a_joint_without_limits_is_read() -> None:
+    robot = parse_robot(ARM.replace('<limit lower="-1" upper="2"/>', "").encode(), FILE)
+    assert robot.transforms({"turn": np.array([9.0])})
+
+
 def broken(old: str, new: str) -> str:
     assert old in ARM
     return ARM.replace(old, new)
@@ -169,12 +201,20 @@ def broken(old: str, new: str) -> str:
         (broken('<child link="tip"/>', "<child/>"), "robot.urdf: joint 'spin': has no child link"),
         (broken('<link name="tip"/>', ""), "robot.urdf: joint 'spin': the child link 'tip' is not in the robot"),
         (
-            broken('type="continuous"', 'type="floating"'),
-            "robot.urdf: joint 'spin': type 'floating' is not supported (supported: fixed, revolute, continuous, prism",
+            broken('type="continuous"', 'type="helical"'),
+            "robot.urdf: joint 'spin': type 'helical' is not supported (supported: fixed, revolute, continuous, prism",
         ),
         (
-            broken('<child link="tip"/>', '<child link="tip"/><mimic joint="turn"/>'),
-            "robot.urdf: joint 'spin': mimic joints are not supported",
+            broken('<child link="tip"/>', '<child link="tip"/><mimic joint="spin"/>'),
+            "robot.urdf: joint 'spin': follows itself by <mimic>",
+        ),
+        (
+            broken('<child link="tip"/>', '<child link="tip"/><mimic joint="gone"/>'),
+            "robot.urdf: joint 'spin': follows 'gone' by <mimic>, expected a joint that moves",
+        ),
+        (
+            broken('<child link="tip"/>', '<child link="tip"/><mimic joint="turn" multiplier="x"/>'),
+            "robot.urdf: joint 'spin': mimic: multiplier is 'x', expected a finite number",
         ),
         (
             broken('<child link="tip"/>', '<child link="turned"/>'),
@@ -196,10 +236,6 @@ def broken(old: str, new: str) -> str:
         (broken("1 2 3", "1 nan 3"), "robot.urdf: joint 'turn': origin: xyz is '1 nan 3', expected 3 finite numbers"),
         (broken('lower="-1"', 'lower="x"'), "robot.urdf: joint 'turn': limit: lower is 'x', expected a finite number"),
         (broken('lower="-1"', 'lower="3"'), "robot.urdf: joint 'turn': limit lower 3 is above upper 2"),
-        (
-            broken('<limit lower="-1" upper="2"/>', ""),
-            "robot.urdf: joint 'turn': a revolute joint needs a <limit> with lower and upper",
-        ),
         (
             broken('name="spin"', 'name="sp&#10;in"').replace("continuous", "odd"),
             "robot.urdf: joint 'sp\\nin': type 'odd' is not supported (supported: fixed, revolute",
