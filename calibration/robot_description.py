@@ -7,13 +7,17 @@ its output.
 
 import json
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Annotated
 
 from calibration.errors import InfrastructureError, InputError
 from calibration.files import read_bytes
+from calibration.records import Converted, Place, length
 from calibration.temporary_folder import temporary_folder
 from calibration.workflow.text import one_line, shorten
 
@@ -26,19 +30,36 @@ SECONDS, MEMORY = 30, 1024**3
 _SYSTEM = ("/proc", "/sys", "/run")
 _CHILD = "import sys; sys.path.insert(0, sys.argv.pop(1)); from calibration.expansion.child import main; main()"
 _SOURCES = str(Path(__file__).resolve().parents[1])
+# Of an argument without a default, by `$(arg NAME)` and by `<xacro:arg name="NAME"/>`.
+_MISSING_ARGUMENT = re.compile(r"Undefined substitution argument '?([\w.-]+)|required argument '?([\w.-]+)")
 _REFUSED = 3  # exit code of the child for a xacro that needs more than is expanded
 
 
-def read_robot_description(path: Path, packages: Path | None = None) -> bytes:
+def _argument_text(value: object, _: Place) -> str:
+    """Convert a value to the text that xacro evaluates: booleans as ``true`` or ``false``."""
+    return {True: "true", False: "false"}[value] if isinstance(value, bool) else str(value)
+
+
+XacroArguments = Mapping[
+    Annotated[str, length(1, 200)], Annotated[str, Converted(str | bool | int | float, _argument_text)]
+]
+"""Values of a xacro's arguments by their names, as documents have them."""
+XACRO_HELP = "Arguments of the xacro by name: {ur_type: ur5e}."
+
+
+def read_robot_description(
+    path: Path, packages: Path | None = None, arguments: Mapping[str, str] | None = None
+) -> bytes:
     """Read a URDF, or expand a xacro to one.
 
     Args:
         path: path of the file; the name of a xacro ends with ``.xacro``.
         packages: the folder in which ``$(find PACKAGE)`` is searched first; then it is in the one that
             holds the file's own package, as a workspace does, and in the file's repository.
+        arguments: values of the xacro's arguments (``<xacro:arg>``) by name.
 
     Raises:
-        InputError: the file cannot be read or expanded, or the folder does not exist.
+        InputError: the file cannot be read or expanded, the folder does not exist, or a URDF is given arguments.
         InfrastructureError: xacrodoc is not installed.
     """
     content = read_bytes(path, MAX_BYTES, "a robot description")
@@ -49,7 +70,11 @@ def read_robot_description(path: Path, packages: Path | None = None) -> bytes:
             f"{packages}: packages: a xacro may read this whole folder, which holds your home, the system's or the "
             f"runner's files: name a smaller one, with the packages of {path.name} alone"
         )
-    return _expanded(path, packages) if path.name.endswith(ENDING) else content
+    if path.name.endswith(ENDING):
+        return _expanded(path, packages, arguments or {})
+    if arguments:
+        raise InputError(f"{path}: found the xacro argument '{next(iter(arguments))}', but this is no {ENDING}")
+    return content
 
 
 def _readable(path: Path, packages: Path | None) -> list[Path]:
@@ -75,7 +100,7 @@ def _holds_private_files(folder: Path) -> bool:
     )
 
 
-def _expanded(path: Path, packages: Path | None) -> bytes:
+def _expanded(path: Path, packages: Path | None, arguments: Mapping[str, str]) -> bytes:
     if find_spec("xacrodoc") is None:
         raise InfrastructureError(f"{path}: a xacro needs the package xacrodoc: pip install 'calibration-ci[xacro]'")
     with temporary_folder() as folder:
@@ -83,6 +108,7 @@ def _expanded(path: Path, packages: Path | None) -> bytes:
         request = {
             "file": str(path.resolve()),
             "folders": [str(each) for each in _readable(path, packages)],
+            "arguments": dict(arguments),
             "seconds": SECONDS,
             "memory": MEMORY,
             "output": MAX_BYTES,
@@ -112,6 +138,9 @@ def _reason(code: int, log: Path, path: Path) -> str:
         return f"it took more than {SECONDS} s, {MEMORY:g} bytes of memory or {MAX_BYTES:g} bytes of text"
     lines = read_bytes(log, MAX_BYTES, "a log").decode(errors="replace").strip().splitlines()
     why = shorten(one_line(lines[-1]), 300) if lines else "no reason given"
+    if (missing := _MISSING_ARGUMENT.search(why)) is not None:
+        name = missing[1] or missing[2]
+        return f"its argument '{name}' has no value: give one, xacro: {{{name}: ...}} (--xacro {name}=... of export)"
     if code == _REFUSED:
         return f"{why}; give the URDF that xacro makes of it: xacro {path.name} > {path.name.removesuffix(ENDING)}"
     return f"{why}; {PLACES}" if "ackage" in why else why

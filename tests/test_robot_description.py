@@ -168,3 +168,23 @@ def test_a_file_of_the_same_repository_is_included_and_one_above_is_not(tmp_path
         read_robot_description(file)
     (tmp_path / ".git").mkdir()
     assert b'"common"' in read_robot_description(file)
+
+
+@pytest.mark.parametrize("default", ["", ' default="unused"'])
+def test_arguments_have_the_values_that_are_given(tmp_path: Path, default: str) -> None:
+    file = tmp_path / "robot.urdf.xacro"
+    file.write_text(f'{HEAD}<xacro:arg name="prefix"{default}/><link name="$(arg prefix)link"/></robot>')
+    assert b'"left_link"' in read_robot_description(file, arguments={"prefix": "left_"})
+
+
+@pytest.mark.parametrize("declared", ["", '<xacro:arg name="ur_type"/>'])
+def test_an_argument_that_nobody_gives_is_named_with_its_key(tmp_path: Path, declared: str) -> None:
+    file = tmp_path / "robot.urdf.xacro"
+    file.write_text(f'{HEAD}{declared}<link name="$(arg ur_type)"/></robot>')
+    with pytest.raises(InputError, match=r"its argument 'ur_type' has no value: .*xacro: \{ur_type: \.\.\.\}"):
+        read_robot_description(file)
+
+
+def test_a_urdf_has_no_arguments() -> None:
+    with pytest.raises(InputError, match="found the xacro argument 'prefix'"):
+        read_robot_description(SYSTEM / "robot.urdf", arguments={"prefix": "left_"})

@@ -1,11 +1,12 @@
 """``export``: write a calibrated dataset in the file formats of robots."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
 
-from calibration.commands.parameters import TEXT_LIST, path, text
+from calibration.commands.parameters import TEXT_LIST, assignments, path, text
 from calibration.dataset.reading import read_dataset
 from calibration.errors import ExitCode, InputError
 from calibration.exports.files import exported
@@ -21,12 +22,14 @@ from calibration.workflow.text import did_you_mean, one_line
 @click.option(
     "--robot-description", type=path, help="The robot's URDF or xacro, to be written as URDF with calibrated origins."
 )
+@click.option("--xacro", type=assignments, help="Arguments of the xacro: ur_type=ur5e, name=left.")
 @click.option("--formats", type=TEXT_LIST, help=f"{URDF}, {', '.join(FORMATS)} (all that there can be).")
 @click.option("--although", type=text, help="Why a calibration that has not passed is exported all the same.")
 @click.option("--output", type=path, default="exports", show_default=True, help="Folder to write.")
 def command(
     dataset: Path,
     robot_description: Path | None,
+    xacro: Mapping[str, str] | None,
     formats: tuple[str, ...] | None,
     although: str | None,
     output: Path,
@@ -37,7 +40,7 @@ def command(
     kept.
     """
     runner = Runner.from_environment(os.environ)
-    return export(dataset, robot_description, formats or (), output, runner, although)
+    return export(dataset, robot_description, formats or (), output, runner, although, xacro)
 
 
 def export(
@@ -47,6 +50,7 @@ def export(
     output: Path,
     runner: Runner,
     although: str | None = None,
+    xacro: Mapping[str, str] | None = None,
 ) -> ExitCode:
     """Write the files of the formats.
 
@@ -56,6 +60,7 @@ def export(
         formats: names of formats; empty for all that are possible with these data.
         output: folder to write.
         runner: runner for the log.
+        xacro: values of a xacro's arguments by name.
         although: reason for exporting what has not passed its verdict; None to refuse that.
 
     Raises:
@@ -69,7 +74,7 @@ def export(
             raise InputError(f"--formats: found '{each}', expected {', '.join(known)}{did_you_mean(each, known)}")
     read = read_dataset(dataset)
     cell = None if although else refuse_what_has_not_passed(dataset, read)
-    files, notes = exported(read, formats, description)
+    files, notes = exported(read, formats, description, xacro)
     if cell is not None and cell.verdict == "undecided":
         notes.append(f"undecided, which passes here (undecided: pass): {cell.undecided[0]}")
     for name, content in files.items():

@@ -7,7 +7,7 @@ so lists are single values with separators, and booleans can be written out.
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -112,6 +112,19 @@ def list_of(item: Callable[[str], _Item]) -> Callable[[str | Sequence[_Item]], t
 
     items.__name__ = f"{item.__name__},..."  # shown by --help
     return items
+
+
+def assignments(value: str | Mapping[str, str]) -> Mapping[str, str]:
+    """Parse NAME=VALUE, separated by commas or new lines; a usage error for other texts."""
+    if not isinstance(value, str):
+        return value
+    found = {}
+    for part in TEXT_LIST(value):
+        name, equals, content = part.partition("=")
+        if not name.strip() or not equals:
+            raise click.BadParameter(f"{part!r}: expected NAME=VALUE")
+        found[name.strip()] = content.strip()
+    return found
 
 
 TEXT_LIST = list_of(text)

@@ -37,25 +37,45 @@ def main() -> None:
     """Expand the xacro of the request, a JSON document in the arguments; the last line of stderr is the reason if not.
 
     Keys of the request: ``file``; ``folders`` that may be read, in which packages are looked for in this order; the
-    limits ``seconds``, ``memory`` and ``output``.
+    limits ``seconds``, ``memory`` and ``output``; ``arguments`` of the xacro by name.
     """
     request = json.loads(sys.argv[1])
     target = os.dup(1)
     os.dup2(2, 1)  # what xacro prints is no URDF
     folders = [Path(folder) for folder in request["folders"]]
     XacroDoc.from_string(_WARM_UP).to_urdf_string()  # imports what is imported at the first use
+    _accept_arguments_without_default()
     _limit_language()
     substitution_args._eval_find = lambda name: _package(name, folders)
     confine(folders, request["seconds"], request["memory"], request["output"])
     xacro.init_stacks(request["file"])  # relative paths in it begin at its folder
     try:
-        urdf = XacroDoc.from_file(request["file"], walk_up=False, resolve_packages=False).to_urdf_string()
+        document = XacroDoc.from_file(
+            request["file"], walk_up=False, subargs=request["arguments"], resolve_packages=False
+        )
+        urdf = document.to_urdf_string()
         with os.fdopen(target, "wb") as stream:
             stream.write(urdf.encode())
     except Exception as error:
         code, reason = _reason(error)
         os.write(2, f"\n{' '.join(reason.split())}\n".encode(errors="replace"))
         os._exit(code)
+
+
+def _accept_arguments_without_default() -> None:
+    """Let an ``<xacro:arg>`` have no default where a value is given."""
+    checked = xacro.check_attrs
+
+    def check_attributes(tag: Any, required: list[str], optional: list[str]) -> list[Any]:
+        if tag.tagName == "xacro:arg" and not tag.hasAttribute("default"):
+            (name,) = checked(tag, ["name"], optional)
+            arguments = xacro.substitution_args_context["arg"]
+            if name not in arguments:
+                raise LookupError(f"required argument '{name}'")
+            return [name, arguments[name]]
+        return list(checked(tag, required, optional))
+
+    xacro.check_attrs = check_attributes
 
 
 def _limit_language() -> None:

@@ -1,6 +1,6 @@
 """Export of a calibrated dataset to all files of the requested formats."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from calibration.dataset.model import Dataset
@@ -14,13 +14,16 @@ from calibration.robot_description import read_robot_description
 CALIBRATED_URDF = "calibrated.urdf"
 
 
-def exported(dataset: Dataset, formats: Sequence[str], description: Path | None) -> tuple[dict[str, bytes], list[str]]:
+def exported(
+    dataset: Dataset, formats: Sequence[str], description: Path | None, arguments: Mapping[str, str] | None = None
+) -> tuple[dict[str, bytes], list[str]]:
     """Return the files of the requested formats by name, and notes for the user.
 
     Args:
         dataset: the calibrated dataset.
         formats: names of formats; empty for all that the dataset supports.
         description: the robot's URDF, or a xacro, which is expanded; None if there is none.
+        arguments: values of the xacro's arguments by name.
 
     Raises:
         InputError: the dataset is not calibrated, the URDF does not match it, or the dataset does not support a
@@ -31,7 +34,8 @@ def exported(dataset: Dataset, formats: Sequence[str], description: Path | None)
     of = calibrated(dataset)
     files, notes = _texts(of, formats)
     if description is not None and (URDF in formats or not formats):
-        made = calibrated_urdf(read_robot_description(description), {**of.transforms, **of.joints}, str(description))
+        urdf = read_robot_description(description, arguments=arguments)
+        made = calibrated_urdf(urdf, {**of.transforms, **of.joints}, str(description))
         files = {CALIBRATED_URDF: made.content} | files
         notes = [*made.notes, *notes]
     return files, notes

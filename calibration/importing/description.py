@@ -18,6 +18,7 @@ from calibration.records import (
     length,
     record,
 )
+from calibration.robot_description import XACRO_HELP, XacroArguments
 
 Name = Annotated[str, length(1, 200)]
 Size = Annotated[float, above(0, MAX_SIZE)]
@@ -162,6 +163,7 @@ class Bags:
     packages: Path | None = field(
         "Folder in which the packages are looked for that a xacro includes; those above it are found.", default=None
     )
+    xacro: XacroArguments = field(XACRO_HELP, default_factory=dict)
     every: Annotated[float, above(0, 1e6)] | None = field(
         "A moment every so many seconds, still or not, in place of those at which all stands still.", default=None
     )

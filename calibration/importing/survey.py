@@ -89,7 +89,7 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
         else:
             first.setdefault(message.topic, message)
     if described.bags is not None and (urdf := described.bags.robot_description):
-        log.add_robot(read_robot_description(urdf, described.bags.packages), urdf)
+        log.add_robot(read_robot_description(urdf, described.bags.packages, described.bags.xacro), urdf)
     topics = {}
     for sensor in sensors:
         topic, info = sensor.topic or "", infos.get(sensor.name)

@@ -23,7 +23,7 @@ from calibration.files import read_bytes
 from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.types import Array
 from calibration.records import Converted, Place, between, field, read, read_as, record, unknown_key
-from calibration.robot_description import ENDING, read_robot_description
+from calibration.robot_description import ENDING, XACRO_HELP, XacroArguments, read_robot_description
 from calibration.simulation.board import Board
 from calibration.simulation.description import MAX_BYTES, Pose, degrees, listed, rising
 from calibration.simulation.joints import JointErrors, check_calibrated_joints, with_errors
@@ -122,6 +122,7 @@ class Simulation:
     )
     scene: Scene = field("What stands around.", default_factory=Scene)
     motion: MovedPattern = field("Motion of the pattern.", default_factory=MovedPattern)
+    xacro: XacroArguments = field(XACRO_HELP, default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +199,9 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
     """
     robot_path, configuration_path = robot or _robot_file(folder), configuration or folder / CONFIGURATION_FILE
     simulation_path = folder / SIMULATION_FILE
-    sources = {ROBOT_FILE: read_robot_description(robot_path)} | {
+    place = Place(str(simulation_path))
+    simulation = read(Simulation, read_yaml(simulation_path, "the description of a simulation"), place.where)
+    sources = {ROBOT_FILE: read_robot_description(robot_path, arguments=simulation.xacro)} | {
         name: read_bytes(path, MAX_BYTES, "a file of the system")
         for name, path in (
             (CONFIGURATION_FILE, configuration_path),
@@ -206,8 +209,6 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
         )
     }
     config, urdf = read_configuration(configuration_path), parse_robot(sources[ROBOT_FILE], robot_path)
-    place = Place(str(simulation_path))
-    simulation = read(Simulation, read_yaml(simulation_path, "the description of a simulation"), place.where)
     for key, known in (("sensors", config.sensors), ("patterns", config.patterns), ("joints", urdf.movable)):
         _check_names(getattr(simulation, key), known, place.below(key))
     system = System(

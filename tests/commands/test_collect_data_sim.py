@@ -186,7 +186,7 @@ def test_red_is_red(small: Path, motion: Path, tmp_path: Path, capsys: pytest.Ca
         (("--system", "t2rgb", "--minimum-detection-rate", "1.5"), "'1.5' is above 1"),
         (("--system", "t2rgb", "--robot", "no.urdf"), "no.urdf: a robot description was expected"),
         (("--system", "t2rgb", "--robot", "datasets/rlbot/robot.urdf"), "config.yml: sensors/left_camera/link: frame"),
-        (("--system", "tests"), "robot.urdf: a robot description was expected"),
+        (("--system", "tests"), "simulation.yml: the description of a simulation was expected"),
         (("--system", "t2rgb", "--motion", "datasets/riwbot/motion.json"), "riwbot/motion.json: found no position"),
         ((), "Missing option '--system'"),
         (("--system", "t2rgb", "--scenarios", "3"), "scenarios and scenario need a scenario-set"),

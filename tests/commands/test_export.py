@@ -93,3 +93,13 @@ def test_a_dataset_that_was_imported_and_never_calibrated_is_refused(
     assert main(["export", "--dataset", str(tmp_path), "--output", str(tmp_path / "exports")]) == 2
     assert f"{tmp_path}: this dataset was imported" in capsys.readouterr().err
     assert not (tmp_path / "exports").exists()
+
+
+def test_arguments_of_a_xacro(tmp_path: Path) -> None:
+    xacro, urdf = tmp_path / "robot.urdf.xacro", Path(DESCRIPTION).read_text()
+    body = urdf[urdf.index(">", urdf.index("<robot")) + 1 :]
+    xacro.write_text(f'<robot name="$(arg name)" xmlns:xacro="http://www.ros.org/wiki/xacro">{body}')
+    command = ["export", "--dataset", T2RGB, "--robot-description", str(xacro), "--formats", "urdf"]
+    assert main([*command, "--xacro", "name=ours", "--output", str(tmp_path / "o")]) == 0
+    assert '<robot name="ours"' in (tmp_path / "o" / "calibrated.urdf").read_text()
+    assert main([*command, "--xacro", "name", "--output", str(tmp_path / "p")]) == 2

@@ -93,7 +93,7 @@ def test_a_depth_camera(system_copy: Path) -> None:
             "simulation.yml",
             "scene:",
             "szene:",
-            "unknown key 'szene': did you mean 'scene'? (known: sensors, patterns, joints, scene, motion)",
+            "unknown key 'szene': did you mean 'scene'? (known: sensors, patterns, joints, scene, motion, xacro)",
         ),
         ("simulation.yml", "rgb_left:", "rgb:", "sensors: unknown key 'rgb' (known: lidar_right, rgb_left)"),
         ("simulation.yml", "  rgb_left: {", "  # {", "sensors: missing key 'rgb_left'"),

@@ -59,7 +59,7 @@ def _exported(system: System, exports: Exports, cells: Sequence[CellResult], out
     try:
         # The labels' data files stay beside the dataset that was calibrated.
         dataset = read_dataset(output / (first.dataset or ""), data=_data(system), given=system.dataset)
-        files, notes = exported(dataset, exports.formats, exports.robot_description)
+        files, notes = exported(dataset, exports.formats, exports.robot_description, exports.xacro)
         details = first.details or own_details(first, output)
     except CalibrationError as error:
         return Exported(system=system.name, folder=folder, reasons=(f"{system.name}: exports: {error}",))
