@@ -1,6 +1,7 @@
 """Sensors of a dataset: frames, calibrated transforms and intrinsics, checked against the configuration."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from calibration.dataset.configuration import SensorConfiguration
@@ -9,6 +10,7 @@ from calibration.dataset.lens_uncertainty import KEY as UNCERTAINTY
 from calibration.dataset.lens_uncertainty import LensUncertainty, read_uncertainty
 from calibration.dataset.modalities import MODALITIES
 from calibration.dataset.model import Sensor
+from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import MODELS, Distortion, PlumbBob
 
@@ -16,6 +18,19 @@ MAX_PIXELS = 1 << 20
 """px: limit of the width or height of an image."""
 MAX_INTRINSIC = 1e7
 """Limit of focal length, principal point (px) and distortion coefficients."""
+MAX_SKEW_PX = 0.05
+"""px: a skew that moves pixels by less does not matter, and is left out."""
+MAX_SKEWED_HEIGHT = 10_000
+"""px: height of the image where a file does not say it."""
+BINNING = ("binning_x", "binning_y")
+MAX_BINNING = 64
+SYNONYMS = {
+    "fisheye": "equidistant",
+    "kannala_brandt": "equidistant",
+    "kannala_brandt4": "equidistant",
+    "radtan": "plumb_bob",
+}
+"""Names of distortion models that drivers and tools use too."""
 _TWINS = {
     "modality": "modality",
     "parent": "link",
@@ -64,37 +79,57 @@ def _read_uncertainty(info: Node, camera: Camera) -> LensUncertainty | None:
 def read_camera(info: Node) -> Camera:
     """Parse the intrinsics of a sensor_msgs/CameraInfo: K, D and the size of the image.
 
+    K is that of the whole image sensor; of an image that is a part (``roi``) or a reduction (``binning``) of it, the
+    intrinsics are those of the image, as REP 104 has it.
+
     Raises:
-        InputError: something in it is missing or wrong, its distortion model is not known, or the image is a part
-            (``roi``) or a reduction (``binning``) of what K describes.
+        InputError: something in it is missing or wrong, or its distortion model is not known.
     """
     width, height = info["width"].whole(1, MAX_PIXELS), info["height"].whole(1, MAX_PIXELS)
-    _refuse_binning(info, width, height)
     fx, skew, cx, zero, fy, cy, *bottom = info["K"].numbers(9)
     if max(fx, fy, abs(cx), abs(cy)) > MAX_INTRINSIC:
         raise info["K"].fault(f"found {info['K'].value}, expected numbers of pixels up to {MAX_INTRINSIC:g}")
-    if not (fx > 0 and fy > 0 and skew == zero == 0 and bottom == [0, 0, 1]):
+    if not (fx > 0 and fy > 0 and zero == 0 and bottom == [0, 0, 1]):
         raise info["K"].fault(f"found {info['K'].value}, expected [fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx, fy > 0")
-    return Camera(
-        fx=fx,
-        fy=fy,
-        cx=cx,
-        cy=cy,
-        width=width,
-        height=height,
-        distortion=_read_distortion(info),
+    if abs(skew) * min(height, MAX_SKEWED_HEIGHT) / (2 * fy) > MAX_SKEW_PX:
+        raise info["K"].fault(
+            f"found a skew of {skew:g}, which moves pixels by more than {MAX_SKEW_PX:g} px: no lens model here has "
+            "one; calibrate the camera without skew"
+        )
+    camera = Camera(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height, distortion=_read_distortion(info))
+    return _of_image(camera, info)
+
+
+def _of_image(camera: Camera, info: Node) -> Camera:
+    """Return the camera of the part of the image sensor that is read, with the pixels that are added up (REP 104)."""
+    x, y, width, height = 0, 0, camera.width, camera.height
+    roi = info.get("roi")
+    if roi and (roi["width"].whole(0, MAX_PIXELS) or roi["height"].whole(0, MAX_PIXELS)):
+        x, y = roi["x_offset"].whole(0, width - 1), roi["y_offset"].whole(0, height - 1)
+        width, height = roi["width"].whole(1, width - x), roi["height"].whole(1, height - y)
+    columns, rows = (max(1, each.whole(0, MAX_BINNING)) if (each := info.get(key)) else 1 for key in BINNING)
+    return replace(
+        camera,
+        fx=camera.fx / columns,
+        fy=camera.fy / rows,
+        cx=(camera.cx - x) / columns,
+        cy=(camera.cy - y) / rows,
+        width=width // columns,
+        height=height // rows,
     )
 
 
-def _refuse_binning(info: Node, width: int, height: int) -> None:
-    """Refuse an image with roi or binning: in CameraInfo, K is of the full image without binning."""
-    for key in ("binning_x", "binning_y"):
-        if (binning := info.get(key)) and binning.number() not in (0, 1):
-            raise binning.unexpected("0 or 1: K, width and height of the image as it is, without binning")
-    if roi := info.get("roi"):
-        for key, whole in (("x_offset", 0), ("y_offset", 0), ("width", width), ("height", height)):
-            if (part := roi.get(key)) and part.number() not in (0, whole):
-                raise part.unexpected(f"{f'0 or {whole}' if whole else '0'}: K of the image as it is, without a roi")
+def check_principal_point(camera: Camera, where: str) -> None:
+    """Refuse a principal point outside of the image: the intrinsics are those of another resolution.
+
+    Raises:
+        InputError: it is outside.
+    """
+    if not (0 <= camera.cx <= camera.width and 0 <= camera.cy <= camera.height):
+        raise InputError(
+            f"{where}: found the principal point ({camera.cx:g}, {camera.cy:g}) outside of the image of {camera.width} "
+            f"x {camera.height} pixels: is it of another resolution?"
+        )
 
 
 def camera_document(camera: Camera) -> dict[str, Any]:
@@ -113,11 +148,15 @@ def camera_document(camera: Camera) -> dict[str, Any]:
 def _read_distortion(info: Node) -> Distortion:
     name, D = info["distortion_model"], info["D"]
     coefficients = [element.within(-MAX_INTRINSIC, MAX_INTRINSIC) for element in D.elements()]
-    if name.text() == "" and not any(coefficients):
+    if name.text() in ("", "none") and not any(coefficients):
         return PlumbBob()
-    if name.value not in MODELS:
-        raise name.unexpected(f"a known distortion model: {', '.join(MODELS)}")
-    model = MODELS[name.value]
-    if len(coefficients) > len(model.names()):
-        raise D.unexpected(f"{len(model.names())} coefficients of {model.ros_name}: {', '.join(model.names())}")
-    return model(*coefficients)
+    found = SYNONYMS.get(name.value, name.value)
+    if found not in MODELS:
+        raise name.unexpected(f"a known distortion model: {', '.join((*MODELS, *SYNONYMS))}")
+    model = MODELS[found]
+    count = len(model.names())
+    if any(coefficients[count:]):
+        longer = [each.ros_name for each in MODELS.values() if len(each.names()) >= len(coefficients)]
+        hint = f"; {longer[0]} has as many" if longer else ""
+        raise D.unexpected(f"{count} coefficients of {model.ros_name}: {', '.join(model.names())}{hint}")
+    return model(*coefficients[:count])

@@ -146,6 +146,10 @@ class Bag:
             raise InputError(f"{self.path}: {message.topic}: found a message of {len(message.data)} bytes") from None
         return seconds * SECOND + rest or message.recorded
 
+    def without_stamp(self, message: RawMessage) -> bytes:
+        """Return the bytes of a message that begins with a header, without its number and stamp."""
+        return message.data[12:]
+
 
 @contextmanager
 def open_bag(paths: Sequence[Path]) -> Iterator[Bag]:

@@ -19,6 +19,7 @@ from calibration.records import (
     record,
 )
 from calibration.robot_description import XACRO_HELP, XacroArguments
+from calibration.simulation.description import Pose
 
 Name = Annotated[str, length(1, 200)]
 Size = Annotated[float, above(0, MAX_SIZE)]
@@ -57,6 +58,11 @@ class SensorDescription:
         "Frame that it is mounted on; its pose relative to this one is calibrated (the world).", default=None
     )
     frame: Name | None = field("Frame of its images, z forward (its name and _optical_frame).", default=None)
+    stamps: Literal["header", "recorded"] | None = field(
+        "Times of its messages in a bag: those in their headers, or those at which they were recorded, for a sensor "
+        "whose clock is not that of the others (header).",
+        default=None,
+    )
 
     @property
     def link(self) -> str:
@@ -105,6 +111,9 @@ class PatternDescription:
     )
     fixed: bool | None = field("Whether it has one pose there, or one in each collection.", default=None)
     frame: Name | None = field("Its own frame (its name and _link).", default=None)
+    pose: Pose | None = field(
+        "Its known pose on its parent, to be held (hold) where the recording does not determine it.", default=None
+    )
 
     def __post_init__(self) -> None:
         """Refuse an incomplete pattern.
@@ -182,7 +191,12 @@ class ImportDescription:
         "By their names; for a bag, every topic of images unless given.", default=()
     )
     robot: Name | None = field("Name of the robot (of the folder of this file).", default=None)
-    world: Name = field("The frame that all others hang on.", default="world")
+    world: Name | None = field(
+        "The frame that all others hang on (world; of a bag, the root of its frames).", default=None
+    )
+    parents: Mapping[Name, Name] = field(
+        "The parent, of each frame that has several in a bag: {box: table}.", default_factory=dict
+    )
     bags: Bags | None = field("What ROS recorded.", default=None)
     pairs: Literal["name", "number", "stamp"] | Path | None = field(
         "What tells which images belong together: their names, the last numbers in them, the stamps in nanoseconds "
@@ -209,11 +223,19 @@ class ImportDescription:
             return
         if not names:
             raise Misfit("missing key 'sensors'")
-        if topics := [each.name for each in self.sensors if each.topic or each.camera_info or each.modality]:
-            raise Misfit(f"sensors: '{topics[0]}': a topic needs 'bags', and so does a modality")
+        if self.parents:
+            raise Misfit("found 'parents' without 'bags': only recorded frames have several")
+        of_bags = [each for each in self.sensors if each.topic or each.camera_info or each.modality or each.stamps]
+        if of_bags:
+            raise Misfit(f"sensors: '{of_bags[0].name}': a topic needs 'bags', and so do a modality and stamps")
         without = [sensor.name for sensor in self.sensors if sensor.images is None]
         if without and (self.samples is None or len(self.sensors) > 1):
             raise Misfit(f"sensors: '{without[0]}': missing key 'images', a folder or a pattern of files")
+
+    @property
+    def root(self) -> str:
+        """The frame that all others hang on, where no recording tells it."""
+        return self.world or "world"
 
     @property
     def in_hand(self) -> bool:

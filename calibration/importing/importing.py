@@ -44,9 +44,11 @@ from calibration.importing.recordings import (
     extracted_ranges,
     image_at,
     images_by_camera,
+    images_without_pattern,
     mounting,
+    root_of,
 )
-from calibration.importing.results import ImportResults, RejectedView, SensorResult
+from calibration.importing.results import ImportResults, LeftOut, RejectedView, SensorResult
 from calibration.importing.samples import Sample, read_samples
 from calibration.importing.stillness import BagMoment
 from calibration.importing.survey import survey
@@ -93,16 +95,15 @@ def import_data(
     refuse_existing(output, overwrite)
     described = read_description(config)
     robot = described.robot or config.resolve().parent.name
-    patterns = {each.name: pattern_configuration(each, described.world) for each in described.patterns}
     lenses = {each.name: read_lens(each.intrinsics, each.camera) for each in described.sensors if each.intrinsics}
     if described.samples is not None and not any(each.images for each in described.sensors):
         samples = read_samples(described.samples.file, described.in_hand)
         if not any(each.image for each in samples) and samples[0].T_camera_pattern is not None:
-            return _import_poses(described, robot, patterns, samples, output, overwrite)
+            return _import_poses(described, robot, samples, output, overwrite)
     for pattern in described.patterns:
         if not pattern.is_printed:
             raise InputError(f"{config}: patterns/{pattern.name}: missing key 'type', or 'target': images are given")
-    source = (_from_images if described.bags is None else _from_bags)(described, patterns, lenses)
+    source = (_from_images if described.bags is None else _from_bags)(described, lenses)
     with (
         workspace(output, source.identity, text_of, source.decode) as work,
         single_threaded_opencv(),
@@ -134,12 +135,12 @@ def import_data(
 def _import_poses(
     described: ImportDescription,
     robot: str,
-    patterns: Mapping[str, PatternConfiguration],
     samples: Sequence[Sample],
     output: Path,
     overwrite: bool,
 ) -> ImportResults:
     """Import pairs of poses, of an arm and of the pattern measured by a camera."""
+    patterns = _patterns(described)
     (sensor, *other), (pattern, *more) = described.sensors, patterns
     if other or more or described.samples is None:
         raise InputError(
@@ -157,7 +158,7 @@ def _import_poses(
         estimated={},
         moments=[LabelledMoment({}) for _ in samples],
         ranges=[{} for _ in samples],
-        transforms=_transforms(configuration, arm, len(samples)),
+        transforms=_with_known_patterns(_transforms(configuration, arm, len(samples)), described, configuration),
         rough=True,
         poses={(sensor.name, pattern): np.stack([T for s in samples if (T := s.T_camera_pattern) is not None])},
     )
@@ -183,9 +184,12 @@ class _Source:
     processes."""
 
 
-def _from_images(
-    described: ImportDescription, patterns: Mapping[str, PatternConfiguration], lenses: Mapping[str, KnownLens]
-) -> _Source:
+def _patterns(described: ImportDescription, root: str | None = None) -> dict[str, PatternConfiguration]:
+    return {each.name: pattern_configuration(each, described.root, root) for each in described.patterns}
+
+
+def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
+    patterns = _patterns(described)
     configuration = _configuration(described, patterns)
     moments, transforms = _moments(described, configuration)
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
@@ -197,7 +201,8 @@ def _from_images(
         for name in configuration.sensors:
             check_copies(name, [moment.views[name] for moment in seen if name in moment.views])
         lag = max(moment.lag for moment in moments)
-        placed = with_baselines(transforms, configuration, lenses)
+        known = _with_known_patterns(transforms, described, configuration)
+        placed = with_baselines(known, configuration, lenses)
         return Recorded(configuration, lenses, seen, placed, rough=True, searched=len(seen), lag=lag)
 
     return _Source(
@@ -208,15 +213,16 @@ def _from_images(
     )
 
 
-def _from_bags(
-    described: ImportDescription, patterns: Mapping[str, PatternConfiguration], lenses: Mapping[str, KnownLens]
-) -> _Source:
+def _from_bags(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
     bags = described.bags
     if bags is None:
         raise AssertionError("called for bags")
     with open_bag(bags.files) as bag:
         found = survey(bag, described)
     where = str(bags.files[0])
+    root = root_of(described, found)
+    patterns = _patterns(described, root)
+    described = replace(described, world=root)
     mounted = mounting(described, patterns, found, where)
     bag_lenses = {
         name: KnownLens(bags.files[0], camera.camera, has_size=True)
@@ -238,7 +244,11 @@ def _from_bags(
                 {**bag_lenses, **lenses},
                 [LabelledMoment({name: image.view for name, image in moment.images.items()}) for moment in some],
                 with_baselines(
-                    mounted.transforms(found.log, [moment.time for moment in some]),
+                    _with_known_patterns(
+                        mounted.transforms(found.log, [moment.time for moment in some]),
+                        described,
+                        mounted.configuration,
+                    ),
                     mounted.configuration,
                     lenses,
                     mounted.edges,
@@ -247,14 +257,19 @@ def _from_bags(
                 lag=max(moment.lag for moment in some),
             )
 
+        rejected = images_without_pattern(found, images, found.log)
         every = chosen_moments(bags, images, found.log, mounted.edges, where)
         moments, evenly = best_moments(every, bags.most, of_cameras)
+        found.log.left_out.add(f"more than {bags.most} moments ('most')", "moments", count=len(every) - len(moments))
         return replace(
             of_cameras(moments),
             moments=extracted_images(bags.files, found, moments, folder, jobs),
             ranges=extracted_ranges(bags.files, found, moments, folder),
             searched=len(every),
             evenly=evenly,
+            rejected=rejected,
+            left_out=found.log.left_out.results(),
+            notes=(f"the robot description is left out: {fault}",) if (fault := found.log.robot_fault) else (),
         )
 
     return _Source(
@@ -284,7 +299,7 @@ def _configuration(
     described: ImportDescription, patterns: Mapping[str, PatternConfiguration], modality: Modality = RGB
 ) -> Configuration:
     """Return the calibration configuration: the pose of each sensor on its parent."""
-    sensors = {each.name: _sensor(each, described.world, modality) for each in described.sensors}
+    sensors = {each.name: _sensor(each, described.root, modality) for each in described.sensors}
     mounted = {pattern.parent_link for pattern in patterns.values() if pattern.fixed}
     if described.samples is not None:
         tool = described.samples.tool
@@ -295,7 +310,7 @@ def _configuration(
             )
     moves = described.samples is None and not mounted
     anchored = described.anchored or (next(iter(sensors)) if moves else None)
-    return Configuration(world_link=described.world, sensors=sensors, patterns=patterns, anchored_sensor=anchored)
+    return Configuration(world_link=described.root, sensors=sensors, patterns=patterns, anchored_sensor=anchored)
 
 
 def _sensor(described: SensorDescription, world: str, modality: Modality) -> SensorConfiguration:
@@ -360,6 +375,20 @@ def _transforms(configuration: Configuration, arm: Mapping[Edge, Array], count: 
     return transforms
 
 
+def _with_known_patterns(
+    transforms: Mapping[Edge, Array], described: ImportDescription, configuration: Configuration
+) -> dict[Edge, Array]:
+    """Return the transforms (N, 4, 4) with the poses of the patterns that the description states."""
+    count = len(next(iter(transforms.values())))
+    stated = {each.name: each.pose.transform for each in described.patterns if each.pose is not None}
+    known = {
+        (pattern.parent_link, pattern.link): np.broadcast_to(stated[name], (count, 4, 4))
+        for name, pattern in configuration.patterns.items()
+        if name in stated
+    }
+    return {**transforms, **known}
+
+
 def _results(imported: Imported, recorded: Recorded) -> ImportResults:
     labelled = recorded.moments
     sensors = {}
@@ -368,7 +397,7 @@ def _results(imported: Imported, recorded: Recorded) -> ImportResults:
             sensors[name] = _range_result([each[name] for each in imported.ranges if name in each])
             continue
         views = [moment.views[name] for moment in labelled if name in moment.views]
-        rejected = [
+        rejected = list(recorded.rejected.get(name, ())) or [
             RejectedView(view.file, "; ".join(dict.fromkeys(found.reason for found in view.found.values())))
             for view in views
             if not view.labelled
@@ -376,7 +405,7 @@ def _results(imported: Imported, recorded: Recorded) -> ImportResults:
         corners = sum(len(found.ids) for view in views for found in view.found.values())
         sensors[name] = SensorResult(
             images=len(views),
-            labelled=len(views) - len(rejected),
+            labelled=sum(view.labelled for view in views),
             corners=corners,
             intrinsics="estimated" if name in imported.estimated else "given",
             lens=imported.estimated.get(name),
@@ -386,8 +415,24 @@ def _results(imported: Imported, recorded: Recorded) -> ImportResults:
     together = sum(1 for seen in imported.seen if len(seen) > 1)
     lag = round(1e3 * recorded.lag, 3)
     return ImportResults(
-        imported.robot, recorded.searched, len(labelled), len(imported.moments), together, lag, sensors, recorded.evenly
+        imported.robot,
+        recorded.searched,
+        len(labelled),
+        len(imported.moments),
+        together,
+        lag,
+        sensors,
+        recorded.evenly,
+        _left_out(imported, recorded),
+        recorded.notes,
     )
+
+
+def _left_out(imported: Imported, recorded: Recorded) -> tuple[LeftOut, ...]:
+    """Return what was left out, with the moments at which no camera sees a pattern."""
+    unseen = len(recorded.moments) - len(imported.moments)
+    rule = LeftOut("no camera sees a pattern then", "moments", unseen)
+    return (*recorded.left_out, *([rule] if unseen else []))
 
 
 def document_of_camera(camera: Camera) -> dict[str, float]:

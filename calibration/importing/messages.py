@@ -1,6 +1,7 @@
 """Conversion of ROS messages to arrays: images, intrinsics, poses."""
 
 import struct
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,11 @@ from calibration.dataset.document import Node
 from calibration.dataset.edges import FAR, QUATERNION_TOLERANCE
 from calibration.dataset.model import Edge
 from calibration.dataset.sensors import MAX_PIXELS as LONGEST_SIDE
-from calibration.dataset.sensors import read_camera
+from calibration.dataset.sensors import check_principal_point, read_camera
 from calibration.errors import InputError
+from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import from_quaternion
 from calibration.geometry.types import Array
 from calibration.importing.image_views import decoded_image
@@ -35,6 +38,10 @@ _COLOURS = {
     "bayer_bggr8": cv2.COLOR_BayerRG2BGR,
     "bayer_gbrg8": cv2.COLOR_BayerGR2BGR,
     "bayer_grbg8": cv2.COLOR_BayerGB2BGR,
+    "bayer_rggb16": cv2.COLOR_BayerBG2BGR,
+    "bayer_bggr16": cv2.COLOR_BayerRG2BGR,
+    "bayer_gbrg16": cv2.COLOR_BayerGR2BGR,
+    "bayer_grbg16": cv2.COLOR_BayerGB2BGR,
     "mono16": None,
     "16UC1": None,
     "bgr16": None,
@@ -43,22 +50,30 @@ _COLOURS = {
     "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
     "uyvy": cv2.COLOR_YUV2BGR_UYVY,
     "yuyv": cv2.COLOR_YUV2BGR_YUY2,
+    "nv12": cv2.COLOR_YUV2BGR_NV12,
+    "nv21": cv2.COLOR_YUV2BGR_NV21,
 }
 """Encodings of an Image, and OpenCV's conversions to BGR."""
 DEPTHS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
 """Encodings of depth images: number type, and unit in m."""
 MAX_DEPTH_PIXELS = 1 << 24
 """Limit of a depth image's pixels: its conversion takes some dozens of bytes for each."""
+MAX_RECTIFYING_DEG = 0.02
+"""Limit of the rotation that rectifies an image: its frame is then the camera's."""
 _CHANNELS = {"bgra8": 4, "rgba8": 4, "8UC4": 4, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgr16": 3, "rgb16": 3}
 _DEPTH_HEADER = struct.Struct("<iff")
 """Header of the transport compressedDepth: the kind of compression, and the two parameters of inverse depth."""
-_TWO_BYTES = frozenset({"mono16", "16UC1", "bgr16", "rgb16"})
+_TWO_BYTES = frozenset(name for name in _COLOURS if name.endswith("16") or name == "16UC1")
+_HALF_PLANES = frozenset({"nv12", "nv21"})
+"""Encodings with half as many rows of colours below those of the brightness."""
+BRIGHTEST_SHARE = 0.999
+"""Share of the pixels that are not saturated when 16 bits are stretched to 8: the brightest ones may be reflections."""
 
 
 def image_of(message: Any, where: str) -> Image:
     """Convert an Image or a CompressedImage to (H, W) or (H, W, 3), 8 bits, BGR.
 
-    Images of 16 bits are reduced to the upper eight.
+    Images of 16 bits are stretched: cameras of 10 to 14 bits use the lower ones.
 
     Raises:
         InputError: its encoding is not known, or its data are truncated.
@@ -71,11 +86,11 @@ def image_of(message: Any, where: str) -> Image:
     _check_pixels(height, width, MAX_IMAGE_PIXELS, where)
     size = 2 if encoding in _TWO_BYTES else 1
     channels = _CHANNELS.get(encoding, 2 if "yu" in encoding else 1)
-    pixels: NDArray[Any] = _rows(message, width * channels * size, where)
+    rows = height * 3 // 2 if encoding in _HALF_PLANES else height
+    pixels: NDArray[Any] = _rows(message, rows, width * channels * size, where)
     if size == 2:
-        order = ">u2" if message.is_bigendian else "<u2"
-        pixels = (pixels.view(order) >> 8).astype(np.uint8)
-    pixels = pixels.reshape(height, width, channels)
+        pixels = _stretched(pixels.view(">u2" if message.is_bigendian else "<u2"))
+    pixels = pixels.reshape(rows, width, channels)
     code = _COLOURS[encoding]
     if code is None:
         return np.asarray(pixels[:, :, 0] if channels == 1 else pixels, np.uint8)
@@ -85,6 +100,12 @@ def image_of(message: Any, where: str) -> Image:
         raise InputError(
             f"{where}: an image of {width} x {height} in {encoding} cannot be decoded: {error.err}"
         ) from None
+
+
+def _stretched(levels: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Return 8 bits of 16, so that all but the brightest pixels keep below 255."""
+    top = max(1.0, float(np.quantile(levels, BRIGHTEST_SHARE)))
+    return np.asarray(np.minimum(levels * np.float32(255 / top), 255), np.uint8)
 
 
 def depth_of(message: Any, where: str) -> DepthImage:
@@ -101,7 +122,7 @@ def depth_of(message: Any, where: str) -> DepthImage:
     kind, metres = DEPTHS[encoding]
     _check_pixels(height, width, MAX_DEPTH_PIXELS, where)
     order = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
-    rows = _rows(message, width * order.itemsize, where).view(order)
+    rows = _rows(message, height, width * order.itemsize, where).view(order)
     return _in_units(rows.astype(float) * metres)
 
 
@@ -154,14 +175,13 @@ def _check_pixels(height: int, width: int, most: int, where: str) -> None:
         raise InputError(f"{where}: found an image of {width} x {height} pixels, expected 1 to {most} pixels")
 
 
-def _rows(message: Any, row: int, where: str) -> NDArray[np.uint8]:
-    """Return the bytes (H, row) of an Image, without padding of its rows.
+def _rows(message: Any, height: int, row: int, where: str) -> NDArray[np.uint8]:
+    """Return the bytes (height, row) of an Image, without padding of its rows.
 
     Raises:
         InputError: there are fewer.
     """
     data = np.frombuffer(message.data, np.uint8)
-    height = int(message.height)
     if message.step < row or len(data) < message.step * (height - 1) + row:
         raise InputError(
             f"{where}: found {len(data)} bytes in rows of {message.step}, expected {height} rows of {row} or more"
@@ -170,16 +190,48 @@ def _rows(message: Any, row: int, where: str) -> NDArray[np.uint8]:
     return np.lib.stride_tricks.as_strided(data, (height, row), (int(message.step), 1)).copy()
 
 
-def camera_of(message: Any, where: str) -> Camera | None:
-    """Convert a CameraInfo to intrinsics; None if it is not calibrated (K of zeros).
+@dataclass(frozen=True)
+class CameraMessage:
+    """Intrinsics of a CameraInfo."""
+
+    raw: Camera
+    """Of the images as they are taken."""
+    R: tuple[float, ...]
+    """Rotation (9,) of the rectified frame relative to the camera's, row by row."""
+    P: tuple[float, ...]
+    """Projection (12,) of the rectified image, row by row."""
+
+    def rectified(self, where: str) -> Camera:
+        """Return the intrinsics of rectified images, which have no distortion.
+
+        Raises:
+            InputError: they are turned relative to the camera's frame, or there is no projection.
+        """
+        angle = (
+            float(np.degrees(rotations.angle(rotations.nearest(np.reshape(self.R, (3, 3)))))) if any(self.R) else 0.0
+        )
+        if angle > MAX_RECTIFYING_DEG:
+            raise InputError(
+                f"{where}: its images are rectified, and turned by {angle:.2f} deg relative to the camera (R of "
+                "camera_info): record the raw images, image_raw"
+            )
+        fx, _, cx, _, _, fy, cy, *_ = self.P
+        if not (fx > 0 and fy > 0):
+            raise InputError(
+                f"{where}: found no projection P in its camera_info, expected that of the rectified images"
+            )
+        return replace(self.raw, fx=fx, fy=fy, cx=cx, cy=cy, distortion=PlumbBob())
+
+
+def camera_of(message: Any, where: str) -> CameraMessage | None:
+    """Convert a CameraInfo to intrinsics; None if it is not calibrated (focal lengths of 0).
 
     Raises:
         InputError: they are invalid.
     """
-    values = {key: getattr(message, key, None) for key in ("K", "D")}
-    K = values["K"] if values["K"] is not None else message.k
-    D = values["D"] if values["D"] is not None else message.d
-    if not np.any(K):
+    letters = "KDRP" if hasattr(message, "K") else "kdrp"  # of ROS 1, of ROS 2
+    K, D, R, P = ([float(value) for value in getattr(message, letter)] for letter in letters)
+    if not (K[0] and K[4]):
         return None
     roi, width = message.roi, int(message.width)
     if not 0 < width <= LONGEST_SIDE:
@@ -187,26 +239,27 @@ def camera_of(message: Any, where: str) -> Camera | None:
     info = {
         "width": width,
         "height": int(message.height),
-        "K": [float(v) for v in K],
-        "D": [float(v) for v in D],
+        "K": K,
+        "D": D,
         "distortion_model": str(message.distortion_model),
         "binning_x": int(message.binning_x),
         "binning_y": int(message.binning_y),
         "roi": {key: int(getattr(roi, key)) for key in ("x_offset", "y_offset", "height", "width")},
     }
-    return read_camera(Node(Path(where), (), info))
+    camera = read_camera(Node(Path(where), (), info))
+    check_principal_point(camera, where)
+    return CameraMessage(camera, tuple(R), tuple(P))
 
 
-def transform_of(message: Any, where: str) -> tuple[Edge, Array]:
+def transform_of(message: Any) -> tuple[Edge, Array | None]:
     """Convert a TransformStamped: its frames, without leading slashes, and ``T_parent_child`` (4, 4).
 
-    Raises:
-        InputError: its numbers are not a pose.
+    The transform is None if its numbers are no pose, as tf2 refuses them too.
     """
     edge = (message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/"))
     t, q = message.transform.translation, message.transform.rotation
     numbers = np.array([t.x, t.y, t.z, q.x, q.y, q.z, q.w], float)
     good = np.isfinite(numbers).all() and abs(numbers[:3]).max() <= FAR
     if not good or abs(np.linalg.norm(numbers[3:]) - 1) > QUATERNION_TOLERANCE:
-        raise InputError(f"{where}: found {numbers.tolist()} from '{edge[0]}' to '{edge[1]}', expected a pose")
+        return edge, None
     return edge, from_quaternion(numbers[:3], numbers[3:])

@@ -9,8 +9,10 @@ import numpy as np
 from calibration.dataset.model import Edge
 from calibration.errors import InputError
 from calibration.geometry.frames import FrameTree
-from calibration.geometry.transforms import distance
+from calibration.geometry.rotations import exp, log
+from calibration.geometry.transforms import distance, transform
 from calibration.geometry.types import Array
+from calibration.importing.left_out import LeftOutCounts
 from calibration.simulation.robot import Joint, Robot, parse_robot
 
 NEAR = 0.5
@@ -41,17 +43,44 @@ class Track:
         self.values.append(value)
 
     def at(self, time: float) -> Array | None:
-        """Return the value at a time, ns: that of the nearest record; None if none is near and it has changed since."""
+        """Return the value at a time, ns: interpolated between two records that are near each other.
+
+        Else that of the nearest record; None if none is near and it has changed since.
+        """
         after = int(np.searchsorted(self.times, time))
         before = max(after - 1, 0)
         after = min(after, len(self.times) - 1)
         nearest = min(before, after, key=lambda i: abs(self.times[i] - time))
         between = self.times[before] <= time <= self.times[after]
-        if abs(self.times[nearest] - time) > NEAR * SECOND and not (
-            between and np.array_equal(self.values[before], self.values[after])
-        ):
+        near = abs(self.times[nearest] - time) <= NEAR * SECOND
+        unchanged = np.array_equal(self.values[before], self.values[after])
+        if not near and not (between and unchanged):
             return None
-        return self.values[nearest]
+        apart = self.times[after] - self.times[before]
+        if not between or unchanged or apart > 2 * NEAR * SECOND:
+            return self.values[nearest]
+        return _interpolated(self.values[before], self.values[after], (time - self.times[before]) / apart)
+
+
+def _interpolated(one: Array, other: Array, share: float) -> Array:
+    """Return what lies between two transforms (4, 4) or two joint positions (1,).
+
+    A position moves in a straight line, an orientation about a fixed axis at constant speed (Shoemake 1985).
+    """
+    if one.shape != (4, 4):
+        return np.asarray(one + share * _shortest_way(other - one), float)
+    R = one[:3, :3] @ exp(share * log(one[:3, :3].T @ other[:3, :3]))
+    return transform(R, (1 - share) * one[:3, 3] + share * other[:3, 3])
+
+
+def _shortest_way(step: Array) -> Array:
+    """Return the step of a joint's position without whole turns, which drivers leave out of continuous joints."""
+    return np.where(abs(step) > np.pi, step - 2 * np.pi * np.round(step / (2 * np.pi)), step)
+
+
+def frames_of(edge: Edge) -> str:
+    """Return the name of an edge in the table of what is left out."""
+    return f"{edge[0]} -> {edge[1]}"
 
 
 @dataclass
@@ -64,6 +93,9 @@ class MotionLog:
     joints: dict[str, Track] = field(default_factory=dict)
     """Positions, rad or m, by the joint's name."""
     robot: Robot | None = None
+    robot_fault: str = ""
+    """Why the recorded robot description cannot be read."""
+    left_out: LeftOutCounts = field(default_factory=LeftOutCounts)
 
     def add_transform(self, edge: Edge, time: int, T: Array) -> None:
         """Add ``T_parent_child`` (4, 4) at a time, ns."""
@@ -91,19 +123,34 @@ class MotionLog:
 
     @property
     def edges(self) -> list[Edge]:
-        """Return all known edges.
+        """All known edges; a frame may have several parents."""
+        return list(dict.fromkeys([*self.static, *self.moving, *self._driven]))
+
+    def tree_edges(self, parents: Mapping[str, str]) -> tuple[list[Edge], Mapping[str, list[str]]]:
+        """Return the edges of a tree, and the frames with several parents, of which nobody has chosen one.
+
+        Args:
+            parents: the chosen parent of such frames.
 
         Raises:
-            InputError: a frame has two parents.
+            InputError: a chosen parent was not recorded, or the frames form a loop.
         """
-        found = list(dict.fromkeys([*self.static, *self.moving, *self._driven]))
-        FrameTree(found)
-        return found
+        recorded: dict[str, list[str]] = {}
+        for parent, child in self.edges:
+            recorded.setdefault(child, []).append(parent)
+        for child, parent in parents.items():
+            if parent not in recorded.get(child, []):
+                known = ", ".join(f"'{each}'" for each in recorded.get(child, [])) or "none"
+                raise InputError(f"parents: found '{parent}' of '{child}', expected one that was recorded: {known}")
+        chosen = [(parents.get(child, above[0]), child) for child, above in recorded.items()]
+        FrameTree(chosen)
+        several = {child: above for child, above in recorded.items() if len(above) > 1 and child not in parents}
+        return chosen, several
 
     def moves(self, edge: Edge) -> bool:
         """Whether an edge may differ between moments."""
         if (joint := self._driven.get(edge)) is not None:
-            return joint.is_movable
+            return joint.kind != "fixed"
         return edge in self.moving
 
     def transform(self, edge: Edge, time: float) -> Array:
@@ -120,15 +167,31 @@ class MotionLog:
             what = f"no transform from '{edge[0]}' to '{edge[1]}'"
         else:
             joint = self._driven[edge]
-            if not joint.is_movable:
+            if joint.kind == "fixed":
                 return joint.T_parent_joint
-            track = self.joints.get(joint.name)
-            position = None if track is None else track.at(time)
+            position = self._position(joint, time)
             T = None if position is None else joint.transform(position)[0]
             what = f"no position of joint '{joint.name}' and no transform from '{edge[0]}' to '{edge[1]}'"
         if T is None:
-            raise InputError(f"{what} was recorded within {NEAR:g} s of {time / SECOND:.3f}")
+            raise InputError(f"{what} was recorded within {NEAR:g} s of {time / SECOND:.3f}{self._why_not(edge)}")
         return T
+
+    def _position(self, joint: Joint, time: float) -> Array | None:
+        """Return the position (1,) of a joint at a time, ns; of one that follows another, from that one's."""
+        if not joint.is_movable:
+            return None
+        own = self.joints.get(joint.name)
+        if own is not None or joint.mimic is None:
+            return None if own is None else own.at(time)
+        followed = self.joints.get(joint.mimic.joint)
+        position = None if followed is None else followed.at(time)
+        return None if position is None else joint.mimic.positions(position)
+
+    def _why_not(self, edge: Edge) -> str:
+        """Return what of an edge was recorded and left out, to be appended to an error."""
+        joint = self._driven.get(edge)
+        left_out = [*self.left_out.of(frames_of(edge)), *(self.left_out.of(joint.name) if joint else ())]
+        return f" ({'; '.join(left_out)})" if left_out else ""
 
     def is_still(self, edges: list[Edge], time: float) -> bool:
         """Whether none of the edges moves around a time, ns."""

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from calibration.dataset.configuration import Configuration, PatternConfiguration
@@ -18,6 +18,7 @@ from calibration.importing.image_views import LabelledMoment, View, check_sizes,
 from calibration.importing.near_miss import check_board, never_seen
 from calibration.importing.range_data import LabelledRange, labelled_ranges
 from calibration.importing.range_views import RangeView
+from calibration.importing.results import LeftOut, RejectedView
 from calibration.importing.starting_intrinsics import starting_intrinsics
 from calibration.labelling.detection import Image, NotDetected
 from calibration.labelling.points import PatternPoints
@@ -43,6 +44,11 @@ class Recorded:
     """Largest time between the images of a moment, s."""
     ranges: Sequence[Mapping[str, RangeView]] = ()
     """Data of LiDARs and depth cameras at each moment; empty without such sensors."""
+    rejected: Mapping[str, Sequence[RejectedView]] = field(default_factory=dict)
+    """Images of a bag in which no pattern is detected, by camera."""
+    left_out: tuple[LeftOut, ...] = ()
+    notes: tuple[str, ...] = ()
+    """What was read otherwise than recorded."""
 
 
 def check_views(recorded: Recorded) -> None:

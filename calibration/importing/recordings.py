@@ -25,6 +25,7 @@ from calibration.importing.messages import image_of
 from calibration.importing.motion_log import MotionLog
 from calibration.importing.png import encoded
 from calibration.importing.range_views import RANGE_MODALITIES, RangeView
+from calibration.importing.results import RejectedView
 from calibration.importing.stillness import BagImage, BagMoment, evenly, moments_at, still_moments
 from calibration.importing.survey import SensorTopic, Survey
 from calibration.labelling.detection import CornerDetector, DepthImage, Image
@@ -37,6 +38,8 @@ the other processes idle.
 LIDAR_LAG = 0.2
 """s: a rotating LiDAR takes 0.1 s for one cloud, and nothing moves meanwhile."""
 MAX_TIMES = 1_000_000
+MAX_NAMED_IMAGES = 200
+"""Images without a pattern that are named, of each camera; the others are only counted."""
 
 
 @result
@@ -69,13 +72,14 @@ def detection_tasks(
     topics = {camera.topic: name for name, camera in found.cameras.items()}
 
     def detect(start: int, stop: int) -> SeenImages:
+        images: dict[tuple[str, int], SeenImage] = {}
         with open_bag(files) as bag:
-            images = []
             for message in bag.messages(topics, start, stop):
-                name = topics[message.topic]
-                view = view_of_image(_image(bag, message), _where(bag, message), detectors)
-                images.append(SeenImage(name, message.recorded, view))
-        return SeenImages(tuple(images))
+                key = name, recorded = topics[message.topic], message.recorded
+                if recorded in found.cameras[name].stamps and key not in images:
+                    view = view_of_image(_image(bag, message), _where(bag, message), detectors)
+                    images[key] = SeenImage(name, recorded, view)
+        return SeenImages(tuple(images.values()))
 
     return [Task.call(f"{i}", partial(detect, *ends)) for i, ends in enumerate(pairwise(bounds))]
 
@@ -98,6 +102,26 @@ def images_by_camera(found: Survey, seen: Sequence[SeenImages]) -> dict[str, lis
     return {name: sorted(own, key=lambda image: image.stamp) for name, own in images.items()}
 
 
+def images_without_pattern(
+    found: Survey, images: Mapping[str, Sequence[BagImage]], log: MotionLog
+) -> dict[str, list[RejectedView]]:
+    """Return the images of each camera in which no pattern is detected, and count them as left out."""
+    rejected = {}
+    for name, own in images.items():
+        missed = [image for image in own if not image.view.labelled]
+        if missed:
+            log.left_out.add("no pattern is detected in it", name, missed[0].stamp, len(missed))
+        topic = found.cameras[name].topic
+        rejected[name] = [
+            RejectedView(
+                f"{topic} at {image.stamp / SECOND:.3f}",
+                "; ".join(dict.fromkeys(each.reason for each in image.view.found.values())),
+            )
+            for image in missed[:MAX_NAMED_IMAGES]
+        ]
+    return rejected
+
+
 def chosen_moments(
     described: Bags, images: Mapping[str, Sequence[BagImage]], log: MotionLog, edges: Sequence[Edge], where: str
 ) -> list[BagMoment]:
@@ -109,6 +133,9 @@ def chosen_moments(
     if described.every is None and described.at is None:
         still = still_moments(images)
         kept = [moment for moment in still if log.is_still(list(edges), moment.time)]
+        for moment in still:
+            if moment not in kept:
+                log.left_out.add("the pattern stays where it is, but the robot moves", "moments", moment.time)
         if not kept:
             why = (
                 f"the corners stay {len(still)} times, but the robot moves then" if still else "the corners always move"
@@ -200,6 +227,9 @@ def extracted_ranges(
                 nearest = int(abs(stamps - moment.time).argmin())
                 if abs(stamps[nearest] - moment.time) <= LIDAR_LAG * SECOND:
                     own[name] = _range_view(bag, name, lidar, int(recorded[nearest]), folder)
+                else:
+                    rule = f"moments without its data within {LIDAR_LAG:g} s"
+                    found.log.left_out.add(rule, name, moment.time)
     return views
 
 
@@ -266,29 +296,47 @@ def mounting(
     Raises:
         InputError: a named frame is not in the recording, or is not above the sensor's.
     """
-    edges = [edge for edge in found.log.edges if edge[1] not in {pattern.link for pattern in patterns.values()}]
+    chosen, several = found.log.tree_edges(described.parents)
+    edges = [edge for edge in chosen if edge[1] not in {pattern.link for pattern in patterns.values()}]
     tree, parent_of = FrameTree(edges), {child: parent for parent, child in edges}
-    known = set(tree.frames)
-    world = _world(described, found, parent_of)
+    known, world = set(tree.frames), described.root
     sensors = {name: _sensor(each, world, parent_of, found.log, where) for name, each in found.sensors.items()}
     ends = [*(sensor.parent_link for sensor in sensors.values()), *(each.parent_link for each in patterns.values())]
     if stray := [frame for frame in ends if frame != world and frame not in known]:
         raise InputError(
             f"{where}: found no frame '{stray[0]}', expected one of those that were recorded: "
-            f"{', '.join(sorted(known)) or 'none'}"
+            f"{', '.join(sorted(known)) or 'none'}{_fault_of_robot(found.log)}"
         )
     ends += [sensor.link for sensor in sensors.values() if sensor.link in known]
     used = dict.fromkeys((step.parent, step.child) for end in ends if end != world for step in tree.path(world, end))
+    for _, child in used:
+        if child in several:
+            parents = " and ".join(f"'{parent}'" for parent in several[child])
+            raise InputError(
+                f"{where}: found '{child}' below {parents}, expected one parent on the way to a sensor or a pattern: "
+                f"choose it, parents: {{{child}: {several[child][0]}}}"
+            )
+    for child in several:
+        found.log.left_out.add("a second parent", child)
     mounted = any(pattern.fixed for pattern in patterns.values())
     anchored = described.anchored or (None if mounted else next(iter(sensors)))
     return Mounting(Configuration(world, sensors, patterns, anchored), tuple(used))
 
 
-def _world(described: ImportDescription, found: Survey, parent_of: Mapping[str, str]) -> str:
-    """Return the root frame: the named one, if it was recorded; else the root above the first sensor."""
+def _fault_of_robot(log: MotionLog) -> str:
+    return f"; the robot description cannot be read: {log.robot_fault}" if log.robot_fault else ""
+
+
+def root_of(described: ImportDescription, found: Survey) -> str:
+    """Return the root frame: the named one, if it was recorded; else the root above the first sensor.
+
+    Raises:
+        InputError: a chosen parent was not recorded, or the frames form a loop.
+    """
+    parent_of = {child: parent for parent, child in found.log.tree_edges(described.parents)[0]}
     frames = {*parent_of, *parent_of.values()}
-    if described.world in frames or not frames:
-        return described.world
+    if described.root in frames or not frames:
+        return described.root
     frame = next((each.frame for each in found.sensors.values() if each.frame in frames), next(iter(frames)))
     while frame in parent_of:
         frame = parent_of[frame]

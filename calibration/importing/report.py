@@ -26,6 +26,7 @@ def report(results: ImportResults, folder: Path) -> Report:
                 for name, lens in estimated.items()
             ),
             *(f"moments are evenly chosen: {why}" for why in [results.evenly] if why is not None),
+            *results.notes,
         ),
         blocks=(
             Table(
@@ -34,6 +35,14 @@ def report(results: ImportResults, folder: Path) -> Report:
                     (name, str(each.images), str(each.labelled), str(each.corners), each.intrinsics)
                     for name, each in results.sensors.items()
                 ),
+            ),
+            Table(
+                ("left out", "of", "count", "first (s)"),
+                tuple(
+                    (each.rule, each.place, str(each.count), "" if each.first_s is None else f"{each.first_s:.3f}")
+                    for each in results.left_out
+                ),
+                title="Left out",
             ),
             Table(("sensor", "image", "why no pattern"), rejected, title="Images without a pattern", folded=True),
         ),

@@ -30,6 +30,16 @@ class SensorResult:
 
 
 @result
+class LeftOut:
+    """What an import left out by one rule in one place."""
+
+    rule: str = field("Why.")
+    place: str = field("The sensor, topic, frame or joint.")
+    count: int = field("How many.")
+    first_s: float | None = field("Stamp of the first.", default=None, unit="s")
+
+
+@result
 class ImportResults:
     """Results of import-data."""
 
@@ -43,6 +53,8 @@ class ImportResults:
     evenly: str | None = field(
         "Reason why the moments are evenly spaced, and not those that calibrate best.", default=None
     )
+    left_out: tuple[LeftOut, ...] = field("What was recorded and is not in the dataset.", default=())
+    notes: tuple[str, ...] = field("What was read otherwise than recorded.", default=())
 
 
 @result

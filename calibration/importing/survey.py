@@ -11,8 +11,10 @@ from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.importing.bag import MORE_TYPES, SECOND, Bag, RawMessage
 from calibration.importing.description import ImportDescription, SensorDescription
-from calibration.importing.messages import camera_of, transform_of
-from calibration.importing.motion_log import MotionLog
+from calibration.importing.left_out import LeftOutCounts
+from calibration.importing.messages import transform_of
+from calibration.importing.motion_log import MotionLog, frames_of
+from calibration.importing.recorded_lens import RecordedLens, is_rectified
 from calibration.robot_description import read_robot_description
 
 _SENSOR = "sensor_msgs/msg/"
@@ -23,8 +25,18 @@ MODALITY_OF_MESSAGE = dict.fromkeys(IMAGES, RGB) | {
 """Modalities by the types of the messages; images may be a depth camera's."""
 INFO, JOINTS = f"{_SENSOR}CameraInfo", f"{_SENSOR}JointState"
 TF, TEXT = tuple(MORE_TYPES), "std_msgs/msg/String"
-JUMP = 0.001
-"""s: limit of the decrease of a topic's stamps."""
+OTHER_MESSAGES = {
+    "CustomMsg": ": record sensor_msgs/PointCloud2, which Livox's driver publishes with xfer_format 0",
+    "FFMPEGPacket": ": record sensor_msgs/Image or CompressedImage (JPEG or PNG)",
+    "CompressedVideo": ": record sensor_msgs/Image or CompressedImage (JPEG or PNG)",
+}
+"""What to record in place of messages that are not read, by a part of their type."""
+MAX_STEP_BACK = 0.1
+"""s: limit of the decrease of a topic's stamps; a clock that is set back further makes two recordings of one."""
+NOT_LATER = "its stamp is not later than that of the message before"
+SAME_TIME = "it was recorded at the time of another message"
+NO_POSE = "no pose: a number that is not finite, or a quaternion that is not one"
+NO_POSITION = "no position: a number that is not finite"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,19 +87,20 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
         raise InputError(f"{bag.path}: found no camera among the sensors, expected one that sees where the pattern is")
     own = [sensor for sensor in sensors if sensor.intrinsics is None and kinds[sensor.name].has_intrinsics]
     infos = {sensor.name: _info_topic(bag, sensor) for sensor in own}
-    of_topic = {sensor.topic or "": sensor.name for sensor in sensors}
+    of_topic = {sensor.topic or "": sensor for sensor in sensors}
     first: dict[str, RawMessage] = {}
+    lenses = {topic: RecordedLens(topic) for topic in infos.values() if topic is not None}
     stamps: dict[str, dict[int, int]] = {sensor.name: {} for sensor in sensors}
     log, texts = MotionLog(), [topic for topic in bag.of_type(TEXT) if topic.endswith("robot_description")]
     others = [*bag.of_type(*TF), *bag.of_type(JOINTS), *texts]
-    for message in bag.messages({*of_topic, *filter(None, infos.values()), *others}):
-        if (name := of_topic.get(message.topic)) is not None:
+    for message in bag.messages({*of_topic, *lenses, *others}):
+        if (described_sensor := of_topic.get(message.topic)) is not None:
             first.setdefault(message.topic, message)
-            _add_stamp(bag, message, stamps[name])
+            _add_stamp(bag, message, described_sensor, stamps[described_sensor.name], log.left_out)
         elif message.topic in others:
             _add_motion(bag, message, log)
         else:
-            first.setdefault(message.topic, message)
+            lenses[message.topic].add(bag, message)
     if described.bags is not None and (urdf := described.bags.robot_description):
         log.add_robot(read_robot_description(urdf, described.bags.packages, described.bags.xacro), urdf)
     topics = {}
@@ -96,7 +109,7 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
         if topic not in first:
             raise InputError(f"{bag.path}: {topic}: found no message, expected the data of '{sensor.name}'")
         frame = sensor.frame or str(bag.decode(first[topic]).header.frame_id).lstrip("/") or sensor.link
-        camera = None if info is None or info not in first else _camera(bag, first[info])
+        camera = None if info is None else lenses[info].camera(is_rectified(topic))
         kind = kinds[sensor.name]
         if kind.points and kind.has_intrinsics and sensor.intrinsics is None and camera is None:
             raise InputError(
@@ -115,8 +128,10 @@ def _found(bag: Bag) -> tuple[SensorDescription, ...]:
     topics = [topic for topic in topics if not _is_depth(topic)]
     if not topics:
         kinds = ", ".join(f"{topic} ({kind})" for topic, kind in bag.topics.items()) or "none"
-        raise InputError(f"{bag.path}: found no topic of images, expected one; topics: {kinds}")
-    names = {topic: PurePosixPath(topic).parts[1] for topic in topics}
+        depth = [topic for topic in (*raw, *compressed) if _is_depth(topic)]
+        hint = f"; {depth[0]} is taken for depth by its name: name it in 'sensors', with modality: rgb" if depth else ""
+        raise InputError(f"{bag.path}: found no topic of images, expected one{hint}; topics: {kinds}")
+    names = {topic: topic.strip("/").split("/")[0] for topic in topics}
     if len(set(names.values())) < len(names):
         names = {topic: topic.strip("/").replace("/", "_") for topic in topics}
     return tuple(SensorDescription(name, topic=topic) for topic, name in names.items())
@@ -127,8 +142,9 @@ def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
     if sensor.topic not in known:
         kind = bag.topics.get(sensor.topic or "")
         problem = f"found '{sensor.topic}' as {kind}" if kind else f"found no topic '{sensor.topic}'"
+        hint = next((hint for name, hint in OTHER_MESSAGES.items() if kind and name in kind), "")
         raise InputError(
-            f"{bag.path}: {problem}, expected the data of '{sensor.name}'; topics of cameras and LiDARs: "
+            f"{bag.path}: {problem}, expected the data of '{sensor.name}'{hint}; topics of cameras and LiDARs: "
             f"{', '.join(known) or 'none'}"
         )
 
@@ -161,43 +177,48 @@ def _info_topic(bag: Bag, sensor: SensorDescription) -> str | None:
     return next((str(path / "camera_info") for path in above if str(path / "camera_info") in known), None)
 
 
-def _add_stamp(bag: Bag, message: RawMessage, stamps: dict[int, int]) -> None:
-    stamp = bag.stamp(message)
+def _add_stamp(
+    bag: Bag, message: RawMessage, sensor: SensorDescription, stamps: dict[int, int], left_out: LeftOutCounts
+) -> None:
+    """Add the stamp of a message; of those that are not later than the one before, none."""
+    stamp = message.recorded if sensor.stamps == "recorded" else bag.stamp(message)
     last = next(reversed(stamps.values()), None)
-    if last is not None and stamp < last - JUMP * SECOND:
+    if last is not None and stamp < last - MAX_STEP_BACK * SECOND:
         raise InputError(
             f"{bag.path}: {message.topic}: the clock jumps back by {(last - stamp) / SECOND:.3f} s at "
-            f"{last / SECOND:.3f}; expected rising stamps: cut the bag there"
+            f"{last / SECOND:.3f}; expected rising stamps: cut the bag there, or 'stamps: recorded' for '{sensor.name}'"
         )
-    if stamp == last or message.recorded in stamps:
-        raise InputError(
-            f"{bag.path}: {message.topic}: found two messages with the stamp {stamp / SECOND:.6f}, expected each once"
-        )
-    stamps[message.recorded] = stamp
+    if message.recorded in stamps:
+        left_out.add(SAME_TIME, sensor.name, stamp)
+    elif last is not None and stamp <= last:
+        left_out.add(NOT_LATER, sensor.name, stamp)
+    else:
+        stamps[message.recorded] = stamp
 
 
 def _add_motion(bag: Bag, message: RawMessage, log: MotionLog) -> None:
-    kind, where = bag.topics[message.topic], f"{bag.path}: {message.topic}"
-    content = bag.decode(message)
+    kind, content = bag.topics[message.topic], bag.decode(message)
     if kind in TF:
         for each in content.transforms:
-            edge, T = transform_of(each, where)
-            if message.topic.endswith("tf_static"):
+            edge, T = transform_of(each)
+            stamp = int(each.header.stamp.sec) * SECOND + int(each.header.stamp.nanosec) or message.recorded
+            if T is None:
+                log.left_out.add(NO_POSE, frames_of(edge), stamp)
+            elif message.topic.endswith("tf_static"):
                 log.static[edge] = T
             else:
-                stamp = int(each.header.stamp.sec) * SECOND + int(each.header.stamp.nanosec)
-                log.add_transform(edge, stamp or message.recorded, T)
+                log.add_transform(edge, stamp, T)
     elif kind == JOINTS:
         for name, position in zip(content.name, content.position, strict=False):
-            if not np.isfinite(position):
-                raise InputError(f"{where}: found {position} as the position of joint '{name}', expected a number")
-            log.add_joint_position(str(name), bag.stamp(message), float(position))
-    elif log.robot is None:
-        log.add_robot(str(content.data).encode(), Path(f"{bag.path}:{message.topic}"))
-
-
-def _camera(bag: Bag, message: RawMessage) -> Camera | None:
-    return camera_of(bag.decode(message), f"{bag.path}: {message.topic}")
+            if np.isfinite(position):
+                log.add_joint_position(str(name), bag.stamp(message), float(position))
+            else:
+                log.left_out.add(NO_POSITION, str(name), bag.stamp(message))
+    elif log.robot is None and not log.robot_fault:
+        try:
+            log.add_robot(str(content.data).encode(), Path(f"{bag.path}:{message.topic}"))
+        except InputError as error:
+            log.robot_fault = str(error)
 
 
 def _check_overlap(bag: Bag, cameras: Sequence[SensorTopic]) -> None:
@@ -207,5 +228,6 @@ def _check_overlap(bag: Bag, cameras: Sequence[SensorTopic]) -> None:
             if start > last:
                 raise InputError(
                     f"{bag.path}: the stamps of {topic} ({start / SECOND:.3f} to {end / SECOND:.3f}) and of {other} "
-                    f"({first / SECOND:.3f} to {last / SECOND:.3f}) do not overlap: are their clocks synchronised?"
+                    f"({first / SECOND:.3f} to {last / SECOND:.3f}) do not overlap: are their clocks synchronised? "
+                    "'stamps: recorded' of a sensor takes the times at which it was recorded"
                 )

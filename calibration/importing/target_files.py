@@ -24,13 +24,18 @@ EVEN = 1e-6
 """Relative tolerance of the two sides of a square: only squares are supported."""
 
 
-def pattern_configuration(described: PatternDescription, world: str) -> PatternConfiguration:
+def pattern_configuration(described: PatternDescription, world: str, root: str | None = None) -> PatternConfiguration:
     """Return the pattern of an entry of import.yml, described there or in its ``target`` file.
+
+    Args:
+        described: the entry.
+        world: the world frame by import.yml; a pattern with another parent is fixed there.
+        root: the root of the recorded frames, on which a pattern without a parent moves; None for the world.
 
     Raises:
         InputError: the file cannot be read, or describes an unknown pattern.
     """
-    parent = described.parent or world
+    parent = described.parent or root or world
     printed = _printed(described.target) if described.target else _described(described)
     if not described.is_printed:
         printed = NOMINAL
@@ -38,7 +43,7 @@ def pattern_configuration(described: PatternDescription, world: str) -> PatternC
         name=described.name,
         link=described.frame or f"{described.name}_link",
         parent_link=parent,
-        fixed=parent != world if described.fixed is None else described.fixed,
+        fixed=(described.parent or world) != world if described.fixed is None else described.fixed,
         border_size=(described.border, described.border),
         **printed,
     )

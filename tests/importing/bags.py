@@ -66,15 +66,15 @@ class BagFile:
             data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
             content = self.make("sensor_msgs/msg/CompressedImage", header=header, format="jpeg", data=data.ravel())
         else:
-            pixels, big = ENCODINGS[encoding](image), int(encoding.endswith("16"))
+            pixels, big = ENCODINGS[encoding](image), int("16" in encoding)
             content = self.make(
                 "sensor_msgs/msg/Image",
                 header=header,
                 height=image.shape[0],
                 width=image.shape[1],
-                encoding=encoding,
+                encoding=encoding.split()[0],
                 is_bigendian=big,
-                step=pixels.nbytes // image.shape[0],
+                step=pixels.nbytes // len(pixels),
                 data=np.frombuffer(pixels.tobytes(), np.uint8),
             )
         self.write(topic, stamp + late, content)
@@ -212,11 +212,23 @@ def _grey(image: Array) -> Array:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
+def _nv12(image: Array, order: slice) -> Array:
+    """Brightness, and below it the two colours of four pixels each in turn."""
+    height, width = image.shape[:2]
+    planes = cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420)
+    colours = planes[height:].reshape(2, -1)[order]
+    return np.vstack([planes[:height], colours.T.reshape(height // 2, width)])
+
+
 ENCODINGS: Mapping[str, Callable[[Array], Array]] = {
     "bgr8": lambda image: image,
     "rgb8": lambda image: image[:, :, ::-1],
     "bgra8": lambda image: np.dstack([image, image[:, :, 0]]),
     "mono8": _grey,
     "mono16": lambda image: (_grey(image).astype(">u2") * 256).astype(">u2"),
+    "mono16 of 12 bits": lambda image: (_grey(image).astype(">u2") * 16).astype(">u2"),
     "bayer_rggb8": _bayer,
+    "bayer_rggb16": lambda image: (_bayer(image).astype(">u2") * 256).astype(">u2"),
+    "nv12": lambda image: _nv12(image, slice(None)),
+    "nv21": lambda image: _nv12(image, slice(None, None, -1)),
 }

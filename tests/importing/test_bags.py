@@ -117,7 +117,10 @@ def test_every_encoding_is_decoded(tmp_path: Path, kind: Kind, encoding: str) ->
         found = image_of(bag_.decode(message), "here")
     grey = np.asarray(cv2.cvtColor(true, cv2.COLOR_BGR2GRAY), float)
     mine = found if found.ndim == 2 else cv2.cvtColor(found, cv2.COLOR_BGR2GRAY)
-    assert np.abs(mine - grey).mean() < (2.5 if encoding in ("bayer_rggb8", "jpeg") else 0.01)
+    if "16" in encoding:  # stretched to the brightest
+        grey = np.minimum(grey * np.median(mine) / np.median(grey), 255)
+        assert np.quantile(mine, 0.999) > 240
+    assert np.abs(mine - grey).mean() < (4 if encoding.startswith(("bayer", "nv")) or encoding == "jpeg" else 0.6)
 
 
 def test_each_stay_is_one_collection_and_what_moves_is_none(tmp_path: Path) -> None:
@@ -192,14 +195,6 @@ def earlier_stamp(folder: Path, kind: Kind) -> Path:
     return path
 
 
-def twice(folder: Path, kind: Kind) -> Path:
-    path = file_of(folder, kind)
-    with BagFile(path, kind) as bag:
-        for number in (0, 0):
-            bag.image("/left/image_raw", BEGIN, image("left_camera", number), "left", "mono8")
-    return path
-
-
 def unknown_encoding(folder: Path, kind: Kind) -> Path:
     path = file_of(folder, kind)
     ENCODINGS_OF_NO_ROS = {"hsv8": ENCODINGS["bgr8"]}
@@ -226,7 +221,6 @@ def short(folder: Path, kind: Kind) -> Path:
     ("recording", "message"),
     [
         (earlier_stamp, "the clock jumps back by 0.500 s at 1700000002.000"),
-        (twice, "found two messages with the stamp"),
         (unknown_encoding, "found the encoding 'hsv8'"),
         (without_images, "found no topic of images"),
     ],

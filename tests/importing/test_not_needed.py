@@ -1,0 +1,173 @@
+"""What an import does not need cannot stop it: it is left out, counted, and named."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calibration.dataset.reading import read_dataset
+from calibration.geometry.rotations import exp
+from calibration.geometry.transforms import distance, transform
+from calibration.importing.importing import import_data
+from calibration.importing.motion_log import MotionLog
+from calibration.importing.results import ImportResults
+from tests.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
+from tests.importing.bags import BEGIN, SECOND, BagFile
+from tests.importing.conftest import CAMERAS
+from tests.importing.test_bags import FRAMES, T2RGB, describe, file_of, image, record, refusal
+
+EDGES = {edge: T[0] for edge, T in read_dataset(T2RGB).transforms.items() if edge[1] != "pattern_link"}
+GRIPPER = """
+  <link name="finger"/><link name="other_finger"/><link name="wheel"/><link name="drone"/>
+  <joint name="finger_joint" type="prismatic"><parent link="flange"/><child link="finger"/></joint>
+  <joint name="other" type="prismatic"><parent link="flange"/><child link="other_finger"/>
+    <mimic joint="finger_joint" multiplier="-1"/></joint>
+  <joint name="wheel_joint" type="continuous"><parent link="base_link"/><child link="wheel"/></joint>
+  <joint name="flies" type="floating"><parent link="base_link"/><child link="drone"/></joint>
+</robot>"""
+
+
+def stereo_bag(folder: Path, stamps: list[float], **more: Any) -> Path:
+    """A bag of t2rgb's left camera, with images at these stamps (s)."""
+    path = file_of(folder, "mcap")
+    with BagFile(path, "mcap") as bag:
+        bag.transforms("/tf_static", BEGIN, more.get("edges", EDGES))
+        for number, second in enumerate(stamps):
+            stamp, recorded = BEGIN + int(second * SECOND), BEGIN + number * SECOND
+            for camera in CAMERAS:
+                frame = FRAMES[camera]
+                bag.camera_info(f"/{camera}/camera_info", stamp, frame, (640, 480), more.get("focal", 1.0) * 500)
+                topic = f"/{camera}/image_raw"
+                bag.image(topic, stamp, image(camera, number % 8), frame, "mono8", recorded - stamp)
+    return path
+
+
+def counts(results: ImportResults) -> dict[tuple[str, str], int]:
+    return {(each.rule, each.place): each.count for each in results.left_out}
+
+
+@pytest.mark.parametrize("odd", [3.0, 2.998])
+def test_stamps_that_do_not_rise_are_left_out(tmp_path: Path, odd: float) -> None:
+    results = import_data(describe(stereo_bag(tmp_path, [0, 1, 2, 3, odd, 5, 6, 7])), tmp_path / "out", jobs=1)
+    assert results.collections == 7
+    (first, second) = results.left_out
+    assert (first.count, second.count) == (1, 1)
+    assert "not later" in first.rule
+    assert first.first_s == pytest.approx(BEGIN / SECOND + odd)
+
+
+def test_what_is_off_the_chain_is_no_matter(tmp_path: Path) -> None:
+    """An arm whose root is base_link, with a gripper, wheels without a number, and a frame without an orientation."""
+    path = file_of(tmp_path, "mcap")
+    record_arm(path, "mcap", keys()[:6])
+    with BagFile(tmp_path / "more", "mcap") as bag:
+        urdf = (SYSTEM / "robot.urdf").read_text().replace("</robot>", GRIPPER)
+        bag.text("/robot_description", BEGIN, urdf)
+        bag.joints("/joint_states", BEGIN, {"wheel_joint": float("nan")})
+        nowhere = np.eye(4)
+        nowhere[:3, :3] = 0
+        bag.transforms("/tf", BEGIN, {("base_link", "imu_link"): np.full((4, 4), np.nan)})
+        bag.transforms("/tf", BEGIN, {("base_link", "box"): np.eye(4), ("flange", "box"): np.eye(4)})
+    bags = {"files": ["more", path.name]}
+    results = import_data(describe(path, patterns={"board": ON_FLANGE}, bags=bags), tmp_path / "out", jobs=1)
+    assert results.collections == 6
+    found = {place: count for (_, place), count in counts(results).items()}
+    assert found == {"wheel_joint": 1, "base_link -> imu_link": 1, "box": 1}
+
+
+def test_a_description_that_cannot_be_read_is_a_note_where_frames_are_recorded(tmp_path: Path) -> None:
+    path = record(tmp_path, "mcap", poses=5)
+    with BagFile(tmp_path / "more", "mcap") as bag:
+        bag.text("/robot_description", BEGIN, '<robot><link name="a"/><joint type="odd" name="j"/></robot>')
+    results = import_data(describe(path, bags={"files": ["more", path.name]}), tmp_path / "out", jobs=1)
+    (note,) = results.notes
+    assert "joint 'j': type 'odd'" in note
+
+
+def test_without_frames_the_fault_of_the_description_is_named(tmp_path: Path) -> None:
+    path = file_of(tmp_path, "mcap")
+    record_arm(path, "mcap", keys()[:3], urdf=False)
+    with BagFile(tmp_path / "more", "mcap") as bag:
+        bag.text("/robot_description", BEGIN, '<robot><link name="a"/><joint type="odd" name="j"/></robot>')
+    config = describe(path, patterns={"board": ON_FLANGE}, bags={"files": ["more", path.name]})
+    assert "found no frame 'flange'" in (error := refusal(config))
+    assert "joint 'j': type 'odd'" in error
+
+
+def test_the_root_is_the_root_whatever_its_name(tmp_path: Path) -> None:
+    named = {tuple({"world": "odom"}.get(frame, frame) for frame in edge): T for edge, T in EDGES.items()}
+    path = stereo_bag(tmp_path, [0, 1, 2, 3, 4], edges=named)
+    import_data(describe(path), tmp_path / "out", jobs=1)
+    dataset = read_dataset(tmp_path / "out")
+    assert dataset.world == "odom"
+    assert dataset.patterns["board"].parent_link == "odom"
+    assert not dataset.patterns["board"].fixed
+
+
+def test_of_two_parents_on_the_chain_one_is_chosen(tmp_path: Path) -> None:
+    (parent, child), T = next(iter(EDGES.items()))
+    path = stereo_bag(tmp_path, [0, 1, 2, 3, 4], edges={**EDGES, ("elsewhere", child): T})
+    assert f"choose it, parents: {{{child}: " in refusal(describe(path))
+    assert "expected one that was recorded" in refusal(describe(path, parents={child: "nowhere"}))
+    import_data(describe(path, parents={child: parent}), tmp_path / "out", jobs=1)
+    assert (parent, child) in read_dataset(tmp_path / "out").transforms
+
+
+def test_clocks_that_do_not_agree(tmp_path: Path) -> None:
+    """The right camera's stamps count from its start; both are recorded at the same times."""
+    path = file_of(tmp_path, "mcap")
+    with BagFile(path, "mcap") as bag:
+        for number in range(5):
+            for camera, start in zip(CAMERAS, (BEGIN, 0), strict=True):
+                stamp = start + (number + 1) * SECOND
+                late = BEGIN + (number + 1) * SECOND - stamp
+                bag.image(f"/{camera}/image_raw", stamp, image(camera, number), camera, "mono8", late)
+    assert "'stamps: recorded'" in refusal(describe(path))
+    sensors = {
+        "left": {"topic": "/left_camera/image_raw", "stamps": "recorded"},
+        "right": {"topic": "/right_camera/image_raw", "stamps": "recorded"},
+    }
+    assert import_data(describe(path, sensors=sensors), tmp_path / "out", jobs=1).together == 5
+
+
+def test_images_without_a_pattern_are_named(tmp_path: Path) -> None:
+    path = file_of(tmp_path, "mcap")
+    with BagFile(path, "mcap") as bag:
+        for number in range(7):
+            shown = image("left_camera", number) if number != 3 else np.full((480, 640, 3), 90, np.uint8)
+            bag.image("/left/image_raw", BEGIN + number * SECOND, shown, "left", "mono8")
+    results = import_data(describe(path), tmp_path / "out", jobs=1)
+    (rejected,) = results.sensors["left"].rejected
+    assert rejected.file == f"/left/image_raw at {BEGIN // SECOND + 3}.000"
+    assert counts(results) == {("no pattern is detected in it", "left"): 1}
+
+
+def test_intrinsics_that_change_are_an_error_with_the_time(tmp_path: Path) -> None:
+    path = file_of(tmp_path, "mcap")
+    with BagFile(path, "mcap") as bag:
+        for number in range(6):
+            stamp = BEGIN + number * SECOND
+            focal = 0.0 if number == 0 else 500.0 if number < 4 else 510.0
+            bag.camera_info("/left/camera_info", stamp, "left", (640, 480), focal)
+            bag.image("/left/image_raw", stamp, image("left_camera", number), "left", "mono8")
+    error = refusal(describe(path))
+    assert f"at {BEGIN // SECOND + 4}.000" in error
+    assert "fx 510" in error
+    assert "fx 500" in error
+
+
+def test_between_two_records_a_pose_is_interpolated() -> None:
+    log = MotionLog()
+    log.add_transform(("a", "b"), 0, np.eye(4))
+    turned = transform(exp(np.array([0.0, 0.0, 0.4])), [1.0, 0, 0])
+    log.add_transform(("a", "b"), SECOND // 10, turned)
+    expected = transform(exp(np.array([0.0, 0.0, 0.1])), [0.25, 0, 0])
+    m, rad = distance(log.transform(("a", "b"), SECOND / 40), expected)
+    assert m < 1e-12
+    assert rad < 1e-12
+    log.add_joint_position("j", 0, np.radians(179))
+    log.add_joint_position("j", SECOND // 10, np.radians(-179))
+    found = log.joints["j"].at(SECOND / 20)
+    assert found is not None
+    np.testing.assert_allclose(np.degrees(found), 180)
