@@ -30,6 +30,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+import time
 import venv
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -94,6 +95,7 @@ INSTALLER = ".installer-"  # folders in an environment, while it is made
 MUCH = 8  # packages that pip installs no sooner than uv and them
 PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent ends
 TIMEOUT = 900  # seconds for an installation: steps of a composite action cannot have `timeout-minutes`
+WAIT = 0.02  # seconds between two looks at whether it has ended
 
 
 def report(message: str, status: int) -> int:
@@ -328,7 +330,7 @@ def run(command: list[str], variables: dict[str, str], output: IO[bytes] | None)
     # Held back until we can answer them: one that arrived while the installer starts would leave it behind.
     signal.pthread_sigmask(signal.SIG_BLOCK, ending)
     # Not in the workspace: a uv.toml there has no say. One stream: the order of the lines stays.
-    with subprocess.Popen(
+    process = subprocess.Popen(
         command,
         env=variables,
         cwd="/",
@@ -337,17 +339,26 @@ def run(command: list[str], variables: dict[str, str], output: IO[bytes] | None)
         stderr=subprocess.STDOUT,
         start_new_session=True,
         preexec_fn=begin,
-    ) as process:
-        try:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
-            return process.wait(TIMEOUT) == 0
-        except subprocess.TimeoutExpired:
-            line = f"stopped after {TIMEOUT} s\n"
-            output.write(line.encode()) if output else print(line, end="", flush=True)
-            return False
-        finally:
-            if process.poll() is None:
+    )
+    try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
+        deadline = time.monotonic() + TIMEOUT
+        while process.poll() is None:
+            # Not process.wait(): a handler that raises in it can leave its lock taken, and nothing ends it then.
+            if time.monotonic() > deadline:
+                line = f"stopped after {TIMEOUT} s\n"
+                output.write(line.encode()) if output else print(line, end="", flush=True)
+                return False
+            time.sleep(WAIT)
+        return process.returncode == 0
+    finally:
+        if process.returncode is None:
+            signal.pthread_sigmask(signal.SIG_BLOCK, ending)
+            with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
+            with contextlib.suppress(ChildProcessError):
+                os.waitpid(process.pid, 0)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, ending)
 
 
 @contextlib.contextmanager
