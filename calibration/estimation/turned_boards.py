@@ -15,9 +15,11 @@ from calibration.geometry.types import Array, BoolArray, IntArray
 
 FEWEST_VIEWS = 4
 """Number of views below which none is turned."""
-AGREES, DIFFERS = 0.1, 0.5
-"""Differences of two rotations' traces (`agreeing_rotations`): a view is turned if it is below the first then, and was
-above the second. Both are of the median over the others."""
+MAX_MEDIAN_DISAGREEMENT, MAX_DISAGREEMENT = 0.1, 0.25
+"""Limits of the differences of two rotations' traces (`agreeing_rotations`), each the median over the other views: of
+the median of all views, and of each view that is turned."""
+MIN_GAIN = 0.25
+"""By how much the difference of a turned view is less than it was."""
 LEAST_CORNERS = 6
 """Number of corners below which a view's rotation is not known."""
 HALF_A_TURN = np.diag([-1.0, -1.0, 1.0])
@@ -42,8 +44,8 @@ def with_boards_turned_back(dataset: Dataset) -> tuple[Dataset, tuple[View, ...]
     """Return the dataset with all views of a chessboard numbered from one end, and the views that were from the other.
 
     On an arm, ``R_sensor_pattern = X B Y`` in all collections, with the robot's rotation B; two cameras that see a
-    moving pattern have one rotation to each other. The views are turned that are fewer. Nothing changes unless half a
-    turn makes them agree.
+    moving pattern have one rotation to each other. Where either end would do, as on an arm, the views are turned that
+    are fewer. Nothing changes unless half a turn makes them agree.
     """
     turned = tuple(_from_the_other_end(dataset))
     for pattern, sensor, _ in dict.fromkeys((p, s, "") for p, s, _ in turned):
@@ -59,13 +61,13 @@ def _from_the_other_end(dataset: Dataset) -> Iterator[View]:
         views = [each for sensor in dataset.sensors if (each := _views(dataset, pattern, sensor)) is not None]
         if pattern.fixed:
             for each in views:
-                yield from _minority(dataset, each, each.at, _by_the_robot(dataset, each, pattern), each.R)
+                yield from _turned_views(dataset, each, each.at, _by_the_robot(dataset, each, pattern), each.R)
         elif len(views) > 1:
             first, *others = sorted(views, key=lambda each: -len(each.at))
             for each in others:
                 _, own, at = np.intersect1d(each.at, first.at, return_indices=True)
                 same = np.broadcast_to(np.eye(3), (len(own), 3, 3))
-                yield from _minority(dataset, each, each.at[own], same, each.R[own], np.swapaxes(first.R[at], 1, 2))
+                yield from _turned_views(dataset, each, each.at[own], same, each.R[own], np.swapaxes(first.R[at], 1, 2))
 
 
 def _views(dataset: Dataset, pattern: Pattern, sensor: str) -> _Views | None:
@@ -91,7 +93,7 @@ def _by_the_robot(dataset: Dataset, views: _Views, pattern: Pattern) -> Array:
         return np.full((len(views.at), 3, 3), np.nan)
 
 
-def _minority(
+def _turned_views(
     dataset: Dataset, views: _Views, at: IntArray, known: Array, R: Array, after: Array | None = None
 ) -> Iterator[View]:
     """Yield the views that half a turn makes agree: R (V, 3, 3), perhaps followed by others, with known rotations."""
@@ -100,19 +102,23 @@ def _minority(
     branches = np.stack([R, R @ HALF_A_TURN], 1) @ (np.eye(3) if after is None else after[:, None])
     chosen, _ = rotations_that_agree(branches, known)
     is_turned = np.abs(chosen - branches[:, 1]).max((1, 2)) < np.abs(chosen - branches[:, 0]).max((1, 2))
-    if 2 * is_turned.sum() > len(R):
-        is_turned = ~is_turned
-    if is_turned.any() and _agree(branches, known, is_turned):
-        yield from ((views.pattern, views.sensor, dataset.keys[at[i]]) for i in np.flatnonzero(is_turned).tolist())
+    for some in sorted((is_turned, ~is_turned), key=np.count_nonzero):
+        if _agree_only_turned(branches, known, some):
+            yield from ((views.pattern, views.sensor, dataset.keys[at[i]]) for i in np.flatnonzero(some).tolist())
+            return
 
 
-def _agree(branches: Array, known: Array, is_turned: BoolArray) -> bool:
+def _agree_only_turned(branches: Array, known: Array, is_turned: BoolArray) -> bool:
     """Whether views agree with known rotations, but only with some of them turned."""
     every = np.arange(len(known))
-    now, before = branches[every, is_turned.astype(int)], branches[:, 0]
-    off, was = disagreement_of_each(now, known), disagreement_of_each(before, known)
-    some = np.flatnonzero(is_turned)
-    return bool(np.median(off) < AGREES and (off[some] < DIFFERS / 2).all() and (was[some] > DIFFERS).all())
+    off = disagreement_of_each(branches[every, is_turned.astype(int)], known)
+    gain = disagreement_of_each(branches[:, 0], known) - off
+    return bool(
+        is_turned.any()
+        and np.median(off) < MAX_MEDIAN_DISAGREEMENT
+        and off[is_turned].max() < MAX_DISAGREEMENT
+        and gain[is_turned].min() > MIN_GAIN
+    )
 
 
 def turned(pattern_corners: int, label: CornerLabels) -> CornerLabels:

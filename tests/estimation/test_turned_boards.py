@@ -45,6 +45,16 @@ def test_turned_views_are_turned_back_and_said(name: str, sensor: str, share: fl
     assert [each for each in said if each.severity == "red"] == []
 
 
+@pytest.mark.parametrize(("name", "sensor"), [("eye_to_hand", "cam"), ("eye_in_hand", "cam"), ("stereo", "right")])
+def test_where_most_are_numbered_from_the_other_end(name: str, sensor: str) -> None:
+    """On an arm the fewer are turned, since its board may begin at either end; two cameras have one numbering each."""
+    dataset = scene(name)
+    order = np.random.default_rng(1).permutation(dataset.keys).tolist()
+    fewer, more = set(order[:4]), set(order[4:])
+    found = with_boards_turned_back(with_turned(dataset, "board", sensor, more))[1]
+    assert {key for _, _, key in found} == (more if name == "stereo" else fewer)
+
+
 def test_views_that_are_wrong_otherwise_are_not_turned() -> None:
     dataset = scene("eye_to_hand")
     collections = list(dataset.collections)
