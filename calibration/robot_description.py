@@ -7,7 +7,6 @@ its output.
 
 import json
 import os
-import re
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -17,52 +16,59 @@ from typing import Annotated
 
 from calibration.errors import InfrastructureError, InputError
 from calibration.files import read_bytes
-from calibration.records import Converted, Place, length
+from calibration.records import Converted, Place, field, length, record
 from calibration.temporary_folder import temporary_folder
 from calibration.workflow.text import one_line, shorten
 
 ENDING = ".xacro"
 MAX_BYTES = 10_000_000
 """Limit of a description's size, expanded or not: far above that of any robot."""
-PLACES = "packages are looked for beside the file's own one and in its repository; an import names them by 'packages'"
+PLACES = "packages are looked for beside the file's own one and in its repository; the key packages names one more"
 SECONDS, MEMORY = 30, 1024**3
 """Limits of the expansion: seconds of processor time, and bytes."""
 _SYSTEM = ("/proc", "/sys", "/run")
 _CHILD = "import sys; sys.path.insert(0, sys.argv.pop(1)); from calibration.expansion.child import main; main()"
 _SOURCES = str(Path(__file__).resolve().parents[1])
-# Of an argument without a default, by `$(arg NAME)` and by `<xacro:arg name="NAME"/>`.
-_MISSING_ARGUMENT = re.compile(r"Undefined substitution argument '?([\w.-]+)|required argument '?([\w.-]+)")
-_REFUSED = 3  # exit code of the child for a xacro that needs more than is expanded
+_REFUSED, _WITHOUT_ARGUMENT = 3, 4  # exit codes of the child: it needs more than is expanded; an argument has no value
 
 
-def _argument_text(value: object, _: Place) -> str:
-    """Convert a value to the text that xacro evaluates: booleans as ``true`` or ``false``."""
-    return {True: "true", False: "false"}[value] if isinstance(value, bool) else str(value)
+def _argument(value: object, _: Place) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-XacroArguments = Mapping[
-    Annotated[str, length(1, 200)], Annotated[str, Converted(str | bool | int | float, _argument_text)]
-]
-"""Values of a xacro's arguments by their names, as documents have them."""
-XACRO_HELP = "Arguments of the xacro by name: {ur_type: ur5e}."
+XacroArgument = Annotated[str, Converted(Annotated[str, length(0, 1000)] | bool | int | float, _argument)]
 
 
-def read_robot_description(
-    path: Path, packages: Path | None = None, arguments: Mapping[str, str] | None = None
-) -> bytes:
+@record(case="snake", nulls=True)
+class XacroInputs:
+    """What the expansion of a xacro needs beside its file; a URDF needs nothing."""
+
+    xacro: Mapping[Annotated[str, length(1, 200)], XacroArgument] = field(
+        "Arguments of the robot's xacro, by name: {ur_type: ur5e}.", default_factory=dict
+    )
+    packages: Path | None = field(
+        "Folder in which the packages are looked for that the xacro includes; those above its file are found.",
+        default=None,
+    )
+
+
+NO_INPUTS = XacroInputs()
+
+
+def read_robot_description(path: Path, inputs: XacroInputs = NO_INPUTS) -> bytes:
     """Read a URDF, or expand a xacro to one.
 
     Args:
         path: path of the file; the name of a xacro ends with ``.xacro``.
-        packages: the folder in which ``$(find PACKAGE)`` is searched first; then it is in the one that
-            holds the file's own package, as a workspace does, and in the file's repository.
-        arguments: values of the xacro's arguments (``<xacro:arg>``) by name.
+        inputs: of a xacro, its arguments, and the folder in which ``$(find PACKAGE)`` is searched after the file's own
+            package; then it is in the one that holds that package, as a workspace does, and in the file's repository.
 
     Raises:
-        InputError: the file cannot be read or expanded, the folder does not exist, or a URDF is given arguments.
+        InputError: the file cannot be read or expanded, the folder does not exist, an argument has no value, or a URDF
+            has arguments.
         InfrastructureError: xacrodoc is not installed.
     """
-    content = read_bytes(path, MAX_BYTES, "a robot description")
+    content, packages = read_bytes(path, MAX_BYTES, "a robot description"), inputs.packages
     if packages is not None and not packages.is_dir():
         raise InputError(f"{packages}: there is no such folder, expected one with the packages of {path.name}")
     if packages is not None and _holds_private_files(packages.resolve()):
@@ -71,23 +77,24 @@ def read_robot_description(
             f"runner's files: name a smaller one, with the packages of {path.name} alone"
         )
     if path.name.endswith(ENDING):
-        return _expanded(path, packages, arguments or {})
-    if arguments:
-        raise InputError(f"{path}: found the xacro argument '{next(iter(arguments))}', but this is no {ENDING}")
+        return _expanded(path, inputs)
+    if inputs.xacro:
+        raise InputError(f"{path}: found the xacro argument '{next(iter(inputs.xacro))}', but this is no {ENDING}")
     return content
 
 
 def _readable(path: Path, packages: Path | None) -> list[Path]:
     """Return the folders that the expansion may read, in the order in which packages are looked for.
 
-    They are the packages' folder, the one that holds the file's own package, or else the file's own folder, and the
-    repository that the file is in.
+    They are the file's own package, the packages' folder, the one that holds the file's own package, or else the file's
+    own folder, and the repository that the file is in.
     """
     above = path.resolve().parents
     package = next((each for each in above if (each / "package.xml").is_file()), None)
     workspace = above[0] if package is None else package if _holds_private_files(package.parent) else package.parent
     repository = next((each for each in above if (each / ".git").exists()), workspace)
-    folders = [workspace, repository] if packages is None else [packages.resolve(), workspace, repository]
+    own = [] if package is None else [package]
+    folders = [*own, *([] if packages is None else [packages.resolve()]), workspace, repository]
     return list(dict.fromkeys(folders))
 
 
@@ -100,15 +107,15 @@ def _holds_private_files(folder: Path) -> bool:
     )
 
 
-def _expanded(path: Path, packages: Path | None, arguments: Mapping[str, str]) -> bytes:
+def _expanded(path: Path, inputs: XacroInputs) -> bytes:
     if find_spec("xacrodoc") is None:
         raise InfrastructureError(f"{path}: a xacro needs the package xacrodoc: pip install 'calibration-ci[xacro]'")
     with temporary_folder() as folder:
         urdf, log = folder / "robot.urdf", folder / "log"
         request = {
             "file": str(path.resolve()),
-            "folders": [str(each) for each in _readable(path, packages)],
-            "arguments": dict(arguments),
+            "folders": [str(each) for each in _readable(path, inputs.packages)],
+            "arguments": dict(inputs.xacro),
             "seconds": SECONDS,
             "memory": MEMORY,
             "output": MAX_BYTES,
@@ -138,9 +145,8 @@ def _reason(code: int, log: Path, path: Path) -> str:
         return f"it took more than {SECONDS} s, {MEMORY:g} bytes of memory or {MAX_BYTES:g} bytes of text"
     lines = read_bytes(log, MAX_BYTES, "a log").decode(errors="replace").strip().splitlines()
     why = shorten(one_line(lines[-1]), 300) if lines else "no reason given"
-    if (missing := _MISSING_ARGUMENT.search(why)) is not None:
-        name = missing[1] or missing[2]
-        return f"its argument '{name}' has no value: give one, xacro: {{{name}: ...}} (--xacro {name}=... of export)"
+    if code == _WITHOUT_ARGUMENT:
+        return f"its argument '{why}' has no value: give one, xacro: {{{why}: ...}} (--xacro {why}=... of export)"
     if code == _REFUSED:
         return f"{why}; give the URDF that xacro makes of it: xacro {path.name} > {path.name.removesuffix(ENDING)}"
     return f"{why}; {PLACES}" if "ackage" in why else why

@@ -12,7 +12,7 @@ from calibration.errors import InputError
 from calibration.estimation.calibrate import calibrate
 from calibration.exports.files import exported
 from calibration.importing.importing import import_data
-from calibration.robot_description import read_robot_description
+from calibration.robot_description import XacroInputs, read_robot_description
 from calibration.simulation.robot import parse_robot
 from calibration.simulation.system import read_system
 from tests.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
@@ -50,10 +50,21 @@ def test_joints_of_a_xacro_move_a_camera(tmp_path: Path) -> None:
 
 def test_it_expands_to_the_same_robot(tmp_path: Path) -> None:
     file = arm_in_packages(tmp_path)
-    found = parse_robot(read_robot_description(file, tmp_path), file)
+    found = parse_robot(read_robot_description(file, XacroInputs(packages=tmp_path)), file)
     assert [joint.name for joint in found.joints] == [
         joint.name for joint in parse_robot((SYSTEM / "robot.urdf").read_bytes(), file).joints
     ]
+
+
+def test_its_own_package_comes_before_one_of_the_same_name(tmp_path: Path) -> None:
+    file = package(
+        tmp_path / "mine", "arm", "arm.urdf.xacro", f'{HEAD}<xacro:include filename="$(find arm)/a.xacro"/></robot>'
+    )
+    for folder in ("mine", "other"):
+        (tmp_path / folder / "arm").mkdir(parents=True, exist_ok=True)
+        (tmp_path / folder / "arm" / "a.xacro").write_text(f'{HEAD}<link name="{folder}"/></robot>')
+    shutil.copy(tmp_path / "mine" / "arm" / "package.xml", tmp_path / "other" / "arm")
+    assert b"mine" in read_robot_description(file, XacroInputs(packages=tmp_path / "other"))
 
 
 def test_a_system_of_a_simulation_may_have_one(tmp_path: Path) -> None:
@@ -113,7 +124,62 @@ def test_an_endless_one_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_a_folder_of_packages_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such folder, expected one with the packages"):
-        read_robot_description(SYSTEM / "robot.urdf", tmp_path / "nowhere")
+        read_robot_description(SYSTEM / "robot.urdf", XacroInputs(packages=tmp_path / "nowhere"))
+
+
+ARGUED = f"""{HEAD.replace("it", "$(arg name)", 1)}
+<xacro:arg name="name"{{default}}/><xacro:arg name="size" default="2"/><xacro:arg name="unused"/>
+<link name="a"/><link name="b"/>
+<joint name="j" type="fixed"><parent link="a"/><child link="b"/><origin xyz="${{{{$(arg size) / 2}}}} 0 0"/></joint>
+</robot>"""
+"""A xacro whose own name is an argument, as that of a UR is."""
+
+
+def test_arguments_are_given_by_name(tmp_path: Path) -> None:
+    file = tmp_path / "robot.urdf.xacro"
+    file.write_text(ARGUED.format(default=""))
+    found = parse_robot(read_robot_description(file, XacroInputs({"name": "ur5e", "size": "5"})), file)
+    assert found.name == "ur5e"
+    assert found.joints[0].T_parent_joint[0, 3] == 2.5
+    file.write_text(ARGUED.format(default=' default="own"'))
+    assert parse_robot(read_robot_description(file), file).name == "own"
+
+
+def test_a_file_of_another_argument_is_named_with_what_was_given(tmp_path: Path) -> None:
+    file = tmp_path / "robot.urdf.xacro"
+    file.write_text(
+        f'{HEAD}<xacro:arg name="model" default="none"/><xacro:include filename="$(arg model).xacro"/></robot>'
+    )
+    with pytest.raises(InputError, match=r"no file .*none\.xacro.*the key xacro.*model=none"):
+        read_robot_description(file)
+    (tmp_path / "arm.xacro").write_text(f"{HEAD}<link name='${{1 + 1}}'/></robot>")
+    assert b'name="2"' in read_robot_description(file, XacroInputs({"model": "arm"}))
+
+
+def test_arguments_stand_where_a_description_does(tmp_path: Path) -> None:
+    xacro = tmp_path / "robot.urdf.xacro"
+    urdf = (SYSTEM / "robot.urdf").read_text()
+    at = urdf.index("<robot")
+    xacro.write_text(
+        urdf[at:]
+        .replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"')
+        .replace('name="riwbot"', 'name="$(arg name)"')
+    )
+    for name in ("config.yml", "simulation.yml"):
+        shutil.copy(SYSTEM / name, tmp_path)
+    with pytest.raises(InputError, match="its argument 'name' has no value"):
+        read_system(tmp_path)
+    with (tmp_path / "simulation.yml").open("a") as simulation:
+        simulation.write("\nxacro: {name: true}\n")
+    assert read_system(tmp_path).robot.name == "true"
+    path = file_of(tmp_path, "db3")
+    record_arm(path, "db3", keys()[:8], urdf=False)
+    bags = {"robot-description": "robot.urdf.xacro", "xacro": {"name": 5}}
+    described = describe(path, patterns={"board": ON_FLANGE}, bags=bags)
+    assert import_data(described, tmp_path / "out", jobs=1).collections == 8
+    dataset = calibrate(read_dataset(SYSTEM)).dataset
+    made, _ = exported(dataset, ["urdf"], xacro, XacroInputs({"name": "it"}))
+    assert b'name="it"' in made["calibrated.urdf"]
 
 
 LANGUAGE = {
@@ -174,7 +240,7 @@ def test_a_file_of_the_same_repository_is_included_and_one_above_is_not(tmp_path
 def test_arguments_have_the_values_that_are_given(tmp_path: Path, default: str) -> None:
     file = tmp_path / "robot.urdf.xacro"
     file.write_text(f'{HEAD}<xacro:arg name="prefix"{default}/><link name="$(arg prefix)link"/></robot>')
-    assert b'"left_link"' in read_robot_description(file, arguments={"prefix": "left_"})
+    assert b'"left_link"' in read_robot_description(file, XacroInputs({"prefix": "left_"}))
 
 
 @pytest.mark.parametrize("declared", ["", '<xacro:arg name="ur_type"/>'])
@@ -187,4 +253,4 @@ def test_an_argument_that_nobody_gives_is_named_with_its_key(tmp_path: Path, dec
 
 def test_a_urdf_has_no_arguments() -> None:
     with pytest.raises(InputError, match="found the xacro argument 'prefix'"):
-        read_robot_description(SYSTEM / "robot.urdf", arguments={"prefix": "left_"})
+        read_robot_description(SYSTEM / "robot.urdf", XacroInputs({"prefix": "left_"}))

@@ -13,6 +13,7 @@ from calibration.exports.files import exported
 from calibration.exports.names import FORMATS, URDF
 from calibration.files import write_atomically
 from calibration.pipeline.exportable import refuse_what_has_not_passed
+from calibration.robot_description import NO_INPUTS, XacroInputs
 from calibration.workflow import Runner, stop_commands
 from calibration.workflow.text import did_you_mean, one_line
 
@@ -23,6 +24,7 @@ from calibration.workflow.text import did_you_mean, one_line
     "--robot-description", type=path, help="The robot's URDF or xacro, to be written as URDF with calibrated origins."
 )
 @click.option("--xacro", type=assignments, help="Arguments of the xacro: ur_type=ur5e, name=left.")
+@click.option("--packages", type=path, help="Folder with the packages that the xacro includes.")
 @click.option("--formats", type=TEXT_LIST, help=f"{URDF}, {', '.join(FORMATS)} (all that there can be).")
 @click.option("--although", type=text, help="Why a calibration that has not passed is exported all the same.")
 @click.option("--output", type=path, default="exports", show_default=True, help="Folder to write.")
@@ -30,6 +32,7 @@ def command(
     dataset: Path,
     robot_description: Path | None,
     xacro: Mapping[str, str] | None,
+    packages: Path | None,
     formats: tuple[str, ...] | None,
     although: str | None,
     output: Path,
@@ -40,7 +43,8 @@ def command(
     kept.
     """
     runner = Runner.from_environment(os.environ)
-    return export(dataset, robot_description, formats or (), output, runner, although, xacro)
+    inputs = XacroInputs(xacro or {}, packages)
+    return export(dataset, robot_description, formats or (), output, runner, although, inputs)
 
 
 def export(
@@ -50,7 +54,7 @@ def export(
     output: Path,
     runner: Runner,
     although: str | None = None,
-    xacro: Mapping[str, str] | None = None,
+    inputs: XacroInputs = NO_INPUTS,
 ) -> ExitCode:
     """Write the files of the formats.
 
@@ -60,8 +64,8 @@ def export(
         formats: names of formats; empty for all that are possible with these data.
         output: folder to write.
         runner: runner for the log.
-        xacro: values of a xacro's arguments by name.
         although: reason for exporting what has not passed its verdict; None to refuse that.
+        inputs: what the expansion of a xacro needs.
 
     Raises:
         InputError: unknown format, a dataset that is not calibrated or has not passed, or a URDF that does not match
@@ -74,7 +78,7 @@ def export(
             raise InputError(f"--formats: found '{each}', expected {', '.join(known)}{did_you_mean(each, known)}")
     read = read_dataset(dataset)
     cell = None if although else refuse_what_has_not_passed(dataset, read)
-    files, notes = exported(read, formats, description, xacro)
+    files, notes = exported(read, formats, description, inputs)
     if cell is not None and cell.verdict == "undecided":
         notes.append(f"undecided, which passes here (undecided: pass): {cell.undecided[0]}")
     for name, content in files.items():

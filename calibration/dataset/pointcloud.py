@@ -1,4 +1,4 @@
-"""Point clouds: PCD files (ASCII and binary) and ROS PointCloud2 messages."""
+"""Point clouds: PCD files (ASCII, binary, compressed) and ROS PointCloud2 messages."""
 
 import binascii
 import re
@@ -17,6 +17,10 @@ from calibration.geometry.types import Array
 Cloud = NDArray[np.floating[Any]]
 """Points (N, 3) of a cloud in the sensor's frame (m), usually a view of a file's content."""
 
+MAX_DECOMPRESSED = 1 << 29
+"""Limit of the bytes of a compressed file's points."""
+LZF_RATIO = 100
+"""Limit of what LZF saves: three bytes are 264 at most."""
 HEADER_BYTES = 1 << 16
 """Limit of the size of a PCD file's header."""
 _DATA = re.compile(rb"^DATA[ \t]+(\S+)[ \t]*\r?\n", re.MULTILINE)
@@ -73,8 +77,46 @@ def decode_pcd(data: bytes) -> Cloud:
         return layout.points(data, end.end(), count)
     if kind == b"ascii":
         return _decode_ascii(data[end.end() :], count, layout)
+    if kind == b"binary_compressed":
+        return layout.columns(_decompressed(data[end.end() :], count * layout.step), count)
     found = shown(kind.decode("ascii", "replace"))
-    raise InputError(f"found DATA {found}, expected 'binary' or 'ascii' (write it uncompressed)")
+    raise InputError(f"found DATA {found}, expected 'binary', 'binary_compressed' or 'ascii'")
+
+
+def _decompressed(data: bytes, expected: int) -> bytes:
+    """Decompress the points of ``binary_compressed``: two sizes (uint32), and LZF (liblzf, lzf_d.c)."""
+    if len(data) < 8:
+        raise InputError("found no compressed points; is it truncated?")
+    packed, size = np.frombuffer(data, "<u4", 2).tolist()
+    if size != expected or size > MAX_DECOMPRESSED or size > LZF_RATIO * packed:
+        raise InputError(f"found {packed} bytes for {size} bytes of points, expected {expected}")
+    if len(data) - 8 < packed:
+        raise InputError(f"found {len(data) - 8} bytes of compressed points, expected {packed}; is it truncated?")
+    at, end, found = 8, 8 + packed, bytearray()
+    try:
+        while at < end and len(found) <= size:
+            control = data[at]
+            at += 1
+            if control < 32:  # so many bytes and one more as they are
+                found += data[at : at + control + 1]
+                at += control + 1
+                continue
+            length = control >> 5
+            if length == 7:
+                length += data[at]
+                at += 1
+            start = len(found) - ((control & 31) << 8) - data[at] - 1
+            at += 1
+            if start < 0:
+                raise IndexError
+            length += 2
+            again = bytes(found[start : start + length])
+            found += (again * -(-length // len(again)))[:length]  # a copy may reach into itself
+    except IndexError:
+        raise InputError("found compressed points that are damaged") from None
+    if len(found) != size:
+        raise InputError(f"found {len(found)} bytes of points after decompression, expected {size}")
+    return bytes(found)
 
 
 class _Layout:
@@ -104,6 +146,16 @@ class _Layout:
             for type_, offset in zip(types, self.offsets, strict=True)
         ]
         return np.stack(columns, -1)
+
+    def columns(self, data: bytes, count: int) -> Cloud:
+        """Decode data in which each field's values of all points follow each other."""
+        return np.stack(
+            [
+                np.frombuffer(data, type_, count, offset * count)
+                for type_, offset in zip(self.types, self.offsets, strict=True)
+            ],
+            -1,
+        )
 
 
 @lru_cache(maxsize=16)

@@ -10,7 +10,6 @@ from typing import Any
 
 import xacro
 from xacro import substitution_args
-from xacrodoc import XacroDoc
 
 from calibration.expansion.confinement import confine
 from calibration.expansion.expressions import (
@@ -22,8 +21,10 @@ from calibration.expansion.expressions import (
     evaluate,
 )
 
-REFUSED = 3
-"""Exit code if the xacro needs more than the expansion takes."""
+REFUSED, WITHOUT_ARGUMENT = 3, 4
+"""Exit codes if the xacro needs more than the expansion takes, and an argument that has no value: its name is the
+reason."""
+_ARGUMENT = re.compile(r"\$\(arg\s+(\S+)\s*\)")
 _EXPRESSION = re.compile(r"when evaluating expression '(.*?)'\s*(?:when evaluating|$)", re.DOTALL)
 _REASONS: dict[type[BaseException], str] = {
     MemoryError: "it needs too much memory",
@@ -33,49 +34,68 @@ _NAME = re.compile(r"<name>\s*([^<]*?)\s*</name>")
 _WARM_UP = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:property name="x" value="${1}"/></robot>'
 
 
+class MissingPackageError(Exception):
+    """A package that is in none of the folders."""
+
+
 def main() -> None:
     """Expand the xacro of the request, a JSON document in the arguments; the last line of stderr is the reason if not.
 
-    Keys of the request: ``file``; ``folders`` that may be read, in which packages are looked for in this order; the
-    limits ``seconds``, ``memory`` and ``output``; ``arguments`` of the xacro by name.
+    Keys of the request: ``file``; its ``arguments``, by name; ``folders`` that may be read, in which packages are
+    looked for in this order; the limits ``seconds``, ``memory`` and ``output``.
     """
     request = json.loads(sys.argv[1])
     target = os.dup(1)
     os.dup2(2, 1)  # what xacro prints is no URDF
     folders = [Path(folder) for folder in request["folders"]]
-    XacroDoc.from_string(_WARM_UP).to_urdf_string()  # imports what is imported at the first use
-    _accept_arguments_without_default()
+    _expanded(_WARM_UP, {})  # imports what is imported at the first use
+    _allow_arguments_without_default()
     _limit_language()
     substitution_args._eval_find = lambda name: _package(name, folders)
     confine(folders, request["seconds"], request["memory"], request["output"])
     xacro.init_stacks(request["file"])  # relative paths in it begin at its folder
     try:
-        document = XacroDoc.from_file(
-            request["file"], walk_up=False, subargs=request["arguments"], resolve_packages=False
-        )
-        urdf = document.to_urdf_string()
+        urdf = _expanded(Path(request["file"]).read_text("utf-8"), request["arguments"])
         with os.fdopen(target, "wb") as stream:
-            stream.write(urdf.encode())
+            stream.write(urdf)
     except Exception as error:
         code, reason = _reason(error)
         os.write(2, f"\n{' '.join(reason.split())}\n".encode(errors="replace"))
         os._exit(code)
 
 
-def _accept_arguments_without_default() -> None:
-    """Let an ``<xacro:arg>`` have no default where a value is given."""
-    checked = xacro.check_attrs
+def _expanded(text: str, arguments: Mapping[str, str]) -> bytes:
+    """Return the URDF that xacro makes of a text in one pass, as it does in ROS."""
+    document = xacro.parse(text)
+    given = {**_defaults_for_root(document.documentElement), **arguments}
+    xacro.process_doc(document, mappings=given)
+    urdf: bytes = document.toprettyxml(indent="  ", encoding="utf-8")
+    return urdf
 
-    def check_attributes(tag: Any, required: list[str], optional: list[str]) -> list[Any]:
-        if tag.tagName == "xacro:arg" and not tag.hasAttribute("default"):
-            (name,) = checked(tag, ["name"], optional)
-            arguments = xacro.substitution_args_context["arg"]
-            if name not in arguments:
-                raise LookupError(f"required argument '{name}'")
-            return [name, arguments[name]]
-        return list(checked(tag, required, optional))
 
-    xacro.check_attrs = check_attributes
+def _defaults_for_root(root: Any) -> dict[str, str]:
+    """Return the defaults of the arguments in the attributes of ``<robot>``, which xacro evaluates before them."""
+    needed = {name for value in root.attributes.values() for name in _ARGUMENT.findall(value.value)}
+    declared = [node for node in root.childNodes if getattr(node, "tagName", "") == "xacro:arg"]
+    return {
+        name: node.getAttribute("default")
+        for node in reversed(declared)
+        if (name := node.getAttribute("name")) in needed and node.hasAttribute("default")
+    }
+
+
+def _allow_arguments_without_default() -> None:
+    """Let ``<xacro:arg name="x"/>`` declare an argument without a default: it needs a value only where it is used."""
+    parse = xacro.parse
+
+    def parse_without_them(*arguments: Any) -> Any:
+        document = parse(*arguments)
+        for node in document.getElementsByTagName("xacro:arg"):
+            if not node.hasAttribute("default"):
+                node.parentNode.removeChild(node)
+        return document
+
+    xacro.parse = parse_without_them
 
 
 def _limit_language() -> None:
@@ -105,7 +125,7 @@ def _package(name: str, folders: list[Path]) -> str:
     """Return the folder of a package.
 
     Raises:
-        LookupError: there is none.
+        MissingPackageError: there is none.
     """
     for folder in folders:
         for place, below, files in os.walk(folder):
@@ -114,7 +134,7 @@ def _package(name: str, folders: list[Path]) -> str:
                 below.clear()
             if "package.xml" in files and name in _NAME.findall(Path(place, "package.xml").read_text("utf-8")):
                 return place
-    raise LookupError(f"there is no package '{name}'")
+    raise MissingPackageError(f"there is no package '{name}'")
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
@@ -127,8 +147,21 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 def _reason(error: Exception) -> tuple[int, str]:
     """Return the exit code for an error, and one line."""
     for cause in _causes(error):
+        if isinstance(cause, substitution_args.ArgException):
+            return WITHOUT_ARGUMENT, str(cause)
         if isinstance(cause, RefusedError | MemoryError | RecursionError):
             text = _REASONS.get(type(cause), str(cause))
             where = _EXPRESSION.search(str(error))
             return REFUSED, f"{text}{f' in the expression {where[1]}' if where else ''}"
+        if isinstance(cause, MissingPackageError):
+            return 1, str(cause)
+        if isinstance(cause, FileNotFoundError):
+            return 1, f"there is no file {cause.filename}{_given_arguments()}"
     return 1, f"{type(error).__name__}: {error}"
+
+
+def _given_arguments() -> str:
+    """Return the values of the arguments, from which names of files are often made."""
+    given = xacro.substitution_args_context["arg"]
+    values = ", ".join(f"{name}={value}" for name, value in given.items())
+    return f"; the key xacro gives other arguments than {values}" if given else ""

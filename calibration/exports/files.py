@@ -1,6 +1,6 @@
 """Export of a calibrated dataset to all files of the requested formats."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from calibration.dataset.model import Dataset
@@ -9,13 +9,13 @@ from calibration.exports.calibrated import Calibrated, calibrated
 from calibration.exports.formats import FILES
 from calibration.exports.names import FORMATS, OF_CAMERAS, URDF
 from calibration.exports.urdf import calibrated_urdf
-from calibration.robot_description import read_robot_description
+from calibration.robot_description import NO_INPUTS, XacroInputs, read_robot_description
 
 CALIBRATED_URDF = "calibrated.urdf"
 
 
 def exported(
-    dataset: Dataset, formats: Sequence[str], description: Path | None, arguments: Mapping[str, str] | None = None
+    dataset: Dataset, formats: Sequence[str], description: Path | None, inputs: XacroInputs = NO_INPUTS
 ) -> tuple[dict[str, bytes], list[str]]:
     """Return the files of the requested formats by name, and notes for the user.
 
@@ -23,7 +23,7 @@ def exported(
         dataset: the calibrated dataset.
         formats: names of formats; empty for all that the dataset supports.
         description: the robot's URDF, or a xacro, which is expanded; None if there is none.
-        arguments: values of the xacro's arguments by name.
+        inputs: what the expansion of a xacro needs.
 
     Raises:
         InputError: the dataset is not calibrated, the URDF does not match it, or the dataset does not support a
@@ -34,8 +34,9 @@ def exported(
     of = calibrated(dataset)
     files, notes = _texts(of, formats)
     if description is not None and (URDF in formats or not formats):
-        urdf = read_robot_description(description, arguments=arguments)
-        made = calibrated_urdf(urdf, {**of.transforms, **of.joints}, str(description))
+        made = calibrated_urdf(
+            read_robot_description(description, inputs), {**of.transforms, **of.joints}, str(description)
+        )
         files = {CALIBRATED_URDF: made.content} | files
         notes = [*made.notes, *notes]
     return files, notes

@@ -18,7 +18,7 @@ from calibration.records import (
     length,
     record,
 )
-from calibration.robot_description import XACRO_HELP, XacroArguments
+from calibration.robot_description import XacroInputs
 from calibration.simulation.description import Pose
 
 Name = Annotated[str, length(1, 200)]
@@ -28,6 +28,15 @@ Count = Annotated[int, between(2, MAX_CORNERS)]
 
 def _beside(text: str, place: Place) -> str:
     return str(place.folder / text)
+
+
+VIDEO_ENDINGS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
+"""Endings of videos, in lower case."""
+
+
+def is_video(images: str) -> bool:
+    """Whether the images of a sensor are a video, by the ending of its name."""
+    return images.lower().endswith(VIDEO_ENDINGS)
 
 
 Files = Annotated[str, Converted(Name, _beside)]
@@ -40,7 +49,12 @@ class SensorDescription:
 
     name: str
     images: Files | None = field(
-        "Folder of its images, or a pattern such as left/*.png; without it those that samples name.", default=None
+        "Folder of its images, a pattern such as left/*.png, or a video; without it those that samples name.",
+        default=None,
+    )
+    clouds: Files | None = field(
+        "Of a LiDAR: folder of its point clouds (PCD, PLY, LAS, LAZ, or text), or a pattern of files.",
+        default=None,
     )
     topic: Name | None = field("Topic of its images in a bag.", default=None)
     modality: Literal["rgb", "depth"] | None = field(
@@ -58,9 +72,14 @@ class SensorDescription:
         "Frame that it is mounted on; its pose relative to this one is calibrated (the world).", default=None
     )
     frame: Name | None = field("Frame of its images, z forward (its name and _optical_frame).", default=None)
-    stamps: Literal["header", "recorded"] | None = field(
+    stamps: Literal["header", "recorded"] | Path | None = field(
         "Times of its messages in a bag: those in their headers, or those at which they were recorded, for a sensor "
-        "whose clock is not that of the others (header).",
+        "whose clock is not that of the others (header). Of a video: file with the time of each frame, one a line, s "
+        "or ns (those in the video).",
+        default=None,
+    )
+    pose: Pose | None = field(
+        "Its pose on its parent, roughly (of a LiDAR to 10 cm), where no recording has it: xyz in m, rpy in rad.",
         default=None,
     )
 
@@ -162,6 +181,20 @@ class Samples:
 
 
 @record(rules=(excludes("every", "at"),))
+class Videos:
+    """What is taken of the videos that sensors name as their images."""
+
+    step: Annotated[int, between(1, 10_000)] = field("Of so many frames one is searched.", default=1)
+    every: Annotated[float, above(0, 1e6)] | None = field(
+        "A moment every so many seconds, still or not, in place of those at which all stands still.", default=None
+    )
+    at: Path | None = field("File with the times of the moments, s, one a line, likewise.", default=None)
+    most: Annotated[int, between(1, 10_000)] = field(
+        "Moments at most; of more, those that calibrate best, or, with every or at, evenly chosen.", default=100
+    )
+
+
+@record(rules=(excludes("every", "at"),))
 class Bags:
     """A recording of ROS 1 or ROS 2."""
 
@@ -169,10 +202,7 @@ class Bags:
         "Bags that follow each other: .bag, .db3, .mcap, or folders with metadata.yaml."
     )
     robot_description: Path | None = field("URDF or xacro of the robot (that of /robot_description).", default=None)
-    packages: Path | None = field(
-        "Folder in which the packages are looked for that a xacro includes; those above it are found.", default=None
-    )
-    xacro: XacroArguments = field(XACRO_HELP, default_factory=dict)
+    xacro: XacroInputs = field(flat=True, default_factory=XacroInputs)
     every: Annotated[float, above(0, 1e6)] | None = field(
         "A moment every so many seconds, still or not, in place of those at which all stands still.", default=None
     )
@@ -198,6 +228,7 @@ class ImportDescription:
         "The parent, of each frame that has several in a bag: {box: table}.", default_factory=dict
     )
     bags: Bags | None = field("What ROS recorded.", default=None)
+    videos: Videos | None = field("What is taken of videos, where images of sensors are some.", default=None)
     pairs: Literal["name", "number", "stamp"] | Path | None = field(
         "What tells which images belong together: their names, the last numbers in them, the stamps in nanoseconds "
         "that their names are, or a CSV with a column for each sensor (stamp where all names are, name, else number).",
@@ -225,10 +256,16 @@ class ImportDescription:
             raise Misfit("missing key 'sensors'")
         if self.parents:
             raise Misfit("found 'parents' without 'bags': only recorded frames have several")
-        of_bags = [each for each in self.sensors if each.topic or each.camera_info or each.modality or each.stamps]
+        of_bags = [
+            each
+            for each in self.sensors
+            if each.topic or each.camera_info or each.modality or isinstance(each.stamps, str)
+        ]
         if of_bags:
             raise Misfit(f"sensors: '{of_bags[0].name}': a topic needs 'bags', and so do a modality and stamps")
-        without = [sensor.name for sensor in self.sensors if sensor.images is None]
+        self._check_videos()
+        self._check_clouds()
+        without = [sensor.name for sensor in self.sensors if sensor.images is None and sensor.clouds is None]
         if without and (self.samples is None or len(self.sensors) > 1):
             raise Misfit(f"sensors: '{without[0]}': missing key 'images', a folder or a pattern of files")
 
@@ -242,9 +279,42 @@ class ImportDescription:
         """Whether the arm carries a sensor, not a pattern."""
         return self.samples is not None and any(each.parent == self.samples.tool for each in self.sensors)
 
+    @property
+    def has_videos(self) -> bool:
+        """Whether the cameras have videos."""
+        return any(sensor.images is not None and is_video(sensor.images) for sensor in self.sensors)
+
+    def _check_videos(self) -> None:
+        if stray := [
+            each.name for each in self.sensors if isinstance(each.stamps, Path) and not is_video(each.images or "")
+        ]:
+            raise Misfit(f"sensors: '{stray[0]}': found 'stamps', expected a video as its 'images'")
+        if not self.has_videos:
+            if self.videos is not None:
+                raise Misfit(
+                    f"found 'videos', expected a sensor with one: images: left.mp4 ({', '.join(VIDEO_ENDINGS)})"
+                )
+            return
+        if self.samples is not None or self.pairs is not None:
+            raise Misfit("found videos with 'samples' or 'pairs': their images belong together by their times")
+        if others := [each.name for each in self.sensors if not (each.images and is_video(each.images))]:
+            raise Misfit(f"sensors: '{others[0]}': expected a video as its 'images', as the other sensors have")
+
+    def _check_clouds(self) -> None:
+        lidars = [sensor for sensor in self.sensors if sensor.clouds is not None]
+        for lidar in lidars:
+            if lidar.images is not None or lidar.intrinsics is not None:
+                raise Misfit(f"sensors: '{lidar.name}': found 'clouds' with 'images' or 'intrinsics' of a camera")
+        if lidars and len(lidars) == len(self.sensors):
+            raise Misfit(f"sensors: '{lidars[0].name}': missing a camera, which sees where the pattern is")
+
     def _check_bags(self) -> None:
         if self.samples is not None or self.pairs is not None:
             raise Misfit("found 'bags' with 'samples' or 'pairs': a bag has its own poses and stamps")
         for sensor in self.sensors:
-            if sensor.images is not None or sensor.topic is None:
-                raise Misfit(f"sensors: '{sensor.name}': expected the 'topic' of its images in the bag, no folder")
+            if isinstance(sensor.stamps, Path):
+                raise Misfit(
+                    f"sensors: '{sensor.name}': found stamps: {sensor.stamps.name}, expected header or recorded"
+                )
+            if sensor.images is not None or sensor.clouds is not None or sensor.topic is None:
+                raise Misfit(f"sensors: '{sensor.name}': expected the 'topic' of its data in the bag, no folder")

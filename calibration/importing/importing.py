@@ -12,7 +12,7 @@ import numpy as np
 
 from calibration import __version__
 from calibration.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
-from calibration.dataset.modalities import POSE, RGB, Modality
+from calibration.dataset.modalities import LIDAR3D, POSE, RGB, Modality
 from calibration.dataset.model import Edge
 from calibration.dataset.reading import FILE_NAME, read_dataset
 from calibration.dataset.writing import write_document
@@ -27,13 +27,16 @@ from calibration.importing.bag import open_bag
 from calibration.importing.baselines import with_baselines
 from calibration.importing.best_moments import best_moments
 from calibration.importing.camera_files import KnownLens, read_lens
+from calibration.importing.cloud_files import CLOUD_ENDINGS, cloud_view
 from calibration.importing.contact_sheet import FILE as SHEET
 from calibration.importing.contact_sheet import contact_sheet
-from calibration.importing.description import ImportDescription, SensorDescription
+from calibration.importing.description import ImportDescription, SensorDescription, Videos
 from calibration.importing.document import Imported, data_file, dataset_document
 from calibration.importing.image_views import LabelledMoment, check_copies, view_of_file
+from calibration.importing.motion_log import MotionLog
 from calibration.importing.pictures import Moment, Pictures, find_pictures, moments_of
 from calibration.importing.range_data import LabelledRange
+from calibration.importing.range_views import RangeView
 from calibration.importing.recorded import Recorded, check_seen, check_views, imported_moments
 from calibration.importing.recordings import (
     SeenImages,
@@ -53,6 +56,7 @@ from calibration.importing.samples import Sample, read_samples
 from calibration.importing.stillness import BagMoment
 from calibration.importing.survey import survey
 from calibration.importing.target_files import pattern_configuration
+from calibration.importing.videos import extracted_frames, frame_tasks, frames_by_camera, survey_videos
 from calibration.labelling.corner_detector import corner_detector
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.points import PatternPoints
@@ -103,7 +107,8 @@ def import_data(
     for pattern in described.patterns:
         if not pattern.is_printed:
             raise InputError(f"{config}: patterns/{pattern.name}: missing key 'type', or 'target': images are given")
-    source = (_from_images if described.bags is None else _from_bags)(described, lenses)
+    from_files = _from_videos if described.has_videos else _from_images
+    source = (from_files if described.bags is None else _from_bags)(described, lenses)
     with (
         workspace(output, source.identity, text_of, source.decode) as work,
         single_threaded_opencv(),
@@ -195,15 +200,20 @@ def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
     def label(moment: Moment) -> LabelledMoment:
-        return LabelledMoment({name: view_of_file(file, detectors) for name, file in moment.files.items()})
+        images = {name: file for name, file in moment.files.items() if configuration.sensors[name].has_corners}
+        return LabelledMoment({name: view_of_file(file, detectors) for name, file in images.items()})
 
-    def finish(seen: Sequence[LabelledMoment], _: Path, __: int | None) -> Recorded:
+    def finish(seen: Sequence[LabelledMoment], folder: Path, _: int | None) -> Recorded:
         for name in configuration.sensors:
             check_copies(name, [moment.views[name] for moment in seen if name in moment.views])
         lag = max(moment.lag for moment in moments)
         known = _with_known_patterns(transforms, described, configuration)
-        placed = with_baselines(known, configuration, lenses)
-        return Recorded(configuration, lenses, seen, placed, rough=True, searched=len(seen), lag=lag)
+        placed = with_baselines(known, configuration, lenses, _given_poses(described, configuration, 1))
+        ranges = [
+            _clouds(moment, i, folder, configuration) if any(view.labelled for view in labelled.views.values()) else {}
+            for i, (moment, labelled) in enumerate(zip(moments, seen, strict=True))
+        ]
+        return Recorded(configuration, lenses, seen, placed, rough=True, searched=len(seen), lag=lag, ranges=ranges)
 
     return _Source(
         _identity(patterns, [path for moment in moments for path in moment.files.values()]),
@@ -211,6 +221,56 @@ def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
         lambda text: read(LabelledMoment, json.loads(text), "a finished moment"),
         finish,
     )
+
+
+def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
+    patterns = _patterns(described)
+    configuration, chosen = _configuration(described, patterns), described.videos or Videos()
+    videos = survey_videos(described.sensors)
+    detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
+
+    def finish(seen: Sequence[SeenImages], folder: Path, jobs: int | None) -> Recorded:
+        images = frames_by_camera(videos, seen)
+        for name, own in images.items():
+            video, frames = videos[name], [image.recorded for image in own]
+            check_seen(
+                name,
+                patterns,
+                [image.view for image in own],
+                lambda i, video=video, frames=frames: video.frame(frames[i]),  # type: ignore[misc]
+            )
+
+        def of_cameras(some: Sequence[BagMoment]) -> Recorded:
+            """Return the cameras' data of some moments, without image files."""
+            views = [LabelledMoment({name: image.view for name, image in each.images.items()}) for each in some]
+            given = _given_poses(described, configuration, len(some))
+            transforms = _transforms(configuration, given, len(some))
+            placed = with_baselines(
+                _with_known_patterns(transforms, described, configuration), configuration, lenses, given
+            )
+            return Recorded(configuration, lenses, views, placed, rough=True, lag=max(each.lag for each in some))
+
+        log = MotionLog()
+        every = chosen_moments(chosen, images, log, (), ", ".join(str(each.path) for each in videos.values()))
+        moments, evenly = best_moments(every, chosen.most, of_cameras)
+        log.left_out.add(f"more than {chosen.most} moments ('most')", "moments", count=len(every) - len(moments))
+        labelled = extracted_frames(videos, moments, folder, jobs)
+        return replace(
+            of_cameras(moments), moments=labelled, searched=len(every), evenly=evenly, left_out=log.left_out.results()
+        )
+
+    return _Source(
+        _identity(patterns, [path for video in videos.values() for path in video.files], str(chosen.step)),
+        frame_tasks(videos, chosen.step, detectors),
+        decoded_images,
+        finish,
+    )
+
+
+def _clouds(moment: Moment, number: int, folder: Path, configuration: Configuration) -> dict[str, RangeView]:
+    """Return the point clouds of a moment, each as a file in a folder."""
+    lidars = {name: file for name, file in moment.files.items() if not configuration.sensors[name].has_corners}
+    return {name: cloud_view(file, folder / f"{name.replace('/', '_')}_{number}") for name, file in lidars.items()}
 
 
 def _from_bags(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
@@ -239,19 +299,24 @@ def _from_bags(described: ImportDescription, lenses: Mapping[str, KnownLens]) ->
 
         def of_cameras(some: Sequence[BagMoment]) -> Recorded:
             """Return the cameras' data of some moments, without image files."""
+            given = {
+                edge: T
+                for edge, T in _given_poses(described, mounted.configuration, len(some)).items()
+                if edge not in mounted.edges
+            }
             return Recorded(
                 mounted.configuration,
                 {**bag_lenses, **lenses},
                 [LabelledMoment({name: image.view for name, image in moment.images.items()}) for moment in some],
                 with_baselines(
                     _with_known_patterns(
-                        mounted.transforms(found.log, [moment.time for moment in some]),
+                        {**mounted.transforms(found.log, [moment.time for moment in some]), **given},
                         described,
                         mounted.configuration,
                     ),
                     mounted.configuration,
                     lenses,
-                    mounted.edges,
+                    (*mounted.edges, *given),
                 ),
                 rough=not mounted.edges,
                 lag=max(moment.lag for moment in some),
@@ -280,8 +345,8 @@ def _from_bags(described: ImportDescription, lenses: Mapping[str, KnownLens]) ->
     )
 
 
-def _identity(patterns: Mapping[str, PatternConfiguration], files: Sequence[Path]) -> str:
-    """Return a hash of the inputs of the labels: the patterns, and the current files.
+def _identity(patterns: Mapping[str, PatternConfiguration], files: Sequence[Path], choice: str = "") -> str:
+    """Return a hash of the inputs of the labels: the patterns, the current files, and the choice of their images.
 
     Raises:
         InputError: a file does not exist.
@@ -292,14 +357,16 @@ def _identity(patterns: Mapping[str, PatternConfiguration], files: Sequence[Path
         reason = error.strerror if isinstance(error, OSError) else error
         name = error.filename if isinstance(error, OSError) else ""
         raise InputError(f"{name}: an image was expected, but it cannot be read: {reason}") from None
-    return identity(f"{__version__} {np.__version__} {cv2.__version__} {patterns} {stats}".encode())
+    return identity(f"{__version__} {np.__version__} {cv2.__version__} {patterns} {stats} {choice}".encode())
 
 
 def _configuration(
     described: ImportDescription, patterns: Mapping[str, PatternConfiguration], modality: Modality = RGB
 ) -> Configuration:
     """Return the calibration configuration: the pose of each sensor on its parent."""
-    sensors = {each.name: _sensor(each, described.root, modality) for each in described.sensors}
+    sensors = {
+        each.name: _sensor(each, described.root, LIDAR3D if each.clouds else modality) for each in described.sensors
+    }
     mounted = {pattern.parent_link for pattern in patterns.values() if pattern.fixed}
     if described.samples is not None:
         tool = described.samples.tool
@@ -323,6 +390,9 @@ def _moments(
 ) -> tuple[Sequence[Moment], Mapping[Edge, Array]]:
     """Return the images of each moment, and the transforms (N, 4, 4) at that time."""
     pictures = [find_pictures(each.name, each.images) for each in described.sensors if each.images]
+    pictures += [
+        find_pictures(each.name, each.clouds, CLOUD_ENDINGS, "point cloud") for each in described.sensors if each.clouds
+    ]
     arm: dict[Edge, Array] = {}
     if described.samples is None:
         moments = moments_of(pictures, described.pairs)
@@ -330,7 +400,18 @@ def _moments(
         samples = read_samples(described.samples.file, described.in_hand)
         moments, samples = _at_samples(described, pictures, samples)
         arm[described.samples.base, described.samples.tool] = np.stack([each.T_base_tool for each in samples])
-    return moments, _transforms(configuration, arm, len(moments))
+    return moments, _transforms(
+        configuration, {**arm, **_given_poses(described, configuration, len(moments))}, len(moments)
+    )
+
+
+def _given_poses(described: ImportDescription, configuration: Configuration, count: int) -> dict[Edge, Array]:
+    """Return ``T_parent_sensor`` (N, 4, 4) of the sensors that have one in the description."""
+    return {
+        (sensor.parent_link, sensor.child_link): np.broadcast_to(each.pose.transform, (count, 4, 4))
+        for each in described.sensors
+        if each.pose is not None and (sensor := configuration.sensors[each.name])
+    }
 
 
 def _at_samples(

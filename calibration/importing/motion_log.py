@@ -169,17 +169,20 @@ class MotionLog:
             joint = self._driven[edge]
             if joint.kind == "fixed":
                 return joint.T_parent_joint
+            if joint.is_free:
+                raise InputError(
+                    f"the {joint.kind} joint '{joint.name}' needs a transform from '{edge[0]}' to '{edge[1]}' in /tf, "
+                    f"and none was recorded{self._why_not(edge)}"
+                )
             position = self._position(joint, time)
             T = None if position is None else joint.transform(position)[0]
-            what = f"no position of joint '{joint.name}' and no transform from '{edge[0]}' to '{edge[1]}'"
+            what = f"no position of joint '{joint.driver}' and no transform from '{edge[0]}' to '{edge[1]}'"
         if T is None:
             raise InputError(f"{what} was recorded within {NEAR:g} s of {time / SECOND:.3f}{self._why_not(edge)}")
         return T
 
     def _position(self, joint: Joint, time: float) -> Array | None:
         """Return the position (1,) of a joint at a time, ns; of one that follows another, from that one's."""
-        if not joint.is_movable:
-            return None
         own = self.joints.get(joint.name)
         if own is not None or joint.mimic is None:
             return None if own is None else own.at(time)

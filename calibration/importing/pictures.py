@@ -51,8 +51,8 @@ class Moment:
     """Time between the first and the last of them, s, if their names are stamps."""
 
 
-def find_pictures(sensor: str, place: str) -> Pictures:
-    """Find the images in a folder or of a glob pattern.
+def find_pictures(sensor: str, place: str, endings: Sequence[str] = ENDINGS, what: str = "image") -> Pictures:
+    """Find the images, or other files by their endings, in a folder or of a glob pattern.
 
     Raises:
         InputError: there are none, or too many.
@@ -62,12 +62,12 @@ def find_pictures(sensor: str, place: str) -> Pictures:
     elif Path(place).is_dir():
         found = [path for path in Path(place).iterdir() if path.is_file()]
     else:
-        raise InputError(f"{place}: found no such folder, expected the images of '{sensor}'")
-    files = [path for path in found if path.suffix.lower() in ENDINGS]
+        raise InputError(f"{place}: found no such folder, expected each {what} of '{sensor}'")
+    files = [path for path in found if path.suffix.lower() in endings]
     if not files:
-        raise InputError(f"{place}: found no image of '{sensor}', expected files that end in {', '.join(ENDINGS)}")
+        raise InputError(f"{place}: found no {what} of '{sensor}', expected files that end in {', '.join(endings)}")
     if len(files) > MOST_IMAGES:
-        raise InputError(f"{place}: found {len(files)} images of '{sensor}', expected {MOST_IMAGES} at most")
+        raise InputError(f"{place}: found {len(files)} files of '{sensor}', expected {MOST_IMAGES} at most")
     return Pictures(sensor, place, tuple(sorted(files, key=_in_order)))
 
 

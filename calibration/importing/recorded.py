@@ -126,7 +126,7 @@ def _ranges(recorded: Recorded, cameras: Mapping[str, Camera]) -> Sequence[Mappi
             why = reasons[0][0] if reasons else "nothing was recorded at any of the moments"
             raise InputError(
                 f"'{name}' sees no pattern at any of {len(ranges)} moments where a camera sees it (mostly: {why}); its "
-                "place relative to the cameras must be known to 10 cm: is it in /tf or the robot description?"
+                "place relative to the cameras must be known to 10 cm: is it in /tf, the robot description or 'pose'?"
             )
     return ranges
 

@@ -19,7 +19,7 @@ from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
 from calibration.importing.bag import SECOND, Bag, RawMessage, open_bag
 from calibration.importing.contact_sheet import thumbnail, thumbnail_of
-from calibration.importing.description import Bags, ImportDescription, SensorDescription
+from calibration.importing.description import Bags, ImportDescription, SensorDescription, Videos
 from calibration.importing.image_views import LabelledMoment, View, view_of_image
 from calibration.importing.messages import image_of
 from calibration.importing.motion_log import MotionLog
@@ -123,7 +123,11 @@ def images_without_pattern(
 
 
 def chosen_moments(
-    described: Bags, images: Mapping[str, Sequence[BagImage]], log: MotionLog, edges: Sequence[Edge], where: str
+    described: Bags | Videos,
+    images: Mapping[str, Sequence[BagImage]],
+    log: MotionLog,
+    edges: Sequence[Edge],
+    where: str,
 ) -> list[BagMoment]:
     """Return the moments that may become collections: all at standstill, or the requested times.
 

@@ -102,7 +102,7 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
         else:
             lenses[message.topic].add(bag, message)
     if described.bags is not None and (urdf := described.bags.robot_description):
-        log.add_robot(read_robot_description(urdf, described.bags.packages, described.bags.xacro), urdf)
+        log.add_robot(read_robot_description(urdf, described.bags.xacro), urdf)
     topics = {}
     for sensor in sensors:
         topic, info = sensor.topic or "", infos.get(sensor.name)

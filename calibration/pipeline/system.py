@@ -24,7 +24,7 @@ from calibration.records import (
     record,
     result,
 )
-from calibration.robot_description import XACRO_HELP, XacroArguments
+from calibration.robot_description import XacroInputs
 from calibration.workflow.text import did_you_mean
 
 FormatName = Annotated[str, matching("|".join((URDF, *FORMATS)), f"one of {', '.join((URDF, *FORMATS))}")]
@@ -61,7 +61,7 @@ class Exports:
         f"The formats: {', '.join((URDF, *FORMATS))}; by default all that there can be.", default=()
     )
     robot_description: Path | None = field("The robot's URDF or xacro, relative to this file.", default=None)
-    xacro: XacroArguments = field(XACRO_HELP, default_factory=dict)
+    xacro: XacroInputs = field(flat=True, default_factory=XacroInputs)
 
     def __post_init__(self) -> None:
         """Refuse a URDF export without a robot description.

@@ -1,10 +1,10 @@
 """Inverse kinematics: joint positions that move one frame of a robot to a pose in another."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.errors import InputError
 from calibration.geometry.transforms import adjoint, inverse, local
 from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.robot import Joint, Robot
@@ -16,8 +16,9 @@ _SETTLED = 1e-11  # m and rad: convergence is quadratic, so the remaining error 
 
 
 def joints_between(robot: Robot, start: str, end: str) -> list[Joint]:
-    """Return the movable joints between two frames, in the order of the chain."""
-    return [step.joint for step in _way(robot, start, end) if step.joint is not None]
+    """Return the joints whose positions move one frame in the other, in the order of the chain, each once."""
+    drivers = dict.fromkeys(step.joint.driver for step in _way(robot, start, end) if step.joint is not None)
+    return [robot.movable[name] for name in drivers if name in robot.movable]
 
 
 def reach(
@@ -36,18 +37,19 @@ def reach(
     """
     way = _way(robot, start, end)
     joints = joints_between(robot, start, end)
+    index = {joint.name: i for i, joint in enumerate(joints)}
     low = np.array([max(joint.lower, -np.pi) for joint in joints])
     high = np.array([min(joint.upper, np.pi) for joint in joints])
     q = low + (high - low) * random.random((len(targets), len(joints)))
     moving = np.arange(len(targets))
     for _ in range(_ITERATIONS):
-        error, J = _linearise(way, targets[moving], q[moving])
+        error, J = _linearise(way, targets[moving], q[moving], index)
         open_ = np.abs(error).max(-1) > _SETTLED
         moving, error, J = moving[open_], error[open_], J[open_]
         q[moving] += _step(error, J)
     turning = np.array([joint.kind != "prismatic" for joint in joints])
     q = np.where(turning, (q + np.pi) % (2 * np.pi) - np.pi, q)
-    error, _ = _linearise(way, targets, q)
+    error, _ = _linearise(way, targets, q, index)
     reached = (np.abs(error).max(-1) < _REACHED) & ((q >= low) & (q <= high)).all(-1)
     return {joint.name: q[:, i] for i, joint in enumerate(joints)}, reached
 
@@ -79,11 +81,6 @@ def _way(robot: Robot, start: str, end: str) -> list[_Step]:
     way: list[_Step] = []
     for step in robot.tree.path(start, end):
         joint = by_edge[step.parent, step.child]
-        if joint.mimic is not None:
-            raise InputError(
-                f"{robot.path}: joint '{joint.name}', from '{start}' to '{end}', follows '{joint.mimic.joint}': no "
-                "positions can be found for a wanted pose; give those of the joints"
-            )
         if joint.is_movable:
             way.append(_Step(np.eye(4), joint, step.inverted))
             continue
@@ -95,21 +92,30 @@ def _way(robot: Robot, start: str, end: str) -> list[_Step]:
     return way
 
 
-def _linearise(way: list[_Step], targets: Array, q: Array) -> tuple[Array, Array]:
-    """Return the twist (N, 6) from the pose to the target, and the Jacobian (N, 6, J) of the pose by the joints."""
+def _linearise(way: list[_Step], targets: Array, q: Array, index: Mapping[str, int]) -> tuple[Array, Array]:
+    """Return the twist (N, 6) from the pose to the target, and the Jacobian (N, 6, J) of the pose by the joints.
+
+    ``index`` is the place of each joint's position in q; a joint that mimics another one adds to that one's column.
+    """
     T = np.broadcast_to(np.eye(4), targets.shape)
-    moved: list[tuple[Array, Array]] = []  # each joint's frame relative to the start, and its twist there
+    moved: list[tuple[int, Array, Array]] = []  # column, frame relative to the start and twist there of each joint
     for step in way:
         if step.joint is None:
             T = T @ step.constant
             continue
-        T_parent_child = step.joint.transform(q[:, len(moved)])
+        column = index[step.joint.driver]
+        position, twist = q[:, column], step.joint.twist
+        if (mimic := step.joint.mimic) is not None:
+            position, twist = mimic.positions(position), mimic.multiplier * twist
+        T_parent_child = step.joint.transform(position)
         if step.inverted:
-            moved.append((T, -step.joint.twist))
+            moved.append((column, T, -twist))
             T = T @ inverse(T_parent_child)
         else:
             T = T @ T_parent_child
-            moved.append((T, step.joint.twist))
+            moved.append((column, T, twist))
     T_end_start = inverse(T)
-    columns = [adjoint(T_end_start @ T_start_joint) @ twist for T_start_joint, twist in moved]
-    return local(T, targets), np.stack(columns, -1)
+    J = np.zeros((len(targets), 6, len(index)))
+    for column, T_start_joint, twist in moved:
+        J[..., column] += adjoint(T_end_start @ T_start_joint) @ twist
+    return local(T, targets), J

@@ -22,7 +22,7 @@ from calibration.geometry import rotations
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.transforms import from_xyz_rpy, inverse, transform, translation
 from calibration.geometry.types import Array
-from calibration.robot_description import read_robot_description
+from calibration.robot_description import NO_INPUTS, XacroInputs, read_robot_description
 
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "floating", "planar"]
 JOINT_KINDS: tuple[JointKind, ...] = get_args(JointKind)
@@ -71,6 +71,16 @@ class Joint:
     def is_movable(self) -> bool:
         """Whether the joint has a position, its own or that of a joint that it follows."""
         return self.kind in AXIS_KINDS
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the joint is floating or planar: its transform is not known from one position."""
+        return self.kind in ("floating", "planar")
+
+    @property
+    def driver(self) -> str:
+        """Name of the joint whose position moves it: its own, or that of the joint that it follows."""
+        return self.name if self.mimic is None else self.mimic.joint
 
     @property
     def twist(self) -> Array:
@@ -168,7 +178,7 @@ def compose(tree: FrameTree, transforms: Mapping[Edge, Array], start: str, end: 
     return T
 
 
-def read_robot(path: Path) -> Robot:
+def read_robot(path: Path, inputs: XacroInputs = NO_INPUTS) -> Robot:
     """Read a robot from a URDF file, or from a xacro.
 
     Raises:
@@ -177,7 +187,7 @@ def read_robot(path: Path) -> Robot:
             cannot be expanded.
         InfrastructureError: xacrodoc is needed and not installed.
     """
-    return parse_robot(read_robot_description(path), path)
+    return parse_robot(read_robot_description(path, inputs), path)
 
 
 def parse_robot(urdf: bytes, path: Path) -> Robot:
@@ -253,6 +263,8 @@ def _with_followed(joint: Joint, joints: Mapping[str, Joint], path: Path) -> Joi
         passed.append(followed.name)
         multiplier, offset = followed.mimic.multiplier, followed.mimic.offset
         mimic = Mimic(followed.mimic.joint, mimic.multiplier * multiplier, mimic.multiplier * offset + mimic.offset)
+    if mimic is not None and not (math.isfinite(mimic.multiplier) and math.isfinite(mimic.offset)):
+        raise _fault(f"{path}: joint '{joint.name}': its multiplier or offset is infinite, along {', '.join(passed)}")
     return replace(joint, mimic=mimic)
 
 

@@ -23,7 +23,7 @@ from calibration.files import read_bytes
 from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.geometry.types import Array
 from calibration.records import Converted, Place, between, field, read, read_as, record, unknown_key
-from calibration.robot_description import ENDING, XACRO_HELP, XacroArguments, read_robot_description
+from calibration.robot_description import ENDING, NO_INPUTS, XacroInputs, read_robot_description
 from calibration.simulation.board import Board
 from calibration.simulation.description import MAX_BYTES, Pose, degrees, listed, rising
 from calibration.simulation.joints import JointErrors, check_calibrated_joints, with_errors
@@ -122,7 +122,7 @@ class Simulation:
     )
     scene: Scene = field("What stands around.", default_factory=Scene)
     motion: MovedPattern = field("Motion of the pattern.", default_factory=MovedPattern)
-    xacro: XacroArguments = field(XACRO_HELP, default_factory=dict)
+    xacro: XacroInputs = field(flat=True, default_factory=XacroInputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,7 @@ class System:
     def unknown_motions(self) -> frozenset[Edge]:
         """Additional transforms that differ between collections: those of moving joints, such as of a mobile base."""
         additional = set(self.configuration.additional_tfs.values())
-        return frozenset(joint.edge for joint in self.robot.movable.values() if joint.edge in additional)
+        return frozenset(joint.edge for joint in self.robot.joints if joint.is_movable and joint.edge in additional)
 
     @property
     def moved_pattern(self) -> Pattern | None:
@@ -199,9 +199,10 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
     """
     robot_path, configuration_path = robot or _robot_file(folder), configuration or folder / CONFIGURATION_FILE
     simulation_path = folder / SIMULATION_FILE
-    place = Place(str(simulation_path))
-    simulation = read(Simulation, read_yaml(simulation_path, "the description of a simulation"), place.where)
-    sources = {ROBOT_FILE: read_robot_description(robot_path, arguments=simulation.xacro)} | {
+    place = Place(str(simulation_path), folder=folder)
+    document = read_yaml(simulation_path, "the description of a simulation")
+    simulation = read(Simulation, document, place.where, place.folder)
+    sources = {ROBOT_FILE: read_robot_description(robot_path, _xacro_inputs(robot_path, simulation))} | {
         name: read_bytes(path, MAX_BYTES, "a file of the system")
         for name, path in (
             (CONFIGURATION_FILE, configuration_path),
@@ -232,6 +233,11 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
     )
     _check(system, configuration_path)
     return system
+
+
+def _xacro_inputs(robot: Path, simulation: Simulation) -> XacroInputs:
+    """Return what the expansion of a robot needs; nothing for a URDF, such as the one that is kept of a xacro."""
+    return simulation.xacro if robot.name.endswith(ENDING) else NO_INPUTS
 
 
 def _robot_file(folder: Path) -> Path:
@@ -276,11 +282,24 @@ def _check(system: System, path: Path) -> None:
 
     check_frame("world_link", config.world_link)
     edges = {joint.edge for joint in system.robot.joints}
+    free = {joint.edge: joint for joint in system.robot.joints if joint.is_free}
+
+    def check_known(key: str, frame: str) -> None:
+        """Refuse a frame whose pose in the world depends on a floating or a planar joint."""
+        for step in tree.path(config.world_link, frame):
+            if (joint := free.get((step.parent, step.child))) is not None:
+                raise fault(
+                    key,
+                    f"the {joint.kind} joint '{joint.name}' lies between '{config.world_link}' and '{frame}' in "
+                    f"{system.robot.path}, and a simulation has no pose for it: expected other joints there",
+                )
+
     for name, sensor in config.sensors.items():
         key = f"sensors/{name}"
         if not name or len(name) > 100 or name.startswith(".") or not all(c.isalnum() or c in "_.-" for c in name):
             raise fault(key, "a sensor's name is part of file names: expected letters, digits and _ . - only")
         check_frame(f"{key}/link", sensor.link)
+        check_known(f"{key}/link", sensor.link)
         chain = {(step.parent, step.child) for step in tree.path(config.world_link, sensor.link)}
         if (sensor.parent_link, sensor.child_link) not in chain:
             raise fault(
@@ -300,6 +319,7 @@ def _check(system: System, path: Path) -> None:
     for name, pattern in system.patterns.items():
         key = f"calibration_patterns/{name}"
         check_frame(f"{key}/parent_link", pattern.parent_link)
+        check_known(f"{key}/parent_link", pattern.parent_link)
         if pattern.fixed:
             check_frame(f"{key}/link", pattern.link)
             if (pattern.parent_link, pattern.link) not in edges:

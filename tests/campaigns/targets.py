@@ -55,6 +55,7 @@ from calibration.image.recipe.repositories import read_repositories
 from calibration.image.specification import read_image_specification
 from calibration.importing.bag import open_bag
 from calibration.importing.camera_files import read_lens
+from calibration.importing.cloud_files import read_cloud
 from calibration.importing.description import Bags, ImportDescription, PatternDescription
 from calibration.importing.image_views import read_image
 from calibration.importing.importing import import_data, read_description
@@ -62,6 +63,7 @@ from calibration.importing.messages import depth_of, image_of
 from calibration.importing.samples import read_samples
 from calibration.importing.survey import survey
 from calibration.importing.target_files import pattern_configuration
+from calibration.importing.videos import decoded_frames
 from calibration.introspection import judge, parse_rules, read_table
 from calibration.introspection.rulesfile import read_rules
 from calibration.pipeline.configuration import read_configuration
@@ -74,10 +76,13 @@ from calibration.report.brief import read_brief
 from calibration.rigel.conversion import convert
 from calibration.rigel.document import read_rigelfile
 from calibration.simulation.motion.sequence import read_motion
+from calibration.simulation.robot import parse_robot, read_robot
 from calibration.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.simulation.system import System, read_system
 from tests.importing import hand_eye
 from tests.importing.bags import BEGIN, SECOND, BagFile, Kind
+from tests.importing.clouds import CLOUDS
+from tests.importing.test_videos import write_video
 
 PROJECT = Path(__file__).resolve().parents[2]
 DATASETS = PROJECT / "datasets"
@@ -495,7 +500,48 @@ def _exported(path: Path) -> None:
     calibrated_urdf(path.read_bytes(), {("tripod", "tripod_plate"): np.eye(4)}, "robot.urdf")
 
 
+GRIPPER = b"""<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="a"/><link name="b"/>
+<link name="c"/><link name="d"/><link name="e"/>
+<joint name="left" type="prismatic"><parent link="a"/><child link="b"/><origin xyz="0 0 1" rpy="0 0 0.5"/></joint>
+<joint name="right" type="revolute"><parent link="a"/><child link="c"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="2"/><mimic joint="left" multiplier="-1.5" offset="0.1"/></joint>
+<joint name="thumb" type="continuous"><parent link="c"/><child link="d"/><mimic joint="right"/></joint>
+<joint name="toss" type="floating"><parent link="a"/><child link="e"/></joint></robot>"""
+XACRO = b"""<robot name="$(arg name)" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="name" default="r"/>
+<xacro:arg name="length" default="2"/><xacro:property name="half" value="${$(arg length) / 2}"/>
+<xacro:macro name="finger" params="side *origin"><link name="${side}"/><joint name="${side}_joint" type="prismatic">
+<parent link="base"/><child link="${side}"/><xacro:insert_block name="origin"/></joint></xacro:macro><link name="base"/>
+<xacro:finger side="left"><origin xyz="${half} 0 ${sin(pi / 4)}"/></xacro:finger>
+<xacro:if value="${half > 0 and not False}">
+<xacro:finger side="right"><origin xyz="0 ${-half} 0"/></xacro:finger></xacro:if>
+</robot>"""
+
+
+def _moved_robot(path: Path) -> None:
+    robot = parse_robot(path.read_bytes(), path)
+    robot.transforms({name: np.array([joint.rest]) for name, joint in robot.movable.items()})
+
+
+def _clouds(*names: str) -> Callable[[], list[bytes]]:
+    points = np.random.default_rng(1).uniform(-20, 20, (40, 3)).round(3)
+    points[10:20] = points[10]
+    return lambda: [CLOUDS[name](points) for name in names]
+
+
+def _videos() -> list[bytes]:
+    images = [np.full((48, 64, 3), 40 * i, np.uint8) for i in range(5)]
+    with TemporaryDirectory() as folder:
+        return [write_video(Path(folder) / f"a{suffix}", images).read_bytes() for suffix in (".mp4", ".avi", ".mkv")]
+
+
 TARGETS: Mapping[str, Target] = {
+    "robot-description": Target("robot.urdf", lambda: [GRIPPER], _moved_robot, 6),
+    "xacro": Target("robot.urdf.xacro", lambda: [XACRO], read_robot, 1),
+    "cloud-pcd": Target("cloud.pcd", _clouds("ascii.pcd", "compressed.pcd"), read_cloud, 6),
+    "cloud-ply": Target("cloud.ply", _clouds("ascii.ply", "little.ply", "big.ply"), read_cloud, 6),
+    "cloud-las": Target("cloud.las", _clouds("old.las", "new.LAS"), read_cloud, 6),
+    "cloud-text": Target("cloud.xyz", _clouds("blanks.xyz", "titled.csv", "counted.pts"), read_cloud, 6),
+    "video": Target("video.mp4", _videos, lambda path: list(decoded_frames(path, [0, 3])), 1),
     "sarif": Target("earlier.sarif", lambda: [json.dumps(SARIF).encode()], read_earlier),
     "annotation": Target("annotation.json", lambda: [json.dumps(ANNOTATION).encode()], read_annotation, 4),
     "opencv": Target("camera.yml", lambda: [FILE_STORAGE, OUR_STORAGE, ROBOT_CAL_TOOLS], _lenses, 4),

@@ -87,3 +87,25 @@ def test_a_slide_and_a_hinge(tmp_path: Path) -> None:
     assert reached.mean() > 0.8
     np.testing.assert_allclose(positions["slide"][reached], slide[reached], atol=1e-8)
     np.testing.assert_allclose(positions["hinge"][reached], hinge[reached], atol=1e-8)
+
+
+def test_a_joint_that_mimics_another_one_moves_with_it(tmp_path: Path) -> None:
+    links = "".join(f'<link name="{name}"/>' for name in "abcd")
+    robot = parse_robot(
+        f"""<robot name="r">{links}
+        <joint name="slide" type="prismatic"><parent link="a"/><child link="b"/><axis xyz="1 0 0"/>
+          <limit lower="0" upper="2"/></joint>
+        <joint name="upper" type="prismatic"><parent link="b"/><child link="c"/><origin rpy="0 0 0.4"/>
+          <axis xyz="1 0 0"/><mimic joint="slide" multiplier="0.5" offset="0.1"/></joint>
+        <joint name="hinge" type="continuous"><parent link="c"/><child link="d"/><origin xyz="0 0 0.3"/>
+          <axis xyz="0 1 0"/></joint></robot>""".encode(),
+        tmp_path / "robot.urdf",
+    )
+    assert [joint.name for joint in joints_between(robot, "d", "a")] == ["hinge", "slide"]
+    given = {"slide": np.linspace(0.1, 1.9, 20), "hinge": np.linspace(-3, 3, 20)}
+    for start, end in (("a", "d"), ("d", "a")):
+        targets = compose(robot.tree, robot.transforms(given), start, end)
+        positions, reached = reach(robot, start, end, targets, stream(5))
+        assert reached.mean() > 0.8
+        for name, values in given.items():
+            np.testing.assert_allclose(positions[name][reached], values[reached], atol=1e-8)

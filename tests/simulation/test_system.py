@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +94,7 @@ def test_a_depth_camera(system_copy: Path) -> None:
             "simulation.yml",
             "scene:",
             "szene:",
-            "unknown key 'szene': did you mean 'scene'? (known: sensors, patterns, joints, scene, motion, xacro)",
+            "unknown key 'szene': did you mean 'scene'? (known: sensors, patterns, joints, scene, motion, ",
         ),
         ("simulation.yml", "rgb_left:", "rgb:", "sensors: unknown key 'rgb' (known: lidar_right, rgb_left)"),
         ("simulation.yml", "  rgb_left: {", "  # {", "sensors: missing key 'rgb_left'"),
@@ -274,4 +275,17 @@ def test_a_scan_of_too_many_rays(system_copy: Path) -> None:
 def test_a_missing_file(system_copy: Path, name: str) -> None:
     (system_copy / name).unlink()
     with pytest.raises(InputError, match=rf"{name}: .* cannot be read: No such file or directory"):
+        read_system(system_copy)
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_a_joint_without_a_pose_may_stand_anywhere_but_before_a_sensor(system_copy: Path, kind: str) -> None:
+    robot = system_copy / "robot.urdf"
+    urdf = robot.read_text()
+    box = f'<link name="box"/><joint name="toss" type="{kind}"><parent link="world"/><child link="box"/></joint>'
+    robot.write_text(urdf.replace("</robot>", f"{box}</robot>"))
+    assert "toss" not in read_system(system_copy).robot.movable
+    name = next(joint.name for joint in read_system(system_copy).robot.joints if joint.child == "tripod")
+    robot.write_text(re.sub(rf'name="{name}" type="fixed"', f'name="{name}" type="{kind}"', urdf))
+    with pytest.raises(InputError, match=f"the {kind} joint '{name}' lies between 'world' and"):
         read_system(system_copy)

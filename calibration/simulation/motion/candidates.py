@@ -30,7 +30,7 @@ def is_clear(system: System, pattern: Pattern, placement: Placement) -> BoolArra
     clear = placement.sensors_are_free(system.scene)
     clear &= ~system.scene.contains(board, _PATTERN_CLEARANCE).any(-1)
     world, tree = system.configuration.world_link, system.robot.tree
-    moving = {joint.edge: joint for joint in system.robot.movable.values()}
+    moving = {joint.edge: joint for joint in system.robot.joints if joint.is_movable}
     above_ground, at_rest = replace(system.scene, ground=None), system.robot.transforms({})
     for frame in tree.frames:
         joints = [moving[e] for step in tree.path(world, frame) if (e := (step.parent, step.child)) in moving]

@@ -62,9 +62,13 @@ def draw_motion(system: System, pattern: Pattern, count: int, random: np.random.
 
 
 def _draw_positions(joints: Sequence[Joint], count: int, random: np.random.Generator) -> dict[str, Array]:
-    """Draw positions (count,) of joints between their limits, at most half a turn."""
-    low = {joint.name: max(joint.lower, -np.pi) if joint.kind != "prismatic" else joint.lower for joint in joints}
-    high = {joint.name: min(joint.upper, np.pi) if joint.kind != "prismatic" else joint.upper for joint in joints}
+    """Draw positions (count,) of joints between their limits, at most half a turn.
+
+    A prismatic joint without limits moves by as many metres.
+    """
+    bounded = {joint.name: joint.kind == "prismatic" and np.isfinite(joint.upper - joint.lower) for joint in joints}
+    low = {joint.name: joint.lower if bounded[joint.name] else max(joint.lower, -np.pi) for joint in joints}
+    high = {joint.name: joint.upper if bounded[joint.name] else min(joint.upper, np.pi) for joint in joints}
     return {name: low[name] + (high[name] - low[name]) * random.random(count) for name in low}
 
 
