@@ -1,4 +1,4 @@
-"""Intrinsics in the files of other tools: ROS, Kalibr, OpenCV and robot_cal_tools; and of our own calibrations."""
+"""Intrinsics in the files of other tools: ROS, Kalibr, OpenCV, aslam, anipose, MetriCal, ViSP, our own calibrations."""
 
 import re
 from collections.abc import Mapping
@@ -11,15 +11,14 @@ import numpy as np
 from calibration.dataset.document import Node
 from calibration.dataset.lens_uncertainty import LensUncertainty
 from calibration.dataset.sensors import MAX_INTRINSIC, MAX_PIXELS, read_camera
+from calibration.errors import InputError
 from calibration.estimation.intrinsics_file import read_calibrated
-from calibration.files import read_bytes
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import MODELS
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
-from calibration.yaml_file import MAX_BYTES
-from calibration.yaml_loading import parse_yaml
+from calibration.importing.structured_files import read_structured
 
 KALIBR_MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bob"}
 """ROS's names of Kalibr's distortion models; the other ones (fov) have no equivalent."""
@@ -30,14 +29,39 @@ MAX_BASELINE = 1e4
 ROUNDED = 1e-2
 """Limit of how far an element of a rotation in a file is off."""
 _KEYS = {
-    "width": ("image_width", "width", "image_Width", "imageWidth"),
-    "height": ("image_height", "height", "image_Height", "imageHeight"),
-    "K": ("camera_matrix", "K", "k", "Camera_Matrix", "cameraMatrix", "intrinsic_matrix"),
-    "D": ("distortion_coefficients", "D", "d", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "distortion"),
+    "width": ("image_width", "width", "image_Width", "imageWidth", "img_width"),
+    "height": ("image_height", "height", "image_Height", "imageHeight", "img_height"),
+    "K": (
+        *("camera_matrix", "K", "k", "Camera_Matrix", "cameraMatrix", "intrinsic_matrix", "mtx", "matrix", "cam_mat"),
+        *("intrinsics", "camera_intrinsics"),
+    ),
+    "D": (
+        *("distortion_coefficients", "D", "d", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "distortion"),
+        *("dist", "distortions"),
+    ),
 }
-"""Keys of ROS and of OpenCV's samples."""
-_SIZE = "cameraResolution"
-"""Key of width and height in the files of OpenCV's interactive-calibration."""
+"""Keys of ROS, of OpenCV's samples, and of those who save what OpenCV returns."""
+_SIZES = ("cameraResolution", "size", "image_size", "img_size", "resolution")
+"""Keys of width and height: of OpenCV's interactive-calibration, of anipose and multical."""
+_MODELS = ("distortion_model", "camera_model")
+"""Keys of the lens model: of camera_info, and of the files of camera_calibration."""
+_FISHEYE = ("fisheye", "fisheye_model", "use_fisheye")
+"""Keys that are true for a fisheye: of anipose, of OpenCV's sample."""
+ALIASES = {
+    "fisheye": "equidistant",
+    "opencv_fisheye": "equidistant",
+    "kannala_brandt": "equidistant",
+    "kannala_brandt4": "equidistant",
+    "radtan": "plumb_bob",
+    "radial-tangential": "plumb_bob",
+    "opencv_radtan": "plumb_bob",
+    "standard": "plumb_bob",
+    "pinhole": "",
+    "none": "plumb_bob",
+}
+"""ROS's names of others' lens models; '' where it tells nothing of the distortion."""
+AMBIGUOUS = 4
+"""Number of coefficients that plumb_bob (k1, k2, p1, p2) and a fisheye of cv2.fisheye (k1 to k4) both have."""
 _DEVIATIONS = (
     (("stdDeviationsIntrinsics", "std_deviations_intrinsics", "standard_deviations", "stdDeviations"), slice(0, None)),
     (("cameraMatrix_std_dev", "camera_matrix_std_dev"), slice(0, 4)),
@@ -62,39 +86,140 @@ class KnownLens:
     """How well the intrinsics are known, where the file says so."""
 
 
-def read_lens(path: Path, name: str | None = None) -> KnownLens:
+def read_lens(path: Path, name: str | None = None, model: str | None = None) -> KnownLens:
     """Read the intrinsics from a file, whose format is recognised by its keys.
 
     Args:
         path: path of the file.
         name: of the camera, in a file of several.
+        model: lens model, whatever the file says of it.
 
     Raises:
         InputError: the file cannot be read, has an unknown format, has several cameras or none of this name, or
             something in it is missing or wrong.
     """
-    data = read_bytes(path, MAX_BYTES, "a file of intrinsics")
-    if data.startswith(b"%YAML"):  # OpenCV's first line is not valid in YAML 1.1 (``%YAML:1.0``)
-        data = b"#" + data
-    root = Node(path, (), parse_yaml(data, path))
+    found = _lens(read_structured(path, "a file of intrinsics"), name, _known_model(path, model))
+    camera = found.camera
+    if found.has_size and not (0 <= camera.cx <= camera.width and 0 <= camera.cy <= camera.height):
+        raise InputError(
+            f"{path}: found the principal point ({camera.cx:g}, {camera.cy:g}) px outside of an image of "
+            f"{camera.width} x {camera.height}, expected one inside: were they calibrated at another resolution? "
+            "Correct the size, or leave out 'intrinsics' and let them be calibrated"
+        )
+    return found
+
+
+def _known_model(path: Path, model: str | None) -> str | None:
+    if model is None or (known := ALIASES.get(model, model)) in MODELS:
+        return model and known
+    raise InputError(f"{path}: found the lens model '{model}' in import.yml, expected one of {', '.join(MODELS)}")
+
+
+def _lens(root: Node, name: str | None, model: str | None) -> KnownLens:
+    if isinstance(root.value, list):
+        root = Node(root.file, (), {"K": root.value})  # a matrix alone, as numpy.save writes it
     document = root.mapping()
-    if "cameras" in document:
-        return _of_our_calibration(root["cameras"], name)
-    if cameras := [key for key, node in root.items() if isinstance(node.value, dict) and "camera_model" in node.value]:
-        chosen = _chosen(root, cameras, name)
-        return replace(_kalibr(root[chosen]), T_chain_camera=_pose_in_chain(root, chosen))
-    if numbered := [key[len("name_") :] for key in document if isinstance(key, str) and key.startswith("name_")]:
+    if "components" in document:
+        root, name = _component(root["components"], name), None
+    elif "camera" in document and isinstance(document["camera"], dict) and "model" in document["camera"]:
+        root = _visp(root["camera"])
+    elif cameras := _several(root):
+        chosen = _chosen(root, list(cameras), name)
+        node, name = cameras[chosen], None
+        if "camera_info" in node.value:
+            return _of_our_calibration(node)
+        if "camera_model" in node.value and "camera_matrix" not in node.value:
+            return replace(_kalibr(node), T_chain_camera=_pose_in_chain(root, chosen))
+        root = node
+    elif numbered := [key[len("name_") :] for key in document if isinstance(key, str) and key.startswith("name_")]:
         return _of_our_storage(root, numbered, name)
     if name is not None:
         raise root.fault(f"has one camera without a name, expected '{name}': leave out 'camera'")
-    if "intrinsics" in document:
+    if isinstance(root.value.get("intrinsics"), dict) and "fx" in root.value["intrinsics"]:
         return _robot_cal_tools(root["intrinsics"])
-    return _camera_info(root)
+    if "intrinsics" in root.value and isinstance(root.value.get("distortion"), dict) and "type" in root.value:
+        root = _aslam(root)
+    return _camera_info(root, model)
 
 
-def _of_our_calibration(cameras: Node, name: str | None) -> KnownLens:
+def _several(root: Node) -> dict[str, Node]:
+    """Return the cameras of a file of several by their names: Kalibr's, aslam's, anipose's, caliscope's, our own."""
+    listed = root.get("cameras") or root
+    if isinstance(listed.value, list):
+        nodes = [each.get("camera") or each for each in listed.elements()]
+        return {each["label"].text() if each.get("label") else str(i): each for i, each in enumerate(nodes)}
+    found = {}
+    for key, node in listed.items():
+        if not isinstance(node.value, dict) or {"rows", "cols", "data"} <= set(node.value):
+            continue
+        if {"camera_info", "camera_model"} & set(node.value) or _first(node, _KEYS["K"]):
+            found[node["name"].text() if node.get("name") else key] = node
+    return found
+
+
+def _component(components: Node, name: str | None) -> Node:
+    """Return a camera of MetriCal's plex, whose pixels begin at the corner of the first one, as camera_info."""
+    cameras = {
+        node["camera"]["name"].text(): node["camera"]["intrinsics"]
+        for node in components.elements()
+        if isinstance(node.value, dict) and "camera" in node.value
+    }
+    if not cameras:
+        raise components.fault("found no camera among the components, expected one")
+    node = cameras[_chosen(components, list(cameras), name)]
+    pinhole = node["projection"]["pinhole"]
+    f, cx, cy = (pinhole[key].number() for key in ("f", "cx", "cy"))
+    affinity = node.get("affinity")
+    a1 = affinity["a1"] if affinity and affinity.get("a1") else None
+    if a1 is not None and a1.number() != 0:
+        raise a1.unexpected("0: of the same focal length in x and y")
+    K = [f, 0.0, cx - 0.5, 0.0, f, cy - 0.5, 0.0, 0.0, 1.0]
+    info: dict[str, Any] = {"width": node["width"].value, "height": node["height"].value, "K": K, "D": []}
+    for kind, coefficients in distortion.items() if (distortion := node.get("distortion")) else ():
+        names = {"opencv_radtan": ("k1", "k2", "p1", "p2", "k3"), "opencv_fisheye": ("k1", "k2", "k3", "k4")}.get(kind)
+        values = [each.number() for _, each in coefficients.items()]
+        if names is None and any(values):
+            raise coefficients.fault(f"found the lens model '{kind}', expected opencv_radtan or opencv_fisheye")
+        if names is not None:
+            info |= {"D": [coefficients[each].number() for each in names], "distortion_model": ALIASES[kind]}
+    return Node(node.file, node.keys, info)
+
+
+def _visp(node: Node) -> Node:
+    """Return the camera of ViSP's vpXmlParserCamera as camera_info; its ``kud`` is k1 of plumb_bob."""
+    model = node["model"]
+    fx, cx, fy, cy = (model[key].number() for key in ("px", "u0", "py", "v0"))
+    k1 = model["kud"].number() if model.get("kud") else 0.0
+    info = {
+        "width": node["image_width"].value,
+        "height": node["image_height"].value,
+        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        "D": [k1, 0.0, 0.0, 0.0, 0.0],
+        "distortion_model": "plumb_bob",
+    }
+    return Node(node.file, node.keys, info)
+
+
+def _aslam(root: Node) -> Node:
+    """Return a camera of aslam's YAML as camera_info."""
+    if (projection := root["type"]).text() != "pinhole":
+        raise projection.unexpected("pinhole")
+    flat = Node(root.file, (*root.keys, "intrinsics"), _numbers(root["intrinsics"]))
+    fx, fy, cx, cy = flat.numbers(4)
+    distortion = root["distortion"]
+    parameters = distortion.get("parameters")
+    info = {
+        "width": root["image_width"].value,
+        "height": root["image_height"].value,
+        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        "D": _numbers(parameters) if parameters else [],
+        "distortion_model": distortion["type"].text(),
+    }
+    return Node(root.file, root.keys, info)
+
+
+def _of_our_calibration(node: Node) -> KnownLens:
     """Parse a camera in the ``intrinsics.json`` of a calibration, with its covariance."""
-    node = cameras[_chosen(cameras, [each for each, _ in cameras.items()], name)]
     camera, found = read_camera(node["camera_info"]), read_calibrated(node)
     uncertainty = LensUncertainty(found.parameters, found.sigmas, found.covariance)
     return KnownLens(node.file, camera, has_size=True, uncertainty=uncertainty)
@@ -173,28 +298,62 @@ def _robot_cal_tools(node: Node) -> KnownLens:
     return _without_size(node, {"K": K, "D": [], "distortion_model": "plumb_bob"})
 
 
-def _camera_info(root: Node) -> KnownLens:
+def _camera_info(root: Node, model: str | None) -> KnownLens:
     found = {what: node for what, keys in _KEYS.items() if (node := _first(root, keys)) is not None}
     if "K" not in found:
         raise root.fault(
             "found no camera in it, expected ROS's camera_info (camera_matrix), Kalibr's camchain (cam0) or "
             "OpenCV's FileStorage (camera_matrix or K)"
         )
-    D = _numbers(found["D"]) if "D" in found else []
-    model = root.get("distortion_model")
+    D = found.get("D")
+    coefficients = _numbers(D) if D else []
+    stated = model or _stated_model(root)
+    if not stated and len(coefficients) == AMBIGUOUS and any(coefficients) and D:
+        raise D.fault(
+            "found 4 coefficients and no lens model, which may be plumb_bob (k1, k2, p1, p2) or a fisheye of "
+            "cv2.fisheye (k1 to k4): add 'model: plumb_bob' or 'model: equidistant' to the sensor in import.yml"
+        )
+    stated = stated or ("rational_polynomial" if len(coefficients) > 5 else "plumb_bob")
     info: dict[str, Any] = {
         "K": _numbers(found["K"]),
-        "D": D,
-        "distortion_model": model.value if model else "rational_polynomial" if len(D) > 5 else "plumb_bob",
+        "D": _of_the_model(D, coefficients, stated) if D else [],
+        "distortion_model": stated,
     }
-    if (size := root.get(_SIZE)) is not None:
-        info["width"], info["height"] = size.numbers(2)
+    if (size := _first(root, _SIZES)) is not None:
+        info["width"], info["height"] = Node(size.file, size.keys, _numbers(size)).numbers(2)
     elif "width" in found and "height" in found:
         info |= {"width": found["width"].value, "height": found["height"].value}
     else:
         return replace(_without_size(root, info), uncertainty=_deviations(root, info))
     camera = read_camera(Node(root.file, root.keys, info))
     return KnownLens(root.file, camera, has_size=True, uncertainty=_deviations(root, info))
+
+
+def _stated_model(root: Node) -> str:
+    """Return ROS's name of the lens model that a file states; '' if it states none."""
+    fisheye = _first(root, _FISHEYE)
+    if fisheye is not None and fisheye.value not in (False, 0, "0", "false"):
+        return "equidistant"
+    for node in (root.get(key) for key in _MODELS):
+        if node is not None and (name := ALIASES.get(node.text(), node.text())):
+            if name not in MODELS:
+                raise node.unexpected(f"a known distortion model: {', '.join(MODELS)}, or 'fisheye'")
+            return name
+    return ""
+
+
+def _of_the_model(D: Node, coefficients: list[float], model: str) -> list[float]:
+    """Return the coefficients without the zeros beyond the model's."""
+    names = MODELS[model].names()
+    kept, beyond = coefficients[: len(names)], coefficients[len(names) :]
+    if any(beyond):
+        is_rational = model == "plumb_bob" and not any(coefficients[8:])
+        hint = "; if they are k4 to k6, write 'model: rational_polynomial' at the sensor in import.yml"
+        raise D.fault(
+            f"found {len(coefficients)} coefficients, expected the {len(names)} of {model} ({', '.join(names)}) and "
+            f"zeros after them{hint if is_rational else ''}"
+        )
+    return kept
 
 
 def _deviations(root: Node, info: Mapping[str, Any]) -> LensUncertainty | None:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from calibration.dataset.configuration import MAX_CORNERS, MAX_SIZE, MAX_SPACING, MIN_SPACING, TAG_COUNT, TAGS
 from calibration.dataset.pattern import PatternKind
+from calibration.importing.samples import Samples
 from calibration.records import (
     ByName,
     Converted,
@@ -65,6 +66,11 @@ class SensorDescription:
         "File with its intrinsics: ROS's camera_info, Kalibr's camchain, OpenCV's FileStorage, robot_cal_tools', or "
         "the intrinsics.json of an earlier calibration. How well they are known goes along, where the file says so. "
         "Without one they are calibrated, from a start that the corners give.",
+        default=None,
+    )
+    model: Name | None = field(
+        "Lens model of the coefficients in that file, where it states none or a wrong one: plumb_bob, "
+        "rational_polynomial, equidistant (cv2.fisheye).",
         default=None,
     )
     camera: Name | None = field("Its name in that file, where that has several: cam0.", default=None)
@@ -166,18 +172,6 @@ class PatternDescription:
         """
         if not self.is_printed:
             raise Misfit(f"patterns: '{self.name}': missing key 'type', or 'target'")
-
-
-@record
-class Samples:
-    """Poses of a robot arm, one for each image, or for each pose of the pattern."""
-
-    file: Path = field(
-        "A list of images and poses (robot_cal_tools), a CSV with x, y, z, qx, qy, qz, qw and image, or pairs of "
-        "poses: the samples of easy_handeye2 or MoveIt, or a CSV with pattern_x ... pattern_qw too.",
-    )
-    base: Name = field("Frame that the poses are relative to.", default="base_link")
-    tool: Name = field("Frame whose poses they are: the flange.", default="tool0")
 
 
 @record(rules=(excludes("every", "at"),))

@@ -52,7 +52,7 @@ from calibration.importing.recordings import (
     root_of,
 )
 from calibration.importing.results import ImportResults, LeftOut, RejectedView, SensorResult
-from calibration.importing.samples import Sample, read_samples
+from calibration.importing.samples import Sample, check_numbers, read_samples
 from calibration.importing.stillness import BagMoment
 from calibration.importing.survey import survey
 from calibration.importing.target_files import pattern_configuration
@@ -99,9 +99,11 @@ def import_data(
     refuse_existing(output, overwrite)
     described = read_description(config)
     robot = described.robot or config.resolve().parent.name
-    lenses = {each.name: read_lens(each.intrinsics, each.camera) for each in described.sensors if each.intrinsics}
+    lenses = {
+        each.name: read_lens(each.intrinsics, each.camera, each.model) for each in described.sensors if each.intrinsics
+    }
     if described.samples is not None and not any(each.images for each in described.sensors):
-        samples = read_samples(described.samples.file, described.in_hand)
+        samples = read_samples(described.samples, described.in_hand)
         if not any(each.image for each in samples) and samples[0].T_camera_pattern is not None:
             return _import_poses(described, robot, samples, output, overwrite)
     for pattern in described.patterns:
@@ -397,7 +399,7 @@ def _moments(
     if described.samples is None:
         moments = moments_of(pictures, described.pairs)
     else:
-        samples = read_samples(described.samples.file, described.in_hand)
+        samples = read_samples(described.samples, described.in_hand)
         moments, samples = _at_samples(described, pictures, samples)
         arm[described.samples.base, described.samples.tool] = np.stack([each.T_base_tool for each in samples])
     return moments, _transforms(
@@ -435,6 +437,7 @@ def _at_samples(
             f"{pictures[0].place}: found {len(moments)} images, expected {len(samples)}: one for each pose of the "
             "samples"
         )
+    check_numbers(samples, [next(iter(moment.files.values())) for moment in moments])
     return moments, list(samples)
 
 

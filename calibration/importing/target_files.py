@@ -120,4 +120,5 @@ DICTIONARIES = tuple(f"DICT_{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for 
 """Dictionaries by OpenCV's numbers."""
 KALIBR = {"aprilgrid": _kalibr_aprilgrid, "checkerboard": _kalibr_chessboard}
 """Kalibr's types of targets; ``targetCols`` and ``targetRows`` are inner corners, ``tagCols`` and ``tagRows`` tags."""
-ROBOT_CAL_TOOLS = {f"rct_ros_tools::{name}": _charuco for name in ("CharucoGridTargetFinderPlugin",)}
+ROBOT_CAL_TOOLS = dict.fromkeys(("rct_ros_tools::CharucoGridTargetFinderPlugin", "CharucoGridTargetFinder"), _charuco)
+"""Target finders of robot_cal_tools, and of industrial_calibration, which it has become."""

@@ -60,7 +60,7 @@ from calibration.importing.description import Bags, ImportDescription, PatternDe
 from calibration.importing.image_views import read_image
 from calibration.importing.importing import import_data, read_description
 from calibration.importing.messages import depth_of, image_of
-from calibration.importing.samples import read_samples
+from calibration.importing.samples import Samples, read_samples
 from calibration.importing.survey import survey
 from calibration.importing.target_files import pattern_configuration
 from calibration.importing.videos import decoded_frames
@@ -217,6 +217,10 @@ def _hand_eye(*names: str) -> Callable[[], list[bytes]]:
             return [(Path(folder) / name).read_bytes() for name in names]
 
     return originals
+
+
+def _poses(path: Path) -> None:
+    read_samples(Samples(file=path), in_hand=True)
 
 
 def _measured_poses() -> list[bytes]:
@@ -578,10 +582,8 @@ TARGETS: Mapping[str, Target] = {
     "import.yml": Target("import.yml", lambda: [IMPORT], read_description, 4),
     "intrinsics": Target("camera.yaml", lambda: [CAMERA_INFO, CAMCHAIN, OPENCV], read_lens, 4),
     "camchain": Target("camchain.yaml", lambda: [STEREO], partial(read_lens, name="cam1"), 4),
-    "hand-eye-samples": Target(
-        "robot.samples", _hand_eye("robot.samples", "moveit.yaml"), partial(read_samples, in_hand=True), 4
-    ),
-    "pairs-of-poses": Target("pairs.csv", _hand_eye("pairs.csv"), partial(read_samples, in_hand=True), 10),
+    "hand-eye-samples": Target("robot.samples", _hand_eye("robot.samples", "moveit.yaml"), _poses, 4),
+    "pairs-of-poses": Target("pairs.csv", _hand_eye("pairs.csv"), _poses, 10),
     "measured-poses": Target("dataset.json", _measured_poses, _calibrated, 1),
     "ros1-bag": Target("recorded.bag", _bag("bag"), _recorded, 4),
     "ros2-mcap": Target("recorded.mcap", _bag("mcap"), _recorded, 4),

@@ -4,7 +4,6 @@ import json
 import random
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -20,6 +19,7 @@ from calibration.errors import CalibrationError, InputError
 from calibration.importing.camera_files import read_lens
 from calibration.importing.image_views import decoded_image
 from calibration.importing.importing import import_data, read_description
+from calibration.importing.samples import Samples as PosesDescription
 from calibration.importing.samples import read_samples
 from calibration.importing.target_files import pattern_configuration
 from tests.importing.conftest import BOARD, CAMERAS, camera_info, change
@@ -149,7 +149,7 @@ def test_too_few_images_for_intrinsics(stereo: Path, tmp_path: Path) -> None:
 def test_poses_that_are_none(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "poses.csv").write_text(text)
     with pytest.raises(InputError) as error:
-        read_samples(tmp_path / "poses.csv", in_hand=True)
+        read_samples(PosesDescription(file=tmp_path / "poses.csv"), in_hand=True)
     assert message in str(error.value)
 
 
@@ -158,7 +158,7 @@ def test_samples_stay_in_their_folder(tmp_path: Path) -> None:
     (tmp_path / "pose.yaml").write_text("x: 0")
     (tmp_path / "in" / "list.yaml").write_text("- {image: a.jpg, pose: ../pose.yaml}")
     with pytest.raises(InputError, match="expected a file in the folder of this one"):
-        read_samples(tmp_path / "in" / "list.yaml", in_hand=True)
+        read_samples(PosesDescription(file=tmp_path / "in" / "list.yaml"), in_hand=True)
 
 
 def text_of(write: Callable[[Samples, Path], None]) -> str:
@@ -166,6 +166,10 @@ def text_of(write: Callable[[Samples, Path], None]) -> str:
     with TemporaryDirectory() as folder:
         write(simulated(in_hand=True, count=3), Path(folder) / "file")
         return (Path(folder) / "file").read_text()
+
+
+def _read_poses(path: Path) -> None:
+    read_samples(PosesDescription(file=path), in_hand=True)
 
 
 FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
@@ -187,9 +191,9 @@ FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
         yaml.safe_dump({"sensors": {"left": {"images": "left"}}, "patterns": {"board": BOARD}}),
         read_description,
     ),
-    "poses.csv": ("image,x,y,z,qx,qy,qz,qw\na.jpg,1,2,3,0,0,0,1\n", partial(read_samples, in_hand=True)),
-    "poses.yaml": ("- {image: a.jpg, pose: poses.yaml}\n", partial(read_samples, in_hand=True)),
-    **{name: (text_of(write), partial(read_samples, in_hand=True)) for name, write in WRITERS.items()},
+    "poses.csv": ("image,x,y,z,qx,qy,qz,qw\na.jpg,1,2,3,0,0,0,1\n", _read_poses),
+    "poses.yaml": ("- {image: a.jpg, pose: poses.yaml}\n", _read_poses),
+    **{name: (text_of(write), _read_poses) for name, write in WRITERS.items()},
 }
 
 
