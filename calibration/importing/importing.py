@@ -52,7 +52,7 @@ from calibration.importing.recordings import (
     root_of,
 )
 from calibration.importing.results import ImportResults, LeftOut, RejectedView, SensorResult
-from calibration.importing.samples import Sample, check_numbers, read_samples
+from calibration.importing.samples import Sample, read_samples, same_numbers
 from calibration.importing.stillness import BagMoment
 from calibration.importing.survey import survey
 from calibration.importing.target_files import pattern_configuration
@@ -198,7 +198,7 @@ def _patterns(described: ImportDescription, root: str | None = None) -> dict[str
 def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
     patterns = _patterns(described)
     configuration = _configuration(described, patterns)
-    moments, transforms = _moments(described, configuration)
+    moments, transforms, left_out = _moments(described, configuration)
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
     def label(moment: Moment) -> LabelledMoment:
@@ -215,7 +215,17 @@ def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
             _clouds(moment, i, folder, configuration) if any(view.labelled for view in labelled.views.values()) else {}
             for i, (moment, labelled) in enumerate(zip(moments, seen, strict=True))
         ]
-        return Recorded(configuration, lenses, seen, placed, rough=True, searched=len(seen), lag=lag, ranges=ranges)
+        return Recorded(
+            configuration,
+            lenses,
+            seen,
+            placed,
+            rough=True,
+            searched=len(seen),
+            lag=lag,
+            ranges=ranges,
+            left_out=tuple(left_out),
+        )
 
     return _Source(
         _identity(patterns, [path for moment in moments for path in moment.files.values()]),
@@ -389,22 +399,22 @@ def _sensor(described: SensorDescription, world: str, modality: Modality) -> Sen
 
 def _moments(
     described: ImportDescription, configuration: Configuration
-) -> tuple[Sequence[Moment], Mapping[Edge, Array]]:
-    """Return the images of each moment, and the transforms (N, 4, 4) at that time."""
+) -> tuple[Sequence[Moment], Mapping[Edge, Array], Sequence[LeftOut]]:
+    """Return the images of each moment, the transforms (N, 4, 4) at that time, and what is left out."""
     pictures = [find_pictures(each.name, each.images) for each in described.sensors if each.images]
     pictures += [
         find_pictures(each.name, each.clouds, CLOUD_ENDINGS, "point cloud") for each in described.sensors if each.clouds
     ]
     arm: dict[Edge, Array] = {}
+    left_out: Sequence[LeftOut] = ()
     if described.samples is None:
         moments = moments_of(pictures, described.pairs)
     else:
         samples = read_samples(described.samples, described.in_hand)
-        moments, samples = _at_samples(described, pictures, samples)
+        moments, samples, left_out = _at_samples(described, pictures, samples)
         arm[described.samples.base, described.samples.tool] = np.stack([each.T_base_tool for each in samples])
-    return moments, _transforms(
-        configuration, {**arm, **_given_poses(described, configuration, len(moments))}, len(moments)
-    )
+    given = _given_poses(described, configuration, len(moments))
+    return moments, _transforms(configuration, {**arm, **given}, len(moments)), left_out
 
 
 def _given_poses(described: ImportDescription, configuration: Configuration, count: int) -> dict[Edge, Array]:
@@ -418,8 +428,8 @@ def _given_poses(described: ImportDescription, configuration: Configuration, cou
 
 def _at_samples(
     described: ImportDescription, pictures: Sequence[Pictures], samples: Sequence[Sample]
-) -> tuple[list[Moment], list[Sample]]:
-    """Return the images of each pose: those that the samples name, else as many in the same order."""
+) -> tuple[list[Moment], list[Sample], Sequence[LeftOut]]:
+    """Return the images of each pose: those that the samples name, of the same numbers, or in the same order."""
     named = [sample for sample in samples if sample.image is not None]
     if named:
         if len(named) < len(samples):
@@ -428,17 +438,19 @@ def _at_samples(
         if len(described.sensors) > 1:
             raise InputError(f"{named[0].where}: names one image, expected none where there are several sensors")
         sensor = described.sensors[0].name
-        return [Moment(each.where, {sensor: each.image}) for each in named if each.image], named
+        return [Moment(each.where, {sensor: each.image}) for each in named if each.image], named, ()
     if not pictures:
         raise InputError(f"{samples[0].where}: found no image, expected one, or a sensor with a folder: images")
     moments = moments_of(pictures, described.pairs)
+    of_moments = [next(iter(moment.files.values())) for moment in moments]
+    if paired := same_numbers([each.file for each in samples], of_moments, ("poses", "images")):
+        return [moments[i] for _, i in paired[0]], [samples[i] for i, _ in paired[0]], paired[1]
     if len(moments) != len(samples):
         raise InputError(
             f"{pictures[0].place}: found {len(moments)} images, expected {len(samples)}: one for each pose of the "
             "samples"
         )
-    check_numbers(samples, [next(iter(moment.files.values())) for moment in moments])
-    return moments, list(samples)
+    return moments, list(samples), ()
 
 
 def _transforms(configuration: Configuration, arm: Mapping[Edge, Array], count: int) -> dict[Edge, Array]:

@@ -11,6 +11,7 @@ from calibration.geometry.transforms import inverse
 from calibration.geometry.types import Array
 from calibration.importing.pose_files import FilePose, PoseDocument, has_poses, open_pose_files, poses_in
 from calibration.importing.pose_form import Name, PatternPoseFiles, PoseForm
+from calibration.importing.results import LeftOut
 from calibration.records import field, record
 
 ARM_KEYS = ("robot", "effector_wrt_world", "hand_world_samples")
@@ -71,14 +72,19 @@ def read_samples(samples: Samples, in_hand: bool) -> list[Sample]:
         if not in_hand:
             arm = [replace(each, T=inverse(each.T)) for each in arm]
     seen = _pattern_poses(samples, documents)
-    if seen is not None and len(seen) != len(arm):
-        lacking = max(arm, seen, key=len)[min(len(arm), len(seen))]
-        raise InputError(
-            f"{lacking.where}: found {len(seen)} poses of the pattern and {len(arm)} of the arm, expected one of the "
-            "pattern for each of the arm"
-        )
     if seen is not None:
-        check_numbers(arm, [each.file for each in seen])
+        paired = same_numbers([each.file for each in arm], [each.file for each in seen], ("the arm", "the pattern"))
+        if paired is not None and paired[1]:
+            raise InputError(
+                f"{samples.file}: found {len(arm)} poses of the arm and {len(seen)} of the pattern, of which "
+                f"{len(paired[0])} have the same number, expected one of the pattern for each of the arm"
+            )
+        if len(seen) != len(arm):
+            lacking = max(arm, seen, key=len)[min(len(arm), len(seen))]
+            raise InputError(
+                f"{lacking.where}: found {len(seen)} poses of the pattern and {len(arm)} of the arm, expected one of "
+                "the pattern for each of the arm"
+            )
     _check_images(arm)
     return [
         Sample(each.where, each.image, each.T, None if seen is None else seen[i].T, each.file)
@@ -116,25 +122,53 @@ def _check_mounting(document: PoseDocument, in_hand: bool) -> None:
         )
 
 
+def same_numbers(
+    files: Sequence[Path | None], others: Sequence[Path | None], what: tuple[str, str]
+) -> tuple[list[tuple[int, int]], list[LeftOut]] | None:
+    """Return which files belong together by their last numbers; None if not each has a file of its own with a number.
+
+    Args:
+        files: one of each pose, or None.
+        others: images, or files of other poses, likewise.
+        what: what the two are called in the table of what is left out.
+
+    Returns:
+        Indices of both, in the order of the first, and what has no counterpart.
+
+    Raises:
+        InputError: no two have the same number.
+    """
+    one, other = _by_number(files), _by_number(others)
+    if one is None or other is None:
+        return None
+    pairs = [(i, other[number]) for number, i in one.items() if number in other]
+    if not pairs:
+        raise InputError(
+            f"{files[0]}: found no number of {what[1]} (such as {others[0]}) among those of {what[0]}, expected "
+            "the same numbers in the names of what belongs together"
+        )
+    left_out = [
+        LeftOut(f"{missing} has no file of its number", name, count)
+        for name, missing, count in (
+            (what[0], what[1], len(files) - len(pairs)),
+            (what[1], what[0], len(others) - len(pairs)),
+        )
+        if count
+    ]
+    return pairs, left_out
+
+
+def _by_number(files: Sequence[Path | None]) -> dict[int, int] | None:
+    """Return the indices of files by their last numbers; None if one has none, or two have the same."""
+    numbers = [None if file is None else _last_number(file) for file in files]
+    known = {number: i for i, number in enumerate(numbers) if number is not None}
+    return known if len(known) == len(files) else None
+
+
 def _last_number(path: Path) -> int | None:
     """Return the last number in a file's name, else in its folder's."""
     numbers = re.findall(r"[0-9]+", path.stem) or re.findall(r"[0-9]+", path.parent.name)
     return int(numbers[-1][:18]) if numbers else None
-
-
-def check_numbers(arm: Sequence[FilePose | Sample], beside: Sequence[Path | None]) -> None:
-    """Refuse files of poses whose numbers are not those of the images, or of the files, beside them.
-
-    Raises:
-        InputError: one of them has another number: a file is missing on one side, and another one on the other.
-    """
-    for one, other in zip(arm, beside, strict=True):
-        numbers = [_last_number(each) for each in (one.file, other) if each is not None]
-        if len(numbers) == 2 and None not in numbers and numbers[0] != numbers[1]:
-            raise InputError(
-                f"{other}: found this file beside the pose {one.file}, expected one of the number {numbers[0]}: give "
-                "those that belong together the same number"
-            )
 
 
 def _check_images(arm: Sequence[FilePose]) -> None:

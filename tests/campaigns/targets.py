@@ -223,6 +223,22 @@ def _poses(path: Path) -> None:
     read_samples(Samples(file=path), in_hand=True)
 
 
+def _poses_as_json() -> list[bytes]:
+    arm = hand_eye.simulated(in_hand=True, count=4).arm
+    return [
+        json.dumps(
+            {"poses": [{"rotation": T[:3, :3].tolist(), "translation": T[:3, 3].tolist()} for T in arm]}
+        ).encode(),
+        json.dumps([T.ravel().tolist() for T in arm]).encode(),
+    ]
+
+
+def _poses_as_arrays() -> list[bytes]:
+    file = io.BytesIO()
+    np.savez(file, arm=hand_eye.simulated(in_hand=True, count=4).arm)
+    return [file.getvalue()]
+
+
 def _measured_poses() -> list[bytes]:
     """A dataset of poses."""
     with TemporaryDirectory() as folder:
@@ -267,6 +283,32 @@ sensors:
 patterns:
   board: {type: charuco, columns: 11, rows: 8, square: 0.06, marker: 0.045, dictionary: DICT_5X5_100}
 samples: {file: poses.csv, base: base_link, tool: tool0}
+"""
+POSES_XML = b"""\
+<?xml version="1.0"?>
+<opencv_storage><poses type_id="opencv-matrix"><rows>2</rows><cols>7</cols><dt>d</dt>
+<data>0.1 0.2 0.3 0. 0. 0. 1. 0.4 0.2 0.3 0. 0. 1. 0.</data></poses></opencv_storage>
+"""
+CAMERA_INI = b"""\
+[image]
+width
+640
+height
+480
+[camera]
+camera matrix
+500 0 320
+0 501 240
+0 0 1
+distortion
+0.1 0.01 -0.002 0.001 0
+"""
+CAMERA_TOML = b"""\
+[cam_0]
+name = "A"
+size = [640, 480]
+matrix = [[500.0, 0.0, 320.0], [0.0, 501.0, 240.0], [0.0, 0.0, 1.0]]
+distortions = [0.1, 0.01, 0.0, 0.0, 0.0]
 """
 OPENCV = b"""
 cameraResolution: [640, 480]
@@ -584,6 +626,11 @@ TARGETS: Mapping[str, Target] = {
     "camchain": Target("camchain.yaml", lambda: [STEREO], partial(read_lens, name="cam1"), 4),
     "hand-eye-samples": Target("robot.samples", _hand_eye("robot.samples", "moveit.yaml"), _poses, 4),
     "pairs-of-poses": Target("pairs.csv", _hand_eye("pairs.csv"), _poses, 10),
+    "poses-in-json": Target("poses.json", _poses_as_json, _poses, 10),
+    "poses-in-xml": Target("poses.xml", lambda: [POSES_XML], _poses, 10),
+    "poses-in-npz": Target("poses.npz", _poses_as_arrays, _poses, 10),
+    "camera-ini": Target("ost.txt", lambda: [CAMERA_INI], read_lens, 4),
+    "camera-toml": Target("camera.toml", lambda: [CAMERA_TOML], read_lens, 4),
     "measured-poses": Target("dataset.json", _measured_poses, _calibrated, 1),
     "ros1-bag": Target("recorded.bag", _bag("bag"), _recorded, 4),
     "ros2-mcap": Target("recorded.mcap", _bag("mcap"), _recorded, 4),

@@ -1,5 +1,6 @@
 """Intrinsics in the files of other tools, and what they lack."""
 
+import json
 from pathlib import Path
 
 import cv2
@@ -203,3 +204,122 @@ def test_what_is_no_camera_is_one_line(tmp_path: Path, text: str, message: str) 
     with pytest.raises(InputError, match=r"file\.yaml") as error:
         read_lens(tmp_path / "file.yaml")
     assert message in str(error.value)
+
+
+K4 = [[500.0, 0.0, 320.0], [0.0, 501.0, 240.0], [0.0, 0.0, 1.0]]
+D4 = [0.1, 0.01, -0.002, 0.001]
+SIZED = {"image_width": 640, "image_height": 480, "camera_matrix": K4}
+INI = """# oST version 5.0 parameters
+[image]
+width
+640
+height
+480
+[narrow_stereo]
+camera matrix
+500 0 320
+0 501 240
+0 0 1
+distortion
+0.1 0.01 -0.002 0.001 0
+"""
+ASLAM = {
+    "type": "pinhole",
+    "label": "cam0",
+    "image_width": 640,
+    "image_height": 480,
+    "intrinsics": {"rows": 4, "cols": 1, "data": [500, 501, 320, 240]},
+    "distortion": {"type": "radial-tangential", "parameters": {"rows": 4, "cols": 1, "data": D4}},
+}
+VISP = (
+    "<root><!-- c --><camera><name>Camera</name><image_width>640</image_width><image_height>480</image_height><model>"
+    "<type>perspectiveProjWithDistortion</type><px>500</px><py>501</py><u0>320</u0><v0>240</v0><kud>0.1</kud>"
+    "<kdu>-0.1</kdu></model></camera></root>"
+)
+PLEX = {
+    "components": [
+        {
+            "camera": {
+                "name": "left",
+                "intrinsics": {
+                    "projection": {"pinhole": {"f": 500.0, "cx": 320.5, "cy": 240.5}},
+                    "distortion": {"opencv_fisheye": dict(zip(("k1", "k2", "k3", "k4"), D4, strict=True))},
+                    "width": 640,
+                    "height": 480,
+                },
+            }
+        }
+    ]
+}
+
+
+def anipose(fisheye: str) -> str:
+    camera = f'[cam_0]\nname = "A"\nsize = [640, 480]\nmatrix = {K4}\ndistortions = {D4}\nfisheye = {fisheye}\n'
+    return f"{camera}[metadata]\nadjusted = false\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "model"),
+    [
+        ("ost.txt", INI, "plumb_bob"),
+        ("cam.ini", INI, "plumb_bob"),
+        ("cam.yaml", yaml.safe_dump(ASLAM), "plumb_bob"),
+        ("rig.yaml", yaml.safe_dump({"label": "rig", "cameras": [{"camera": ASLAM, "T_B_C": {}}]}), "plumb_bob"),
+        ("cam.toml", anipose("true"), "equidistant"),
+        ("cam.json", json.dumps(PLEX), "equidistant"),
+        ("cam.yaml", yaml.safe_dump({**SIZED, "camera_model": "fisheye", "D": D4}), "equidistant"),
+        ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "fisheye", "D": D4}), "equidistant"),
+        ("cam.yml", yaml.safe_dump({**SIZED, "fisheye_model": 1, "D": D4}), "equidistant"),
+        ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "plumb_bob", "D": [*D4, *[0.0] * 9]}), "plumb_bob"),
+    ],
+)
+def test_a_camera_of_another_tool(tmp_path: Path, name: str, text: str, model: str) -> None:
+    (tmp_path / name).write_text(text)
+    lens = read_lens(tmp_path / name)
+    assert lens.has_size
+    assert (lens.camera.width, lens.camera.height) == (640, 480)
+    assert isinstance(lens.camera.distortion, MODELS[model])
+    fy = 500.0 if "components" in text else 501.0
+    assert lens.camera.intrinsics[:8].tolist() == [500.0, fy, 320.0, 240.0, *D4]
+
+
+def test_a_camera_of_visp_and_of_numpy(tmp_path: Path) -> None:
+    (tmp_path / "cam.xml").write_text(VISP)
+    assert read_lens(tmp_path / "cam.xml").camera.intrinsics.tolist() == [500, 501, 320, 240, 0.1, 0, 0, 0, 0]
+    np.savez(tmp_path / "cam.npz", mtx=np.array(K4), dist=np.array([[*D4, 0.5]]))
+    found = read_lens(tmp_path / "cam.npz")
+    assert not found.has_size
+    assert found.camera.intrinsics.tolist() == [500, 501, 320, 240, *D4, 0.5]
+
+
+@pytest.mark.parametrize("kind", ["yml", "xml", "json"])
+def test_four_coefficients_without_a_model_are_asked_for(tmp_path: Path, kind: str) -> None:
+    """As cv2.fisheye's result stands in OpenCV's own storage."""
+    storage = cv2.FileStorage(str(tmp_path / f"cam.{kind}"), cv2.FILE_STORAGE_WRITE)
+    storage.write("K", np.array(K4))
+    storage.write("D", np.array(D4)[:, None])
+    storage.release()
+    with pytest.raises(InputError, match=r"D: found 4 coefficients and no lens model.*'model: equidistant'"):
+        read_lens(tmp_path / f"cam.{kind}")
+    for model in ("equidistant", "fisheye", "plumb_bob"):
+        found = read_lens(tmp_path / f"cam.{kind}", model=model).camera
+        assert isinstance(found.distortion, MODELS["equidistant" if model == "fisheye" else model])
+        assert found.intrinsics[:8].tolist() == [500, 501, 320, 240, *D4]
+
+
+@pytest.mark.parametrize(
+    ("change", "model", "said"),
+    [
+        ({"image_width": 300}, None, r"principal point \(320, 240\) px outside of an image of 300 x 480"),
+        ({"D": [0.1] * 8}, "plumb_bob", r"D: found 8 coefficients, expected the 5 of plumb_bob.*'model: rational_poly"),
+        ({"D": [0.1] * 12}, None, r"D: found 12 coefficients, expected the 8 of rational_polynomial"),
+        ({}, "fov", "found the lens model 'fov' in import.yml, expected one of plumb_bob"),
+    ],
+)
+def test_what_does_not_go_together_is_named(
+    tmp_path: Path, change: dict[str, object], model: str | None, said: str
+) -> None:
+    (tmp_path / "cam.yaml").write_text(yaml.safe_dump({**SIZED, **change}))
+    with pytest.raises(InputError, match=said) as caught:
+        read_lens(tmp_path / "cam.yaml", model=model)
+    assert "\n" not in str(caught.value)

@@ -16,7 +16,7 @@ from calibration.diagnosis.conventions.changed import (
 from calibration.diagnosis.conventions.hypothesis import Hypothesis
 from calibration.diagnosis.conventions.misfit import Misfit
 from calibration.diagnosis.conventions.recording import ArmView, Recording
-from calibration.diagnosis.conventions.rotation_readings import rereadings
+from calibration.diagnosis.conventions.rotation_readings import Rereading, rereadings
 from calibration.diagnosis.units import square
 from calibration.estimation.agreeing_rotations import disagreement_of_each, rotations_that_agree
 from calibration.estimation.robot_world import RobotWorld, solve_robot_world, solve_robot_world_robustly
@@ -53,10 +53,20 @@ def robot_poses(recording: Recording) -> Iterator[Hypothesis]:
     dataset = recording.dataset
     yield Hypothesis(
         "the robot's poses inverted",
-        f"give {base} to {tool} in the file of poses",
+        _inverted_in_import("robot's", f"{base} to {tool}"),
         partial(dataset.with_transforms, {arm: inverse(dataset.transforms[arm])}),
         told_apart=partial(_which_is_inverse, recording),
     )
+
+
+def _section(whose: str) -> str:
+    """Return where import.yml says how poses are written."""
+    return "'samples'" if whose == "robot's" else "'samples: pattern'"
+
+
+def _inverted_in_import(whose: str, direction: str) -> str:
+    where = f"{_section(whose)} of import.yml"
+    return f"write 'inverse: true' into {where}, or take it out where it is, so that they are {direction}"
 
 
 def _which_is_inverse(recording: Recording, found: Misfit) -> tuple[str, str]:
@@ -75,12 +85,12 @@ def _which_is_inverse(recording: Recording, found: Misfit) -> tuple[str, str]:
     of_sensor, of_pattern = (float(np.linalg.norm(poses[found.setup.block(each)][:3, 3])) for each in edges)
     on_tool, on_base = (of_sensor, of_pattern) if recording.in_hand else (of_pattern, of_sensor)
     now, other = (base, tool) if not recording.in_hand else (tool, base)
-    robot = ("the robot's poses inverted", f"give {base} to {tool} in the file of poses")
+    robot = ("the robot's poses inverted", _inverted_in_import("robot's", f"{base} to {tool}"))
     mounted = (
         f"'{view.sensor}' and '{view.pattern}' mounted the other way round",
         f"write 'parent: {other}' for '{view.sensor}' and 'parent: {now}' for '{view.pattern}' in import.yml",
     )
-    measured = ("the pattern's poses inverted", "give the pattern in the camera's frame in the file of poses")
+    measured = ("the pattern's poses inverted", _inverted_in_import("pattern's", "the camera to the pattern"))
     alike = [robot, mounted]
     if recording.has_measured_poses:
         alike.append(measured)
@@ -127,27 +137,29 @@ def _read_again(
     R, t = T[:, :3, :3], T[:, :3, 3]
     yield Hypothesis(
         f"the rotations of the {whose} poses transposed",
-        "transpose the rotation matrices in the file of poses (or negate w of its quaternions)",
+        "transpose the rotation matrices in the file of poses, or negate w of its quaternions",
         partial(dataset, transform(np.swapaxes(R, 1, 2), t)),
     )
-    for written, read, inverted in _that_agree(T, known, in_hand):
+    for chosen, inverted in _that_agree(T, known, in_hand):
+        written, read = chosen.written, chosen.read
         again = next(each for each in rereadings(R) if (each.written, each.read) == (written, read))
         poses = transform(rotations_that_agree(again.branches, known[:, :3, :3])[0], t)
         name = f"the rotations of the {whose} poses as {written}"
-        remedy = f"they were read as {read}: write them as quaternions qx, qy, qz, qw in the file of poses"
+        remedy = f"they were read as {read}: write '{again.keys}' into {_section(whose)} of import.yml"
         if inverted:
-            name, remedy, poses = f"{name}, and the poses inverted", f"{remedy}, and invert them", inverse(poses)
+            name, poses = f"{name}, and the poses inverted", inverse(poses)
+            remedy = f"{remedy}, and 'inverse: true', or take it out where it is"
         yield Hypothesis(name, remedy, partial(dataset, poses))
 
 
-def _that_agree(T: Array, known: Array, in_hand: bool) -> list[tuple[str, str, bool]]:
+def _that_agree(T: Array, known: Array, in_hand: bool) -> list[tuple[Rereading, bool]]:
     """Return the readings of the rotations of poses (V, 4, 4) by which they agree best with known ones.
 
     Traces find those that may agree; they cannot tell rotations from their mirror image or from transposed ones, which
     the robot-world problem does, with the translations.
 
     Returns:
-        How they were written, how they were read, and whether the poses are inverse then.
+        The readings, and whether the poses are inverse then.
     """
     some = np.unique(np.linspace(0, len(T) - 1, COMPARED).round().astype(int))
     A, t = known[some], T[some, :3, 3]
@@ -163,7 +175,7 @@ def _that_agree(T: Array, known: Array, in_hand: bool) -> list[tuple[str, str, b
             found = solve_robot_world(A[agreeing], B[agreeing])
             tried.append((round(_misses(A, B, found), 3), i, inverted, each))
     best = sorted(tried, key=lambda one: one[:3])[:MOST_READINGS]
-    return [(each.written, each.read, inverted) for _, _, inverted, each in best]
+    return [(each, inverted) for _, _, inverted, each in best]
 
 
 def _misses(A: Array, B: Array, found: RobotWorld) -> float:
@@ -185,13 +197,13 @@ def scales(recording: Recording) -> Iterator[Hypothesis]:
             poses = scaled_translations(dataset.transforms[recording.arm], size)
             yield Hypothesis(
                 f"the robot's poses in {unit}",
-                f"write metres in the file of poses: multiply by {size:g}",
+                _units_in_import("robot's", unit),
                 partial(dataset.with_transforms, {recording.arm: poses}),
             )
         if recording.has_measured_poses and abs(scale * size - 1) < UNIT_OFF:
             yield Hypothesis(
                 f"the pattern's poses in {unit}",
-                f"write metres in the file of poses: multiply by {size:g}",
+                _units_in_import("pattern's", unit),
                 partial(with_scaled_patterns, dataset, size),
             )
     if not LEAST_OFF < abs(scale - 1) < MOST_OFF:
@@ -205,6 +217,11 @@ def scales(recording: Recording) -> Iterator[Hypothesis]:
         name = f"squares of {1e3 * square(pattern) / scale:.3g} mm for {1e3 * square(pattern):.3g} mm"
         remedy = f"measure the printed squares over many of them, and correct the size of '{view.pattern}'"
     yield Hypothesis(name, remedy, partial(with_scaled_patterns, dataset, 1 / scale), (view.sensor,))
+
+
+def _units_in_import(whose: str, unit: str) -> str:
+    key = {"inches": "in"}.get(unit, unit)
+    return f"write 'units: {key}' into {_section(whose)} of import.yml, or metres into the file of poses"
 
 
 def _scale(recording: Recording, view: ArmView) -> float | None:

@@ -22,7 +22,7 @@ DEGREE = np.pi / 180
 Axes = tuple[int, int, int]
 """0, 1, 2: x, y, z, in the order of the angles."""
 
-QUATERNIONS = (("quaternions wxyz", "quaternions xyzw"), ("quaternions xyzw", "quaternions wxyz"))
+QUATERNIONS = (("wxyz", "xyzw"), ("xyzw", "wxyz"))
 """Orders as they may be written, and as they are read then."""
 
 
@@ -32,6 +32,8 @@ class Reading:
 
     name: str
     """As in "rotations written as NAME"."""
+    key: str
+    """``rotation`` in import.yml."""
     rotation: Callable[[Array], Array]
     """From numbers (..., k) to rotations (..., 3, 3)."""
     numbers: Callable[[Array], Array]
@@ -45,6 +47,8 @@ class Rereading:
 
     written: str
     read: str
+    keys: str
+    """The keys of import.yml by which they are read as they were written."""
     branches: Array
     """(N, b, 3, 3): the rotations that may have been meant; NaN where there are fewer."""
 
@@ -53,22 +57,25 @@ def rereadings(R: Array) -> Iterator[Rereading]:
     """Yield what rotations (N, 3, 3) may have been before they were read wrongly; the usual mistakes first."""
     x, y, z, w = np.moveaxis(rotations.to_quaternion(R), -1, 0)
     for (written, read), q in zip(QUATERNIONS, ((y, z, w, x), (w, x, y, z)), strict=True):
-        yield Rereading(written, read, rotations.from_quaternion(np.stack(q, -1))[:, None])
+        branches = rotations.from_quaternion(np.stack(q, -1))[:, None]
+        yield Rereading(f"quaternions {written}", f"quaternions {read}", f"rotation: quaternion-{written}", branches)
     vector = rotations.log(R)
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     turns = np.arange(-int(MOST_DEGREES // (2 * np.pi)) - 1, int(MOST_DEGREES // (2 * np.pi)) + 1)
     degrees = length + 2 * np.pi * turns
     direction = vector / np.maximum(length, 1e-12)
     meant = rotations.exp(direction[:, None] * (DEGREE * degrees)[..., None])
-    yield Rereading("rotation vectors in degrees", "radians", _only(meant, abs(degrees) <= MOST_DEGREES))
+    meant = _only(meant, abs(degrees) <= MOST_DEGREES)
+    yield Rereading("rotation vectors in degrees", "radians", "rotation: rotvec, degrees: true", meant)
     small = READINGS if bool((length < np.sqrt(3) * np.pi * DEGREE).all()) else ()
     for one in small:
-        yield Rereading(f"{one.name} in radians", "degrees", one.rotation(one.numbers(R) / DEGREE))
+        keys = f"rotation: {one.key}, degrees: false"
+        yield Rereading(f"{one.name} in radians", "degrees", keys, one.rotation(one.numbers(R) / DEGREE))
     for one in READINGS:
         numbers = one.numbers(R)
         for other in READINGS:
             if other is not one:
-                yield Rereading(other.name, one.name, other.rotation(numbers))
+                yield Rereading(other.name, one.name, f"rotation: {other.key}", other.rotation(numbers))
 
 
 def _only(branches: Array, there: Array) -> Array:
@@ -122,11 +129,13 @@ def _euler_readings() -> Iterator[Reading]:
     every: list[Axes] = [*usual, *((i, j, 3 - i - j) for i, j in permutations(range(3), 2))]
     every += [(i, j, i) for i, j in permutations(range(3), 2)]
     for axes in dict.fromkeys(every):
-        named = ", ".join("xyz"[axis] for axis in axes)
+        letters = ["xyz"[axis] for axis in axes]
+        named, key = ", ".join(letters), f"euler-{''.join(letters)}"
         fixed = partial(_about_fixed_axes, axes), partial(_angles_about_fixed_axes, axes)
-        yield Reading(f"Euler angles about the fixed axes {named}", *fixed)
-        yield Reading(f"Euler angles about the moving axes {named}", partial(euler, axes), partial(euler_angles, axes))
+        moving = partial(euler, axes), partial(euler_angles, axes)
+        yield Reading(f"Euler angles about the fixed axes {named}", f"{key}-extrinsic", *fixed)
+        yield Reading(f"Euler angles about the moving axes {named}", f"{key}-intrinsic", *moving)
 
 
-READINGS = (Reading("rotation vectors", rotations.exp, _numbers_of_vector), *_euler_readings())
+READINGS = (Reading("rotation vectors", "rotvec", rotations.exp, _numbers_of_vector), *_euler_readings())
 """Conventions of three numbers, the usual ones first."""

@@ -62,9 +62,10 @@ def test_radians_taken_for_degrees_are_had_back() -> None:
 def test_quaternions_in_the_other_order_are_had_back(names: tuple[str, str]) -> None:
     true = some()
     x, y, z, w = np.moveaxis(rotations.to_quaternion(true), -1, 0)
-    moved = (w, x, y, z) if names[0].endswith("wxyz") else (y, z, w, x)
+    moved = (w, x, y, z) if names[0] == "wxyz" else (y, z, w, x)
     wrong = rotations.from_quaternion(np.stack(moved, -1))
-    found = next(each for each in rereadings(wrong) if (each.written, each.read) == names)
+    found = next(each for each in rereadings(wrong) if each.written == f"quaternions {names[0]}")
+    assert found.read == f"quaternions {names[1]}"
     assert np.abs(found.branches[:, 0] - true).max() < 1e-9
 
 
