@@ -282,7 +282,15 @@ def _structured_entries(root: Node, names: Sequence[str]) -> Iterator[Node]:
     elif isinstance(root.value, dict) and (key := next((each for each in _LIST_KEYS if each in root.value), None)):
         yield from _listed(root if _is_matrix(root) else root[key])
     else:
-        yield from _listed(root)
+        yield from _listed(_only_array(root) or root)
+
+
+def _only_array(root: Node) -> Node | None:
+    """Return the value of an object's only key with numbers in it."""
+    if not isinstance(root.value, dict) or _is_matrix(root):
+        return None
+    below = [node for _, node in root.items() if isinstance(node.value, list | dict)]
+    return below[0] if len(below) == 1 and (isinstance(below[0].value, list) or _is_matrix(below[0])) else None
 
 
 def _called(node: Node, name: str) -> Iterator[Node]:
@@ -315,8 +323,8 @@ def _listed(node: Node, image: Node | None = None) -> Iterator[Node]:
     """Yield the poses of a list, of a matrix with one in each row, or the one that a value is."""
     if isinstance(node.value, dict) and "transforms" in node.value:
         node = node["transforms"]
-    if _is_matrix(node) and node.get("rows") and node["rows"].value > 1 and node["cols"].value in (6, 7, 12, 16):
-        flat, width = node["data"].sequence(), node["cols"].value
+    if _is_matrix(node) and node["rows"].number() > 1 and node["cols"].number() in (6, 7, 12, 16):
+        flat, width = node["data"].sequence(), int(node["cols"].number())
         for i in range(0, len(flat), width):
             yield Node(node.file, (*node.keys, "data", str(i)), flat[i : i + width])
         return
