@@ -101,7 +101,8 @@ def _check_measured_poses(dataset: Dataset) -> None:
         if distances and (far := median(np.array(distances))) > FARTHEST_MEASURED:
             raise InputError(
                 f"{dataset.path}: sensor '{sensor}': found measured poses of the pattern {far:g} m away, expected "
-                f"{FARTHEST_MEASURED:g} m at most; this looks like millimetres: {far / MM:g} m"
+                f"{FARTHEST_MEASURED:g} m at most; this looks like millimetres: {far / MM:g} m (in import.yml: "
+                "'units: mm' in 'samples')"
             )
 
 
@@ -150,11 +151,12 @@ def _check_transforms(dataset: Dataset) -> None:
         if len(apart) and median(apart / near) > (MOVES_TOO_FAR if a == b else TOO_FAR):
             edge, size, moves = _largest(dataset, path, a == b)
             far, away = f"{median(apart):.3g} m", f"{median(near) / 2:.2g} m away"
+            mend = " (in import.yml: 'units: mm' in 'samples')" if moves and not dataset.joints else ""
             so = f"'{a}' moves by {far}" if a == b else f"'{a}' and '{b}' are {far} apart"
             raise InputError(
                 f"{dataset.path}: transform '{'-'.join(edge)}': found {'a motion' if moves else 'a translation'} of "
                 f"{size:.3g} m, by which {so}, although {'it sees' if a == b else 'both see'} '{pattern}' {away}; "
-                f"expected metres, this looks like millimetres"
+                f"expected metres, this looks like millimetres{mend}"
             )
 
 

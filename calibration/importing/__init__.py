@@ -1,7 +1,8 @@
 """Import of recordings as datasets.
 
 - ``description``: import.yml, which describes the sensors, the files and the frames;
-- ``camera_files``, ``target_files``, ``samples``: intrinsics, patterns and poses in other tools' files;
+- ``camera_files``, ``target_files``, ``samples``: intrinsics, patterns and poses in other tools' files
+  (``structured_files``: their formats; ``pose_files``, ``pose_form``: what is a pose there, and how it is written);
 - ``pictures``: the image files of each camera, and their association across cameras;
 - ``bag``, ``messages``: bags of ROS and their messages; ``survey``: a first pass, without decoding images;
 - ``motion_log``, ``stillness``: motion of frames and joints, moments at standstill; ``recordings``: the second pass;

@@ -169,6 +169,32 @@ def test_a_camera_that_watches_an_arm(tmp_path: Path) -> None:
     assert np.degrees(rad) < 0.05
 
 
+def test_images_and_files_of_poses_belong_together_by_their_numbers(tmp_path: Path) -> None:
+    """A pose and an image that have no counterpart are left out and counted."""
+    riwbot = read_dataset(DATASETS / "riwbot")
+    folder = tmp_path / "recorded"
+    for name in ("images", "poses"):
+        (folder / name).mkdir(parents=True)
+    poses = riwbot.transform("base_link", "flange")
+    for i, key in enumerate(riwbot.keys[:7]):
+        if i != 2:
+            np.savetxt(folder / "poses" / f"pose_{i}.txt", poses[i])
+        if i != 4:
+            (folder / "images" / f"img{i:03}.jpg").symlink_to((DATASETS / "riwbot" / f"rgb_world_{key}.jpg").resolve())
+    board = {**BOARD, "columns": 7, "rows": 7, "square": 0.02, "marker": 0.015, "dictionary": "DICT_4X4_100"}
+    description = {
+        "sensors": {"camera": {"images": "images", "parent": "base_link"}},
+        "patterns": {"board": {**board, "parent": "tool0"}},
+        "samples": {"file": "poses"},
+    }
+    (folder / "import.yml").write_text(json.dumps(description))
+    results = import_data(folder / "import.yml", tmp_path / "out", jobs=1)
+    assert (results.moments, results.collections) == (5, 5)
+    assert [(each.place, each.count) for each in results.left_out] == [("poses", 1), ("images", 1)]
+    found = read_dataset(tmp_path / "out").transforms["base_link", "tool0"]
+    np.testing.assert_allclose(found, poses[[0, 1, 3, 5, 6]], atol=1e-9)
+
+
 def test_the_photographs_of_a_real_arm(shared_data: Path, tmp_path: Path) -> None:
     """16 of 16 images are labelled, and the optimum is the known one: 2.64 px without the lens's distortion."""
     data = shared_data / "real-arm"

@@ -53,7 +53,7 @@ def robot_poses(recording: Recording) -> Iterator[Hypothesis]:
     dataset = recording.dataset
     yield Hypothesis(
         "the robot's poses inverted",
-        _inverted_in_import("robot's", f"{base} to {tool}"),
+        _inverted_in_import("robot's", f"those of {tool} in the frame of {base}"),
         partial(dataset.with_transforms, {arm: inverse(dataset.transforms[arm])}),
         told_apart=partial(_which_is_inverse, recording),
     )
@@ -85,12 +85,15 @@ def _which_is_inverse(recording: Recording, found: Misfit) -> tuple[str, str]:
     of_sensor, of_pattern = (float(np.linalg.norm(poses[found.setup.block(each)][:3, 3])) for each in edges)
     on_tool, on_base = (of_sensor, of_pattern) if recording.in_hand else (of_pattern, of_sensor)
     now, other = (base, tool) if not recording.in_hand else (tool, base)
-    robot = ("the robot's poses inverted", _inverted_in_import("robot's", f"{base} to {tool}"))
+    robot = ("the robot's poses inverted", _inverted_in_import("robot's", f"those of {tool} in the frame of {base}"))
     mounted = (
         f"'{view.sensor}' and '{view.pattern}' mounted the other way round",
         f"write 'parent: {other}' for '{view.sensor}' and 'parent: {now}' for '{view.pattern}' in import.yml",
     )
-    measured = ("the pattern's poses inverted", _inverted_in_import("pattern's", "the camera to the pattern"))
+    measured = (
+        "the pattern's poses inverted",
+        _inverted_in_import("pattern's", "those of the pattern in the camera's frame"),
+    )
     alike = [robot, mounted]
     if recording.has_measured_poses:
         alike.append(measured)
