@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration import MAX_IMAGE_PIXELS
 from calibration.dataset.model import CornerLabels
@@ -19,6 +20,8 @@ from calibration.records import field, result
 
 MAX_BYTES = 500_000_000
 """Limit of an image file's size in bytes."""
+BRIGHTEST_SHARE = 0.999
+"""Share of the pixels that are not saturated when 16 bits are stretched to 8: the brightest ones may be reflections."""
 
 
 @result
@@ -61,7 +64,7 @@ class LabelledMoment:
 
 
 def read_image(path: Path) -> Image:
-    """Read an 8-bit image (H, W, 3), BGR, without rotation by its EXIF data.
+    """Read an image (H, W, 3), BGR, in 8 bits, without rotation by its EXIF data; one of 16 bits is stretched.
 
     Raises:
         InputError: the file cannot be read, or is not an image.
@@ -75,16 +78,35 @@ def decoded_image(data: bytes, where: str) -> Image:
     Raises:
         InputError: it is not an image, or has too many pixels, which its header tells.
     """
+    content = np.frombuffer(data, np.uint8)
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION | cv2.IMREAD_ANYDEPTH
     try:
         with _without_stderr():
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+            image = cv2.imdecode(content, flags)
     except cv2.error as error:
         if "CV_IO_MAX_IMAGE" in error.err:
             raise InputError(f"{where}: this image is too large, expected {MAX_IMAGE_PIXELS} pixels at most") from None
         raise InputError(f"{where}: this image cannot be read: {error.err}") from None
     if image is None:
         raise InputError(f"{where}: this is not a readable image, or it is truncated")
+    if image.dtype == np.uint16:
+        return stretched(np.asarray(image, np.uint16))
+    if image.dtype != np.uint8:
+        raise InputError(f"{where}: found pixels of {image.dtype}, expected 8 or 16 bits")
     return np.asarray(image, np.uint8)
+
+
+def stretched(levels: NDArray[np.uint16]) -> Image:
+    """Return 8 bits of 16, any shape, so that all but the brightest pixels keep below 255.
+
+    Cameras of 10 to 14 bits use the lower ones.
+    """
+    native = np.ascontiguousarray(levels, np.uint16)
+    counts = cv2.calcHist([native.reshape(len(native), -1)], [0], None, [1 << 16], [0, 1 << 16])
+    below = np.cumsum(counts, dtype=float)
+    top = max(1, int(np.searchsorted(below, BRIGHTEST_SHARE * native.size)))
+    table = np.minimum(np.arange(1 << 16) * (255 / top), 255).astype(np.uint8)
+    return np.asarray(table[native])
 
 
 @contextmanager

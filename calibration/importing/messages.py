@@ -22,7 +22,7 @@ from calibration.geometry.cameras import Camera
 from calibration.geometry.distortion import PlumbBob
 from calibration.geometry.transforms import from_quaternion
 from calibration.geometry.types import Array
-from calibration.importing.image_views import decoded_image
+from calibration.importing.image_views import decoded_image, stretched
 from calibration.labelling.detection import DepthImage, Image
 
 _COLOURS = {
@@ -66,8 +66,6 @@ _DEPTH_HEADER = struct.Struct("<iff")
 _TWO_BYTES = frozenset(name for name in _COLOURS if name.endswith("16") or name == "16UC1")
 _HALF_PLANES = frozenset({"nv12", "nv21"})
 """Encodings with half as many rows of colours below those of the brightness."""
-BRIGHTEST_SHARE = 0.999
-"""Share of the pixels that are not saturated when 16 bits are stretched to 8: the brightest ones may be reflections."""
 
 
 def image_of(message: Any, where: str) -> Image:
@@ -89,7 +87,7 @@ def image_of(message: Any, where: str) -> Image:
     rows = height * 3 // 2 if encoding in _HALF_PLANES else height
     pixels: NDArray[Any] = _rows(message, rows, width * channels * size, where)
     if size == 2:
-        pixels = _stretched(pixels.view(">u2" if message.is_bigendian else "<u2"))
+        pixels = stretched(pixels.view(">u2" if message.is_bigendian else "<u2"))
     pixels = pixels.reshape(rows, width, channels)
     code = _COLOURS[encoding]
     if code is None:
@@ -100,12 +98,6 @@ def image_of(message: Any, where: str) -> Image:
         raise InputError(
             f"{where}: an image of {width} x {height} in {encoding} cannot be decoded: {error.err}"
         ) from None
-
-
-def _stretched(levels: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Return 8 bits of 16, so that all but the brightest pixels keep below 255."""
-    top = max(1.0, float(np.quantile(levels, BRIGHTEST_SHARE)))
-    return np.asarray(np.minimum(levels * np.float32(255 / top), 255), np.uint8)
 
 
 def depth_of(message: Any, where: str) -> DepthImage:

@@ -1,8 +1,10 @@
 """A recording of riwbot: a camera that watches an arm with a pattern on its flange."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import cv2
 import numpy as np
@@ -30,6 +32,7 @@ def record_arm(
     focal: float = 1.0,
     urdf: bool = True,
     moving: Sequence[int] = (),
+    info: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Write a bag in which the arm stands still at some poses, and an image is taken at each.
 
@@ -41,6 +44,7 @@ def record_arm(
         focal: factor of the focal length that camera_info states.
         urdf: whether ``/robot_description`` is recorded.
         moving: poses, by their number in the bag, at which the arm does not stand still.
+        info: fields of camera_info that are not those of riwbot's camera.
     """
     camera = read_dataset(SYSTEM).sensors["rgb_world"]
     assert camera.camera is not None
@@ -55,6 +59,6 @@ def record_arm(
                 shift = 0.1 if n in moving and offset else 0.0
                 positions = {name: value + shift for name, value in (pose.get("joints") or pose).items()}
                 bag.joints("/joint_states", stamp + offset * SECOND // 10, positions)
-            bag.camera_info("/rgb_world/camera_info", stamp, camera.frame, size, focal * camera.camera.fx)
+            bag.camera_info("/rgb_world/camera_info", stamp, camera.frame, size, focal * camera.camera.fx, **info)
             shown = np.asarray(cv2.imread(str(SYSTEM / f"rgb_world_{key}.jpg")))
             bag.image("/rgb_world/image_raw", stamp, shown, camera.frame, encoding)

@@ -135,22 +135,21 @@ class BagFile:
         content = self.make("sensor_msgs/msg/LaserScan", header=self.header(frame, stamp), **rest, **values)
         self.write(topic, stamp, content)
 
-    def camera_info(self, topic: str, stamp: int, frame: str, size: tuple[int, int], focal: float) -> None:
-        """Write the intrinsics of a camera without distortion."""
+    def camera_info(
+        self, topic: str, stamp: int, frame: str, size: tuple[int, int], focal: float, **changed: Any
+    ) -> None:
+        """Write the intrinsics of a camera without distortion, but for changed fields, by ROS 2's names."""
         roi = self.make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
         K = np.array([focal, 0, size[0] / 2 + 0.5, 0, focal, size[1] / 2 + 0.5, 0, 0, 1.0])
-        fields = {"d": np.zeros(5), "k": K, "r": np.eye(3).ravel(), "p": np.zeros(12)}
+        fields = {"d": np.zeros(5), "k": K, "r": np.eye(3).ravel(), "p": np.zeros(12), "roi": roi}
+        fields |= {"distortion_model": "plumb_bob", "binning_x": 0, "binning_y": 0} | changed
         if self.ros1:
-            fields = {key.upper(): value for key, value in fields.items()}
+            fields = {key.upper() if len(key) == 1 else key: value for key, value in fields.items()}
         content = self.make(
             "sensor_msgs/msg/CameraInfo",
             header=self.header(frame, stamp),
             height=size[1],
             width=size[0],
-            distortion_model="plumb_bob",
-            binning_x=0,
-            binning_y=0,
-            roi=roi,
             **fields,
         )
         self.write(topic, stamp, content)

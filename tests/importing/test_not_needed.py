@@ -1,14 +1,20 @@
 """What an import does not need cannot stop it: it is left out, counted, and named."""
 
+import re
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from rosbags.typesys import get_types_from_msg
 
 from calibration.dataset.reading import read_dataset
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.geometry.cameras import Camera
 from calibration.geometry.rotations import exp
 from calibration.geometry.transforms import distance, transform
+from calibration.importing.image_views import decoded_image
 from calibration.importing.importing import import_data
 from calibration.importing.motion_log import MotionLog
 from calibration.importing.results import ImportResults
@@ -17,6 +23,7 @@ from tests.importing.bags import BEGIN, SECOND, BagFile
 from tests.importing.conftest import CAMERAS
 from tests.importing.test_bags import FRAMES, T2RGB, describe, file_of, image, record, refusal
 
+ROOT = Path(__file__).parents[2]
 EDGES = {edge: T[0] for edge, T in read_dataset(T2RGB).transforms.items() if edge[1] != "pattern_link"}
 GRIPPER = """
   <link name="finger"/><link name="other_finger"/><link name="wheel"/><link name="drone"/>
@@ -171,3 +178,109 @@ def test_between_two_records_a_pose_is_interpolated() -> None:
     found = log.joints["j"].at(SECOND / 20)
     assert found is not None
     np.testing.assert_allclose(np.degrees(found), 180)
+
+
+def page_lines(word: str) -> str:
+    """The import.yml of docs/your-data.md that has a word, as a user copies it."""
+    blocks = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "your-data.md").read_text(), re.DOTALL)
+    return next(block for block in blocks if word in block)
+
+
+def test_a_newcomers_bag_takes_the_lines_of_the_page(tmp_path: Path) -> None:
+    """A robot with root base_link, mimic joints in the gripper, wheels without a number, before a fisheye."""
+    bag_file = tmp_path / "poses.bag"
+    tangent = np.array([1 / 3, 2 / 15, 17 / 315, 62 / 2835])  # equidistant coefficients of a lens without distortion
+    record_arm(bag_file, "bag", keys(), urdf=False, info={"distortion_model": "fisheye", "d": tangent})
+    urdf = (SYSTEM / "robot.urdf").read_text().replace("</robot>", GRIPPER)
+    (tmp_path / "robot.urdf").write_text(urdf)
+    with BagFile(tmp_path / "wheels.bag", "bag") as bag:
+        bag.joints("/joint_states", BEGIN, {"wheel_joint": float("nan"), "finger_joint": 0.01})
+    config = tmp_path / "import.yml"
+    config.write_text(page_lines("poses.bag").replace("[poses.bag]", "[poses.bag, wheels.bag]"))
+    assert import_data(config, tmp_path / "out", jobs=1).collections == len(keys())
+    dataset = read_dataset(tmp_path / "out")
+    (sensor,) = dataset.sensors.values()
+    assert sensor.camera is not None
+    assert sensor.camera.distortion.ros_name == "equidistant"
+    assert calibrate(dataset, Options()).rms_px < 0.3
+
+
+def test_two_cameras_on_a_base_link_take_the_two_lines_of_the_page(tmp_path: Path) -> None:
+    named = {tuple({"world": "base_link"}.get(frame, frame) for frame in edge): T for edge, T in EDGES.items()}
+    (storage,) = stereo_bag(tmp_path, [0, 1, 2, 3, 4], edges=named).glob("*.mcap")
+    storage.rename(tmp_path / "poses.mcap")
+    config = tmp_path / "import.yml"
+    config.write_text(page_lines("poses.mcap"))
+    assert import_data(config, tmp_path / "out", jobs=1).collections == 5
+    assert read_dataset(tmp_path / "out").world == "base_link"
+
+
+def one_camera(folder: Path, topic: str, **info: Any) -> Path:
+    """A bag of t2rgb's left camera with this camera_info."""
+    path = file_of(folder, "mcap")
+    with BagFile(path, "mcap") as bag:
+        for number in range(5):
+            stamp = BEGIN + number * SECOND
+            size = info.get("size", (640, 480))
+            fields = {key: value for key, value in info.items() if key != "size"}
+            bag.camera_info("/left/camera_info", stamp, "left", size, 500, **fields)
+            bag.image(topic, stamp, image("left_camera", number), "left", "mono8")
+    return path
+
+
+def imported_camera(path: Path) -> Camera:
+    import_data(describe(path), path.parent / "out", jobs=1)
+    (sensor,) = read_dataset(path.parent / "out").sensors.values()
+    assert sensor.camera is not None
+    return sensor.camera
+
+
+P = np.array([480, 0, 310, 0, 0, 470, 230, 0, 0, 0, 1, 0.0])
+
+
+def test_rectified_images_have_the_projection_and_no_distortion(tmp_path: Path) -> None:
+    found = imported_camera(one_camera(tmp_path, "/left/image_rect_color", d=np.full(5, 0.1), p=P))
+    np.testing.assert_allclose(found.intrinsics[:4], [480, 470, 310, 230])
+    assert not found.distortion.coefficients.any()
+
+
+@pytest.mark.parametrize(
+    ("info", "message"),
+    [
+        ({"p": P, "r": exp(np.array([0.01, 0, 0])).ravel()}, "turned by 0.57 deg"),
+        ({}, "found no projection P"),
+    ],
+)
+def test_rectified_images_that_are_turned_or_without_projection(
+    tmp_path: Path, info: dict[str, Any], message: str
+) -> None:
+    assert message in refusal(describe(one_camera(tmp_path, "/left/image_rect", **info)))
+
+
+def test_binning_divides_the_intrinsics(tmp_path: Path) -> None:
+    found = imported_camera(one_camera(tmp_path, "/left/image_raw", size=(1280, 960), binning_x=2, binning_y=2))
+    np.testing.assert_allclose(found.intrinsics[:4], [250, 250, 320.25, 240.25])
+    assert (found.width, found.height) == (640, 480)
+
+
+def test_a_compressed_image_of_16_bits_is_stretched() -> None:
+    true = image("left_camera", 0)
+    levels = true.astype(np.uint16) * 4  # 10 bits
+    found = decoded_image(cv2.imencode(".png", levels)[1].tobytes(), "here")
+    assert abs(found.astype(float) * np.quantile(true, 0.999) / 255 - true).mean() < 1
+
+
+def test_a_message_of_livox_says_what_to_record(tmp_path: Path) -> None:
+    path = file_of(tmp_path, "mcap")
+    with BagFile(path, "mcap") as bag:
+        kind = "livox_ros_driver2/msg/CustomMsg"
+        bag.types.register(get_types_from_msg("uint32 point_num", kind))
+        bag.image("/left/image_raw", BEGIN, image("left_camera", 0), "left", "mono8")
+        bag.write("/livox/lidar", BEGIN, bag.make(kind, point_num=0))
+    sensors = {"left": {"topic": "/left/image_raw"}, "lidar": {"topic": "/livox/lidar"}}
+    assert "record sensor_msgs/PointCloud2" in refusal(describe(path, sensors=sensors))
+
+
+def test_a_topic_is_one_word(tmp_path: Path) -> None:
+    results = import_data(describe(one_camera(tmp_path, "image_raw")), tmp_path / "out", jobs=1)
+    assert list(results.sensors) == ["image_raw"]
