@@ -64,6 +64,10 @@ _CHANNELS = {"bgra8": 4, "rgba8": 4, "8UC4": 4, "bgr8": 3, "rgb8": 3, "8UC3": 3,
 _DEPTH_HEADER = struct.Struct("<iff")
 """Header of the transport compressedDepth: the kind of compression, and the two parameters of inverse depth."""
 _TWO_BYTES = frozenset(name for name in _COLOURS if name.endswith("16") or name == "16UC1")
+VIDEO_CODECS = ("h264", "h265", "hevc", "av1", "vp9")
+NO_VIDEO = (
+    "record sensor_msgs/Image or CompressedImage (JPEG or PNG), as ros2 run image_transport republish writes them"
+)
 _HALF_PLANES = frozenset({"nv12", "nv21"})
 """Encodings with half as many rows of colours below those of the brightness."""
 
@@ -77,6 +81,8 @@ def image_of(message: Any, where: str) -> Image:
         InputError: its encoding is not known, or its data are truncated.
     """
     if not hasattr(message, "encoding"):
+        if any(codec in str(message.format).lower() for codec in VIDEO_CODECS):
+            raise InputError(f"{where}: found a frame of a video, {message.format}, expected an image: {NO_VIDEO}")
         return decoded_image(bytes(message.data), f"{where} ({message.format})")
     encoding, height, width = message.encoding, message.height, message.width
     if encoding not in _COLOURS:

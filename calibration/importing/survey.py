@@ -12,7 +12,7 @@ from calibration.geometry.cameras import Camera
 from calibration.importing.bag import MORE_TYPES, SECOND, Bag, RawMessage
 from calibration.importing.description import ImportDescription, SensorDescription
 from calibration.importing.left_out import LeftOutCounts
-from calibration.importing.messages import transform_of
+from calibration.importing.messages import NO_VIDEO, transform_of
 from calibration.importing.motion_log import MotionLog, frames_of
 from calibration.importing.recorded_lens import RecordedLens, is_rectified
 from calibration.robot_description import read_robot_description
@@ -27,8 +27,8 @@ INFO, JOINTS = f"{_SENSOR}CameraInfo", f"{_SENSOR}JointState"
 TF, TEXT = tuple(MORE_TYPES), "std_msgs/msg/String"
 OTHER_MESSAGES = {
     "CustomMsg": ": record sensor_msgs/PointCloud2, which Livox's driver publishes with xfer_format 0",
-    "FFMPEGPacket": ": record sensor_msgs/Image or CompressedImage (JPEG or PNG)",
-    "CompressedVideo": ": record sensor_msgs/Image or CompressedImage (JPEG or PNG)",
+    "FFMPEGPacket": f": {NO_VIDEO}",
+    "CompressedVideo": f": {NO_VIDEO}",
 }
 """What to record in place of messages that are not read, by a part of their type."""
 MAX_STEP_BACK = 0.1
@@ -37,6 +37,7 @@ NOT_LATER = "its stamp is not later than that of the message before"
 SAME_TIME = "it was recorded at the time of another message"
 NO_POSE = "no pose: a number that is not finite, or a quaternion that is not one"
 NO_POSITION = "no position: a number that is not finite"
+RECTIFIED_TWIN = "topic of rectified images beside the raw ones"
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +93,8 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
     lenses = {topic: RecordedLens(topic) for topic in infos.values() if topic is not None}
     stamps: dict[str, dict[int, int]] = {sensor.name: {} for sensor in sensors}
     log, texts = MotionLog(), [topic for topic in bag.of_type(TEXT) if topic.endswith("robot_description")]
+    for topic in () if described.sensors else _rectified_twins(bag):
+        log.left_out.add(RECTIFIED_TWIN, topic)
     others = [*bag.of_type(*TF), *bag.of_type(JOINTS), *texts]
     for message in bag.messages({*of_topic, *lenses, *others}):
         if (described_sensor := of_topic.get(message.topic)) is not None:
@@ -122,14 +125,14 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
 
 
 def _found(bag: Bag) -> tuple[SensorDescription, ...]:
-    """Return every topic of colour images, and only one of raw and compressed topics of the same images."""
-    raw, compressed = bag.of_type(IMAGES[0]), bag.of_type(IMAGES[1])
-    topics = [*raw, *(topic for topic in compressed if str(PurePosixPath(topic).parent) not in raw)]
-    topics = [topic for topic in topics if not _is_depth(topic)]
+    """Return every topic of colour images that is not rectified beside the raw one."""
+    images, twins = _image_topics(bag), _rectified_twins(bag)
+    topics = [topic for topic in images if not _is_depth(topic) and topic not in twins]
     if not topics:
         kinds = ", ".join(f"{topic} ({kind})" for topic, kind in bag.topics.items()) or "none"
-        depth = [topic for topic in (*raw, *compressed) if _is_depth(topic)]
+        depth = [topic for topic in images if _is_depth(topic)]
         hint = f"; {depth[0]} is taken for depth by its name: name it in 'sensors', with modality: rgb" if depth else ""
+        hint = hint or next((hint for kind in bag.topics.values() if (hint := _what_to_record(kind))), "")
         raise InputError(f"{bag.path}: found no topic of images, expected one{hint}; topics: {kinds}")
     names = {topic: topic.strip("/").split("/")[0] for topic in topics}
     if len(set(names.values())) < len(names):
@@ -137,15 +140,39 @@ def _found(bag: Bag) -> tuple[SensorDescription, ...]:
     return tuple(SensorDescription(name, topic=topic) for topic, name in names.items())
 
 
+def _image_topics(bag: Bag) -> list[str]:
+    """Return every topic of images; of raw and compressed ones of the same images, the raw one."""
+    raw, compressed = bag.of_type(IMAGES[0]), bag.of_type(IMAGES[1])
+    return [*raw, *(topic for topic in compressed if str(PurePosixPath(topic).parent) not in raw)]
+
+
+def _rectified_twins(bag: Bag) -> list[str]:
+    """Return the topics of rectified images in whose namespace the images as they were taken are, too."""
+    rectified: dict[str, bool] = {topic: is_rectified(topic) for topic in _image_topics(bag)}
+    cameras = {_namespace(topic) for topic, is_one in rectified.items() if not is_one and not _is_depth(topic)}
+    return [topic for topic, is_one in rectified.items() if is_one and _namespace(topic) in cameras]
+
+
+def _namespace(topic: str) -> str:
+    """Return the topic's part before "image_raw", "image_rect_color" and the like."""
+    parts = PurePosixPath(topic).parts
+    ends = [i for i, part in enumerate(parts) if part.startswith("image")]
+    return "/".join(parts[: ends[0]]) if ends else topic
+
+
+def _what_to_record(kind: str | None) -> str:
+    """Return what to record in place of messages of a type, to be appended to an error; empty if it is read."""
+    return next((hint for name, hint in OTHER_MESSAGES.items() if kind and name in kind), "")
+
+
 def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
     known = bag.of_type(*MODALITY_OF_MESSAGE)
     if sensor.topic not in known:
         kind = bag.topics.get(sensor.topic or "")
         problem = f"found '{sensor.topic}' as {kind}" if kind else f"found no topic '{sensor.topic}'"
-        hint = next((hint for name, hint in OTHER_MESSAGES.items() if kind and name in kind), "")
         raise InputError(
-            f"{bag.path}: {problem}, expected the data of '{sensor.name}'{hint}; topics of cameras and LiDARs: "
-            f"{', '.join(known) or 'none'}"
+            f"{bag.path}: {problem}, expected the data of '{sensor.name}'{_what_to_record(kind)}; "
+            f"topics of cameras and LiDARs: {', '.join(known) or 'none'}"
         )
 
 

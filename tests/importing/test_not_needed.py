@@ -18,6 +18,7 @@ from calibration.importing.image_views import decoded_image
 from calibration.importing.importing import import_data
 from calibration.importing.motion_log import MotionLog
 from calibration.importing.results import ImportResults
+from calibration.importing.survey import IMAGES
 from tests.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
 from tests.importing.bags import BEGIN, SECOND, BagFile
 from tests.importing.conftest import CAMERAS
@@ -284,3 +285,36 @@ def test_a_message_of_livox_says_what_to_record(tmp_path: Path) -> None:
 def test_a_topic_is_one_word(tmp_path: Path) -> None:
     results = import_data(describe(one_camera(tmp_path, "image_raw")), tmp_path / "out", jobs=1)
     assert list(results.sensors) == ["image_raw"]
+
+
+def test_rectified_images_beside_raw_ones_are_left_out(tmp_path: Path) -> None:
+    """They would be a second camera at the same place; these could not even be read."""
+    path = file_of(tmp_path, "mcap")
+    with BagFile(path, "mcap") as bag:
+        for number in range(5):
+            stamp = BEGIN + number * SECOND
+            turned = exp(np.array([0.01, 0, 0])).ravel()
+            bag.camera_info("/left/camera_info", stamp, "left", (640, 480), 500, p=P, r=turned)
+            for topic in ("/left/image_raw", "/left/image_rect_color"):
+                bag.image(topic, stamp, image("left_camera", number), "left", "mono8")
+    results = import_data(describe(path), tmp_path / "out", jobs=1)
+    assert list(results.sensors) == ["left"]
+    assert [each.place for each in results.left_out] == ["/left/image_rect_color"]
+
+
+@pytest.mark.parametrize("kind", ["ffmpeg_image_transport_msgs/msg/FFMPEGPacket", "foxglove_msgs/msg/CompressedVideo"])
+def test_a_video_says_what_to_record(tmp_path: Path, kind: str) -> None:
+    path = file_of(tmp_path, "mcap")
+    with BagFile(path, "mcap") as bag:
+        bag.types.register(get_types_from_msg("uint32 width", kind))
+        bag.write("/camera/ffmpeg", BEGIN, bag.make(kind, width=0))
+    assert "record Image or" in refusal(describe(path))
+
+
+def test_frames_of_a_video_in_compressed_images(tmp_path: Path) -> None:
+    path = file_of(tmp_path, "mcap")
+    with BagFile(path, "mcap") as bag:
+        data = np.zeros(9, np.uint8)
+        header = bag.header("left", BEGIN)
+        bag.write("/left/h264", BEGIN, bag.make(f"{IMAGES[1]}", header=header, format="h264", data=data))
+    assert "found a frame of a video, h264" in refusal(describe(path))
