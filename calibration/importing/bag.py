@@ -12,7 +12,7 @@ import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -118,17 +118,8 @@ class Bag:
         kind = self.topics[message.topic]
         with _readable(self.path, f"{message.topic}: a message of {kind} cannot be decoded"):
             if self._ros == 1:
-                return self._types.deserialize_ros1(message.data, kind)
-            return self._types.deserialize_cdr(message.data, kind)
-
-    @cached_property
-    def _types(self) -> "Typestore":
-        types = optional("rosbags.typesys", "reading bags")
-        store: Typestore = types.get_typestore(types.Stores.ROS1_NOETIC if self._ros == 1 else types.Stores.ROS2_HUMBLE)
-        for kind, definition in MORE_TYPES.items():
-            if kind not in store.fielddefs:
-                store.register(types.get_types_from_msg(definition, kind))
-        return store
+                return typestore(self._ros).deserialize_ros1(message.data, kind)
+            return typestore(self._ros).deserialize_cdr(message.data, kind)
 
     def stamp(self, message: RawMessage) -> int:
         """Return the time in a message's header, ns, without decoding the rest; the recording time if it is 0.
@@ -149,6 +140,17 @@ class Bag:
     def without_stamp(self, message: RawMessage) -> bytes:
         """Return the bytes of a message that begins with a header, without its number and stamp."""
         return message.data[12:]
+
+
+@cache
+def typestore(ros: int) -> "Typestore":
+    """Return the definitions of messages of a version of ROS, once: its decoders are generated."""
+    types = optional("rosbags.typesys", "reading bags")
+    store: Typestore = types.get_typestore(types.Stores.ROS1_NOETIC if ros == 1 else types.Stores.ROS2_HUMBLE)
+    for kind, definition in MORE_TYPES.items():
+        if kind not in store.fielddefs:
+            store.register(types.get_types_from_msg(definition, kind))
+    return store
 
 
 @contextmanager

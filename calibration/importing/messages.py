@@ -65,9 +65,9 @@ _DEPTH_HEADER = struct.Struct("<iff")
 """Header of the transport compressedDepth: the kind of compression, and the two parameters of inverse depth."""
 _TWO_BYTES = frozenset(name for name in _COLOURS if name.endswith("16") or name == "16UC1")
 VIDEO_CODECS = ("h264", "h265", "hevc", "av1", "vp9")
-NO_VIDEO = (
-    "record sensor_msgs/Image or CompressedImage (JPEG or PNG), as ros2 run image_transport republish writes them"
-)
+"""What the format of a CompressedImage says where its data are a frame of a video."""
+NO_VIDEO = "record Image or CompressedImage (JPEG or PNG), or convert it by ros2 run image_transport republish"
+"""What to do where a bag has video."""
 _HALF_PLANES = frozenset({"nv12", "nv21"})
 """Encodings with half as many rows of colours below those of the brightness."""
 
