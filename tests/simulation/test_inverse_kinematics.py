@@ -3,8 +3,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.geometry.transforms import distance, from_xyz_rpy, inverse
-from calibration.simulation.inverse_kinematics import joints_between, reach
+from calibration.geometry.transforms import distance, from_xyz_rpy, inverse, local
+from calibration.simulation.inverse_kinematics import _linearise, _way, joints_between, reach
 from calibration.simulation.random_streams import stream
 from calibration.simulation.robot import compose, parse_robot
 from calibration.simulation.system import System
@@ -102,6 +102,12 @@ def test_a_joint_that_mimics_another_one_moves_with_it(tmp_path: Path) -> None:
         tmp_path / "robot.urdf",
     )
     assert [joint.name for joint in joints_between(robot, "d", "a")] == ["hinge", "slide"]
+    q, step = np.array([[0.7, 0.4]]), 1e-6
+    way, index = _way(robot, "a", "d"), {"slide": 0, "hinge": 1}
+    here = compose(robot.tree, robot.transforms({"slide": q[:, 0], "hinge": q[:, 1]}), "a", "d")
+    moved = compose(robot.tree, robot.transforms({"slide": q[:, 0] + step, "hinge": q[:, 1]}), "a", "d")
+    _, J = _linearise(way, here, q, index)
+    np.testing.assert_allclose(J[0, :, 0], local(here, moved)[0] / step, atol=1e-6)
     given = {"slide": np.linspace(0.1, 1.9, 20), "hinge": np.linspace(-3, 3, 20)}
     for start, end in (("a", "d"), ("d", "a")):
         targets = compose(robot.tree, robot.transforms(given), start, end)
