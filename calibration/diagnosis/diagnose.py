@@ -60,7 +60,7 @@ def _as_it_is(
         *turned_boards(calibration),
         *(far if explained else ()),
         *(each for each in suspected if each.severity == "red"),
-        *wrong_views(calibration),
+        *wrong_views(calibration, limits),
         *(each for each in suspected if each.severity != "red"),
         *_of_residuals(calibration, limits, suspected),
         *(() if truth_known else (*too_few(calibration), *precision(calibration, limits, suspected))),

@@ -13,6 +13,8 @@ WARNING, RED = 0.01, 0.05
 """Shares of all labels."""
 VIEW = 0.2
 """Share of the labels of one view."""
+VIEW_AT_AN_END = 0.5
+"""The same of the first or the last view of a sensor, of any size: it may have moved since, or before."""
 FEW = 3
 """Minimum of rejected labels in a suspicious view: one of four corners is not significant."""
 GROSS_PIXELS, GROSS_METRES = 2.5, 0.1
@@ -56,7 +58,34 @@ def rejected_labels(calibration: Calibration) -> tuple[Finding, ...]:
     text = f"{len(rejected)} of {total} labels rejected as outliers, in collections {_listed(collections)}"
     note = Finding("rejected-labels", "note", text, (), collections, len(rejected) / total, unit="1")
     views = _views(calibration, Counter((g.collection, g.sensor, g.pattern, g.kind) for g in gross))
-    return (*views, note)
+    return (*_at_the_ends(calibration), *views, note)
+
+
+def _at_the_ends(calibration: Calibration) -> tuple[Finding, ...]:
+    """Return a failure for each sensor whose first or last view does not fit as a whole: it may have moved."""
+    rejected = Counter((each.collection, each.sensor, each.pattern, each.kind) for each in calibration.rejected)
+    found: dict[str, tuple[str, float]] = {}
+    for view in calibration.residuals:
+        counts = np.isfinite(view.magnitudes).sum(-1)
+        for i in (0, -1):
+            key = view.collections[i]
+            out = rejected.get((key, view.sensor, view.pattern, view.kind), 0)
+            if out >= FEW and out > VIEW_AT_AN_END * counts[i]:
+                found[view.sensor] = key, out / counts[i]
+    return tuple(
+        Finding(
+            "rejected-view",
+            "red",
+            f"{100 * share:.0f} % of what '{sensor}' sees in collection {key}, at an end of the recording, does not fit "
+            f"the result: something has moved between this view and the others, or image and pose are of different "
+            f"moments; record it again",
+            (sensor,),
+            (key,),
+            float(share),
+            unit="1",
+        )
+        for sensor, (key, share) in found.items()
+    )
 
 
 def _views(calibration: Calibration, gross: Mapping[tuple[str, str, str, NoiseKind], int]) -> tuple[Finding, ...]:

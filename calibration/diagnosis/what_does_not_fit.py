@@ -9,7 +9,7 @@ from calibration.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
 from calibration.diagnosis.projection import projection_limit, shifts
 from calibration.estimation.held import PLACE, Cause
 from calibration.estimation.result import Calibration
-from calibration.estimation.suspects import CONTRADICTING, LENS, Disagreement, Suspect, explain
+from calibration.estimation.suspects import CONTRADICTING, LENS, SIDE, Disagreement, Suspect, explain
 from calibration.geometry.transforms import adjoint
 from calibration.geometry.types import Array
 
@@ -84,7 +84,12 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
     cause = suspect.cause
     before, after = _moved(calibration, suspect.moves), _moved(calibration, _moves_after(calibration, suspect))
     moved = {name: _larger(before[name], after[name]) for name in before}
-    over = [name for name, motion in moved.items() if allowed(calibration, limits, name).exceeded(*motion)]
+    mm_unsure, deg_unsure = _unsure_of_few_views(calibration, suspect, limits)
+    over = [
+        name
+        for name, (mm, degrees) in moved.items()
+        if allowed(calibration, limits, name).exceeded(mm + mm_unsure, degrees + deg_unsure)
+    ]
     sensor = max(over or moved, key=lambda name: moved[name][0], default="")
     mm, degrees = moved.get(sensor, (0.0, 0.0))
     names = " or ".join(dict.fromkeys(_name(each) for each in (cause, *suspect.rivals)))
@@ -100,6 +105,8 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
     if cause.kind == PLACE and sensor:
         was, now = _distance(*before[sensor]), _distance(*after[sensor])
         harm = f"the result is {was} from where {sensor} was before, {now} from where it is now"
+        if mm_unsure:
+            harm += f", known to {_distance(mm_unsure, deg_unsure)} as few views tell"
     text = f"{names} {verb}{since}{either}: {_size(cause, suspect.value, suspect.sigma)}"
     if over:
         text += f"; {harm} (limit {allowed(calibration, limits, sensor)}): {ADVICE[cause.kind]}"
@@ -142,6 +149,18 @@ def _finding_on_cameras(calibration: Calibration, limits: Limits, suspect: Suspe
 
 def _distance(mm: float, degrees: float) -> str:
     return f"{mm:.3g} mm and {degrees:.2g} deg"
+
+
+def _unsure_of_few_views(calibration: Calibration, suspect: Suspect, limits: Limits) -> tuple[float, float]:
+    """Return the guard band of a displacement of which few views tell, mm and degrees; zeros of others.
+
+    That something has moved is certain then, and how far is not.
+    """
+    K = len(calibration.solution.model.G)
+    if suspect.since is None or min(suspect.since, K - suspect.since) >= SIDE:
+        return 0.0, 0.0
+    mm, degrees = sizes(suspect.sigma, TWIST)
+    return limits.guard * mm, limits.guard * degrees
 
 
 def _larger(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from collections import Counter, defaultdict
 
 from calibration.diagnosis.finding import Finding, Severity
+from calibration.diagnosis.limits import Limits, allowed
 from calibration.estimation.result import Calibration, DroppedView
 
 RED = 0.05
@@ -11,10 +12,16 @@ NAMED = 20
 """Number of collections that a message names."""
 
 
-def wrong_views(calibration: Calibration) -> tuple[Finding, ...]:
+def wrong_views(calibration: Calibration, limits: Limits | None = None) -> tuple[Finding, ...]:
     """Report the rejected views, by the sensors that contradict each other.
 
-    If two sensors contradict each other and no third one decides, both views are rejected and both are named.
+    If two sensors contradict each other and no third one decides, both views are rejected and both are named. At an end
+    of the recording a few views that contradict the others may as well be those of a sensor that has moved, so that
+    they are a failure if they are off by more than it may.
+
+    Args:
+        calibration: the result.
+        limits: those that the user has set; None where there is no result that they are compared with.
     """
     views = Counter(sensor for c in calibration.dataset.collections for _, sensor in c.labels)
     by_collection: dict[str, list[DroppedView]] = defaultdict(list)
@@ -23,10 +30,26 @@ def wrong_views(calibration: Calibration) -> tuple[Finding, ...]:
     alike: dict[tuple[str, ...], list[DroppedView]] = defaultdict(list)
     for dropped in by_collection.values():
         alike[tuple(sorted({view.sensor for view in dropped}))] += dropped
-    return tuple(_finding(sensors, dropped, views) for sensors, dropped in alike.items())
+    return tuple(
+        _finding(sensors, dropped, views, limits is not None and _has_moved(calibration, limits, dropped))
+        for sensors, dropped in alike.items()
+    )
 
 
-def _finding(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counter[str]) -> Finding:
+def _has_moved(calibration: Calibration, limits: Limits, dropped: list[DroppedView]) -> bool:
+    """Whether the first or the last view of a sensor is wrong by more than it may be off."""
+    seen = {
+        sensor: [c.key for c in calibration.dataset.collections if sensor in {s for _, s in c.labels}]
+        for sensor in {v.sensor for v in dropped}
+    }
+    return any(
+        view.collection in (seen[view.sensor][0], seen[view.sensor][-1])
+        and allowed(calibration, limits, view.sensor).exceeded(view.mm, view.degrees)
+        for view in dropped
+    )
+
+
+def _finding(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counter[str], moved: bool) -> Finding:
     collections = tuple(dict.fromkeys(view.collection for view in dropped))
     share = max(len({v.collection for v in dropped if v.sensor == sensor}) / views[sensor] for sensor in sensors)
     mm, degrees = (max(getattr(view, unit) for view in dropped) for unit in ("mm", "degrees"))
@@ -39,9 +62,12 @@ def _finding(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counte
         what = (
             f"{sensors[0]}: {'views' if several else 'the view'} of {where} contradict{'s' * (not several)} the others"
         )
+    cause = "image and pose of different moments"
+    if moved:
+        cause = f"at an end of the recording: has it moved between them and the others? Or {cause}"
     text = (
-        f"{what}, by up to {mm:.4g} mm and {degrees:.3g} deg, left out: image and pose of different moments? "
+        f"{what}, by up to {mm:.4g} mm and {degrees:.3g} deg, left out: {cause}? "
         f"Record these collections again, at standstill"
     )
-    severity: Severity = "red" if share > RED else "warning"
+    severity: Severity = "red" if share > RED or moved else "warning"
     return Finding("wrong-views", severity, text, sensors, collections, share, unit="1")

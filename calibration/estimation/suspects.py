@@ -44,8 +44,8 @@ EQUAL = 0.85
 DETERMINED = 1e-7
 """Part of the information on a cause that the other parameters must leave for it to be determined."""
 SIDE = 4
-"""Minimum of clusters before and after a displacement. Fewer displaced views are found as wrong ones, see
-`calibration.estimation.wrong_views`."""
+"""Minimum of clusters before and after a displacement for their own scatter to be estimated. Fewer ones have that of
+all the others, and what an arm errs by."""
 EXACTLY = 1e6
 """Degrees of freedom of a covariance that is not estimated."""
 CONTRADICTING = 3.0
@@ -131,15 +131,16 @@ class Explanation:
     disagreement: Disagreement
 
 
-def explain(model: LinearModel) -> Explanation | None:
+def explain(model: LinearModel, fewest_moved: int = 1) -> Explanation | None:
     """Search for suspects; None with too few collections.
 
     Args:
         model: linear model at the optimum.
+        fewest_moved: minimum of clusters before and after a displacement.
     """
     if len(model.G) < FEWEST_CLUSTERS:
         return None
-    candidates = list(_candidates(model))
+    candidates = list(_candidates(model, fewest_moved))
     limit = threshold(sum(len(each.causes) for each in candidates))
     found: list[Suspect] = []
     state = _State.at_optimum(model)
@@ -200,8 +201,11 @@ def _displaced(suspect: Suspect) -> float:
 
 
 def explains_all(model: LinearModel) -> bool:
-    """Whether a suspect, once it is free, leaves no contradiction between clusters."""
-    explanation = explain(model)
+    """Whether a suspect, once it is free, leaves no contradiction between clusters.
+
+    Few displaced views are none: they are left out as wrong ones, see `calibration.estimation.wrong_views`.
+    """
+    explanation = explain(model, SIDE)
     return explanation is not None and bool(explanation.suspects) and not explanation.disagreement.contradicts
 
 
@@ -218,8 +222,7 @@ def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
     """
     S = state.shared
     whitening = _whitening(state.G[:, :S, :S], state.alone[:S])
-    arm = arm_scatter(model)
-    assumed = np.concatenate([state.G[:, :S, state.held] * state.sigmas, arm[:, :S]], -1)
+    assumed = np.concatenate([state.G[:, :S, state.held] * state.sigmas, state.arm[:, :S]], -1)
     expected = float(((np.swapaxes(whitening, 1, 2) @ assumed) ** 2).sum())
     freedom = max(1.0, state.freedom)
     places = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == PLACE]
@@ -227,7 +230,7 @@ def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
         (state.residual[:, None, at] @ _whitening(state.G[:, at, at], state.alone[at]))[:, 0] for _, at in places
     ]  # (K, k) each, by its sensor or pattern
     allowed = freedom + expected
-    found, assumed_covariance = _clustered(state, arm)
+    found, assumed_covariance = _clustered(state)
     return Disagreement(
         ratio=state.disagreement / freedom,
         expected=allowed / freedom,
@@ -239,7 +242,7 @@ def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
     )
 
 
-def _clustered(state: "_State", arm: Array) -> tuple[Array, Array]:
+def _clustered(state: "_State") -> tuple[Array, Array]:
     """Return the covariance (S, S) of the calibrated parameters with collections as clusters, and what is expected.
 
     As in `calibration.estimation.error_bars`, of the residuals that are left once causes have been set free. An error
@@ -247,7 +250,6 @@ def _clustered(state: "_State", arm: Array) -> tuple[Array, Array]:
 
     Args:
         state: the model.
-        arm: (K, C, H), gradients by errors of an arm that differ from cluster to cluster.
     """
     S, free = state.shared, state.free
     values, vectors = np.linalg.eigh(state.inverse)
@@ -256,9 +258,8 @@ def _clustered(state: "_State", arm: Array) -> tuple[Array, Array]:
     back = root[:S] @ U / np.sqrt(np.maximum(w, DECISIVE))[:, None] @ np.swapaxes(U, 1, 2) @ root.T  # (K, S, F)
     own = state.G[:, free][:, :, state.held] * state.sigmas
     held = own - state.G[:, free[:, None], free] @ (state.inverse @ own.sum(0))
-    shaken = arm[:, free[free < arm.shape[1]]]
     found = back @ state.residual[:, free, None]
-    moved = np.concatenate([back @ held, back[:, :, : shaken.shape[1]] @ shaken], -1)
+    moved = np.concatenate([back @ held, back @ state.arm[:, free]], -1)
     return _outer(found), state.inverse[:S, :S] + _outer(moved)
 
 
@@ -275,14 +276,14 @@ def _plausible(suspect: Suspect) -> bool:
     return suspect.cause.kind != "pixel convention" or bool(low < abs(suspect.value[0]) < high)
 
 
-def _candidates(model: LinearModel) -> Iterator[_Candidates]:
+def _candidates(model: LinearModel, fewest_moved: int) -> Iterator[_Candidates]:
     """Yield all causes by size; displacements from each collection on."""
     K = len(model.G)
     entries: dict[int, list[tuple[Cause, int | None, slice]]] = {}
     for cause, at in zip(model.causes, model.places, strict=True):
         if not cause.tested:
             continue
-        since = range(SIDE, K - SIDE + 1) if cause.kind == PLACE else [None]
+        since = range(fewest_moved, K - fewest_moved + 1) if cause.kind == PLACE else [None]
         entries.setdefault(cause.size, []).extend((cause, each, at) for each in since)
     for each in entries.values():
         columns = np.array([np.arange(at.start, at.stop) for _, _, at in each])
@@ -314,6 +315,8 @@ class _State:
     """(H,): their assumed standard deviations."""
     alone: Array
     """(C,): information on each column if all others were known, see `LinearModel`."""
+    arm: Array
+    """(K, C, H): gradients by errors of an arm that differ from cluster to cluster."""
 
     @classmethod
     def at_optimum(cls, model: LinearModel) -> "_State":
@@ -324,14 +327,22 @@ class _State:
         counting = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.counts]
         held = np.concatenate([np.arange(0), *(np.arange(at.start, at.stop) for _, at in counting)])
         sigmas = np.concatenate([np.zeros(0), *(np.array(cause.assumed) for cause, _ in counting)])
-        state = cls._solved(G, g, np.arange(model.shared), model.shared, held, sigmas, model.alone)
+        state = cls._solved(G, g, np.arange(model.shared), model.shared, held, sigmas, model.alone, arm_scatter(model))
         for cause, at in zip(model.causes, model.places, strict=True):
             state = state.with_cause(np.arange(at.start, at.stop), None) if cause.free else state
         return state
 
     @classmethod
     def _solved(
-        cls, G: Array, g: Array, free: IntArray, shared: int, held: IntArray, sigmas: Array, alone: Array
+        cls,
+        G: Array,
+        g: Array,
+        free: IntArray,
+        shared: int,
+        held: IntArray,
+        sigmas: Array,
+        alone: Array,
+        arm: Array,
     ) -> "_State":
         inverse = _inverse(G.sum(0)[np.ix_(free, free)], alone[free])
         z = -inverse @ g.sum(0)[free]
@@ -340,7 +351,7 @@ class _State:
             "kji,kj->ki", whitening := _whitening(G[:, :shared, :shared], alone[:shared]), residual[:, :shared]
         )
         disagreement, rank = float((white**2).sum()), float(np.any(whitening, 1).sum())
-        return cls(G, free, inverse, residual, disagreement, rank - len(free), shared, held, sigmas, alone)
+        return cls(G, free, inverse, residual, disagreement, rank - len(free), shared, held, sigmas, alone, arm)
 
     def with_cause(self, own: IntArray, since: int | None) -> "_State":
         """Return the state with one more cause free, by its columns."""
@@ -354,9 +365,10 @@ class _State:
         G[:, C:, C:] = mask * self.G[:, own[:, None], own]
         g = np.concatenate([self.residual, mask[..., 0] * self.residual[:, own]], -1)
         alone = np.append(self.alone, self.alone[own])
+        arm = np.concatenate([self.arm, mask * self.arm[:, own]], 1)
         kept = ~np.isin(self.held, own)
         free = np.append(self.free, np.arange(C, C + k))
-        return self._solved(G, g, free, self.shared, self.held[kept], self.sigmas[kept], alone)
+        return self._solved(G, g, free, self.shared, self.held[kept], self.sigmas[kept], alone, arm)
 
 
 def _inverse(information: Array, alone: Array) -> Array:
@@ -474,10 +486,18 @@ def _score(state: _State, cause: Cause, step: _Step, noise: float, score: float)
     own, free, d, moves = step.own, state.free, step.value, step.moves
     mixed = step.mask[:, None, None] * state.G[:, :, own]  # (K, C, k)
     left = state.residual + state.G[:, :, free] @ moves + mixed @ d
-    spread = (step.mask[:, None] * left[:, own] - left[:, free] @ step.W) @ step.basis
-    clustered = spread.T @ spread * (K / (K - 1))
-    hotelling = _mahalanobis(step.white, clustered) * (K - r) / (r * (K - 1))
-    covariance = _larger(noise * np.eye(r), clustered)
+    covariance = noise * np.eye(r)
+    by_clusters = [score]
+    if cause.kind == PLACE and min(step.mask.sum(), K - step.mask.sum()) < SIDE:
+        shaken = (step.mask[:, None, None] * state.arm[:, own] - step.W.T @ state.arm[:, free]).swapaxes(1, 2)
+        shaken = (shaken @ step.basis).reshape(-1, r)
+        covariance = covariance + shaken.T @ shaken
+    else:
+        spread = (step.mask[:, None] * left[:, own] - left[:, free] @ step.W) @ step.basis
+        clustered = spread.T @ spread * (K / (K - 1))
+        hotelling = _mahalanobis(step.white, clustered) * (K - r) / (r * (K - 1))
+        by_clusters.append(float(score_of_f(hotelling, r, K - r)))
+        covariance = _larger(covariance, clustered)
     total = state.G[:, :, state.held].sum(0)
     masked = np.einsum("k,kih->ih", step.mask, state.G[:, own][:, :, state.held])
     held = (masked - step.W.T @ total[free]) * state.sigmas  # by one standard deviation
@@ -485,7 +505,7 @@ def _score(state: _State, cause: Cause, step: _Step, noise: float, score: float)
         held = np.concatenate([held, step.information * np.array(cause.assumed)], -1)
     known = step.basis.T @ held
     beyond = _mahalanobis(step.white, covariance + known @ known.T) / r
-    return min(score, float(score_of_f(hotelling, r, K - r)), float(score_of_f(beyond, r, EXACTLY))), covariance
+    return min(*by_clusters, float(score_of_f(beyond, r, EXACTLY))), covariance
 
 
 def _mahalanobis(x: Array, C: Array) -> float:
