@@ -51,7 +51,7 @@ def _as_it_is(
             *wrong_views(calibration),
             *_said_by_the_engine(calibration),
         )
-    far, rejected = far_from_description(calibration, description, options), rejected_labels(calibration)
+    far, rejected = far_from_description(calibration, description, options), rejected_labels(calibration, limits)
     explained = any(each.kind != FAR_AWAY for each in far)  # a single cause is reported instead of its consequences
     suspected = what_does_not_fit(calibration, limits)
     return (

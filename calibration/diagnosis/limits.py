@@ -107,10 +107,7 @@ def allowed(calibration: Calibration, limits: Limits, name: str) -> Allowed:
         mm, degrees = (float("inf") if limit is None else limit for limit in given)
         return Allowed(mm, degrees, True)
     joint, dataset = calibration.joints.get(name), calibration.dataset
-    block = calibration.solution.setup.block(dataset.joints[name].edge if joint else dataset.sensors[name].edge)
-    sigma = (0.0, 0.0)
-    if calibration.error_bars and (C := calibration.solution.nominal.get(block)) is not None:
-        sigma = sizes(np.sqrt(np.diagonal(C)), joint.units if joint else TWIST)
+    sigma = of_a_good_robot(calibration, name)
     far = 1.0 if joint else max(1.0, _distance(calibration, name))
     poses = not joint and dataset.sensors[name].modality.has_poses
     most = (
@@ -124,11 +121,32 @@ def allowed(calibration: Calibration, limits: Limits, name: str) -> Allowed:
     return Allowed(mm, degrees, False)
 
 
+def of_a_good_robot(calibration: Calibration, name: str) -> tuple[float, float]:
+    """Return the standard deviations that a good robot would have with these views, mm and degrees; 0 if unknown.
+
+    Args:
+        calibration: a calibration that has converged.
+        name: a calibrated sensor or joint.
+    """
+    joint, dataset = calibration.joints.get(name), calibration.dataset
+    block = calibration.solution.setup.block(dataset.joints[name].edge if joint else dataset.sensors[name].edge)
+    if calibration.error_bars is None or (C := calibration.solution.nominal.get(block)) is None:
+        return 0.0, 0.0
+    return sizes(np.sqrt(np.diagonal(C)), joint.units if joint else TWIST)
+
+
 def _distance(calibration: Calibration, sensor: str) -> float:
     """Return the median distance of a sensor from what it sees, m; 0 if it sees nothing."""
     problem, values = calibration.solution.setup.problem, calibration.solution.values
     seen = [problem.poses(group, values)[:, :3, 3] for group in problem.groups if group.sensor == sensor]
     return float(np.median(np.linalg.norm(np.concatenate(seen), axis=-1))) if seen else 0.0
+
+
+def limit_in_labels(calibration: Calibration, limits: Limits, sensor: str) -> float:
+    """Return how far a sensor's labels are off if it is displaced sideways by its limit, m, or px of a camera."""
+    limit = 1e-3 * allowed(calibration, limits, sensor).translation_mm
+    camera = calibration.dataset.sensors[sensor].camera
+    return limit * camera.fx / max(_distance(calibration, sensor), 1e-3) if camera else limit
 
 
 def limits_of(calibration: Calibration, limits: Limits, name: str) -> tuple[float | None, float | None]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration.diagnosis.finding import CONTRADICTION, SUSPECT, Finding, Severity
-from calibration.diagnosis.limits import TWIST, Limits, allowed, limits_of, sizes, stated
+from calibration.diagnosis.limits import TWIST, UNSET, Limits, allowed, limits_of, of_a_good_robot, sizes, stated
 from calibration.estimation.held import CAMERA_INFO
 from calibration.estimation.result import Calibration
 from calibration.geometry.types import Array
@@ -17,6 +17,10 @@ KIND = "precision"
 NAMES = ("mm", "deg")
 ADD = "add collections with other rotations of the pattern or the robot"
 MEND = "mend first what does not fit"
+DISAGREE = (
+    "its collections contradict each other more than those of any good robot: look at time stamps, labels, lens and "
+    "arm, and at what moved or gave way"
+)
 MARGIN = 1.1
 """Number of collections that is advised, over the one that their noise asks for."""
 MANY = 200
@@ -30,8 +34,8 @@ ENOUGH_ROOM = 0.75
 def precision(calibration: Calibration, limits: Limits, suspected: Sequence[Finding] = ()) -> tuple[Finding, ...]:
     """Report limits that do not hold with the guard band of the reported standard deviation.
 
-    They are undecided where nothing is wrong with the data, which only tell too little; else a failure. Nothing is said
-    where a failure is reported already.
+    They are undecided; a failure where no limit is set and the standard deviation is beyond that of any good robot with
+    these views. Nothing is said where a failure is reported already.
 
     Args:
         calibration: a calibration that has converged.
@@ -49,14 +53,15 @@ def precision(calibration: Calibration, limits: Limits, suspected: Sequence[Find
         wanted = most[unit] / limits.guard if limits.guard else np.inf
         if sigmas[unit] <= wanted:
             continue
-        remedy = MEND if wrong else _remedy(calibration, name, unit, wanted)
+        bad = not limit.set and sigmas[unit] > max(most[unit], UNSET * of_a_good_robot(calibration, name)[unit])
+        remedy = MEND if wrong else DISAGREE if bad else _remedy(calibration, name, unit, wanted)
         text = (
             f"'{name}' is not determined well enough: {sigmas[unit]:.2g} {NAMES[unit]} (standard deviation, in all), "
             f"limit {most[unit]:.3g} {NAMES[unit]}{'' if limit.set else ', as none is set,'} with a guard band of "
             f"{limits.guard:g} standard deviations, so that it can show {limits.guard * sigmas[unit]:.2g} "
             f"{NAMES[unit]}; {remedy}"
         )
-        severity: Severity = "red" if wrong else "undecided"
+        severity: Severity = "red" if bad else "undecided"
         findings.append(Finding(KIND, severity, text, (name,), value=sigmas[unit], unit=NAMES[unit]))
     return tuple(findings)
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from calibration.dataset.modalities import NoiseKind
 from calibration.diagnosis.finding import Finding, Severity
+from calibration.diagnosis.limits import Limits, limit_in_labels
 from calibration.estimation.result import Calibration
 
 WARNING, RED = 0.01, 0.05
@@ -14,7 +15,9 @@ WARNING, RED = 0.01, 0.05
 VIEW = 0.2
 """Share of the labels of one view."""
 VIEW_AT_AN_END = 0.5
-"""The same of the first or the last view of a sensor, of any size: it may have moved since, or before."""
+"""The same of the first or the last view of a sensor: it may have moved since, or before,"""
+SEEN_OF_A_MOVE = 0.25
+"""if the labels are off by this part of the limit: along a camera's axis they tell less of a move."""
 FEW = 3
 """Minimum of rejected labels in a suspicious view: one of four corners is not significant."""
 GROSS_PIXELS, GROSS_METRES = 2.5, 0.1
@@ -25,7 +28,7 @@ NAMED = 5
 """Number of collections that a message names."""
 
 
-def rejected_labels(calibration: Calibration) -> tuple[Finding, ...]:
+def rejected_labels(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
     """Report the labels that do not fit, in total and in single views.
 
     A label is rejected if Huber's loss gives it less than half its weight, beyond five standard deviations: for
@@ -58,27 +61,28 @@ def rejected_labels(calibration: Calibration) -> tuple[Finding, ...]:
     text = f"{len(rejected)} of {total} labels rejected as outliers, in collections {_listed(collections)}"
     note = Finding("rejected-labels", "note", text, (), collections, len(rejected) / total, unit="1")
     views = _views(calibration, Counter((g.collection, g.sensor, g.pattern, g.kind) for g in gross))
-    return (*_at_the_ends(calibration), *views, note)
+    return (*_at_the_ends(calibration, limits), *views, note)
 
 
-def _at_the_ends(calibration: Calibration) -> tuple[Finding, ...]:
+def _at_the_ends(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
     """Return a failure for each sensor whose first or last view does not fit as a whole: it may have moved."""
     rejected = Counter((each.collection, each.sensor, each.pattern, each.kind) for each in calibration.rejected)
     found: dict[str, tuple[str, float]] = {}
     for view in calibration.residuals:
+        least = SEEN_OF_A_MOVE * limit_in_labels(calibration, limits, view.sensor)
         counts = np.isfinite(view.magnitudes).sum(-1)
         for i in (0, -1):
             key = view.collections[i]
             out = rejected.get((key, view.sensor, view.pattern, view.kind), 0)
-            if out >= FEW and out > VIEW_AT_AN_END * counts[i]:
+            if out >= FEW and out > VIEW_AT_AN_END * counts[i] and np.nanmedian(view.magnitudes[i]) > least:
                 found[view.sensor] = key, out / counts[i]
     return tuple(
         Finding(
             "rejected-view",
             "red",
-            f"{100 * share:.0f} % of what '{sensor}' sees in collection {key}, at an end of the recording, does not fit "
-            f"the result: something has moved between this view and the others, or image and pose are of different "
-            f"moments; record it again",
+            f"{100 * share:.0f} % of what '{sensor}' sees in collection {key}, at an end of the recording, does not "
+            f"fit the result: something has moved between this view and the others, or image and pose are of "
+            f"different moments; record it again",
             (sensor,),
             (key,),
             float(share),

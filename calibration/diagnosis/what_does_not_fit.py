@@ -9,7 +9,8 @@ from calibration.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
 from calibration.diagnosis.projection import projection_limit, shifts
 from calibration.estimation.held import PLACE, Cause
 from calibration.estimation.result import Calibration
-from calibration.estimation.suspects import CONTRADICTING, LENS, SIDE, Disagreement, Suspect, explain
+from calibration.estimation.significance import score_of_f, threshold
+from calibration.estimation.suspects import CONTRADICTING, EXACTLY, LENS, SIDE, Disagreement, Suspect, explain
 from calibration.geometry.transforms import adjoint
 from calibration.geometry.types import Array
 
@@ -269,7 +270,8 @@ def _keys(calibration: Calibration, since: int) -> tuple[str, ...]:
 def _contradictions(calibration: Calibration, limits: Limits, found: Disagreement) -> list[Finding]:
     """Report sensors whose views contradict each other by more than noise and all that is assumed explain.
 
-    Each is tested by itself, so that good ones do not hide a bad one: red if its error bar reaches over the limit.
+    Each is tested by itself, so that good ones do not hide a bad one: red if its standard deviation exceeds the limit.
+    Where only the guard band reaches over it, that is undecided (`calibration.diagnosis.precision`).
     """
     if calibration.of_cameras_alone:
         return _contradiction_of_cameras(calibration, found)
@@ -279,16 +281,17 @@ def _contradictions(calibration: Calibration, limits: Limits, found: Disagreemen
     beyond = {name: found.beyond(at[block]) for name, edge in edges.items() if (block := setup.block(edge)) in at}
     findings = []
     for name, ratio in sorted(beyond.items(), key=lambda each: -each[1]):
-        if ratio <= CONTRADICTING:
+        freedom = found.freedom(at[setup.block(edges[name])])
+        if ratio <= CONTRADICTING or score_of_f(ratio, freedom, EXACTLY) <= threshold(len(beyond)):
             continue
         subject, key = _worst(calibration, found, (name, *calibration.dataset.patterns))
         mm, degrees = stated(calibration)[name]
         limit = allowed(calibration, limits, name)
-        harmful = limit.exceeded(limits.guard * mm, limits.guard * degrees)
+        harmful = limit.exceeded(mm, degrees)
         text = (
             f"the views of {name} contradict each other: they scatter {ratio**0.5:.2g} times as far as noise and all "
             f"that is assumed explain, most {subject} in collection {key}, and leave it uncertain by "
-            f"{_distance(mm, degrees)} (limit {limit}, with a guard band of {limits.guard:g}); no fixed parameter "
+            f"{_distance(mm, degrees)} (limit {limit}); no fixed parameter "
             f"explains it: time stamps, or something that moved or gave way"
         )
         findings.append(Finding(CONTRADICTION, "red" if harmful else "note", text, (name,), (key,), value=ratio))

@@ -111,6 +111,10 @@ class Disagreement:
     """(S, S): that by the disagreement of clusters,"""
     assumed: Array
     """(S, S): and what is expected of it, by that noise and the assumed errors."""
+    held: Array
+    """(K, S, H): changes of each cluster's optimum by one assumed error of each fixed parameter, common to all,"""
+    shaken: Array
+    """(K, S, A): and by an arm's errors, of each cluster alone."""
 
     @property
     def contradicts(self) -> bool:
@@ -121,6 +125,19 @@ class Disagreement:
         """Return the variance of some parameters by the disagreement of clusters, over its expected value."""
         own = np.linalg.inv(self.labels[at, at])
         return float(np.sum(own * self.found[at, at]) / np.sum(own * self.assumed[at, at]))
+
+    def freedom(self, at: slice) -> float:
+        """Return the degrees of freedom of that variance: few where few fixed parameters make most of it.
+
+        By F. E. Satterthwaite, "An approximate distribution of estimates of variance components", 1946.
+        """
+        root = np.linalg.inv(np.linalg.cholesky(self.labels[at, at]))
+        K, k = len(self.held), len(root)
+        common = (root @ self.held[:, at]).reshape(K * k, -1)
+        each = root @ self.shaken[:, at]
+        common, each = common.T @ common, np.swapaxes(each, 1, 2) @ each
+        expected = np.trace(common) + np.einsum("kaa->", each) + k
+        return float(expected**2 / ((common**2).sum() + (each**2).sum() + k / K))
 
 
 @frozen(eq=False)
@@ -230,7 +247,7 @@ def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
         (state.residual[:, None, at] @ _whitening(state.G[:, at, at], state.alone[at]))[:, 0] for _, at in places
     ]  # (K, k) each, by its sensor or pattern
     allowed = freedom + expected
-    found, assumed_covariance = _clustered(state)
+    found, held, shaken = _clustered(state)
     return Disagreement(
         ratio=state.disagreement / freedom,
         expected=allowed / freedom,
@@ -238,12 +255,14 @@ def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
         sizes={cause.subject: (own**2).sum(-1) for (cause, _), own in zip(places, displacements, strict=True)},
         labels=state.inverse[:S, :S],
         found=found,
-        assumed=assumed_covariance,
+        assumed=state.inverse[:S, :S] + _outer(held) + _outer(shaken),
+        held=held,
+        shaken=shaken,
     )
 
 
-def _clustered(state: "_State") -> tuple[Array, Array]:
-    """Return the covariance (S, S) of the calibrated parameters with collections as clusters, and what is expected.
+def _clustered(state: "_State") -> tuple[Array, Array, Array]:
+    """Return the covariance (S, S) of the calibrated parameters with collections as clusters, and its expected parts.
 
     As in `calibration.estimation.error_bars`, of the residuals that are left once causes have been set free. An error
     of a fixed parameter changes the gradient of each cluster, and the optimum of all of them.
@@ -259,8 +278,7 @@ def _clustered(state: "_State") -> tuple[Array, Array]:
     own = state.G[:, free][:, :, state.held] * state.sigmas
     held = own - state.G[:, free[:, None], free] @ (state.inverse @ own.sum(0))
     found = back @ state.residual[:, free, None]
-    moved = np.concatenate([back @ held, back @ state.arm[:, free]], -1)
-    return _outer(found), state.inverse[:S, :S] + _outer(moved)
+    return _outer(found), back @ held, back @ state.arm[:, free]
 
 
 def _outer(columns: Array) -> Array:

@@ -8,6 +8,7 @@ import pytest
 
 from calibration.dataset.model import CornerLabels, Dataset
 from calibration.dataset.reading import read_dataset
+from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.estimation.calibrate import calibrate
 from tests.estimation.scenes import Labels, relabelled
@@ -33,7 +34,7 @@ def with_wrong(dataset: Dataset, share: float, size: float, view: int | None = N
 )
 def test_by_their_share_and_size(share: float, size: float, severity: str | None) -> None:
     dataset = with_wrong(stereo(8, pixel_noise=0.2).dataset(), share, size)
-    found = rejected_labels(calibrate(dataset))
+    found = rejected_labels(calibrate(dataset), Limits())
     assert [each.severity for each in found] == ([severity] if severity else [])
     if severity in ("warning", "red"):
         assert found[0].sensors == ("left",)
@@ -42,7 +43,7 @@ def test_by_their_share_and_size(share: float, size: float, severity: str | None
 
 
 def test_one_view_is_named() -> None:
-    found = rejected_labels(calibrate(with_wrong(stereo(40, pixel_noise=0.2).dataset(), 0.3, 20.0, view=7)))
+    found = rejected_labels(calibrate(with_wrong(stereo(40, pixel_noise=0.2).dataset(), 0.3, 20.0, view=7)), Limits())
     assert [(each.kind, each.severity, each.collections) for each in found] == [
         ("rejected-view", "warning", ("007",)),
         ("rejected-labels", "note", ("007",)),
@@ -50,5 +51,5 @@ def test_one_view_is_named() -> None:
 
 
 def test_real_images_have_tails(shared_data: Path) -> None:
-    [note] = rejected_labels(calibrate(read_dataset(shared_data / "t2rgb-paper")))
+    [note] = rejected_labels(calibrate(read_dataset(shared_data / "t2rgb-paper")), Limits())
     assert note.severity == "note"
