@@ -11,6 +11,7 @@ from calibration.dataset.reading import read_dataset
 from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.rejected_labels import rejected_labels
 from calibration.estimation.calibrate import calibrate
+from calibration.estimation.result import RejectedLabel
 from tests.estimation.scenes import Labels, relabelled
 from tests.estimation.systems import stereo
 
@@ -52,4 +53,17 @@ def test_one_view_is_named() -> None:
 
 def test_real_images_have_tails(shared_data: Path) -> None:
     [note] = rejected_labels(calibrate(read_dataset(shared_data / "t2rgb-paper")), Limits())
+    assert note.severity == "note"
+
+
+@pytest.mark.parametrize(("view", "severities"), [(0, ["red", "note"]), (39, ["red", "note"]), (20, ["note"])])
+def test_a_view_at_an_end_that_does_not_fit_has_moved(view: int, severities: list[str]) -> None:
+    calibration = calibrate(stereo(40, pixel_noise=0.1).dataset())
+    key, count = f"{view:03}", len(calibration.dataset.patterns["board"].corners)
+    rejected = tuple(RejectedLabel(key, "left", "board", "pixel", i, 0.9) for i in range(count * 2 // 3))
+    calibration = replace(calibration, rejected=rejected)
+    found = rejected_labels(calibration, Limits(translation_mm=0.1))
+    assert [each.severity for each in found] == severities
+    assert all(f"collection {key}, at an end" in each.text for each in found if each.severity == "red")
+    [note] = rejected_labels(calibration, Limits(translation_mm=100.0))  # the labels are off by far less than that
     assert note.severity == "note"

@@ -12,7 +12,8 @@ from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.suspects import Suspect, explain
+from calibration.estimation.held import PLACE
+from calibration.estimation.suspects import Disagreement, Suspect, explain
 from calibration.geometry.transforms import retract
 from calibration.geometry.types import Array
 from tests.estimation import systems
@@ -219,3 +220,23 @@ def test_a_lens_that_its_model_cannot_draw_is_named() -> None:
     assert explanation is not None
     suspect = explanation.suspects[0]
     assert (suspect.cause.kind, suspect.cause.subject) == ("lens model", name)
+
+
+@pytest.mark.parametrize("first", [1, 2, 22, 23])
+def test_a_move_at_an_end_is_found_though_few_views_tell(first: int) -> None:
+    """By less than what makes a view wrong by itself: 1 px."""
+    suspect, *_ = found(knocked(first, (0.001, 0, 0, 0, 0, 0)))
+    assert suspect.cause.kind == PLACE
+    assert suspect.since in range(first - 1, first + 2)
+
+
+def test_freedom_is_that_of_the_few_errors_that_contribute() -> None:
+    few, many = (
+        Disagreement(1.0, 1.0, 0.0, {}, np.eye(6), np.eye(6), np.eye(6), 100 * common, 100 * each).freedom(slice(0, 6))
+        for common, each in (
+            (np.ones((20, 6, 1)), np.zeros((20, 6, 0))),
+            (np.zeros((20, 6, 1)), np.broadcast_to(np.eye(6), (20, 6, 6))),
+        )
+    )
+    assert few == pytest.approx(1, abs=0.01)
+    assert many == pytest.approx(120, rel=0.01)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from calibration.diagnosis.finding import Severity
+from calibration.diagnosis.limits import Limits
 from calibration.diagnosis.wrong_views import wrong_views
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.result import Calibration, DroppedView
@@ -39,3 +40,18 @@ def test_two_sensors_contradict_each_other(clean: Calibration) -> None:
 
 def test_nothing_dropped(clean: Calibration) -> None:
     assert not wrong_views(clean)
+
+
+@pytest.mark.parametrize("key", ["000", "029"])
+def test_at_an_end_of_the_recording_it_has_moved(clean: Calibration, key: str) -> None:
+    dropped = with_dropped(clean, ["left"], [key])
+    [found] = wrong_views(dropped, Limits())
+    assert (found.severity, found.collections) == ("red", (key,))
+    assert "has it moved between them and the others" in found.text
+    [within] = wrong_views(dropped, Limits(translation_mm=200.0))
+    assert within.severity == "warning"
+
+
+def test_in_the_middle_few_are_a_warning(clean: Calibration) -> None:
+    [found] = wrong_views(with_dropped(clean, ["left"], ["011"]), Limits())
+    assert found.severity == "warning"
