@@ -51,7 +51,16 @@ UNFORESEEN = (
         "k1",
         (*LENS, "k1", "p1", "order", "coefficient"),
     ),
-    Kind("zoom", "camera", "zoom while recording", cameras.zoom, SHARE, "share", ("focal", "zoom", *MOVED_WORDS)),
+    Kind(
+        "zoom",
+        "camera",
+        "zoom while recording",
+        cameras.zoom,
+        SHARE,
+        "share",
+        ("focal", "zoom", *MOVED_WORDS),
+        spoils=True,
+    ),
     Kind(
         "principal drift",
         "time",
@@ -79,6 +88,7 @@ UNFORESEEN = (
         "times",
         ("resolution", "scale", "focal", *VIEWS),
         wanted=(0.9, 0.5),
+        spoils=True,
     ),
     Kind(
         "windscreen",
@@ -135,6 +145,7 @@ UNFORESEEN = (
         SHARE,
         "share",
         ("size", "square", "print", *MOVED_WORDS),
+        spoils=True,
     ),
     Kind(
         "ring angles",
@@ -250,6 +261,7 @@ UNFORESEEN = (
         "share",
         (*LINK, *VIEWS, "stuck"),
         ARMS,
+        spoils=True,
     ),
     Kind(
         "trembling hand",
