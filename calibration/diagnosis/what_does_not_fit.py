@@ -58,6 +58,9 @@ ADVICE: Mapping[str, str] = {
     "lag": "look at time stamps; stop the robot for each collection",
     PLACE: "something was knocked; collect anew, or calibrate the collections before and after apart",
 }
+AT_STANDSTILL = "take all images of a collection at one moment, board and robot standing still"
+NAMED = 4
+"""Number of contradicting collections that are named, each at least half as bad as the worst one."""
 _UNITS = {"1": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "px": (1.0, "px")}
 
 
@@ -284,25 +287,31 @@ def _contradictions(calibration: Calibration, limits: Limits, found: Disagreemen
         freedom = found.freedom(at[setup.block(edges[name])])
         if ratio <= CONTRADICTING or score_of_f(ratio, freedom, EXACTLY) <= threshold(len(beyond)):
             continue
-        subject, key = _worst(calibration, found, (name, *calibration.dataset.patterns))
+        subject, keys = _worst(calibration, found, (name, *calibration.dataset.patterns))
         mm, degrees = stated(calibration)[name]
         limit = allowed(calibration, limits, name)
         harmful = limit.exceeded(mm, degrees)
         text = (
             f"the views of {name} contradict each other: they scatter {ratio**0.5:.2g} times as far as noise and all "
-            f"that is assumed explain, most {subject} in collection {key}, and leave it uncertain by "
+            f"that is assumed explain, most {subject} in {_collections(keys)}, and leave it uncertain by "
             f"{_distance(mm, degrees)} (limit {limit}); no fixed parameter "
-            f"explains it: time stamps, or something that moved or gave way"
+            f"explains it: time stamps, or something that moved or gave way{f': {AT_STANDSTILL}' if harmful else ''}"
         )
-        findings.append(Finding(CONTRADICTION, "red" if harmful else "note", text, (name,), (key,), value=ratio))
+        findings.append(Finding(CONTRADICTION, "red" if harmful else "note", text, (name,), keys, value=ratio))
     return findings
 
 
-def _worst(calibration: Calibration, found: Disagreement, names: Sequence[str]) -> tuple[str, str]:
-    """Return the sensor or pattern of these and the collection that disagree most."""
+def _worst(calibration: Calibration, found: Disagreement, names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    """Return the sensor or pattern of these that disagrees most, and its worst collections, at most `NAMED`."""
     of = {name: found.sizes[name] for name in names if name in found.sizes}
     subject = max(of, key=lambda name: of[name].max())
-    return subject, _keys(calibration, int(of[subject].argmax()))[0]
+    sizes = of[subject]
+    worst = [i for i in np.argsort(-sizes)[:NAMED].tolist() if sizes[i] > sizes.max() / 2]
+    return subject, tuple(_keys(calibration, i)[0] for i in worst)
+
+
+def _collections(keys: Sequence[str]) -> str:
+    return f"collection{'s' * (len(keys) > 1)} {', '.join(keys)}"
 
 
 def _contradiction_of_cameras(calibration: Calibration, found: Disagreement) -> list[Finding]:
@@ -310,13 +319,13 @@ def _contradiction_of_cameras(calibration: Calibration, found: Disagreement) -> 
     level = calibration.noise_levels.pixel
     if not found.contradicts or not level:
         return []
-    subject, key = _worst(calibration, found, tuple(found.sizes))
+    subject, keys = _worst(calibration, found, tuple(found.sizes))
     text = (
         f"the views contradict each other by {found.excess * level:.2g} px where {level:.2g} px is the noise, most "
-        f"{subject} in collection {key}, and no fixed parameter explains it: a board that bends, motion in the images, "
+        f"{subject} in {_collections(keys)}, and no fixed parameter explains it: a board that bends, motion in the images, "
         f"or a lens with more than its model"
     )
-    return [Finding(CONTRADICTION, "note", text, (subject,), (key,), value=found.ratio)]
+    return [Finding(CONTRADICTION, "note", text, (subject,), keys, value=found.ratio)]
 
 
 def _nothing(calibration: Calibration) -> Finding:

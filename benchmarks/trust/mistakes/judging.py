@@ -12,6 +12,10 @@ from calibration.__main__ import main
 from calibration.temporary_folder import temporary_folder
 
 
+FAILS = ": fails: "
+"""What ``init`` says before each reason for which a recording does not pass."""
+
+
 @dataclass(frozen=True)
 class Told:
     """Verdict and first reason."""
@@ -32,7 +36,8 @@ def told(document: Document) -> Told:
         try:
             code, said = _said("init", "--dataset", "data/robot")
             if not Path("calibration.yml").is_file():
-                return Told(f"red ({code})", said.strip().splitlines()[-1])
+                lines = said.strip().splitlines()
+                return Told(f"red ({code})", next((each for each in lines if FAILS in each), lines[0]))
             after, _ = _said("run")
             results = json.loads(Path("output/results.json").read_text())
             reasons = [reason for cell in results["cells"] for reason in cell["reasons"]]
