@@ -78,8 +78,20 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
         return (Finding(UNTESTED, "note", text),)
     findings = [_finding(calibration, limits, suspect) for suspect in explanation.suspects]
     findings += _together(calibration, limits, explanation.suspects, findings)
+    findings.sort(key=lambda each: _limits_moved(calibration, limits, each), reverse=True)
     findings += _contradictions(calibration, limits, explanation.disagreement)
     return tuple(findings) or (_nothing(calibration),)
+
+
+def _limits_moved(calibration: Calibration, limits: Limits, finding: Finding) -> float:
+    """Return by how many of its limits a failure moves a sensor; 0 of all else, which stays in its order."""
+    if finding.severity != "red" or finding.moves_mm is None or finding.moves_deg is None:
+        return 0.0
+    each = [allowed(calibration, limits, name) for name in finding.sensors]
+    least = 1e-9  # a limit may be zero
+    mm = (finding.moves_mm / max(one.translation_mm, least) for one in each)
+    degrees = (finding.moves_deg / max(one.rotation_deg, least) for one in each)
+    return max(*mm, *degrees, 0.0, 0.0)
 
 
 def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
@@ -306,7 +318,7 @@ def _worst(calibration: Calibration, found: Disagreement, names: Sequence[str]) 
     of = {name: found.sizes[name] for name in names if name in found.sizes}
     subject = max(of, key=lambda name: of[name].max())
     sizes = of[subject]
-    worst = [i for i in np.argsort(-sizes)[:NAMED].tolist() if sizes[i] > sizes.max() / 2]
+    worst = [i for i in np.argsort(-sizes)[:NAMED].tolist() if sizes[i] >= sizes.max() / 2]
     return subject, tuple(_keys(calibration, i)[0] for i in worst)
 
 
@@ -322,8 +334,8 @@ def _contradiction_of_cameras(calibration: Calibration, found: Disagreement) -> 
     subject, keys = _worst(calibration, found, tuple(found.sizes))
     text = (
         f"the views contradict each other by {found.excess * level:.2g} px where {level:.2g} px is the noise, most "
-        f"{subject} in {_collections(keys)}, and no fixed parameter explains it: a board that bends, motion in the images, "
-        f"or a lens with more than its model"
+        f"{subject} in {_collections(keys)}, and no fixed parameter explains it: a board that bends, motion in the "
+        f"images, or a lens with more than its model"
     )
     return [Finding(CONTRADICTION, "note", text, (subject,), keys, value=found.ratio)]
 

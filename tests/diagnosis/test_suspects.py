@@ -58,6 +58,22 @@ def test_nothing_is_suspicious_of_a_good_robot(make: Callable[[int], Dataset], a
         assert "hangs most on the" in finding.text
 
 
+def test_the_cause_that_moves_a_sensor_by_most_of_its_limits_is_said_first() -> None:
+    def distorted(values: Array) -> None:
+        values[4] += 0.08
+
+    def longer(values: Array) -> None:
+        values[:2] *= 1.01
+
+    left, right = list((dataset := stereo()).sensors)
+    wrong = with_intrinsics(with_intrinsics(dataset, left, distorted), right, longer)
+    limits = Limits(translation_mm=0.05, rotation_deg=0.005)
+    red = [each for each in findings(wrong, limits) if each.kind == "suspect" and each.severity == "red"]
+    harm = [max((each.moves_mm or 0) / 0.05, (each.moves_deg or 0) / 0.005) for each in red]
+    assert len(red) > 1
+    assert harm == sorted(harm, reverse=True)
+
+
 def test_a_focal_length_is_named_with_its_size_and_what_it_moves() -> None:
     def longer(values: Array) -> None:
         values[:2] *= 1.01

@@ -11,7 +11,6 @@ from benchmarks.trust.mistakes.recordings import Document
 from calibration.__main__ import main
 from calibration.temporary_folder import temporary_folder
 
-
 FAILS = ": fails: "
 """What ``init`` says before each reason for which a recording does not pass."""
 
