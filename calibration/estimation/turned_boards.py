@@ -19,7 +19,8 @@ MAX_MEDIAN_DISAGREEMENT, MAX_DISAGREEMENT = 0.1, 0.25
 """Limits of the differences of two rotations' traces (`agreeing_rotations`), each the median over the other views: of
 the median of all views, and of each view that is turned."""
 MIN_GAIN = 0.25
-"""By how much the difference of a turned view is less than it was."""
+"""By how much the difference of the turned views is less than it was, on average: where many are turned, the median of
+some is small even so."""
 LEAST_CORNERS = 6
 """Number of corners below which a view's rotation is not known."""
 HALF_A_TURN = np.diag([-1.0, -1.0, 1.0])
@@ -117,7 +118,7 @@ def _agree_only_turned(branches: Array, known: Array, is_turned: BoolArray) -> b
         is_turned.any()
         and np.median(off) < MAX_MEDIAN_DISAGREEMENT
         and off[is_turned].max() < MAX_DISAGREEMENT
-        and gain[is_turned].min() > MIN_GAIN
+        and gain[is_turned].mean() > MIN_GAIN
     )
 
 
