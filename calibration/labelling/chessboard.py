@@ -1,5 +1,8 @@
 """Detection of chessboards: OpenCV finds all corners or none; bad corners are removed afterwards.
 
+OpenCV has two detectors. The newer one finds none with false positives, and the older one finds most of what the newer
+one misses, but also parts of larger boards: what it finds is compared with the print, inside and around.
+
 A chessboard has no marker for its origin, so corner 0 is chosen by a rule. Candidates are the numberings of the
 corners as a grid seen from the front (x along a row, y down a column, never mirrored) with a black square beyond
 corner 0, at the corner of the board. Among several, the most upright one is chosen: x closest to the right of the
@@ -21,7 +24,7 @@ from calibration.errors import InputError
 from calibration.geometry.types import Array
 from calibration.labelling.board_image import fits_neighbours, predict
 from calibration.labelling.detection import Image, NotDetected, grey
-from calibration.labelling.printed_corners import refine
+from calibration.labelling.printed_corners import PrintedPatches, refine
 
 DECIMALS = 4
 """Decimals of the corners' pixels."""
@@ -33,6 +36,12 @@ LEAST_CORNERS = 3
 """Minimum along each side of a board, required by OpenCV."""
 LARGE = 800
 """Longer side (px) from which on an image is first searched at half its size."""
+LIKENESS = 0.75
+"""Minimum correlation of the image around a corner with the print; at the border of a board it is below 0.6."""
+TEXELS = 32
+"""Texels of the drawn board per side of a square."""
+OLDER_DETECTOR = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+"""Flags of OpenCV's older detector; the last ends the search of an image without black squares."""
 MARGIN = 4
 """Minimum of an image's pixels per square of a board in it."""
 
@@ -54,6 +63,11 @@ class ChessboardDetector:
         self._columns, self._rows = pattern.dimension
         row, column = np.divmod(np.arange(self._columns * self._rows), self._columns)
         self._places = np.stack([column, row], -1).astype(float)
+        y, x = np.mgrid[: self._rows + 2, : self._columns + 2]
+        self._with_ring = np.stack([x.ravel(), y.ravel()], -1) - 1.0
+        squares = np.indices((self._rows + 3, self._columns + 3)).sum(axis=0) % 2 * 255
+        drawing = np.repeat(np.repeat(squares.astype(np.uint8), TEXELS, axis=0), TEXELS, axis=1)
+        self._patches = PrintedPatches(drawing, TEXELS, self._with_ring + 2)
 
     def detect(self, image: Image) -> CornerLabels | NotDetected:
         """Detect corners in an 8-bit image (H, W) or (H, W, 3), BGR; pixel (0, 0) is a centre.
@@ -65,7 +79,7 @@ class ChessboardDetector:
         if max(image.shape) < MARGIN * max(self._columns, self._rows) or min(image.shape) < MARGIN * 3:
             return NotDetected(f"an image of {image.shape[1]} x {image.shape[0]} pixels holds no such pattern")
         rough = self._find(image)
-        if rough is None:
+        if rough is None and (rough := self._find_by_older_detector(image)) is None:
             return NotDetected("not all corners of the chessboard are found")
         pixels = self._numbered(image, rough).reshape(-1, 2)
         predicted = predict(self._places, pixels, self._places)
@@ -79,8 +93,7 @@ class ChessboardDetector:
         """Find the corners (rows, columns, 2) in some order along rows and columns; None if there are none.
 
         Large images are first searched at half their size: in a quarter of the time, and the corners are then
-        refined in the full image. OpenCV's older detector is faster if there is a board, takes a second if
-        there is none, and detects boards in charuco boards.
+        refined in the full image.
         """
         sizes = (2, 1) if max(image.shape) > LARGE else (1,)
         for reduced in sizes:
@@ -92,6 +105,25 @@ class ChessboardDetector:
                 pixels = (np.array(corners, float) + 0.5) * reduced - 0.5
                 return pixels.reshape(self._rows, self._columns, 2)
         return None
+
+    def _find_by_older_detector(self, image: Image) -> Array | None:
+        """Find the corners like `_find`; None also for those of a charuco board, or of a part of a larger board."""
+        found, corners = cv2.findChessboardCorners(image, (self._columns, self._rows), flags=OLDER_DETECTOR)
+        if not found:
+            return None
+        grid = np.array(corners, float).reshape(self._rows, self._columns, 2)
+        return grid if self._looks_printed(image, grid) else None
+
+    def _looks_printed(self, image: Image, grid: Array) -> bool:
+        """Whether the image looks like the print around most corners of a grid, and does not go on beyond any side."""
+        predicted = predict(self._places, grid.reshape(-1, 2), self._with_ring)
+        likeness = np.abs(self._patches.likeness(image, predicted.pixels, predicted.jacobians))
+        # the part of a patch that the image's edge leaves may look like anything
+        room = np.abs(predicted.jacobians).sum(axis=-1) / 2
+        whole = ((predicted.pixels > room) & (predicted.pixels < np.array(image.shape[::-1]) - 1 - room)).all(axis=-1)
+        alike = ((likeness > LIKENESS) & whole).reshape(self._rows + 2, self._columns + 2)
+        beyond = (alike[0, 1:-1], alike[-1, 1:-1], alike[1:-1, 0], alike[1:-1, -1])
+        return bool(alike[1:-1, 1:-1].mean() >= LEAST_SHARE and max(side.mean() for side in beyond) < 0.5)
 
     def _numbered(self, image: Image, corners: Array) -> Array:
         """Sort the corners by their ids, (rows, columns, 2)."""

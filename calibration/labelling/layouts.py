@@ -98,8 +98,14 @@ def board_layouts(
 
 
 def readings(layouts: Sequence[Layout], markers: Markers) -> list[Reading]:
-    """Return the layouts with which most markers agree, and those markers; several if it is ambiguous."""
-    found = [reading for layout in layouts if (reading := _read(layout, markers)) is not None]
+    """Return the layouts with which most markers agree, and those markers; several if it is ambiguous.
+
+    Neighbouring markers decide first: lenses that bend lines let fewer markers agree with one homography, and the wrong
+    layout may have a marker more.
+    """
+    in_place = [_in_place(layout, markers) for layout in layouts] if len(layouts) > 1 else [0.0]
+    likely = [layout for layout, share in zip(layouts, in_place, strict=True) if share == max(in_place)]
+    found = [reading for layout in likely if (reading := _read(layout, markers)) is not None]
     most = max((len(reading.markers) for reading in found), default=0)
     return [reading for reading in found if len(reading.markers) == most]
 

@@ -10,6 +10,8 @@ import pytest
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
 from calibration.execution.embedded import Embedded
+from calibration.geometry.cameras import Camera
+from calibration.geometry.distortion import Equidistant, PlumbBob
 from calibration.labelling.charuco import CharucoDetector
 from calibration.labelling.corner_detector import corner_detector
 from calibration.labelling.detection import NotDetected
@@ -157,6 +159,26 @@ def test_few_rows_of_markers_never_give_the_wrong_layout(legacy) -> None:
         found = detector.detect(cut)
         if isinstance(found, CornerLabels):
             assert np.linalg.norm(errors(found, truth), axis=-1).max() < 1.0
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera(350.0, 350.0, 319.5, 239.5, 640, 480, PlumbBob(-0.30, 0.10, 0.0004, -0.0003, -0.015)),
+        Camera(300.0, 300.0, 421.0, 302.0, 848, 600, Equidistant(-0.012, 0.045, -0.036, 0.006)),
+    ],
+    ids=["wide", "fisheye"],
+)
+def test_lenses_that_bend_lines_never_give_the_wrong_layout(camera, legacy) -> None:
+    pattern = charuco(8, 5)
+    detector, found_views = CharucoDetector(pattern), 0
+    for T in poses(8, 3, 0.25, 0.45, 0.6, 0.5, pattern):
+        found = detector.detect(Photograph(camera).of(pattern, T, legacy))
+        if isinstance(found, CornerLabels):
+            found_views += 1
+            assert np.median(np.linalg.norm(errors(found, true_corners(camera, pattern, T)), axis=-1)) < 0.3
+    assert found_views >= 6
 
 
 # Things in front

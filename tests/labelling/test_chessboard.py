@@ -1,5 +1,6 @@
 """Chessboards: corners where the truth projects them, numbered by a rule that holds when the board is turned."""
 
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -8,13 +9,14 @@ import pytest
 
 from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
+from calibration.geometry.cameras import Camera
 from calibration.geometry.types import Array, BoolArray
 from calibration.labelling import chessboard as chessboards
 from calibration.labelling.chessboard import ChessboardDetector
 from calibration.labelling.corner_detector import corner_detector
 from calibration.labelling.detection import NotDetected
 from calibration.labelling.printed_corners import refine
-from tests.labelling.pictures import HD, VGA, Photograph, chessboard, facing, true_corners
+from tests.labelling.pictures import HD, HD_DISTORTED, VGA, Photograph, charuco, chessboard, facing, true_corners
 
 UNIQUE, TWOFOLD, SQUARE, SQUARE_FOURFOLD = chessboard(10, 7), chessboard(9, 7), chessboard(7, 7), chessboard(6, 6)
 
@@ -127,3 +129,54 @@ def test_what_is_no_image_and_no_board() -> None:
         ChessboardDetector(UNIQUE).detect(np.zeros((480, 640)))
     with pytest.raises(InputError, match="2 x 7 corners, expected at least 3 each way"):
         corner_detector(chessboard(2, 7))
+
+
+def nothing_found(*_: Any, **__: Any) -> tuple[bool, None]:
+    return False, None
+
+
+@pytest.mark.parametrize("camera", [VGA, HD_DISTORTED])
+def test_the_older_detector_finds_what_the_newer_one_misses_as_accurately(
+    monkeypatch: pytest.MonkeyPatch, camera: Camera
+) -> None:
+    monkeypatch.setattr(cv2, "findChessboardCornersSB", nothing_found)
+    off = [
+        detected(UNIQUE, T, camera).pixels - true_corners(camera, UNIQUE, T)
+        for T in (facing(UNIQUE, 1.0 + 0.2 * i, 0.15 * i, i, 0.3 * i) for i in range(4))
+    ]
+    assert np.sqrt((np.concatenate(off) ** 2).sum(-1).mean()) < 0.06
+
+
+@pytest.mark.parametrize("larger", [(11, 7), (10, 8), (12, 9)])
+def test_a_part_of_a_larger_board_is_none(monkeypatch: pytest.MonkeyPatch, larger: tuple[int, int]) -> None:
+    """OpenCV's older detector may leave rows and columns out until the size is right."""
+    monkeypatch.setattr(cv2, "findChessboardCornersSB", nothing_found)
+    for board, is_whole in ((chessboard(*larger), False), (UNIQUE, True)):
+        T = facing(board, 1.2, 0.3, 0.5)
+        (columns, rows), truth = board.dimension, true_corners(VGA, board, T)
+        part = truth.reshape(rows, columns, 2)[:7, :10].reshape(-1, 1, 2).astype(np.float32)
+        monkeypatch.setattr(cv2, "findChessboardCorners", lambda *_, part=part, **__: (True, part))
+        found = ChessboardDetector(UNIQUE).detect(Photograph(VGA).of(board, T))
+        assert isinstance(found, CornerLabels) == is_whole
+
+
+def test_a_charuco_board_is_no_chessboard(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cv2, "findChessboardCornersSB", nothing_found)
+    board = charuco(10, 7)
+    for i in range(4):
+        image = Photograph(HD).of(board, facing(board, 0.9, 0.1 * i, i))
+        assert isinstance(ChessboardDetector(chessboard(10, 7)).detect(image), NotDetected)
+
+
+BOARDS = {"img_target": (7, 5), "left-00": (8, 6), "img15": (8, 6), "left20": (9, 6), "Right": (7, 10)}
+"""Corners of the boards of `door/real/14-detector-misses`, by the beginnings of the files' names."""
+
+
+def test_public_images_in_which_the_newer_detector_finds_nothing(shared_data: Path) -> None:
+    files = sorted((shared_data / "door/real/14-detector-misses").iterdir())
+    assert len(files) == 7
+    for file in files:
+        columns, rows = next(size for begin, size in BOARDS.items() if file.name.startswith(begin))
+        found = ChessboardDetector(chessboard(columns, rows)).detect(cv2.imread(str(file)))
+        assert isinstance(found, CornerLabels), file.name
+        assert len(found.ids) >= 0.9 * columns * rows
