@@ -29,6 +29,8 @@ MIN_SIZE, MAX_SIZE = 1e-6, 1e3
 """Limits of the side of a pattern's square (m)."""
 TAGS, TAG_COUNT = "DICT_APRILTAG_36h11", 587
 """ArUco dictionary of an aprilgrid's tags, and the number of tags in it."""
+MAX_MARKER = 10_000
+"""Limit of the lowest id of a board's markers."""
 MIN_SPACING, MAX_SPACING = 0.01, 1.0
 """Limits of the gap between two tags, in sides of a tag."""
 FIRST_PATTERN = "pattern_1"
@@ -76,6 +78,10 @@ class PatternConfiguration:
     mesh_file: str = ""
     spacing: float = 0.0
     """Aprilgrid only: the gap between two tags, in sides of a tag (Kalibr's ``tagSpacing``)."""
+    first_marker: int = 0
+    """The lowest id of the markers or tags; the others follow."""
+    inverted: bool = False
+    """Whether black and white are exchanged in the print."""
 
     def pattern(self, version: str = "3.0") -> Pattern:
         """Return the geometry of the pattern in a dataset of this version."""
@@ -146,6 +152,8 @@ class Configuration:
                     "size": pattern.size,
                     "inner_size": pattern.inner_size,
                     **({"spacing": pattern.spacing} if pattern.kind == "aprilgrid" else {}),
+                    **({"first_marker": pattern.first_marker} if pattern.first_marker else {}),
+                    **({"inverted": True} if pattern.inverted else {}),
                 }
                 for pattern in self.patterns.values()
             },
@@ -222,8 +230,9 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
         raise inner.unexpected(f"less than the size of a square, {size:g}")
     columns, rows = dimension["x"].whole(2, MAX_CORNERS), dimension["y"].whole(2, MAX_CORNERS)
     tags = kind.value == "aprilgrid"
+    first = marker.whole(0, MAX_MARKER) if (marker := node.get("first_marker")) else 0
     if tags:
-        check_tags(columns, rows, dimension)
+        check_tags(columns, rows, dimension, first)
         if (dictionary := node.get("dictionary")) and dictionary.text() not in ("", TAGS):
             raise dictionary.unexpected(f"{TAGS}, that of an aprilgrid")
     return PatternConfiguration(
@@ -239,17 +248,20 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
         dictionary=TAGS if tags else _text(node, "dictionary") or None,
         mesh_file=_text(node, "mesh_file"),
         spacing=node["spacing"].within(MIN_SPACING, MAX_SPACING) if tags else 0.0,
+        first_marker=first,
+        inverted=inverted.flag() if (inverted := node.get("inverted")) else False,
     )
 
 
-def check_tags(columns: int, rows: int, where: Node) -> None:
+def check_tags(columns: int, rows: int, where: Node, first: int = 0) -> None:
     """Refuse an aprilgrid with more tags than its dictionary has.
 
     Raises:
         InputError: there are too many.
     """
-    if columns * rows > TAG_COUNT:
-        raise where.fault(f"found {columns} x {rows} tags, expected {TAG_COUNT} at most, as {TAGS} has")
+    if first + columns * rows > TAG_COUNT:
+        begin = f" from id {first}" if first else ""
+        raise where.fault(f"found {columns} x {rows} tags{begin}, expected {TAG_COUNT} at most, as {TAGS} has")
 
 
 def _border(node: Node | None) -> tuple[float, float]:

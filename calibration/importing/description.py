@@ -4,7 +4,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.dataset.configuration import MAX_CORNERS, MAX_SIZE, MAX_SPACING, MIN_SPACING, TAG_COUNT, TAGS
+from calibration.dataset.configuration import (
+    MAX_CORNERS,
+    MAX_MARKER,
+    MAX_SIZE,
+    MAX_SPACING,
+    MIN_SPACING,
+    TAG_COUNT,
+    TAGS,
+)
 from calibration.dataset.pattern import PatternKind
 from calibration.importing.samples import Samples
 from calibration.records import (
@@ -127,6 +135,10 @@ class PatternDescription:
     spacing: Annotated[float, between(MIN_SPACING, MAX_SPACING)] | None = field(
         "Gap between two tags of an aprilgrid, in sides of a tag (tagSpacing).", default=None
     )
+    first: Annotated[int, between(0, MAX_MARKER)] | None = field(
+        "Lowest id of its markers or tags, where boards of one dictionary are told apart (0).", default=None
+    )
+    inverted: bool = field("Whether black and white are exchanged in its print.", default=False)
     border: Annotated[float, between(0, MAX_SIZE)] = field(
         "Margin of the board around the squares, m; for LiDARs and depth cameras.", default=0.0
     )
@@ -154,8 +166,11 @@ class PatternDescription:
         others = dict.fromkeys(key for keys in _OF_KIND.values() for key in keys if key not in needed)
         if stray := [key for key in others if getattr(self, key) is not None]:
             raise Misfit(f"found '{stray[0]}', expected the keys of {_a(self.type)}: {', '.join(needed)}")
-        if self.type == "aprilgrid" and (self.columns or 0) * (self.rows or 0) > TAG_COUNT:
-            raise Misfit(f"found {self.columns} x {self.rows} tags, expected {TAG_COUNT} at most, as {TAGS} has")
+        if self.type == "chessboard" and self.first is not None:
+            raise Misfit("found 'first', expected it of a board with markers", "first")
+        if self.type == "aprilgrid" and (self.first or 0) + (self.columns or 0) * (self.rows or 0) > TAG_COUNT:
+            begin = f" from id {self.first}" if self.first else ""
+            raise Misfit(f"found {self.columns} x {self.rows} tags{begin}, expected {TAG_COUNT} at most, as {TAGS} has")
         if self.marker is not None and self.square is not None and self.marker >= self.square:
             raise Misfit(f"found {self.marker:g}, expected less than the square, {self.square:g}", "marker")
 

@@ -34,6 +34,7 @@ from calibration.importing.description import ImportDescription, SensorDescripti
 from calibration.importing.document import Imported, data_file, dataset_document
 from calibration.importing.image_views import LabelledMoment, check_copies, view_of_file
 from calibration.importing.motion_log import MotionLog
+from calibration.importing.near_miss import check_told_apart
 from calibration.importing.pictures import Moment, Pictures, find_pictures, moments_of
 from calibration.importing.range_data import LabelledRange
 from calibration.importing.range_views import RangeView
@@ -192,7 +193,9 @@ class _Source:
 
 
 def _patterns(described: ImportDescription, root: str | None = None) -> dict[str, PatternConfiguration]:
-    return {each.name: pattern_configuration(each, described.root, root) for each in described.patterns}
+    patterns = {each.name: pattern_configuration(each, described.root, root) for each in described.patterns}
+    check_told_apart(patterns)
+    return patterns
 
 
 def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:

@@ -15,7 +15,7 @@ from calibration.geometry.types import Array
 from calibration.importing.camera_files import KnownLens
 from calibration.importing.document import Imported
 from calibration.importing.image_views import LabelledMoment, View, check_sizes, read_image
-from calibration.importing.near_miss import check_board, never_seen
+from calibration.importing.near_miss import check_board, check_spacing, never_seen
 from calibration.importing.range_data import LabelledRange, labelled_ranges
 from calibration.importing.range_views import RangeView
 from calibration.importing.results import LeftOut, RejectedView
@@ -61,8 +61,10 @@ def check_views(recorded: Recorded) -> None:
         if views := [moment.views[name] for moment in recorded.moments if name in moment.views]:
             check_sizes(name, views)
             check_seen(name, recorded.configuration.patterns, views)
-            for pattern in recorded.configuration.patterns.values():
-                check_board(name, pattern, views)
+            patterns = recorded.configuration.patterns.values()
+            for pattern in patterns:
+                check_board(name, pattern, views, [each for each in patterns if each is not pattern])
+                check_spacing(name, pattern, views)
 
 
 def imported_moments(robot: str, recorded: Recorded) -> Imported:

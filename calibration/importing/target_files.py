@@ -45,6 +45,8 @@ def pattern_configuration(described: PatternDescription, world: str, root: str |
         parent_link=parent,
         fixed=(described.parent or world) != world if described.fixed is None else described.fixed,
         border_size=(described.border, described.border),
+        first_marker=described.first or 0,
+        inverted=described.inverted,
         **printed,
     )
 

@@ -40,13 +40,14 @@ class AprilgridDetector:
             InputError: such a board cannot be printed.
         """
         columns, rows = pattern.dimension
-        if columns * rows > TAG_COUNT:
+        first = pattern.first_marker
+        if first + columns * rows > TAG_COUNT:
             raise InputError(f"pattern '{pattern.name}': found {columns} x {rows} tags, expected {TAG_COUNT} at most")
         self._corners = corner_places(columns, rows, pattern.spacing)
         self._clearance = min(pattern.spacing, BORDER / MODULES) / unit(pattern.spacing)
-        self._count = columns * rows
+        self._first, self._count = first, columns * rows
         self._finder = MarkerFinder(tag_dictionary(), TAG_COUNT, BORDER)
-        patches = PrintedPatches(drawn(columns, rows, pattern.spacing, TEXELS), TEXELS, self._corners)
+        patches = PrintedPatches(drawn(columns, rows, pattern.spacing, TEXELS, first), TEXELS, self._corners)
         self._layout = Layout(self._corners[corner_ids(columns, rows)], patches)
 
     def detect(self, image: Image) -> CornerLabels | NotDetected:
@@ -80,6 +81,7 @@ class AprilgridDetector:
 
     def _lying(self, tags: Markers) -> tuple[Reading | None, int]:
         """Return the tags that match the board, and their number."""
-        own = tags.ids < self._count
-        lying = readings([self._layout], Markers(tags.ids[own], tags.corners[own]))
+        ids = tags.ids - self._first
+        own = (ids >= 0) & (ids < self._count)
+        lying = readings([self._layout], Markers(ids[own], tags.corners[own]))
         return (lying[0] if lying else None), len(tags)

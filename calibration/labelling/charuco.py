@@ -41,18 +41,21 @@ class CharucoDetector:
         self._corners = np.stack([column + 1.0, row + 1.0], -1)
         markers = (columns + 1) * (rows + 1) // 2
         available = len(dictionary.bytesList)
-        if markers > available:
+        first = pattern.first_marker
+        if first + markers > available:
+            begin = f" from id {first} on" if first else ""
             raise InputError(
-                f"pattern '{pattern.name}': a charuco board of {columns} x {rows} corners has {markers} markers, "
-                f"{pattern.dictionary} has {available}: name a larger dictionary"
+                f"pattern '{pattern.name}': a charuco board of {columns} x {rows} corners has {markers} markers{begin}"
+                f", {pattern.dictionary} has {available}: name a larger dictionary"
             )
         if pattern.inner_size is None:
             raise InputError(f"pattern '{pattern.name}': a charuco board needs inner_size, the side of its markers")
         marker = pattern.inner_size / pattern.size
         self._clearance = (1 - marker) / 2
+        self._first = first
         self._needed = min(LEAST_MARKERS, markers // 4)
-        self._finder = MarkerFinder(dictionary, markers)
-        self._layouts = board_layouts(columns + 1, rows + 1, marker, dictionary, self._corners)
+        self._finder = MarkerFinder(dictionary, markers, first=first)
+        self._layouts = board_layouts(columns + 1, rows + 1, marker, dictionary, self._corners, first)
 
     def detect(self, image: Image) -> CornerLabels | NotDetected:
         """Detect corners in an 8-bit image (H, W) or (H, W, 3), BGR; pixel (0, 0) is a centre.
@@ -76,9 +79,14 @@ class CharucoDetector:
         return labels
 
     def in_place(self, markers: Markers) -> float:
-        """Return the share of an image's neighbouring markers that are where the board has them, 0 to 1."""
-        known = markers.ids < len(self._layouts[0].markers)
-        return neighbours_in_place(self._layouts, Markers(markers.ids[known], markers.corners[known]))
+        """Return the share of an image's neighbouring markers that are where the board has them, 0 to 1.
+
+        Args:
+            markers: with the ids of the dictionary.
+        """
+        own = markers.ids - self._first
+        known = (own >= 0) & (own < len(self._layouts[0].markers))
+        return neighbours_in_place(self._layouts, Markers(own[known], markers.corners[known]))
 
     def _read(self, image: Image) -> list[Reading]:
         """Read the markers by the likeliest layouts; repeated at a finer scale if many expected ones are missing."""

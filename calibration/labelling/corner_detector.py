@@ -2,12 +2,15 @@
 
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
 from calibration.dataset.configuration import PatternConfiguration
+from calibration.dataset.model import CornerLabels
 from calibration.dataset.pattern import PatternKind
 from calibration.labelling.aprilgrid import AprilgridDetector
 from calibration.labelling.charuco import CharucoDetector
 from calibration.labelling.chessboard import ChessboardDetector
-from calibration.labelling.detection import CornerDetector
+from calibration.labelling.detection import CornerDetector, Image, NotDetected, grey
 
 DETECTORS: Mapping[PatternKind, Callable[[PatternConfiguration], CornerDetector]] = {
     "charuco": CharucoDetector,
@@ -23,4 +26,21 @@ def corner_detector(pattern: PatternConfiguration) -> CornerDetector:
     Raises:
         InputError: such a board cannot be printed; the message has the reason.
     """
-    return DETECTORS[pattern.kind](pattern)
+    detector = DETECTORS[pattern.kind](pattern)
+    return InvertedBoardDetector(detector) if pattern.inverted else detector
+
+
+class InvertedBoardDetector:
+    """Corner detector of a board with black and white exchanged, by that of the board."""
+
+    def __init__(self, detector: CornerDetector) -> None:
+        """Keep the detector of the board as it usually is."""
+        self._detector = detector
+
+    def detect(self, image: Image) -> CornerLabels | NotDetected:
+        """Detect corners in an 8-bit image (H, W) or (H, W, 3), BGR; pixel (0, 0) is a centre.
+
+        Raises:
+            InputError: it is not such an image.
+        """
+        return self._detector.detect(np.bitwise_not(grey(image)))

@@ -74,7 +74,7 @@ class Reading:
 
 
 def board_layouts(
-    columns: int, rows: int, marker: float, dictionary: "cv2.aruco.Dictionary", corners: Array
+    columns: int, rows: int, marker: float, dictionary: "cv2.aruco.Dictionary", corners: Array, first: int = 0
 ) -> list[Layout]:
     """Return the possible layouts of a board: one, or the modern and the legacy one.
 
@@ -84,10 +84,11 @@ def board_layouts(
         marker: the side of a marker, in squares.
         dictionary: the markers' dictionary.
         corners: (K, 2), the inner corners by id.
+        first: the lowest id of its markers.
     """
-    layouts = []
+    layouts, ids = [], np.arange(first, first + columns * rows // 2, dtype=np.int32)
     for legacy in (False, True) if rows % 2 == 0 else (False,):
-        board = cv2.aruco.CharucoBoard((columns, rows), 1.0, marker, dictionary)
+        board = cv2.aruco.CharucoBoard((columns, rows), 1.0, marker, dictionary, ids)
         board.setLegacyPattern(legacy)
         drawing = np.asarray(
             board.generateImage((columns * TEXELS, rows * TEXELS), marginSize=0, borderBits=1), np.uint8

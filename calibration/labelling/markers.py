@@ -31,16 +31,23 @@ class Markers:
 
 
 class MarkerFinder:
-    """Detector of the first `count` markers of a dictionary."""
+    """Detector of `count` consecutive markers of a dictionary, which it numbers from 0."""
 
     LEAST_SIDE = 8
     """Minimum side of a marker (px)."""
 
-    def __init__(self, dictionary: "cv2.aruco.Dictionary", count: int, border: int = 1) -> None:
-        """Create the detector; `border` is the width of the black border around a marker's bits, in modules."""
+    def __init__(self, dictionary: "cv2.aruco.Dictionary", count: int, border: int = 1, first: int = 0) -> None:
+        """Create the detector.
+
+        Args:
+            dictionary: the markers' dictionary.
+            count: number of markers.
+            border: width of the black border around a marker's bits, in modules.
+            first: the id in the dictionary of marker 0.
+        """
         self._plain = cv2.aruco.ArucoDetector(dictionary, _parameters((9, 9), border))
         self._fine = cv2.aruco.ArucoDetector(dictionary, _parameters((7, 17), border))
-        self._count = count
+        self._first, self._count = first, count
 
     def find(self, image: Image) -> Markers:
         """Detect the markers in a grey image; small ones are missed."""
@@ -62,9 +69,9 @@ class MarkerFinder:
         corners, ids, _ = detected
         if ids is None or not len(ids):
             return Markers(np.zeros(0, np.int64), np.zeros((0, 4, 2)))
-        found = np.array(ids, np.int64).ravel()
+        found = np.array(ids, np.int64).ravel() - self._first
         pixels = (np.array(corners, float).reshape(-1, 4, 2) + 0.5) / scale - 0.5 + np.array(begin)
-        known = found < self._count
+        known = (found >= 0) & (found < self._count)
         found, first = np.unique(found[known], return_index=True)
         return Markers(found, pixels[known][first])
 

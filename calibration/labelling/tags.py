@@ -32,15 +32,15 @@ def tag_dictionary() -> "cv2.aruco.Dictionary":
 
 
 @lru_cache(maxsize=8)
-def tag_cells(columns: int, rows: int) -> BoolArray:
-    """Return a mask (rows * (MODULES + 1) + 1, columns * (MODULES + 1) + 1) of the black cells, for a grid of tags."""
+def tag_cells(columns: int, rows: int, first: int = 0) -> BoolArray:
+    """Return a mask (rows * (MODULES + 1) + 1, columns * (MODULES + 1) + 1) of the black cells; ids from `first`."""
     step, dictionary = MODULES + 1, tag_dictionary()
     black = np.zeros((rows * step + 1, columns * step + 1), bool)
     black[::step, ::step] = True
     for tag in range(rows * columns):
         row, column = divmod(tag, columns)
         top, left = (rows - 1 - row) * step + 1, column * step + 1
-        drawn = np.asarray(cv2.aruco.generateImageMarker(dictionary, tag, MODULES, borderBits=BORDER))
+        drawn = np.asarray(cv2.aruco.generateImageMarker(dictionary, first + tag, MODULES, borderBits=BORDER))
         black[top : top + MODULES, left : left + MODULES] = np.rot90(drawn < 128, 2)
     black.flags.writeable = False
     return black
@@ -81,11 +81,11 @@ def corner_ids(columns: int, rows: int) -> IntArray:
     return ids
 
 
-def drawn(columns: int, rows: int, spacing: float, texels: int) -> Image:
-    """Draw the print, black and white; `texels` is the number of texels per unit."""
+def drawn(columns: int, rows: int, spacing: float, texels: int, first: int = 0) -> Image:
+    """Draw the print, black and white; `texels` is the number of texels per unit, `first` the lowest id of its tags."""
     tag = texels / unit(spacing)
     across, down = (
         np.searchsorted(ends, (np.arange(int(ends[-1] * tag)) + 0.5) / tag) - 1
         for ends in cell_ends(columns, rows, spacing)
     )
-    return np.where(tag_cells(columns, rows)[down[:, None], across], 0, 255).astype(np.uint8)
+    return np.where(tag_cells(columns, rows, first)[down[:, None], across], 0, 255).astype(np.uint8)

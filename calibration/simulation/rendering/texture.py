@@ -75,12 +75,14 @@ def texture(pattern: PatternConfiguration, legacy_layout: bool = False) -> Textu
     texels = TEXELS
     while texels > 1 and texels * max(size) > MAX_TEXELS:
         texels //= 2
-    levels = [draw(texels)]
+    image = draw(texels)
+    levels = [(BLACK + (WHITE - image)) if pattern.inverted else image]
     while texels >> len(levels):  # down to one texel per unit
         height, width = levels[-1].shape
         levels.append(np.asarray(cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)))
     margin = (int(pattern.border_size[0] > 0), int(pattern.border_size[1] > 0))
-    return Texture(tuple(_with_border(level, margin) for level in levels), texels, margin, size, before)
+    paper = BLACK if pattern.inverted else WHITE
+    return Texture(tuple(_with_border(level, margin, paper) for level in levels), texels, margin, size, before)
 
 
 _Sketch = tuple[tuple[float, float], tuple[float, float], Callable[[int], Grey]]
@@ -106,7 +108,10 @@ def _squares(pattern: PatternConfiguration, legacy_layout: bool) -> _Sketch:
 
 def _tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
     """Draw an aprilgrid; the image has whole units, white beyond the print."""
-    black, ends = tag_cells(*pattern.dimension).astype(float), cell_ends(*pattern.dimension, pattern.spacing)
+    black, ends = (
+        tag_cells(*pattern.dimension, pattern.first_marker).astype(float),
+        cell_ends(*pattern.dimension, pattern.spacing),
+    )
     size = tuple(float(each[-1]) for each in ends)
 
     def draw(texels: int) -> Grey:
@@ -129,9 +134,9 @@ def _cover(texels: int, ends: Array) -> Array:
     return cover
 
 
-def _with_border(image: Grey, margin: tuple[int, int]) -> Grey:
+def _with_border(image: Grey, margin: tuple[int, int], paper: int) -> Grey:
     x, y = margin
-    return np.pad(image, ((y, y), (x, x)), constant_values=WHITE)
+    return np.pad(image, ((y, y), (x, x)), constant_values=paper)
 
 
 def _square_with_marker(pattern: PatternConfiguration, bits: Array, texels: int) -> Array:
@@ -155,11 +160,15 @@ def _markers(pattern: PatternConfiguration, count: int) -> list[Array]:
         expected = "expected one of OpenCV's, such as DICT_5X5_100"
         raise InputError(f"pattern '{pattern.name}': dictionary: found '{pattern.dictionary or ''}', {expected}")
     dictionary = cv2.aruco.getPredefinedDictionary(number)
-    if count > len(dictionary.bytesList):
+    first = pattern.first_marker
+    if first + count > len(dictionary.bytesList):
         raise InputError(
             f"pattern '{pattern.name}': {count} markers are needed for {pattern.dimension[0] + 1} x "
             f"{pattern.dimension[1] + 1} squares, but {pattern.dictionary} has {len(dictionary.bytesList)}; "
             "take a larger dictionary or fewer squares"
         )
     modules = dictionary.markerSize + 2
-    return [np.array(cv2.aruco.generateImageMarker(dictionary, i, modules), float) / 255 for i in range(count)]
+    return [
+        np.array(cv2.aruco.generateImageMarker(dictionary, i, modules), float) / 255
+        for i in range(first, first + count)
+    ]
