@@ -85,6 +85,7 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "cleanup": LazyCommand(
         "calibration.commands.cleanup:command", "Remove what killed runs left in the Docker Engine or the cloud."
     ),
+    "pattern": LazyCommand("calibration.commands.pattern:command", "Write a board to print, true to size."),
     "schema": LazyCommand("calibration.commands.schema:command", "Print the JSON Schema of a file."),
     "version": LazyCommand("calibration.commands.version:command", "Print the versions in use."),
 }

@@ -94,7 +94,7 @@ def _squares(pattern: PatternConfiguration, legacy_layout: bool) -> _Sketch:
     columns, rows = pattern.dimension[0] + 1, pattern.dimension[1] + 1
     row, column = np.mgrid[:rows, :columns]
     black = (row + column) % 2 == int(pattern.kind == "charuco" and legacy_layout and rows % 2 == 0)
-    markers = _markers(pattern, int((~black).sum())) if pattern.kind == "charuco" else []
+    markers = marker_modules(pattern, int((~black).sum())) if pattern.kind == "charuco" else []
 
     def draw(texels: int) -> Grey:
         image = np.repeat(np.repeat(np.where(black, BLACK, WHITE).astype(np.uint8), texels, 0), texels, 1)
@@ -149,7 +149,7 @@ def _square_with_marker(pattern: PatternConfiguration, bits: Array, texels: int)
     return 1 - black
 
 
-def _markers(pattern: PatternConfiguration, count: int) -> list[Array]:
+def marker_modules(pattern: PatternConfiguration, count: int) -> list[Array]:
     """Return the modules of the markers 0 to count - 1, with their black border: 1 for white."""
     if pattern.inner_size is None:
         raise InputError(

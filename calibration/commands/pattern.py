@@ -1,0 +1,57 @@
+"""``pattern``: write a board to print, and the lines of import.yml that describe it."""
+
+import sys
+from pathlib import Path
+from typing import Any, get_args
+
+import click
+
+from calibration.commands.parameters import count, number, path
+from calibration.dataset.pattern import PatternKind
+from calibration.errors import ExitCode
+from calibration.files import write_atomically
+from calibration.importing.description import ImportDescription
+from calibration.importing.printed_sheet import PAPERS, board_sheet, pdf, svg
+from calibration.importing.target_files import pattern_configuration
+from calibration.labelling.corner_detector import corner_detector
+from calibration.records import read
+
+NAME = "board"
+"""Name of the pattern in import.yml."""
+MARKER, DICTIONARY, SPACING = 0.75, "DICT_5X5_1000", 0.3
+"""What is taken without an option: a marker's side in squares, the dictionary, the gap between tags in their sides."""
+
+
+@click.command("pattern")
+@click.argument("kind", type=click.Choice(get_args(PatternKind)))
+@click.option("--columns", type=count, required=True, help="Corners inside, along a row; of an aprilgrid: tags.")
+@click.option("--rows", type=count, required=True, help="Corners inside, along a column; of an aprilgrid: tags.")
+@click.option("--square", type=number, help="Side of a square, mm.")
+@click.option("--marker", type=number, help="Side of a marker of a charuco board, mm (0.75 of the square).")
+@click.option("--dictionary", help="Dictionary of a charuco board's markers (DICT_5X5_1000).")
+@click.option("--tag", type=number, help="Side of a tag of an aprilgrid, mm.")
+@click.option("--spacing", type=number, help="Gap between two tags of an aprilgrid, in sides of a tag (0.3).")
+@click.option("--first", type=int, help="Lowest id of its markers or tags (0).")
+@click.option("--inverted", is_flag=True, help="Exchange black and white.")
+@click.option("--paper", type=click.Choice(list(PAPERS)), default="A4", help="Size of the paper (A4).")
+@click.option("--output", type=path, default=Path(NAME), help="Files without their endings (board).")
+def command(kind: PatternKind, paper: str, output: Path, **given: Any) -> ExitCode:
+    """Write a board as SVG and PDF, true to size, with a ruler on it, and print its lines of import.yml."""
+    keys = {"type": kind} | {key: value for key, value in given.items() if value not in (None, False)}
+    if kind == "charuco":
+        if "square" in keys:
+            keys.setdefault("marker", MARKER * keys["square"])
+        keys.setdefault("dictionary", DICTIONARY)
+    if kind == "aprilgrid":
+        keys.setdefault("spacing", SPACING)
+    keys |= {key: round(keys[key] / 1000, 9) for key in ("square", "marker", "tag") if key in keys}
+    document = {"sensors": {"camera": {"images": "images"}}, "patterns": {NAME: keys}}
+    (described,) = read(ImportDescription, document, "the board").patterns
+    pattern = pattern_configuration(described, "world")
+    corner_detector(pattern)  # refuses what cannot be printed
+    sheet = board_sheet(pattern, paper)
+    for ending, content in (("svg", svg(sheet).encode()), ("pdf", pdf(sheet))):
+        write_atomically(output.with_name(f"{output.name}.{ending}"), content)
+    values = ", ".join(f"{key}: {str(value).lower() if value is True else value}" for key, value in keys.items())
+    sys.stdout.write(f"patterns:\n  {NAME}: {{{values}}}\n")
+    return ExitCode.PASS
