@@ -11,6 +11,7 @@
 - ``starting_intrinsics``, ``baselines``: initial guess of unknown intrinsics, from the corners, and of transforms
   between the cameras of a Kalibr camchain;
 - ``relabelling``: labelling of a dataset's images; ``contact_sheet``: a picture of the detections;
+- ``printed_sheet``: boards to print;
 - ``best_moments``: selection of the best moments;
 - ``recorded``: the collections of the dataset; ``document``: its ``dataset.json``; ``png``: its image files;
 - ``importing``: the whole import; ``results``, ``report``: what it reports.

@@ -98,7 +98,7 @@ def svg(sheet: Sheet) -> str:
     size = f'width="{sheet.width:g}mm" height="{sheet.height:g}mm" viewBox="0 0 {sheet.width:g} {sheet.height:g}"'
     font = f'font-family="Helvetica" font-size="{TEXT:g}"'
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" {size} shape-rendering="crispEdges">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size}>',
         _svg_rectangles(np.array([[0, 0, sheet.width, sheet.height]]), "white", "paper"),
         _svg_rectangles(np.array([sheet.board]), board, "board"),
         _svg_rectangles(sheet.rectangles, fill, "print"),
@@ -193,7 +193,10 @@ def _name(pattern: PatternConfiguration) -> str:
 
 def _svg_rectangles(rectangles: Array, fill: str, name: str) -> str:
     each = "".join(f'<rect x="{x:.5f}" y="{y:.5f}" width="{w:.5f}" height="{h:.5f}"/>' for x, y, w, h in rectangles)
-    return f'<g id="{name}" fill="{fill}">{each}</g>'
+    edges = (
+        "" if name == "ruler" else ' shape-rendering="crispEdges"'
+    )  # else viewers show seams; thin lines would vanish
+    return f'<g id="{name}" fill="{fill}"{edges}>{each}</g>'
 
 
 def _pdf_rectangles(sheet: Sheet, rectangles: Array) -> str:
