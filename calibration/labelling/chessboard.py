@@ -1,8 +1,8 @@
 """Detection of chessboards: OpenCV finds all corners or none; bad corners are removed afterwards.
 
 OpenCV has two detectors. The older one takes a quarter of the time on photographs, and finds most of what the newer one
-misses, but also parts of larger boards and of charuco boards: what it finds is compared with the print, inside and around.
-The newer one searches what is left.
+misses, but also parts of larger boards and of charuco boards: what it finds is compared with the print, inside and
+around it. The newer one searches what is left.
 
 A chessboard has no marker for its origin, so corner 0 is chosen by a rule. Candidates are the numberings of the
 corners as a grid seen from the front (x along a row, y down a column, never mirrored) with a black square beyond
