@@ -18,7 +18,7 @@ from calibration.dataset.configuration import TAGS, PatternConfiguration
 from calibration.dataset.model import CornerLabels
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import apply, from_xyz_rpy, transform
 from calibration.geometry.types import Array
 from calibration.labelling.corner_detector import corner_detector

@@ -23,7 +23,7 @@ from calibration.estimation.normal_equations import Weighting
 from calibration.estimation.problem import Problem
 from calibration.estimation.result import Calibration
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Distortion, Equidistant, PlumbBob, Rational
+from calibration.geometry.lenses import Distortion, Equidistant, PlumbBob, Rational
 from calibration.geometry.transforms import inverse, local, translation
 from calibration.geometry.types import Array
 from tests.estimation.scenes import camera, relative

@@ -7,7 +7,7 @@ import numpy as np
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import from_xyz_rpy, transform
 from calibration.geometry.types import Array
 from calibration.simulation.scene import Box, Scene

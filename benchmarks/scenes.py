@@ -8,7 +8,7 @@ from calibration.dataset.modalities import RGB
 from calibration.dataset.model import Collection, CornerLabels, Dataset, Sensor
 from calibration.dataset.pattern import Pattern, grid, outline
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.rotations import exp
 from calibration.geometry.transforms import apply, inverse, transform
 from calibration.geometry.types import Array

@@ -15,7 +15,7 @@ import numpy as np
 from calibration.comparison.sensor_pair import CAMERAS, pair_of, why_not_pair, with_pair
 from calibration.dataset.model import CornerLabels, Dataset, Sensor
 from calibration.errors import InputError, UndeterminedError
-from calibration.geometry.distortion import Equidistant, Rational
+from calibration.geometry.lenses import PlumbBob, Rational
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
 from calibration.optional import optional
@@ -58,8 +58,8 @@ def why_not_stereo(dataset: Dataset) -> str | None:
         return reason
     first, second = pair_of(dataset, CAMERAS)
     for sensor in (first, second):
-        if sensor.camera is not None and isinstance(sensor.camera.distortion, Equidistant):
-            return f"it knows no fisheye lens (equidistant) as that of '{sensor.name}'"
+        if sensor.camera is not None and not isinstance(sensor.camera.distortion, (PlumbBob, Rational)):
+            return f"it knows no lens {sensor.camera.distortion.ros_name} as that of '{sensor.name}'"
     views = len(_views(dataset, first, second))
     if views < MINIMUM_VIEWS:
         return (

@@ -12,7 +12,7 @@ from calibration.dataset.modalities import MODALITIES
 from calibration.dataset.model import Sensor
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import MODELS, Distortion, PlumbBob
+from calibration.geometry.lenses import MODELS, SYNONYMS, Distortion, PlumbBob
 
 MAX_PIXELS = 1 << 20
 """px: limit of the width or height of an image."""
@@ -24,13 +24,6 @@ MAX_SKEWED_HEIGHT = 10_000
 """px: height of the image where a file does not say it."""
 BINNING = ("binning_x", "binning_y")
 MAX_BINNING = 64
-SYNONYMS = {
-    "fisheye": "equidistant",
-    "kannala_brandt": "equidistant",
-    "kannala_brandt4": "equidistant",
-    "radtan": "plumb_bob",
-}
-"""Names of distortion models that drivers and tools use too."""
 _TWINS = {
     "modality": "modality",
     "parent": "link",
@@ -155,6 +148,12 @@ def _read_distortion(info: Node) -> Distortion:
         raise name.unexpected(f"a known distortion model: {', '.join((*MODELS, *SYNONYMS))}")
     model = MODELS[found]
     count = len(model.names())
+    if len(coefficients) < model.min_coefficients:
+        raise D.unexpected(f"at least {model.min_coefficients} coefficients of {found}: {', '.join(model.names())}")
+    for coefficient, value in zip(model.names(), coefficients, strict=False):
+        low, high = model.limits.get(coefficient, (-MAX_INTRINSIC, MAX_INTRINSIC))
+        if not low <= value <= high:
+            raise D.unexpected(f"{coefficient} of {found} from {low:g} to {high:g}; D is {', '.join(model.names())}")
     if any(coefficients[count:]):
         longer = [each.ros_name for each in MODELS.values() if len(each.names()) >= len(coefficients)]
         hint = f"; {longer[0]} has as many" if longer else ""

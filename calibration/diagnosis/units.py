@@ -8,8 +8,8 @@ import numpy as np
 from calibration.dataset.model import Dataset, Edge, Joint, PointLabels, PoseLabels
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
+from calibration.estimation.corner_residuals import CornerTerm
 from calibration.estimation.median import median
-from calibration.estimation.planar_pose import planar_poses
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array
@@ -178,9 +178,9 @@ def _distances(dataset: Dataset) -> Mapping[tuple[str, str], Array]:
             if sensor.camera and sensor.modality.has_corners:
                 seen = np.isfinite(pixels[..., 0])
                 views = seen.any(-1)
-                rays = sensor.camera.normalise(pixels[views]).swapaxes(-1, -2)
-                T = planar_poses(rays, board.corners, seen[views])
-                away[views] = np.linalg.norm(T[:, :3, :3] @ board.centre + T[:, :3, 3], axis=-1)
+                places = board.corners - board.centre
+                term = CornerTerm(sensor.camera, places, pixels[views].swapaxes(-1, -2), seen[views])
+                away[views] = np.linalg.norm(term.linear_poses[:, :3, 3], axis=-1)
     return found
 
 

@@ -11,6 +11,8 @@ from calibration.estimation.held import PLACE, Cause
 from calibration.estimation.result import Calibration
 from calibration.estimation.significance import score_of_f, threshold
 from calibration.estimation.suspects import CONTRADICTING, EXACTLY, LENS, SIDE, Disagreement, Suspect, explain
+from calibration.geometry.cameras import Camera
+from calibration.geometry.lenses import MODELS
 from calibration.geometry.transforms import adjoint
 from calibration.geometry.types import Array
 
@@ -37,7 +39,7 @@ ADVICE: Mapping[str, str] = {
     "skew": "calibrate the intrinsics",
     "radial distortion": "calibrate the intrinsics with this lens model, or a richer one",
     "tangential distortion": "calibrate the intrinsics with this lens model, or a richer one",
-    "lens model": "calibrate the intrinsics with a richer lens model (rational_polynomial, equidistant)",
+    "lens model": f"calibrate the intrinsics with another lens model ({', '.join(MODELS)})",
     "range bias": "correct the sensor's ranges, or hold it to a surveyed distance",
     "range scale": "correct the sensor's ranges, or measure the pattern again",
     "beam elevation": "look at the sensor's own calibration of its beams",
@@ -192,9 +194,21 @@ def _gross(calibration: Calibration, suspect: Suspect) -> bool:
         camera = calibration.dataset.sensors[suspect.cause.subject.split(" and ")[0]].camera
         if camera is None:
             return False
-        r = np.linspace(0, min(camera.width / camera.fx, camera.height / camera.fy) / 2, 20)
-        value = sum(k * r ** (2 * i) for i, k in enumerate(value.tolist(), 1)) + np.zeros(1)
+        value = _stretched(camera, value)
     return float(np.abs(value).max()) > GROSS[kind][0]
+
+
+def _stretched(camera: Camera, changes: Array) -> Array:
+    """Return by what part of itself the distance from the image's centre changes with the radial coefficients.
+
+    From the centre to the image's nearer border; NaN where the lens has no ray.
+    """
+    lens = camera.distortion
+    r = np.linspace(0, min(camera.width / camera.fx, camera.height / camera.fy) / 2, 20)[1:]
+    x, none = lens.undistort(r, np.zeros_like(r))
+    derivatives = dict(zip(lens.names(), lens.derivatives(x, none), strict=True))
+    part = sum(k * derivatives[name][0] for name, k in zip(lens.radial, changes.tolist(), strict=False)) / r
+    return np.asarray(np.nan_to_num(part))
 
 
 def _moves_after(calibration: Calibration, suspect: Suspect) -> Array:

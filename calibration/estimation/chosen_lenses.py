@@ -8,7 +8,7 @@ from calibration.errors import InputError
 from calibration.estimation.lens_choice import SIMPLEST_FIRST, LensChoice, choose_lens
 from calibration.estimation.options import Options
 from calibration.frozen import frozen
-from calibration.geometry.distortion import MODELS, Distortion
+from calibration.geometry.lenses import MODELS, Distortion
 
 WORST_RMS = 5.0
 """px: a lens that fits its corners worse than this does not fit."""
@@ -70,8 +70,7 @@ def fitting_lens(
         best = f" (the best, {choice.chosen.name}, leaves {choice.chosen.rms:.3g} px)" if choice else ""
         raise InputError(
             f"{where}: no lens model fits its corners{best}: are the patterns as described, with their columns, rows "
-            f"and the right corners, and all images of one focus and zoom? Lenses of 180 degrees and more are not "
-            f"supported"
+            f"and the right corners, and all images of one focus and zoom?"
         )
     return choice
 

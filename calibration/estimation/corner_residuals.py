@@ -26,8 +26,10 @@ from calibration.estimation.one_thread import product
 from calibration.estimation.planar_pose import planar_poses
 from calibration.estimation.residuals import Linearised, chunks, robust, squeezed
 from calibration.frozen import frozen
+from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import LAST_STEP
+from calibration.geometry.lenses import LAST_STEP
+from calibration.geometry.lenses.charts import IN_FRONT, Placed
 from calibration.geometry.types import Array, BoolArray, IntArray
 
 LENS = ("skew", "prism_x", "prism_y")
@@ -36,11 +38,10 @@ LENS = ("skew", "prism_x", "prism_y")
 ``u = fx (x + skew y + prism_x r^2)``, ``v = fy (y + prism_y r^2)`` with distorted (x, y)
 (J. Weng et al., "Camera calibration with distortion models and accuracy evaluation", 1992).
 """
+MIN_FRONT = 0.1
+"""Cosine of the angle from the middle of a view beyond which its rays are left out of the homography."""
 ROUGH_STEP = 1e-3
-"""Termination of `calibration.geometry.distortion.Distortion.undistort` for an initial guess: accurate to 1e-6."""
-
-NEAREST = 1e-6
-"""Depth of points in front of the camera, m."""
+"""Termination of `calibration.geometry.lenses.Distortion.undistort` for an initial guess: accurate to 1e-6."""
 
 
 @frozen(eq=False)
@@ -74,7 +75,7 @@ class CornerTerm:
 
     @property
     def rays(self) -> Array:
-        """(V, 2, K): labels as undistorted normalised coordinates."""
+        """(V, 2, K): labels as undistorted coordinates in the lens's chart."""
         return self._rays(slice(None), LAST_STEP)
 
     def _rays(self, views: slice, step: float) -> Array:
@@ -92,7 +93,23 @@ class CornerTerm:
         if np.isnan(rays).any():  # a label where the distortion has no inverse must not cost its whole view
             usable: BoolArray = np.asarray(np.isfinite(rays).all(1))
             seen = usable if seen is None else seen & usable
-        return planar_poses(rays, self.corners, seen)
+        if self.camera.distortion.chart is IN_FRONT:
+            return planar_poses(rays, self.corners, seen)
+        x, y = np.swapaxes(rays, 0, 1)
+        return self._poses_of_directions(np.swapaxes(self.camera.distortion.chart.rays(x, y), 0, 1), seen)
+
+    def _poses_of_directions(self, rays: Array, seen: BoolArray | None) -> Array:
+        """Return the poses for rays (V, 3, K): each view's are turned to the front, where a homography sees them."""
+        weights = np.ones(rays[:, :1].shape) if seen is None else seen[:, None].astype(float)
+        turned_back = rotations.towards((np.where(weights > 0, rays, 0.0)).sum(-1))
+        x, y, z = np.moveaxis(np.swapaxes(turned_back, 1, 2) @ rays, 1, 0)
+        with np.errstate(invalid="ignore"):
+            in_front: BoolArray = z > MIN_FRONT
+        depth = np.where(in_front, z, np.nan)
+        seen = in_front if seen is None else seen & in_front
+        T = planar_poses(np.stack([x / depth, y / depth], 1), self.corners, None if seen.all() else seen)
+        T[:, :3] = turned_back @ T[:, :3]
+        return T
 
     def take(self, views: IntArray | slice) -> "CornerTerm":
         """Return the term of only some of the views."""
@@ -126,16 +143,17 @@ class CornerTerm:
         return out, self.corners.T[None]
 
     def magnitudes(self, T: Array) -> Array:
-        """(V, K): distance from each label to the projected corner (px); NaN if not seen or behind."""
+        """(V, K): distance from each label to the projected corner (px); NaN if not seen or not to be seen."""
         out = np.empty((len(T), self.length))
         for part in chunks(len(T), self.length):
-            (x, y), _, behind = self._normalised(T[part], part)
+            placed = self._placed(T[part], part)
+            (x, y), outside = placed.at, placed.outside
             xd, yd = self.camera.distortion.distort(x, y)
             u = self.camera.fx * xd - self._from_centre[0, part]
             v = self.camera.fy * yd - self._from_centre[1, part]
             out[part] = np.sqrt(u * u + v * v)
-            if behind is not None:
-                out[part][behind] = np.nan
+            if outside is not None:
+                out[part][outside] = np.nan
         return out if self.seen is None else np.where(self.seen, out, np.nan)
 
     @cached_property
@@ -171,29 +189,22 @@ class CornerTerm:
         X, Y = self.corners[..., 0], self.corners[..., 1]
         return np.stack([np.concatenate([Y, Y], -1), np.concatenate([-X, -X], -1)])
 
-    def _normalised(self, T: Array, part: slice) -> tuple[Array, Array, BoolArray | None]:
-        """Return normalised coordinates (2, v, K), inverse depth (v, K), and a mask of points behind the camera.
-
-        Points behind it have the depth 1, so that their numbers are finite; None if there are none.
-        """
+    def _placed(self, T: Array, part: slice) -> Placed:
+        """Return the corners of a part of the views in the lens's chart."""
         if self.corners.ndim == 2:  # the camera's axes first: everything after is contiguous
             points = (T[:, :3].transpose(1, 0, 2).reshape(-1, 4) @ self._in_plane).reshape(3, len(T), -1)
         else:
             points = np.ascontiguousarray((T[:, :3] @ self._in_plane[part]).transpose(1, 0, 2))
-        behind = None if points[2].min() > NEAREST else ~(points[2] > NEAREST)
-        if behind is not None:
-            points[2][behind] = 1.0
-        inverse_depth = np.divide(1.0, points[2], out=points[2])
-        points[:2] *= inverse_depth
-        return points[:2], inverse_depth, behind
+        return self.camera.distortion.chart.placed(points, self.camera.distortion.sees)
 
     def _projected(
         self, T: Array, part: slice, scale: float, huber: float | None, squares: Array | None = None
     ) -> "_Projected":
         """Project the corners of a part of the views; the arguments are those of `linearise`."""
         camera, seen = self.camera, None if self.seen is None else self.seen[part]
-        normalised, inverse_depth, behind = self._normalised(T, part)
-        distorted, jacobian = camera.distortion.distort_with_jacobian(normalised)
+        placed = self._placed(T, part)
+        outside = placed.outside
+        distorted, jacobian = camera.distortion.distort_with_jacobian(placed.at)
         residuals = distorted * self._focal
         residuals -= self._from_centre[:, part]
         if scale != 1.0:
@@ -207,20 +218,20 @@ class CornerTerm:
             np.multiply(squared, scale * scale, out=squares)
             if seen is not None:
                 squares[~seen] = np.nan
-            if behind is not None:
-                squares[behind] = np.nan
-        if behind is not None:
-            cost = np.where((behind if seen is None else seen & behind).any(-1), np.inf, cost)
+            if outside is not None:
+                squares[outside] = np.nan
+        if outside is not None:
+            cost = np.where((outside if seen is None else seen & outside).any(-1), np.inf, cost)
         if seen is not None:
             weight = seen.astype(float) if weight is None else weight * seen
         if weight is not None:
             residuals *= weight
-        over_depth = inverse_depth if weight is None else weight * inverse_depth
+        over_depth = placed.nearness if weight is None else weight * placed.nearness
         along = over_depth * (self._focal / scale)
-        slopes = np.empty((2, *normalised.shape))
-        np.multiply(jacobian[:2], along[0], out=slopes[0])
-        np.multiply(jacobian[1:], along[1], out=slopes[1])
-        return _Projected(cost, normalised, distorted, residuals, slopes, weight)
+        slopes = np.empty((2, *placed.at.shape))
+        np.multiply(jacobian[0], along[0], out=slopes[0])
+        np.multiply(jacobian[1], along[1], out=slopes[1])
+        return _Projected(cost, placed, distorted, residuals, slopes, weight)
 
     def _fill(self, rows: Array, T: Array, found: "_Projected", scale: float) -> None:
         """Fill the first 6 + m and the last of weighted rows (r, v, 2, K)."""
@@ -240,7 +251,7 @@ class CornerTerm:
     def _fill_intrinsics(self, rows: Array, found: "_Projected", scale: float) -> None:
         """Fill (m, v, 2, K) rows: the derivative of both image axes by each of the free intrinsics."""
         fx, fy = self.camera.fx / scale, self.camera.fy / scale
-        coefficients = self.camera.distortion.derivatives(*found.normalised) if max(self.free) > 3 else []
+        coefficients = self.camera.distortion.derivatives(*found.placed.at) if max(self.free) > 3 else []
         if max(self.free) > 3 + len(coefficients):
             x, y = found.distorted
             r2 = x * x + y * y
@@ -268,26 +279,20 @@ class _Projected:
 
     cost: Array
     """(v,)."""
-    normalised: Array
-    """(2, v, K): coordinates of an ideal camera."""
+    placed: Placed
+    """In the chart of the lens."""
     distorted: Array
     """(2, v, K): those of this camera's lens."""
     residuals: Array
     """(2, v, K): weighted, in standard deviations."""
     slopes: Array
-    """(2, 2, v, K): of both residuals, the derivatives by x and y of the normalised coordinates, over the depth."""
+    """(2, 2, v, K): of both residuals, the derivatives by both coordinates of the chart, over the depth."""
     weight: Array | None
     """(v, K): by which residuals and slopes are multiplied; None for 1."""
 
     def by_translation(self) -> Array:
         """Return the derivatives (v, 3, 2 K) of both residuals by a translation along each axis of the camera."""
-        right, down, (x, y) = self.slopes[:, 0], self.slopes[:, 1], self.normalised
-        a = np.empty((right.shape[1], 3, 2, right.shape[2]))
-        a[:, 0], a[:, 1] = right.transpose(1, 0, 2), down.transpose(1, 0, 2)
-        along = x * right
-        along += y * down
-        np.negative(along.transpose(1, 0, 2), out=a[:, 2])
-        return a.reshape(len(a), 3, -1)
+        return self.placed.by_translation(self.slopes)
 
 
 def _hessian_and_gradient(R: Array, found: _Projected, monomials: Array) -> tuple[Array, Array]:
@@ -307,23 +312,10 @@ def _hessian_and_gradient(R: Array, found: _Projected, monomials: Array) -> tupl
 def _moments(found: _Projected, monomials: Array) -> Array:
     """Return the moments (v, 9 x 6) of the products of ``a = (x, y, -z)`` with itself and with the residual r.
 
-    The products are xx, xy, yy, xz, yz, x r, y r, zz and z r. A translation along the camera's axes changes the
-    normalised coordinates by ``(dx - x dz, dy - y dz)`` over the depth: with the slopes s of a residual,
-    ``a = (s_x, s_y, -(x s_x + y s_y))``.
+    The products are those of `calibration.geometry.lenses.charts.Placed.products`.
     """
-    coordinates, slopes = found.normalised, found.slopes
-    _, v, K = coordinates.shape
-    products = np.empty((9, v, K))
-    squares = slopes * slopes
-    np.add(squares[0], squares[1], out=products[:3:2])
-    np.multiply(slopes[:, 0], slopes[:, 1], out=squares[0])
-    np.add(squares[0, 0], squares[0, 1], out=products[1])
-    np.multiply(products[:2], coordinates[0], out=products[3:5])
-    products[3:5] += products[1:3] * coordinates[1]
-    np.multiply(slopes, found.residuals[:, None], out=squares)
-    np.add(squares[0], squares[1], out=products[5:7])
-    by_depth = products[3:7].reshape(2, 2, v, K) * coordinates
-    np.add(by_depth[:, 0], by_depth[:, 1], out=products[7:])
+    products = found.placed.products(found.slopes, found.residuals)
+    _, v, K = products.shape
     if monomials.ndim > 2:
         return (products.transpose(1, 0, 2) @ monomials).reshape(v, -1)
     moments = product(products.reshape(-1, K), monomials).reshape(9, v, 6)

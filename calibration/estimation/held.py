@@ -196,13 +196,12 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], lens: 
     scaled = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx + 0.5, "cy": camera.cy + 0.5}
     yield from part("image scale", "1", scaled)
     yield from part("skew", "rad", {"skew": 1.0}, sigma=0.0 if lens.is_exact else SKEW)
-    names = camera.distortion.names()
-    beyond = [each for each in names if each in ("k3", "k4") and each not in free] + list(LENS[1:])
-    yield from part("lens model", "1", *({each: 1.0} for each in beyond))
-    for kind, coefficients in (("radial distortion", ("k1", "k2")), ("tangential distortion", ("p1", "p2"))):
-        weights = [{name: 1.0} for name in coefficients if name in names]
-        if weights:
-            yield from part(kind, "1", *weights)
+    model = camera.distortion
+    higher = [name for name in model.higher if name in model.names() and name not in free]
+    yield from part("lens model", "1", *({name: 1.0} for name in (*higher, *LENS[1:])))
+    yield from part("radial distortion", "1", *({name: 1.0} for name in model.radial))
+    if model.tangential:
+        yield from part("tangential distortion", "1", *({name: 1.0} for name in model.tangential))
 
 
 def _of_all_cameras(cameras: Mapping[str, Camera]) -> Iterator[Cause]:
@@ -215,7 +214,7 @@ def _of_all_cameras(cameras: Mapping[str, Camera]) -> Iterator[Cause]:
 
     yield cause("focal length", "1", lambda camera: {"fx": camera.fx, "fy": camera.fy})
     yield cause("pixel convention", "px", lambda _: {"cx": 1.0, "cy": 1.0})
-    yield cause("radial distortion", "1", lambda camera: {camera.parameters[4]: 1.0})
+    yield cause("radial distortion", "1", lambda camera: {camera.distortion.radial[0]: 1.0})
 
 
 def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Cause]:

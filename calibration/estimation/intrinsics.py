@@ -72,7 +72,7 @@ class FreeIntrinsics:
     free: tuple[str, ...]
     """Free parameters, in the order of `Camera.parameters`."""
     rays: Array
-    """(2, n): normalised coordinates of its labels."""
+    """(2, n): its labels as coordinates in the lens's chart."""
     prior: Prior | None = None
 
     @property
@@ -113,7 +113,7 @@ class FreeIntrinsics:
 
     @cached_property
     def _probes(self) -> Array:
-        """Points (2, p) all over the circle that contains the labels, as normalised coordinates."""
+        """Points (2, p) all over the circle that contains the labels, in the lens's chart."""
         around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
         r = np.hypot(*self.rays).max(initial=0.0) * np.linspace(0, 1, 9)[1:, None]
         return np.stack([(r * np.cos(around)).ravel(), (r * np.sin(around)).ravel()])
@@ -125,8 +125,8 @@ class FreeIntrinsics:
 
     def _unfolded(self, camera: Camera) -> BoolArray:
         with np.errstate(all="ignore"):
-            _, (a, b, c) = camera.distortion.distort_with_jacobian(self._probes)
-            unfolded: BoolArray = (a > 0) & (a * c - b * b > 0)
+            _, ((a, b), (c, d)) = camera.distortion.distort_with_jacobian(self._probes)
+            unfolded: BoolArray = (a > 0) & (a * d - b * c > 0)
         return unfolded
 
     def pull(self, value: Array) -> tuple[float, Array, Array]:
@@ -169,11 +169,11 @@ class FreeIntrinsics:
         """Rotation (k, 2, n) of the rays all over the image per unit of each free parameter, rad."""
         camera = self.camera
         u, v = np.meshgrid(np.linspace(0, camera.width - 1, 16), np.linspace(0, camera.height - 1, 12))
-        x, y = camera.normalise(np.stack([u.ravel(), v.ravel()], -1)).T
+        x, y = camera.from_pixels(u.ravel(), v.ravel())
         return self._turns(x[np.isfinite(x)], y[np.isfinite(x)])
 
     def _turns(self, x: Array, y: Array) -> Array:
-        """Rotation (k, 2, n) of rays, as normalised coordinates (n,), per unit of each free parameter.
+        """Rotation (k, 2, n) of rays, as coordinates (n,) in the chart, per unit of each free parameter.
 
         In pixels over the focal length, which is close to the angle, and for a fisheye lens equal to it.
         """

@@ -17,7 +17,7 @@ from calibration.dataset.sensors import MAX_INTRINSIC, camera_document
 from calibration.estimation.intrinsics import PIXELS, CalibratedIntrinsics
 from calibration.files import write_atomically
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import MODELS
+from calibration.geometry.lenses import MODELS
 
 FILE_NAME = "intrinsics.json"
 MAX_CAMERAS = 1000

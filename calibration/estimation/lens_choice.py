@@ -30,16 +30,21 @@ from calibration.estimation.single_views import corner_term, refined_poses
 from calibration.estimation.views import Chain, Link, ViewGroup
 from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Distortion, Equidistant, PlumbBob, Rational
+from calibration.geometry.lenses import MODELS, Distortion, PlumbBob, Rational
+from calibration.geometry.lenses.charts import IN_FRONT
 from calibration.geometry.types import Array
 
-SIMPLEST_FIRST: tuple[type[Distortion], ...] = (PlumbBob, Equidistant, Rational)
+SIMPLEST_FIRST: tuple[type[Distortion], ...] = tuple(MODELS.values())
 """Models in the order in which they are preferred, if they fit as well as each other."""
+MIN_WIDE_ANGLE = np.radians(60.0)
+"""Angle of a corner from the optical axis, from which models of wide lenses are compared too."""
 SIGNIFICANT = 2.5
 """Standard score from which another model fits better."""
+MAX_NOISE_RATIO = 1.5
+"""Ratio of a model's robust noise to the best one's from which it is worse, whatever single views say."""
 NEGLIGIBLE = 0.25
 """Fraction of the best model's RMS by which another one may err, without being worse for it."""
-FIELDS_OF_VIEW = (20, 30, 45, 60, 75, 90, 105, 120, 140, 160, 180)
+FIELDS_OF_VIEW = (20, 30, 45, 60, 75, 90, 105, 120, 140, 160, 180, 200, 220)
 """Degrees over the longer side of the image: the least squares begins with the best of them."""
 MOST_STARTS = 4
 """Number of fields of view from which a model is fitted, until it has a minimum."""
@@ -51,6 +56,8 @@ PIXEL_DECIMALS, COEFFICIENT_DECIMALS = 3, 6
 """Decimals of a fitted lens, which is a guess: the last digits would differ between processors."""
 GUESSED_ZERO = ("k3",)
 """Coefficients that plumb_bob has and Kalibr's radtan has not."""
+MAX_PINHOLE_ANGLE = np.radians(85.0)
+"""Limit of the angle at which a pinhole is fitted to another lens."""
 RADII = 50
 """Number of radii at which a rational lens is fitted to another one."""
 
@@ -124,7 +131,9 @@ def choose_lens(
     terms = _terms(Camera(1.0, 1.0, 0.0, 0.0, width, height), views)
     fits: list[LensFit] = []
     with np.errstate(all="ignore"):  # a model that diverges is left out
-        for model in sorted(models, key=SIMPLEST_FIRST.index):
+        for model in sorted(models, key=lambda each: (each.is_wide, SIMPLEST_FIRST.index(each))):
+            if model.is_wide and len(models) > 1 and fits and not _is_wide(fits, terms):
+                continue
             found = [_from_best_start(model, width, height, terms)]
             if model is Rational:
                 found += [_fitted(start, terms) for fit in fits if (start := _rational_like(fit.camera, terms))]
@@ -137,6 +146,18 @@ def choose_lens(
     return replace(choice, guess=guess.camera if guess else choice.chosen.camera)
 
 
+def _is_wide(fits: Sequence[LensFit], terms: Sequence[CornerTerm]) -> bool:
+    """Whether the lens sees corners far to the side, by the model that fits best so far."""
+    camera = min(fits, key=lambda fit: fit.rms).camera
+    return bool(camera.distortion.chart.angle(_radii(camera, terms)).max(initial=0.0) > MIN_WIDE_ANGLE)
+
+
+def _radii(camera: Camera, terms: Sequence[CornerTerm]) -> Array:
+    """Return the lengths (n,) of the corners' coordinates in the lens's chart."""
+    radii = np.concatenate([np.hypot(*np.swapaxes(term.seen_with(camera, ()).rays, 0, 1)).ravel() for term in terms])
+    return np.asarray(radii[np.isfinite(radii)])
+
+
 def _simplest(fits: Sequence[LensFit]) -> LensChoice:
     """Choose the simplest model that does not fit significantly worse than the best."""
     noise = min(fit.noise for fit in fits)
@@ -147,6 +168,8 @@ def _simplest(fits: Sequence[LensFit]) -> LensChoice:
     def fits_worse(fit: LensFit) -> bool:
         if fit.rms**2 - best.rms**2 < (NEGLIGIBLE * best.rms) ** 2:
             return False
+        if fit.noise > MAX_NOISE_RATIO * best.noise:  # one view that it does not fit at all hides all others
+            return True
         more = costs[fit.order] - costs[best.order]
         excess = more.sum() + price[fit.order] - price[best.order]
         return bool(excess > SIGNIFICANT * np.sqrt(len(more)) * more.std())
@@ -182,10 +205,11 @@ def _starts(
     found = []
     for degrees in FIELDS_OF_VIEW:
         half = np.radians(degrees) / 2
-        if model is not Equidistant and degrees > WIDEST_PINHOLE:
+        lens = model(*model.start)
+        if degrees > WIDEST_PINHOLE and (model.chart is IN_FRONT or not lens.sees(np.array(np.cos(half)))):
             continue
-        f = max(width, height) / 2 / (half if model is Equidistant else float(np.tan(half)))
-        camera = Camera(f, f, (width - 1) / 2, (height - 1) / 2, width, height, model())
+        f = max(width, height) / 2 / float(lens.distort(np.array([model.chart.radius(half)]), np.zeros(1))[0][0])
+        camera = Camera(f, f, (width - 1) / 2, (height - 1) / 2, width, height, lens)
         poses, rms = _posed(camera, terms)
         found.append((float(np.median(rms)), (camera, poses)))
     return [start for rms, start in sorted(found, key=lambda each: each[0]) if np.isfinite(rms)]
@@ -207,9 +231,11 @@ def _rational_like(camera: Camera, terms: Sequence[CornerTerm]) -> tuple[Camera,
     The curve ``s(r) = (1 + a r^2 + b r^4 + c r^6) / (1 + d r^2 + e r^4 + f r^6)`` gives an equation for a to f that is
     linear, for each radius r.
     """
-    rays = np.concatenate([np.hypot(*np.swapaxes(term.seen_with(camera, ()).rays, 0, 1)).ravel() for term in terms])
-    r = np.linspace(0, float(np.nanmax(rays, initial=0.0)), RADII + 1)[1:]
-    s = camera.distortion.distort(r, np.zeros_like(r))[0] / r
+    chart = camera.distortion.chart
+    angles = np.minimum(chart.angle(_radii(camera, terms)), MAX_PINHOLE_ANGLE)
+    r = np.linspace(0, float(np.tan(angles.max(initial=0.0))), RADII + 1)[1:]
+    at = r if chart is IN_FRONT else np.arctan(r)
+    s = camera.distortion.distort(at, np.zeros_like(at))[0] / r
     powers = np.stack([r**2, r**4, r**6], -1)
     k1, k2, k3, k4, k5, k6 = np.linalg.lstsq(np.hstack([powers, -s[:, None] * powers]), s - 1, rcond=None)[0].tolist()
     lens = Rational(k1, k2, 0.0, 0.0, k3, k4, k5, k6)

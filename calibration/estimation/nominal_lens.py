@@ -18,12 +18,12 @@ import numpy as np
 
 from calibration.dataset.pattern import Pattern, grid
 from calibration.estimation.corner_residuals import LENS, CornerTerm
+from calibration.estimation.intrinsics import PIXELS
 from calibration.estimation.label_columns import BENT, POSE, products
 from calibration.estimation.normal_equations import Weighting
 from calibration.frozen import frozen
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Equidistant
 from calibration.geometry.transforms import apply, transform
 from calibration.geometry.types import Array
 
@@ -40,8 +40,6 @@ NOISE = 0.125
 """Standard deviation of its corners, px."""
 FLAT = 0.0001
 """Standard deviation of its bow, about each axis, and of its twist, m."""
-ALWAYS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
-"""Intrinsics that every calibration determines; others only where camera_info has them (they are not 0)."""
 RIDGE = 1e-10
 """Information on each parameter, in proportion to what is known of it alone, so that degenerate ones stay finite."""
 
@@ -62,8 +60,8 @@ class NominalLens:
 def nominal_lens(camera: Camera) -> NominalLens:
     """Return how well the intrinsics of a camera are known from a nominal calibration."""
     coefficients = zip(camera.parameters, camera.intrinsics, strict=True)
-    whole = isinstance(camera.distortion, Equidistant)
-    parameters = tuple(name for name, value in coefficients if name in ALWAYS or value or whole)
+    always = (*PIXELS, *camera.distortion.always)  # others only where camera_info has them (they are not 0)
+    parameters = tuple(name for name, value in coefficients if name in always or value)
     names, n = (*camera.parameters, *LENS, *BENT), len(parameters)
     M = _information(camera, [POSE + names.index(name) for name in (*parameters, "bow_x", "bow_y", "twist")])
     scale = 1 / np.sqrt(np.maximum(np.diagonal(M)[:n], 1e-300))
@@ -104,7 +102,7 @@ def views(camera: Camera) -> Array:
     across, down, far, tilt, direction, turn = (k * k * np.sqrt([[2], [3], [5], [7], [11], [13]])) % 1
     u = (camera.width - 1) / 2 + PLACES * camera.width * (across - 0.5)
     v = (camera.height - 1) / 2 + PLACES * camera.height * (down - 0.5)
-    rays = np.stack([*camera.from_pixels(u, v), np.ones(VIEWS)], -1)
+    rays = camera.rays(np.stack([u, v], -1))
     usable = np.isfinite(rays).all(-1)
     length = (COLUMNS + 1) * SQUARE
     pixels = np.sqrt(AREA * camera.width * camera.height * (COLUMNS + 1) / (ROWS + 1))
@@ -113,11 +111,4 @@ def views(camera: Camera) -> Array:
     tilted = rotations.exp(TILT * tilt[:, None] * axes)
     turned = rotations.exp(2 * np.pi * turn[:, None] * np.array([0.0, 0.0, 1.0]))
     unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    return transform((_towards(unit) @ tilted @ turned)[usable], (unit * distance[:, None])[usable])
-
-
-def _towards(unit: Array) -> Array:
-    """Return the smallest rotations (v, 3, 3) that turn the z axis to unit vectors (v, 3)."""
-    across = np.stack([-unit[:, 1], unit[:, 0], np.zeros(len(unit))], -1)
-    length = np.linalg.norm(across, axis=-1, keepdims=True)
-    return rotations.exp(across / np.maximum(length, 1e-12) * np.arctan2(length, unit[:, 2:]))
+    return transform((rotations.towards(unit) @ tilted @ turned)[usable], (unit * distance[:, None])[usable])

@@ -29,7 +29,8 @@ Scale = Literal["known", "free"]
 Description = Literal["trusted", "rough"]
 """Reliability of the dataset's own transforms."""
 Names = Annotated[tuple[Annotated[str, length(1, 400)], ...], length(most=1000), UNIQUE]
-LensModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
+LensModel = Literal["plumb_bob", "equidistant", "eucm", "double_sphere", "rational_polynomial", "omni"]
+"""The names in `calibration.geometry.lenses.MODELS`."""
 KnownIntrinsics = Path | Mapping[str, CalibratedIntrinsics]
 """A file, or its content, by camera."""
 
@@ -80,9 +81,9 @@ class Options:
         option="Cameras whose intrinsics are calibrated too, or all.",
     )
     lens: Mapping[str, LensModel] = field(
-        "Lens models of cameras whose intrinsics are calibrated, by camera: plumb_bob, rational_polynomial or "
-        "equidistant, a fisheye. By default that of the dataset; of a camera without given intrinsics the simplest "
-        "that fits its corners.",
+        "Lens models of cameras whose intrinsics are calibrated, by camera: plumb_bob or rational_polynomial; of wide "
+        "lenses equidistant, eucm, double_sphere or omni. By default that of the dataset; of a camera without given "
+        "intrinsics the simplest that fits its corners.",
         default_factory=dict,
         option=False,
     )

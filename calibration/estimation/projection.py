@@ -57,10 +57,11 @@ class Projection:
         Args:
             distance: of the points, m.
         """
-        x, y = np.moveaxis(self.camera.normalise(self.pixels), -1, 0)
-        depth = distance / np.sqrt(x * x + y * y + 1)
+        x, y = self.camera.from_pixels(*np.moveaxis(self.pixels, -1, 0))
+        rays = self.camera.distortion.chart.rays(x, y)
+        rays = rays / np.linalg.norm(rays, axis=0)
         own = np.moveaxis(self.camera.derivatives(x, y)[self.free.at], (0, 1), (-1, -2))
-        changes: Array = own + _of_twist(self.camera, x, y, depth) @ self.gain
+        changes: Array = own + _of_twist(self.camera, rays, distance) @ self.gain
         return changes
 
     def sigmas(self, covariance: Array, distance: float = np.inf) -> Array:
@@ -103,23 +104,28 @@ def projection_of(calibration: Calibration, name: str) -> Projection:
                     points.append(apply(T, pattern.corners[labels.ids] - pattern.centre))
                     normals.append(T[:3, 2])
     scene: Array = np.concatenate(points)
-    x, y = (scene[:, :2] / scene[:, 2:]).T
+    x, y = camera.distortion.chart.coordinates(scene.T, camera.distortion.sees)
     own = np.moveaxis(camera.derivatives(x, y)[free.at], (0, 1), (-1, -2)).reshape(-1, len(free.at))
-    moved = _of_twist(camera, x, y, scene[:, 2]).reshape(-1, 6)
+    moved = _of_twist(camera, scene.T).reshape(-1, 6)
     gain = -np.asarray(np.linalg.lstsq(moved, own, rcond=None)[0], float)
     distance = float(np.median(np.linalg.norm(scene, axis=-1)))
     return Projection(camera, free, gain, distance, _seen(camera, camera.to_pixels(x, y)), np.array(normals, float))
 
 
-def _of_twist(camera: Camera, x: Array, y: Array, depth: Array) -> Array:
-    """Derivatives (..., 2, 6) of the pixels of points by a twist of the scene in the camera's frame, m and rad."""
-    near = 1 / depth
+def _of_twist(camera: Camera, points: Array, distance: float = 1.0) -> Array:
+    """Derivatives (..., 2, 6) of the pixels of points by a twist of the scene in the camera's frame, m and rad.
+
+    Args:
+        camera: the camera.
+        points: (3, ...), of which the lens sees all.
+        distance: by which they are multiplied; infinite for directions.
+    """
+    x, y, z = points
     none = np.zeros_like(x)
-    by_x = np.stack([near, none, -x * near, -x * y, 1 + x * x, -y], -1)
-    by_y = np.stack([none, near, -y * near, -1 - y * y, x * y, x], -1)
-    slopes = np.moveaxis(camera.slopes(x, y), (0, 1), (-2, -1))
-    derivatives: Array = slopes @ np.stack([by_x, by_y], -2)
-    return derivatives
+    turns = np.array([(none, z, -y), (-z, none, x), (y, -x, none)])  # of dw x P, for each axis of dw
+    slopes = camera.slopes(points)
+    by_turn = np.einsum("ij...,jk...->ik...", slopes, turns)
+    return np.moveaxis(np.concatenate([slopes / distance, by_turn], 1), (0, 1), (-2, -1))
 
 
 def _seen(camera: Camera, pixels: Array) -> BoolArray:

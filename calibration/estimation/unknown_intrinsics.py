@@ -98,8 +98,8 @@ def _prior(dataset: Dataset, name: str, camera: Camera, known: CalibratedIntrins
 
 
 def _rays(dataset: Dataset, name: str, camera: Camera) -> Array:
-    """Return the labels of a camera as normalised coordinates (2, n), without those that have none."""
+    """Return the labels of a camera in its lens's chart (2, n), without those that have none."""
     labels = [c.labels[key] for c in dataset.collections for key in c.labels if key[1] == name]
     pixels = [each.pixels for each in labels if isinstance(each, CornerLabels)]
-    rays = camera.normalise(np.concatenate(pixels))
-    return rays[np.isfinite(rays[:, 0])].T
+    rays = np.stack(camera.from_pixels(*np.concatenate(pixels).T))
+    return rays[:, np.isfinite(rays[0])]

@@ -112,11 +112,10 @@ def _errors(source: CornerViews, target: CornerViews, T_target_source: Array, ca
     """Return the columns (P, 5) of pairs of views."""
     T_sp, T_tp = source.T_camera_pattern, target.T_camera_pattern
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # NaN: rays that do not intersect the plane
-        rays = np.concatenate([source.rays.swapaxes(1, 2), np.ones((*source.seen.shape, 1))], -1)
+        rays = source.rays.swapaxes(1, 2)
         normal = T_sp[:, :3, 2]
         depth = (normal * T_sp[:, :3, 3]).sum(-1)[:, None] / np.einsum("pki,pi->pk", rays, normal)
-        x, y, z = np.moveaxis(apply(T_target_source, rays * depth[..., None]), -1, 0)
-        projected = camera.to_pixels(x / z, y / z)
+        projected = camera.project(apply(T_target_source, rays * depth[..., None]))
     both = source.seen & target.seen
     error = np.where(both[..., None], projected - target.pixels.swapaxes(1, 2), 0.0)
     count = both.sum(-1)

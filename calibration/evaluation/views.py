@@ -23,7 +23,7 @@ class CornerViews:
     pixels: Array
     """(V, 2, K): the labels."""
     rays: Array
-    """(V, 2, K): their undistorted normalised coordinates."""
+    """(V, 3, K): their rays, of any length."""
     seen: BoolArray
     """(V, K)."""
     T_camera_pattern: Array
@@ -79,7 +79,7 @@ def _corner_views(collections: tuple[Collection, ...], sensor: str, camera: Came
     detections = [(i, label) for i, label in labels if isinstance(label, CornerLabels)]
     term = corner_term(camera, pattern, [label for _, label in detections])
     seen = np.ones((len(detections), len(pattern.corners)), bool) if term.seen is None else term.seen
-    rays = np.where(seen[:, None], term.rays, 0.0)
+    rays = np.where(seen[:, None], np.swapaxes(camera.distortion.chart.rays(*np.swapaxes(term.rays, 0, 1)), 0, 1), 0.0)
     T_camera_centre, _ = fitted_poses(term)
     T = T_camera_centre @ inverse(translation(pattern.centre))
     good = np.isfinite(T[:, 0, 0])

@@ -8,6 +8,7 @@ from calibration.errors import InputError
 from calibration.exports.calibrated import Calibrated
 from calibration.exports.yaml_text import yaml_text
 from calibration.geometry.cameras import Camera
+from calibration.geometry.lenses.model import KalibrName
 from calibration.geometry.transforms import inverse
 from calibration.optional import optional
 
@@ -37,23 +38,16 @@ def kalibr_camchain(of: Calibrated) -> str:
     """Return Kalibr's camchain: each camera, and its pose relative to the previous one (``T_cn_cnm1``).
 
     Raises:
-        InputError: a distortion model has coefficients that Kalibr's models lack: k3, or those of the rational model.
+        InputError: Kalibr has no such lens model, or it has coefficients that Kalibr's models lack: k3 of plumb_bob.
     """
     document = {}
     for i, (name, camera) in enumerate(of.cameras.items()):
-        model = "equidistant" if camera.distortion.ros_name == "equidistant" else "radtan"
-        coefficients = camera.distortion.coefficients.tolist()
-        if any(coefficients[4:]):
-            raise InputError(
-                f"camera '{name}': Kalibr has radtan (k1, k2, p1, p2) and equidistant, found "
-                f"{camera.distortion.ros_name} with {camera.distortion.names()[4]} and more: keep these fixed at 0 "
-                f"(hold: [intrinsics-{name}-{camera.distortion.names()[4]}])"
-            )
+        kalibr, first, coefficients = _in_kalibr(camera, name)
         document[f"cam{i}"] = {
-            "camera_model": "pinhole",
-            "intrinsics": camera.intrinsics[:4].tolist(),
-            "distortion_model": model,
-            "distortion_coeffs": coefficients[:4],
+            "camera_model": kalibr.camera_model,
+            "intrinsics": [*first, *camera.intrinsics[:4].tolist()],
+            "distortion_model": kalibr.distortion_model,
+            "distortion_coeffs": coefficients,
             "resolution": [camera.width, camera.height],
             "rostopic": f"/{name}/image_raw",
         }
@@ -61,6 +55,22 @@ def kalibr_camchain(of: Calibrated) -> str:
         if before in of.poses and name in of.poses:
             document[f"cam{i}"]["T_cn_cnm1"] = (inverse(of.poses[name]) @ of.poses[before]).tolist()
     return yaml_text(document)
+
+
+def _in_kalibr(camera: Camera, name: str) -> tuple[KalibrName, list[float], list[float]]:
+    """Return Kalibr's names of a lens model, its parameters before the focal lengths, and its coefficients."""
+    lens = camera.distortion
+    kalibr = lens.kalibr
+    if kalibr is None:
+        raise InputError(f"camera '{name}': Kalibr has no lens model {lens.ros_name}; calibrate it with another 'lens'")
+    values, count = lens.coefficients.tolist(), kalibr.intrinsics + kalibr.coefficients
+    if any(values[count:]):
+        raise InputError(
+            f"camera '{name}': Kalibr's {kalibr.distortion_model} has {', '.join(lens.names()[:count])}, found "
+            f"{lens.ros_name} with {lens.names()[count]} and more: keep these fixed at 0 "
+            f"(hold: [intrinsics-{name}-{lens.names()[count]}])"
+        )
+    return kalibr, values[: kalibr.intrinsics], values[kalibr.intrinsics : count]
 
 
 def opencv_storage(of: Calibrated) -> str:

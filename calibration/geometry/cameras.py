@@ -1,5 +1,7 @@
 """Camera models: projection of points in the camera frame to pixels, and back-projection to rays.
 
+Which points a camera sees is its lens's to say: those of more than 180 degrees see points with z below 0.
+
 The camera frame is the optical one: x right, y down, z forward. Pixel (0, 0) is the centre of the
 top-left pixel.
 """
@@ -9,13 +11,13 @@ from dataclasses import field, replace
 import numpy as np
 
 from calibration.frozen import frozen
-from calibration.geometry.distortion import Distortion, PlumbBob
+from calibration.geometry.lenses import Distortion, PlumbBob
 from calibration.geometry.types import Array, BoolArray
 
 
 @frozen
 class Camera:
-    """A pinhole camera with distortion. Focal lengths and principal point are in pixels."""
+    """A camera with its lens. Focal lengths and principal point are in pixels."""
 
     fx: float
     fy: float
@@ -46,44 +48,59 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, points: Array) -> Array:
-        """Project points (..., 3) in the camera frame to pixels (..., 2); NaN for points not in front of the camera."""
-        z = np.where(points[..., 2] > 0, points[..., 2], np.nan)
-        return self.to_pixels(points[..., 0] / z, points[..., 1] / z)
+        """Project points (..., 3) in the camera frame to pixels (..., 2); NaN for points that the lens does not see."""
+        return self.to_pixels(*self._coordinates(points))
+
+    def _coordinates(self, points: Array) -> Array:
+        """Return the coordinates (2, ...) of points (..., 3) in the lens's chart; NaN if the lens does not see them."""
+        return self.distortion.chart.coordinates(np.moveaxis(points, -1, 0), self.distortion.sees)
 
     def project_visible(self, points: Array) -> tuple[Array, BoolArray]:
-        """Project points, and return a mask (...) of the visible ones: in front, where the distortion is invertible.
+        """Project points, and return a mask (...) of the visible ones: in front of the lens, where it is invertible.
 
         Far from the image centre a strong distortion folds points back into the image. Pixels may be outside the image.
         """
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            pixels = self.project(points)
-            back = self.normalise(pixels) - points[..., :2] / points[..., 2:]
-            visible: BoolArray = np.abs(back).max(-1) < 1e-6
+            at = self._coordinates(points)
+            pixels = self.to_pixels(*at)
+            back = np.abs(self.from_pixels(pixels[..., 0], pixels[..., 1]) - at)
+            visible: BoolArray = back.max(0) < 1e-6
         return pixels, visible
 
     def to_pixels(self, x: Array, y: Array) -> Array:
-        """Convert normalised coordinates (...) to pixels (..., 2)."""
+        """Convert coordinates (...) in the lens's chart to pixels (..., 2)."""
         xd, yd = self.distortion.distort(x, y)
         return np.stack([self.fx * xd + self.cx, self.fy * yd + self.cy], -1)
 
     def derivatives(self, x: Array, y: Array) -> Array:
-        """Derivatives (4 + n, 2, ...) of the pixels of normalised coordinates (...) by each of the `intrinsics`."""
+        """Derivatives (4 + n, 2, ...) of the pixels of coordinates (...) in the chart by each of the `intrinsics`."""
         xd, yd = self.distortion.distort(x, y)
         none, one = np.zeros_like(x), np.ones_like(x)
         coefficients = [(self.fx * dx, self.fy * dy) for dx, dy in self.distortion.derivatives(x, y)]
         return np.array([(xd, none), (none, yd), (one, none), (none, one), *coefficients])
 
-    def slopes(self, x: Array, y: Array) -> Array:
-        """Derivatives (2, 2, ...) of the pixels by normalised coordinates (...)."""
-        _, (a, b, c) = self.distortion.distort_with_jacobian(np.stack([x, y]))
-        return np.array([(self.fx * a, self.fx * b), (self.fy * b, self.fy * c)])
+    def slopes(self, points: Array) -> Array:
+        """Derivatives (2, 3, ...) of the pixels of points (3, ...) by the points."""
+        chart = self.distortion.chart
+        _, J = self.distortion.distort_with_jacobian(chart.coordinates(points, self.distortion.sees))
+        by_points: Array = np.einsum("ij...,jk...->ik...", J, chart.slopes(points))
+        return by_points * np.array([self.fx, self.fy]).reshape(2, *[1] * points.ndim)
 
     def normalise(self, pixels: Array) -> Array:
-        """Convert pixels (..., 2) to undistorted normalised coordinates (..., 2): the ray is (x, y, 1)."""
-        return np.stack(self.from_pixels(pixels[..., 0], pixels[..., 1]), -1)
+        """Convert pixels (..., 2) to normalised coordinates (..., 2): the ray is (x, y, 1).
+
+        NaN where the lens has no ray, and of rays that do not point to the front.
+        """
+        x, y, z = np.moveaxis(self.rays(pixels), -1, 0)
+        normalised: Array = np.stack([x, y], -1) / np.where(z > 0, z, np.nan)[..., None]
+        return normalised
+
+    def rays(self, pixels: Array) -> Array:
+        """Convert pixels (..., 2) to rays (..., 3) of any length; NaN where the lens has none."""
+        return np.moveaxis(self.distortion.chart.rays(*self.from_pixels(pixels[..., 0], pixels[..., 1])), 0, -1)
 
     def from_pixels(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Convert pixels (...) to undistorted normalised coordinates x and y (...)."""
+        """Convert pixels (...) to coordinates x and y (...) in the lens's chart, undistorted."""
         return self.distortion.undistort((u - self.cx) / self.fx, (v - self.cy) / self.fy)
 
     def contains(self, pixels: Array) -> BoolArray:

@@ -137,3 +137,10 @@ def nearest(M: ArrayLike) -> Array:
         sign[..., 2] = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0, -1.0, 1.0)
     R: Array = (U * sign[..., None, :]) @ Vt
     return R
+
+
+def towards(directions: Array) -> Array:
+    """Return the smallest rotations (v, 3, 3) that turn the z axis to directions (v, 3)."""
+    across = np.stack([-directions[:, 1], directions[:, 0], np.zeros(len(directions))], -1)
+    length = np.linalg.norm(across, axis=-1, keepdims=True)
+    return exp(across / np.maximum(length, 1e-12) * np.arctan2(length, directions[:, 2:]))

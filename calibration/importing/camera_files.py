@@ -15,13 +15,18 @@ from calibration.errors import InputError
 from calibration.estimation.intrinsics_file import read_calibrated
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import MODELS
+from calibration.geometry.lenses import MODELS
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
 from calibration.importing.structured_files import read_structured
 
-KALIBR_MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bob"}
-"""ROS's names of Kalibr's distortion models; the other ones (fov) have no equivalent."""
+KALIBR_MODELS = {
+    (model.kalibr.camera_model, distortion): model
+    for model in reversed(MODELS.values())  # the simplest one counts: a pinhole without distortion is plumb_bob
+    if model.kalibr
+    for distortion in dict.fromkeys((model.kalibr.distortion_model, "none"))
+}
+"""Lens models by Kalibr's camera_model and distortion_model; other ones (fov) have no equivalent."""
 BASELINE = "T_cn_cnm1"
 """Kalibr's key of a camera: the pose of the one before in its frame."""
 MAX_BASELINE = 1e4
@@ -249,20 +254,23 @@ def _chosen(root: Node, cameras: list[str], name: str | None) -> str:
 
 
 def _kalibr(node: Node) -> KnownLens:
-    if (model := node["camera_model"]).text() != "pinhole":
-        raise model.unexpected("pinhole")
-    name = node.get("distortion_model")
-    if name and name.text() not in KALIBR_MODELS:
-        raise name.unexpected(f"a lens that ROS has too: {', '.join(KALIBR_MODELS)}")
+    camera, name = node["camera_model"], node.get("distortion_model")
+    distortions = [distortion for known, distortion in KALIBR_MODELS if known == camera.text()]
+    if not distortions:
+        raise camera.unexpected(f"one of {', '.join(dict.fromkeys(known for known, _ in KALIBR_MODELS))}")
+    if name and name.text() not in distortions:
+        raise name.unexpected(f"a distortion of {camera.value}: {', '.join(distortions)}")
+    model = KALIBR_MODELS[camera.value, name.value if name else "none"]
     coefficients = node.get("distortion_coeffs")
-    fx, fy, cx, cy = node["intrinsics"].numbers(4)
+    before = model.kalibr.intrinsics if model.kalibr else 0
+    *first, fx, fy, cx, cy = node["intrinsics"].numbers(before + 4)
     width, height = node["resolution"].numbers(2)
     info = {
         "width": width,
         "height": height,
         "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        "D": coefficients.sequence() if coefficients else [],
-        "distortion_model": KALIBR_MODELS[name.value] if name else "plumb_bob",
+        "D": [*first, *(coefficients.sequence() if coefficients else [])],
+        "distortion_model": model.ros_name,
     }
     return KnownLens(node.file, read_camera(Node(node.file, node.keys, info)), has_size=True)
 

@@ -19,7 +19,7 @@ from calibration.dataset.sensors import check_principal_point, read_camera
 from calibration.errors import InputError
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import from_quaternion
 from calibration.geometry.types import Array
 from calibration.importing.image_views import decoded_image, stretched

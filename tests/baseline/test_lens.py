@@ -10,7 +10,7 @@ from calibration.baseline.snapshot import Snapshot, snapshot
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.options import Options
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Equidistant, PlumbBob
+from calibration.geometry.lenses import Equidistant, PlumbBob
 from calibration.records import document_of, read
 from tests.estimation.systems import covering
 

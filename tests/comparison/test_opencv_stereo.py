@@ -14,7 +14,7 @@ from calibration.dataset.model import Dataset
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InfrastructureError, InputError, UndeterminedError
 from calibration.evaluation.rgb_to_rgb import rgb_to_rgb
-from calibration.geometry.distortion import Equidistant, Rational
+from calibration.geometry.lenses import Equidistant, Rational
 from calibration.geometry.transforms import distance, from_xyz_rpy, retract
 from tests.evaluation.scene import WIDE, arm, cut, lidar, two_cameras
 

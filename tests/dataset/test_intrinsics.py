@@ -10,7 +10,7 @@ from calibration.dataset.reading import read_dataset
 from calibration.dataset.writing import dataset_document, write_dataset
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Equidistant, PlumbBob, Rational
+from calibration.geometry.lenses import Equidistant, PlumbBob, Rational
 from tests.dataset import documents
 from tests.dataset.documents import changed
 

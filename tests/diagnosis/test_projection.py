@@ -15,7 +15,7 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.options import Options
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Equidistant, PlumbBob
+from calibration.geometry.lenses import Equidistant, PlumbBob
 from calibration.geometry.transforms import transform
 from tests.estimation.systems import covering
 

@@ -14,7 +14,7 @@ from calibration.estimation.build import Setup
 from calibration.estimation.result import Calibration
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import (
     apply,
     distance,

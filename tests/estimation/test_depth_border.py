@@ -6,7 +6,7 @@ import pytest
 from calibration.estimation.depth_border import REACH, depth_border_rays
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import transform
 from calibration.geometry.types import Array, IntArray
 from tests.estimation.scenes import board

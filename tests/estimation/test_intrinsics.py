@@ -18,7 +18,7 @@ from calibration.estimation.result import Calibration
 from calibration.estimation.starting_noise import StartingNoise
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Distortion, Equidistant, PlumbBob, Rational
+from calibration.geometry.lenses import Distortion, Equidistant, PlumbBob, Rational
 from calibration.geometry.transforms import inverse, local, transform
 from calibration.geometry.types import Array
 from tests.estimation.scenes import Scene, board, errors, relabelled, relative, true_values

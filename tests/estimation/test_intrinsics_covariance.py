@@ -16,7 +16,7 @@ from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.normal_equations import Weighting, assemble
 from calibration.estimation.observability import determined_parameters
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import inverse, local
 from calibration.geometry.types import Array
 from tests.estimation.scenes import WIDE, camera, relative, true_values

@@ -13,7 +13,7 @@ from calibration.estimation.chosen_lenses import fitting_lens, with_chosen_lense
 from calibration.estimation.lens_choice import LensChoice, choose_lens
 from calibration.estimation.options import Options
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Distortion, Equidistant, PlumbBob, Rational
+from calibration.geometry.lenses import Distortion, Equidistant, PlumbBob, Rational
 from calibration.records import read
 from tests.estimation.systems import covering
 

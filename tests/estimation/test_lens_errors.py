@@ -9,7 +9,7 @@ from calibration.estimation.assumptions import EXACT, Assumptions
 from calibration.estimation.intrinsics import Prior
 from calibration.estimation.lens_errors import LensErrors, lens_errors
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Distortion, Equidistant, PlumbBob, Rational
+from calibration.geometry.lenses import Distortion, Equidistant, PlumbBob, Rational
 from calibration.geometry.types import Array
 
 PLAIN = Camera(550.0, 560.0, 322.0, 238.0, 640, 480)

@@ -14,8 +14,8 @@ from calibration.estimation.normal_equations import Weighting, assemble
 from calibration.estimation.problem import Problem
 from calibration.estimation.views import Chain, Link, ViewGroup
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Equidistant, PlumbBob
 from calibration.geometry.joints import JOINT_PARAMETERS, JointModel
+from calibration.geometry.lenses import Equidistant, PlumbBob
 from calibration.geometry.transforms import inverse, local, retract
 from calibration.geometry.types import Array
 from tests.estimation.scenes import PINHOLE, WIDE, board

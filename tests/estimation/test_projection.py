@@ -11,7 +11,7 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.options import Options
 from calibration.estimation.projection import Projection, projection_of
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Equidistant, PlumbBob
+from calibration.geometry.lenses import Equidistant, PlumbBob
 from calibration.geometry.transforms import apply
 from calibration.geometry.types import Array
 from tests.estimation.systems import covering
@@ -104,7 +104,7 @@ def test_it_is_best_where_the_patterns_were() -> None:
 
 def test_cells_that_the_lens_cannot_see_have_no_number() -> None:
     found, covariance = simple_projection(LENSES["equidistant"])
-    larger = replace(found, camera=replace(found.camera, width=2400, height=1800))
+    larger = replace(found, camera=replace(found.camera, width=9600, height=7200))
     sigmas = larger.sigmas(covariance)
     assert np.isnan(sigmas[-1, -1])
     assert np.isfinite(sigmas[0, 0])

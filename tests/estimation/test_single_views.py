@@ -12,7 +12,7 @@ from calibration.estimation.planar_pose import mirrored_poses
 from calibration.estimation.single_views import corner_term, fitted_poses, refined_poses
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import apply, distance, retract, transform
 from calibration.geometry.types import Array
 

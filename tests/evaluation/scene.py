@@ -11,7 +11,7 @@ from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, L
 from calibration.dataset.pattern import Pattern, grid, outline
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, transform
 from calibration.geometry.types import Array
 

@@ -14,7 +14,7 @@ from calibration.errors import InputError
 from calibration.exports.calibrated import Calibrated, calibrated
 from calibration.exports.formats import FILES, file_name
 from calibration.exports.names import FORMATS
-from calibration.geometry.distortion import Rational
+from calibration.geometry.lenses import Rational
 from calibration.geometry.rotations import from_quaternion, from_rpy
 from calibration.geometry.transforms import from_xyz_rpy, inverse, transform
 from calibration.geometry.types import Array

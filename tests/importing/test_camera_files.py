@@ -18,7 +18,7 @@ from calibration.estimation.intrinsics_file import write_intrinsics
 from calibration.exports.calibrated import calibrated
 from calibration.exports.formats import FILES
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import MODELS, PlumbBob
+from calibration.geometry.lenses import MODELS, PlumbBob
 from calibration.geometry.transforms import apply, inverse
 from calibration.importing.camera_files import read_lens
 from tests.estimation.systems import covering

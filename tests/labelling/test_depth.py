@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from calibration.dataset.depth_image import NO_RETURN
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import transform
 from calibration.labelling.depth import label_depth
 from calibration.labelling.detection import NotDetected

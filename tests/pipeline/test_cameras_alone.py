@@ -11,7 +11,7 @@ import yaml
 
 from calibration.__main__ import main
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Equidistant, PlumbBob
+from calibration.geometry.lenses import Equidistant, PlumbBob
 from calibration.importing.camera_files import read_lens
 from tests.one_camera import LENS, one_camera
 

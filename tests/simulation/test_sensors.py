@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.errors import InputError
-from calibration.geometry.distortion import Equidistant, Rational
+from calibration.geometry.lenses import Equidistant, Rational
 from calibration.records import read
 from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar2d
 

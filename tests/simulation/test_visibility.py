@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.simulation.sensors.sensor import MAX_VIEW_ANGLE, corners_in_image, facing
 

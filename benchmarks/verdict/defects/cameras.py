@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.verdict.scene import Scene
 from calibration.dataset.model import CornerLabels, Labels
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Equidistant, PlumbBob
+from calibration.geometry.lenses import Equidistant, PlumbBob
 from calibration.geometry.transforms import local, retract
 from calibration.geometry.types import Array
 

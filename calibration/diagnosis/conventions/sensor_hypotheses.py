@@ -17,7 +17,7 @@ from calibration.diagnosis.conventions.changed import (
 from calibration.diagnosis.conventions.hypothesis import Hypothesis
 from calibration.diagnosis.conventions.recording import Recording
 from calibration.estimation.turned_boards import LOOKS_THE_SAME, with_turned
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 
 LATER = (1, -1, 2, -2)
 """Collections by which images and poses may be shifted."""
@@ -79,7 +79,7 @@ def lenses(recording: Recording) -> Iterator[Hypothesis]:
                 partial(dataset.with_cameras, {name: scaled}),
                 (name,),
             )
-        if not camera.distortion.coefficients.any():
+        if camera.distortion == type(camera.distortion)():
             continue
         if isinstance(camera.distortion, PlumbBob):
             k1, k2, k3, p1, p2 = camera.distortion.coefficients.tolist()
@@ -90,7 +90,7 @@ def lenses(recording: Recording) -> Iterator[Hypothesis]:
                 partial(dataset.with_cameras, {name: order}),
                 (name,),
             )
-        none = replace(camera, distortion=camera.distortion.with_coefficients(0 * camera.distortion.coefficients))
+        none = replace(camera, distortion=type(camera.distortion)())
         yield Hypothesis(
             f"no distortion of '{name}'",
             "its images are rectified: give the intrinsics of rectified images (K from P, D zero), or the raw images",

@@ -94,8 +94,7 @@ def draw_poses(
     """Draw poses ``T_camera_pattern`` (count, 4, 4) with the centre in the image, facing the camera."""
     low, high = ranges.distance or filling_distances(camera, pattern)
     corner = np.array([camera.width, camera.height])
-    rays = camera.normalise(corner * random.random((count, 2)) - 0.5)
-    sight = np.concatenate([rays, np.ones((count, 1))], -1)
+    sight = camera.rays(corner * random.random((count, 2)) - 0.5)
     sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
     centre = sight * (low + (high - low) * random.random((count, 1)))
     about = 2 * np.pi * random.random(count)

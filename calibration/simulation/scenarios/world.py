@@ -169,7 +169,7 @@ def _occluder(system: System, motion: MotionRanges, scenario: Scenario, number: 
     pattern = system.moved_pattern or next(iter(system.patterns.values()))
     nearest, _ = motion.distance or filling_distances(camera, pattern)
     pixel = random.random(2) * [camera.width, camera.height] - 0.5
-    sight = np.append(camera.normalise(pixel), 1.0)
+    sight = camera.rays(pixel)
     least, most = _OCCLUDER_REACH
     way = nearest * (least + (most - least) * random.random())
     centre = apply(_rest_pose(system, name), way / np.linalg.norm(sight) * sight[None])[0]

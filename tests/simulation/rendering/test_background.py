@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.geometry.types import Array
 from calibration.simulation.rendering.background import STEPS, background

@@ -10,7 +10,7 @@ import pytest
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.model import CornerLabels
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import apply
 from calibration.labelling.corner_detector import corner_detector
 from calibration.simulation.random_streams import stream

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.dataset.depth_image import NO_RETURN, UNIT
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.simulation.random_streams import stream
 from calibration.simulation.scene import Box, Scene

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import PlumbBob
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import apply, from_xyz_rpy
 from calibration.simulation.board import Board
 from calibration.simulation.random_streams import stream

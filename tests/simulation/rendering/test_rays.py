@@ -1,6 +1,6 @@
 import numpy as np
 
-from calibration.geometry.distortion import Equidistant, PlumbBob, Rational
+from calibration.geometry.lenses import Equidistant, PlumbBob, Rational
 from calibration.simulation.rendering.rays import CELL, SAMPLES, cells, in_cells, rays, rounded, sample_rays
 from tests.simulation.rendering.views import DISTORTION, T_WORLD_CAMERA, camera
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.errors import InputError
-from calibration.geometry.distortion import Equidistant
+from calibration.geometry.lenses import Equidistant
 from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, local
 from calibration.simulation.motion.drawing import filling_distances
 from calibration.simulation.robot import compose
