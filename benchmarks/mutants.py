@@ -25,7 +25,13 @@ MODULES = (
     *("estimation/pose_residuals.py", "estimation/batches.py", "estimation/normal_equations.py", "estimation/views.py"),
     *("estimation/noise_levels.py", "estimation/usable_labels.py", "estimation/least_squares.py"),
     *("estimation/depth_border.py", "estimation/wrong_views.py", "estimation/optimisation.py"),
-    *("geometry/cameras.py", "geometry/distortion.py", "geometry/transforms.py", "geometry/rotations.py"),
+    *(
+        "geometry/cameras.py",
+        "geometry/lenses/pinhole.py",
+        "geometry/lenses/wide.py",
+        "geometry/transforms.py",
+        "geometry/rotations.py",
+    ),
     *("geometry/joints.py", "dataset/pattern.py"),
 )
 SURVIVORS = 30

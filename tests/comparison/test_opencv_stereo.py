@@ -63,8 +63,8 @@ def test_a_lens_with_a_fraction_of_polynomials():
 
 def test_a_fisheye_lens_is_none_of_its():
     dataset, _ = two_cameras(seed=1, n=12, right=replace(WIDE, distortion=Equidistant()))
-    assert why_not_stereo(dataset) == "it knows no fisheye lens (equidistant) as that of 'right'"
-    with pytest.raises(InputError, match="does not apply: it knows no fisheye lens"):
+    assert why_not_stereo(dataset) == "it knows no lens equidistant as that of 'right'"
+    with pytest.raises(InputError, match="does not apply: it knows no lens equidistant"):
         opencv_stereo(dataset)
 
 

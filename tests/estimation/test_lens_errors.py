@@ -40,7 +40,7 @@ def in_the_image(camera: Camera, lens: LensErrors, errors: Array) -> float:
     """
     u, v = np.meshgrid(np.linspace(40, camera.width - 40, 9), np.linspace(30, camera.height - 30, 7))
     pixels = np.stack([u.ravel(), v.ravel()], -1)
-    rays = camera.normalise(pixels)
+    rays = np.stack(camera.from_pixels(*pixels.T), -1)
     at = [camera.parameters.index(parameter) for parameter in lens.parameters]
     moved = []
     for error in errors:

@@ -121,7 +121,7 @@ def test_kalibr_has_each_camera_from_the_one_before(of: Calibrated) -> None:
     assert len(chain["cam0"]["distortion_coeffs"]) == 4
     name, camera = next(iter(of.cameras.items()))
     rational = replace(of, cameras={name: replace(camera, distortion=Rational(0.1, 0, 0, 0, 0.01))})
-    with pytest.raises(InputError, match=f"camera '{name}': Kalibr has radtan"):
+    with pytest.raises(InputError, match=f"camera '{name}': Kalibr's radtan has k1, k2, p1, p2"):
         FILES["kalibr"](rational)
 
 

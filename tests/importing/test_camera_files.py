@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,9 +17,10 @@ from calibration.errors import InputError
 from calibration.estimation.calibrate import Options, calibrate
 from calibration.estimation.intrinsics_file import write_intrinsics
 from calibration.exports.calibrated import calibrated
+from calibration.exports.cameras import kalibr_camchain
 from calibration.exports.formats import FILES
 from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import MODELS, PlumbBob
+from calibration.geometry.lenses import MODELS, Distortion, DoubleSphere, Equidistant, Eucm, Omni, PlumbBob
 from calibration.geometry.transforms import apply, inverse
 from calibration.importing.camera_files import read_lens
 from tests.estimation.systems import covering
@@ -195,7 +197,13 @@ def test_a_baseline_that_is_none_is_named(tmp_path: Path, baseline: object) -> N
         ("%YAML:1.0\n---\nK: [", "this is not valid YAML"),
         ("%YAML:1.0\n---\nK: &a [*a]\n", "its aliases expand to more than"),
         ("%YAML:1.0\n---\nK: " + "[" * 400_000, "nested too deeply"),
-        ("cam0: {camera_model: omni}", "camera_model: found 'omni', expected pinhole"),
+        ("cam0: {camera_model: fov}", "camera_model: found 'fov', expected one of omni, pinhole, ds, eucm"),
+        ("cam0: {camera_model: ds, intrinsics: [1, 2], resolution: [9, 9]}", "intrinsics"),
+        ("cam0: {camera_model: ds, distortion_model: radtan}", "found 'radtan', expected a distortion of ds: none"),
+        (
+            "cam0: {camera_model: ds, intrinsics: [0, 2, 9, 9, 4, 4], resolution: [9, 9]}",
+            "expected alpha of double_sphere from 0 to 1",
+        ),
         ("intrinsics: {fx: 1}", "missing key 'fy'"),
     ],
 )
@@ -323,3 +331,42 @@ def test_what_does_not_go_together_is_named(
     with pytest.raises(InputError, match=said) as caught:
         read_lens(tmp_path / "cam.yaml", model=model)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("camera_model", "distortion_model", "intrinsics", "coefficients", "lens"),
+    [
+        ("ds", "none", [-0.2, 0.59, 310.0, 311.5, 640.25, 479.5], [], DoubleSphere(-0.2, 0.59)),
+        ("eucm", "none", [0.6, 1.1, 310.0, 311.5, 640.25, 479.5], [], Eucm(0.6, 1.1)),
+        ("omni", "radtan", [1.5, 310.0, 311.5, 640.25, 479.5], [0.1, 0.2, 0.3, 0.4], Omni(1.5, 0.1, 0.2, 0.3, 0.4)),
+        (
+            "pinhole",
+            "equidistant",
+            [310.0, 311.5, 640.25, 479.5],
+            [0.1, 0.2, 0.3, 0.4],
+            Equidistant(0.1, 0.2, 0.3, 0.4),
+        ),
+        ("pinhole", "radtan", [310.0, 311.5, 640.25, 479.5], [0.1, 0.2, 0.3, 0.4], PlumbBob(0.1, 0.2, 0.3, 0.4)),
+    ],
+)
+def test_a_camchain_is_written_back_as_it_was(
+    tmp_path: Path,
+    camera_model: str,
+    distortion_model: str,
+    intrinsics: list[float],
+    coefficients: list[float],
+    lens: Distortion,
+) -> None:
+    camera = {
+        "camera_model": camera_model,
+        "intrinsics": intrinsics,
+        "distortion_model": distortion_model,
+        "distortion_coeffs": coefficients,
+        "resolution": [1280, 960],
+        "rostopic": "/left/image_raw",
+    }
+    (tmp_path / "chain.yaml").write_text(yaml.safe_dump({"cam0": camera}))
+    found = read_lens(tmp_path / "chain.yaml").camera
+    assert found.distortion == lens
+    again = yaml.safe_load(kalibr_camchain(SimpleNamespace(cameras={"left": found}, poses={})))  # type: ignore[arg-type]
+    assert again == {"cam0": camera}
