@@ -12,9 +12,12 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.chosen_lenses import fitting_lens, with_chosen_lenses
 from calibration.estimation.lens_choice import LensChoice, choose_lens
 from calibration.estimation.options import Options
+from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import Distortion, Equidistant, PlumbBob, Rational
+from calibration.geometry.lenses import Distortion, DoubleSphere, Equidistant, PlumbBob, Rational
+from calibration.geometry.transforms import apply, transform
 from calibration.records import read
+from tests.estimation.scenes import board
 from tests.estimation.systems import covering
 
 ALL = Options(intrinsics=("all",))
@@ -54,6 +57,30 @@ def test_the_simplest_model_that_fits_is_chosen(model: Camera, expected: type[Di
     assert choice.chosen.rms == pytest.approx(0.2 * np.sqrt(2), rel=0.15)
     assert choice.chosen.camera.fx == pytest.approx(model.fx, rel=0.02)
     assert choice.reason.startswith(expected.ros_name)
+
+
+@pytest.mark.parametrize("lens", [Equidistant(-0.02, 0.01, -0.003, 0.0005), DoubleSphere(-0.2, 0.59)], ids=str)
+def test_a_lens_of_195_degrees_is_found(lens: Distortion) -> None:
+    model = Camera(270.0, 271.0, 640.0, 478.0, 1280, 960, lens)
+    random = np.random.default_rng(1)
+    rays = model.rays(random.uniform((60, 60), (1220, 900), (200, 2)))
+    rays = rays[rays[:, 2] > np.cos(np.radians(97.5))][:40]
+    assert np.count_nonzero(rays[:, 2] < 0) > 2
+    pattern = board()
+    R = rotations.towards(rays) @ rotations.exp(random.uniform(-0.5, 0.5, (40, 3)))
+    T = transform(R, 0.7 * rays - R @ pattern.centre)
+    noise = random.normal(0, 0.2, (40, len(pattern.corners), 2))
+    views = [
+        (pattern, CornerLabels(np.arange(len(pattern.corners)), model.project(apply(T[i], pattern.corners)) + noise[i]))
+        for i in range(40)
+    ]
+    choice = choose_lens(1280, 960, views)
+    assert choice is not None
+    assert choice.chosen.rms == pytest.approx(0.2 * np.sqrt(2), rel=0.1), choice.reason
+    named = choose_lens(1280, 960, views, (type(lens),))
+    assert named is not None
+    assert named.chosen.camera.fx == pytest.approx(270.0, rel=0.01)
+    assert named.chosen.camera.distortion.coefficients == pytest.approx(lens.coefficients, abs=0.01)
 
 
 def test_the_start_is_found_for_every_field_of_view() -> None:

@@ -61,7 +61,7 @@ def test_a_depth_camera() -> None:
         ({"vignetting": 1.5}, "vignetting: found 1.5, expected a number from 0 to 1"),
         (
             {"distortion_model": "fov"},
-            "distortion_model: found 'fov', expected plumb_bob, rational",
+            "distortion_model: found 'fov', expected plumb_bob, equidistant",
         ),
         (
             {"distortion_model": "equidistant", "distortion": [0] * 5},
