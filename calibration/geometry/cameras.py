@@ -84,7 +84,7 @@ class Camera:
         chart = self.distortion.chart
         _, J = self.distortion.distort_with_jacobian(chart.coordinates(points, self.distortion.sees))
         by_points: Array = np.einsum("ij...,jk...->ik...", J, chart.slopes(points))
-        return by_points * np.array([self.fx, self.fy]).reshape(2, *[1] * points.ndim)
+        return np.asarray(by_points * np.array([self.fx, self.fy]).reshape(2, *[1] * points.ndim))
 
     def normalise(self, pixels: Array) -> Array:
         """Convert pixels (..., 2) to normalised coordinates (..., 2): the ray is (x, y, 1).
