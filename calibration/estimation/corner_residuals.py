@@ -41,7 +41,7 @@ LENS = ("skew", "prism_x", "prism_y")
 MIN_FRONT = 0.1
 """Cosine of the angle from the middle of a view beyond which its rays are left out of the homography."""
 ROUGH_STEP = 1e-3
-"""Termination of `calibration.geometry.lenses.Distortion.undistort` for an initial guess: accurate to 1e-6."""
+"""Termination of `calibration.geometry.lenses.model.Distortion.undistort` for an initial guess: accurate to 1e-6."""
 
 
 @frozen(eq=False)

@@ -47,7 +47,7 @@ def test_missing_coefficients_are_zero(tmp_path):
 )
 def test_too_many_coefficients(tmp_path, model, count, said):
     with pytest.raises(InputError, match=f"{INFO}/D: found a list of {count}, expected {said}"):
-        dataset_of(tmp_path, model, [0.0] * count)
+        dataset_of(tmp_path, model, [0.1] * count)
 
 
 def test_an_unknown_model(tmp_path):
