@@ -14,7 +14,7 @@ from calibration.dataset.model import CornerLabels
 from calibration.dataset.reading import read_dataset
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Equidistant
+from calibration.geometry.lenses import Equidistant
 from calibration.geometry.types import Array
 from calibration.importing.image_views import View, view_of_image
 from calibration.importing.near_miss import check_spacing, check_told_apart, never_seen

@@ -11,7 +11,7 @@ from calibration.dataset.model import CornerLabels
 from calibration.errors import InputError
 from calibration.execution.embedded import Embedded
 from calibration.geometry.cameras import Camera
-from calibration.geometry.distortion import Equidistant, PlumbBob
+from calibration.geometry.lenses import Equidistant, PlumbBob
 from calibration.labelling.charuco import CharucoDetector
 from calibration.labelling.corner_detector import corner_detector
 from calibration.labelling.detection import NotDetected
