@@ -19,6 +19,7 @@ from typing import Any
 from calibration.dataset.document import MAX_BYTES, Node, parse_document
 from calibration.dataset.edges import read_transform
 from calibration.dataset.lens_uncertainty import KEY as UNCERTAINTY
+from calibration.dataset.sensors import LAG
 from calibration.errors import InputError
 from calibration.files import read_bytes
 
@@ -69,10 +70,17 @@ def changed_document(changes: Node, given: Path | None) -> Node:
     sensors = {
         name: {
             **root["sensors"][name].mapping(),
-            "camera_info": {
-                **{k: v for k, v in root["sensors"][name]["camera_info"].mapping().items() if k != UNCERTAINTY},
-                **node["camera_info"].mapping(),
-            },
+            **({LAG: lag.value} if (lag := node.get(LAG)) else {}),
+            **(
+                {
+                    "camera_info": {
+                        **{k: v for k, v in root["sensors"][name]["camera_info"].mapping().items() if k != UNCERTAINTY},
+                        **info.mapping(),
+                    }
+                }
+                if (info := node.get("camera_info"))
+                else {}
+            ),
         }
         for name, node in changes["sensors"].items()
     }

@@ -20,7 +20,7 @@ from calibration.frozen import frozen
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.joints import JointModel, JointParameter
-from calibration.geometry.transforms import inverse
+from calibration.geometry.transforms import inverse, retract
 from calibration.geometry.types import Array, IntArray
 
 ESTIMATED = "estimated_intrinsics"
@@ -43,6 +43,8 @@ class Sensor:
     """Intrinsics, if its modality has them."""
     uncertainty: LensUncertainty | None = None
     """How well these are known, if the dataset says so."""
+    lag: float = 0.0
+    """s: time from a collection's transforms to what the sensor saw; positive if it saw them later."""
 
     @property
     def edge(self) -> Edge:
@@ -163,6 +165,8 @@ class Dataset:
     """The additional transforms that differ between collections, each calibrated per collection."""
     joints: Mapping[str, Joint] = field(default_factory=dict)
     """Joints with calibrated parameters, by name."""
+    velocities: Mapping[Edge, Array] = field(default_factory=dict)
+    """(N, 6): velocity of the child of an edge at each collection, as a twist in the child's frame, m/s and rad/s."""
     missing_files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """By sensor: missing files that its labels refer to. They are left out, as are sensors without others."""
 
@@ -235,6 +239,23 @@ class Dataset:
         changed = {name: replace(self.sensors[name], camera=camera) for name, camera in cameras.items()}
         return replace(self, sensors={**self.sensors, **changed})
 
+    def with_lags(self, lags: Mapping[str, float]) -> "Dataset":
+        """Return a new dataset with the lags (s) of some sensors replaced."""
+        changed = {name: replace(self.sensors[name], lag=lag) for name, lag in lags.items()}
+        return replace(self, sensors={**self.sensors, **changed})
+
+    def moved_by_lag(self, sensor: str, edge: Edge, T: Array) -> Array:
+        """Return transforms (N, 4, 4) of an edge, moved by its velocity to when a sensor with a lag saw them."""
+        lag, velocity = self.sensors[sensor].lag, self.velocities.get(edge)
+        return T if velocity is None or not lag else retract(T, lag * velocity)
+
+    def seen_by(self, sensor: str) -> "Dataset":
+        """Return the dataset with all transforms as they were when a sensor with a lag saw them."""
+        if not self.sensors[sensor].lag:
+            return self
+        edges = self.velocities.keys() & self.transforms.keys()
+        return self.with_transforms({edge: self.moved_by_lag(sensor, edge, self.transforms[edge]) for edge in edges})
+
     def with_collections(self, keep: Sequence[int]) -> "Dataset":
         """Return a new dataset with only the collections of these indices, in this order."""
         index = list(keep)
@@ -243,4 +264,5 @@ class Dataset:
             collections=tuple(self.collections[i] for i in index),
             transforms={edge: T[index] for edge, T in self.transforms.items()},
             joints={name: replace(joint, positions=joint.positions[index]) for name, joint in self.joints.items()},
+            velocities={edge: v[index] for edge, v in self.velocities.items()},
         )

@@ -14,6 +14,7 @@ from calibration.dataset.labels import read_labels
 from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern, with_explicit_geometry
 from calibration.dataset.sensors import read_sensors
+from calibration.dataset.velocities import read_velocities
 from calibration.errors import InputError
 from calibration.garbage_collector import no_collector
 from calibration.geometry.types import Array
@@ -84,6 +85,7 @@ def _read(path: Path, data: Path | None, given: Path | None) -> Dataset:
         document=root.value,
         moving_transforms=frozenset(edge for edge in additional if _moves(edge, transforms, described)),
         joints=read_joints(root["calibration_config"], collections),
+        velocities=read_velocities(collections),
         missing_files=missing,
     )
     if not labelled and missing:

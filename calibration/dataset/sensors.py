@@ -22,6 +22,10 @@ MAX_SKEW_PX = 0.05
 """px: a skew that moves pixels by less does not matter, and is left out."""
 MAX_SKEWED_HEIGHT = 10_000
 """px: height of the image where a file does not say it."""
+LAG = "lag"
+"""Key of a sensor: its lag, s."""
+MAX_LAG = 1.0
+"""s: limit of a lag; the velocity at a moment says nothing of what is farther away."""
 BINNING = ("binning_x", "binning_y")
 MAX_BINNING = 64
 _TWINS = {
@@ -60,6 +64,7 @@ def read_sensors(node: Node, configuration: Mapping[str, SensorConfiguration]) -
             calibration_child=entry["calibration_child"].value,
             camera=(camera := read_camera(entry["camera_info"]) if modality.has_intrinsics else None),
             uncertainty=_read_uncertainty(entry["camera_info"], camera) if camera else None,
+            lag=lag.within(-MAX_LAG, MAX_LAG) if (lag := entry.get(LAG)) else 0.0,
         )
     return sensors
 

@@ -18,7 +18,7 @@ from calibration.dataset.model import Dataset, Edge
 from calibration.dataset.pattern import Pattern, pattern_document
 from calibration.dataset.payload import locate
 from calibration.dataset.reading import FILE_NAME
-from calibration.dataset.sensors import camera_document, read_camera
+from calibration.dataset.sensors import LAG, camera_document, read_camera
 from calibration.errors import InputError
 from calibration.files import link_or_copy, write_atomically
 from calibration.geometry.types import Array
@@ -177,7 +177,7 @@ class DatasetWriter:
             "collections": own,
             "joints": {name: joint_values(joint) for name, joint in dataset.joints.items()},
             "sensors": {
-                name: {"camera_info": document["camera_info"]}
+                name: {key: document[key] for key in ("camera_info", LAG) if key in document}
                 for name, document in sensors.items()
                 if document is not dataset.document["sensors"][name]
             },
@@ -269,8 +269,10 @@ def _configuration(dataset: Dataset) -> dict[str, Any]:
 
 
 def _sensor(dataset: Dataset, name: str) -> Mapping[str, Any]:
-    """Return the document of a sensor, with its current intrinsics if they have changed."""
+    """Return the document of a sensor, with its current intrinsics and lag if they have changed."""
     read: Mapping[str, Any] = dataset.document["sensors"][name]
+    if name in dataset.sensors and dataset.sensors[name].lag != read.get(LAG, 0.0):
+        read = {**read, LAG: dataset.sensors[name].lag}
     camera = dataset.sensors[name].camera if name in dataset.sensors else None
     if camera is None or camera == read_camera(
         Node(dataset.path, ("sensors", name, "camera_info"), read["camera_info"])

@@ -7,7 +7,7 @@ import numpy as np
 from calibration.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
 from calibration.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
 from calibration.diagnosis.projection import projection_limit, shifts
-from calibration.estimation.held import PLACE, Cause
+from calibration.estimation.held import LAG, PLACE, Cause
 from calibration.estimation.result import Calibration
 from calibration.estimation.significance import score_of_f, threshold
 from calibration.estimation.suspects import CONTRADICTING, EXACTLY, LENS, SIDE, Disagreement, Suspect, explain
@@ -57,7 +57,7 @@ ADVICE: Mapping[str, str] = {
     "encoder gain": "look at this joint's unit and gear ratio",
     "backlash": "approach every pose from the same side",
     "scale of poses": "are they in metres? Where a camera alone gave them, their scale is unknown: scale: free",
-    "lag": "look at time stamps; stop the robot for each collection",
+    LAG: "look at time stamps; stop the robot for each collection, or calibrate it: lag: free",
     PLACE: "something was knocked; collect anew, or calibrate the collections before and after apart",
 }
 AT_STANDSTILL = "take all images of a collection at one moment, board and robot standing still"

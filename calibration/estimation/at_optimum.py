@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from calibration.dataset.model import Dataset
 from calibration.errors import UndeterminedError
 from calibration.estimation.blocks import Pose
@@ -21,7 +23,7 @@ from calibration.estimation.noise_levels import NoiseLevels
 from calibration.estimation.observability import WeakDirection, open_directions
 from calibration.estimation.optimisation import WeightedOptimum
 from calibration.estimation.options import Options
-from calibration.estimation.result import Calibration, Solution
+from calibration.estimation.result import CalibratedLag, Calibration, Solution
 from calibration.estimation.unknown_intrinsics import contradicted_priors
 
 MORE_ROTATION = "add collections with other rotations of the pattern or the robot"
@@ -61,10 +63,10 @@ def calibration_at(
         OpenCoefficientsError: the labels do not determine some distortion coefficients.
         UndeterminedError: they do not determine something else.
     """
-    optimum, weighting = result.optimum, result.weighting
+    optimum, weighting, lags = result.optimum, result.weighting, options.free_lags_of(setup.dataset)
     values = optimum.values
     used = calibrated_dataset(setup, values, setup.dataset)
-    solution = Solution(setup, values, weighting, used, options.assume, options.scale == "free")
+    solution = Solution(setup, values, weighting, used, options.assume, options.scale == "free", lags)
     weak = () if reason else _weak_directions(setup, optimum)
     bars = None if reason else _error_bars(solution)
     total, labels = (bars.total, bars.labels) if bars else ({}, {})
@@ -90,6 +92,10 @@ def calibration_at(
         gauge=setup.gauge,
         joints=calibrated_joints(setup, values, total, labels),
         intrinsics=calibrated_intrinsics(setup, values, total),
+        lags={
+            name: CalibratedLag(setup.dataset.sensors[name].lag, bars.lags.get(name, np.nan) if bars else np.nan)
+            for name in lags
+        },
     )
 
 

@@ -136,7 +136,11 @@ def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, blocks: Sequence[
     The encoder position of a joint is a constant: it follows the joint's block.
     """
     at = {block.edge: i for i, block in enumerate(blocks)}
-    motions = {joint.edge: joint.model.motion(joint.positions)[collections] for joint in dataset.joints.values()}
+    dataset = dataset.seen_by(sensor.name)
+    motions = {
+        joint.edge: dataset.moved_by_lag(sensor.name, joint.edge, joint.model.motion(joint.positions))[collections]
+        for joint in dataset.joints.values()
+    }
     before: Array | None = None
     links: list[Link] = []
 
@@ -157,7 +161,7 @@ def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, blocks: Sequence[
                 f"'{others[edge]}', expected a frame of the robot or the world"
             )
         if edge in at:
-            motion = motions.get(edge)
+            motion = motions.get(edge, _in_the_lag(dataset, sensor, edge, collections))
             if motion is not None and step.inverted:
                 constant = inverse(motion) if constant is None else constant @ inverse(motion)
             follow_with(_simplified(constant))
@@ -167,8 +171,19 @@ def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, blocks: Sequence[
             T = dataset.transform(*(edge if not step.inverted else edge[::-1]))[collections]
             constant = T if constant is None else constant @ T
     follow_with(_simplified(constant))
-    links.append(Link(at[pattern.parent_link, pattern.link], inverted=False))
+    own = (pattern.parent_link, pattern.link)
+    centre = translation(pattern.centre)
+    motion = _in_the_lag(dataset, sensor, own, collections)
+    motion = None if motion is None else inverse(centre) @ motion @ centre
+    links.append(Link(at[own], inverted=False, after=motion))
     return Chain(before, tuple(links))
+
+
+def _in_the_lag(dataset: Dataset, sensor: Sensor, edge: Edge, collections: IntArray) -> Array | None:
+    """Return the motion (V, 4, 4) of an edge's child in its own frame during a sensor's lag; None without any."""
+    if not sensor.lag or edge not in dataset.velocities:
+        return None
+    return dataset.moved_by_lag(sensor.name, edge, np.eye(4)[None])[collections]
 
 
 def _simplified(T: Array | None) -> Array | None:

@@ -13,6 +13,7 @@ from calibration.estimation.build import Setup, build
 from calibration.estimation.from_given_guess import from_given_guess
 from calibration.estimation.from_linear_start import from_linear_start
 from calibration.estimation.guesses import Guesses
+from calibration.estimation.lags import with_lags
 from calibration.estimation.least_squares import Termination, minimise
 from calibration.estimation.linear_start import LinearStart
 from calibration.estimation.noise_levels import estimate_scales
@@ -79,8 +80,12 @@ class Calibrator:
 
     @cached_property
     def _dataset(self) -> Dataset:
-        """The dataset that is calibrated: of measured poses whose scale is free, with the scale that was found."""
-        return self._given if self._options.scale == "known" else _with_scale(self._given, self._options)[0]
+        """The dataset that is calibrated: with the scale of measured poses and the lags that were found."""
+        options = self._options
+        dataset = self._given if options.scale == "known" else _with_scale(self._given, options)[0]
+        if not (free := options.free_lags_of(dataset)):
+            return dataset
+        return with_lags(dataset, free, lambda each: _from_all_labels(each, options))
 
     def calibrate(self, noise: StartingNoise) -> Calibration:
         """Calibrate from the initial guess with noise.
@@ -217,6 +222,11 @@ def _with_scale(dataset: Dataset, options: Options) -> tuple[Dataset, float]:
         if step and abs(ratio - 1) < SAME:
             return dataset, factor
     raise undetermined_scale(dataset)
+
+
+def _from_all_labels(dataset: Dataset, options: Options) -> Calibration:
+    setup = _setup_of(dataset, options)
+    return from_linear_start(dataset, setup, Guesses(setup).linear(StartingNoise()), options)
 
 
 def _setup_of(dataset: Dataset, options: Options) -> Setup:

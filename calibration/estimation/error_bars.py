@@ -13,15 +13,18 @@ The inverse of the information, C, is valid for independent noise of the labels 
   expected ``e^T (phi C)^-1 e`` is k for any shape of V.
 - Fixed parameters are known with a standard deviation s (`calibration.estimation.assumptions`). Their error changes the
   result by ``W = -A^-1 B`` times it, so ``W diag(s^2) W^T`` is added (consider analysis: S. F. Schmidt, 1966).
+
+A cause that is calibrated (the scale of poses, a lag) is one of the columns of A.
 """
 
 from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from calibration.estimation.held import LAG
 from calibration.estimation.linear_model import LinearModel
 from calibration.frozen import frozen
-from calibration.geometry.types import Array
+from calibration.geometry.types import Array, IntArray
 
 SERIAL = 4.0
 """Correlation of neighbouring clusters, in its standard deviations, from which they are taken to be alike."""
@@ -49,6 +52,8 @@ class ErrorBars:
     """By cause, the displacement of a transform by one assumed (if 0, typical) standard deviation, m."""
     held: Mapping[str, Array]
     """(S, k): by cause, the changes of the parameters by an error of one assumed standard deviation."""
+    lags: Mapping[str, float]
+    """s: by sensor, total standard deviation of a calibrated lag."""
 
 
 def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collection[int]) -> ErrorBars:
@@ -59,44 +64,54 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collectio
         blocks: the parameters of each shared block.
         poses: the blocks that are transforms; others have no displacement.
     """
-    S = model.shared
-    A = model.total[:S, :S]
-    C = np.linalg.inv(A)
+    S, T = model.shared, model.total
+    freed = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.free]
+    free = np.concatenate([np.arange(S), *(np.arange(at.start, at.stop) for _, at in freed)])
+    C = np.linalg.inv(T[np.ix_(free, free)])
     C = 0.5 * (C + C.T)
-    clustered, effective, decisive = _clustered(model, C)
-    moves = -C @ model.total[:S]  # by a unit of each column
-    squares = np.stack([(moves[blocks[block]][:3] ** 2).sum(0) for block in poses] or [np.zeros(len(model.total))])
-    worth, held, considered = {}, {}, np.zeros((S, S))
+    clustered, effective, decisive = _clustered(model, C, free)
+    moves = -C @ T[free]  # by a unit of each column
+    squares = np.stack([(moves[blocks[block]][:3] ** 2).sum(0) for block in poses] or [np.zeros(len(T))])
+    worth, held, considered = {}, {}, np.zeros((len(free), len(free)))
     for cause, at, typical in zip(model.causes, model.places, model.typical, strict=True):
-        if cause.free:  # with the parameters it is calibrated, and what is left of its information is its own
-            left = model.total[at, at] + model.total[at, :S] @ moves[:, at]
-            considered = considered + moves[:, at] @ np.linalg.inv(left) @ moves[:, at].T
-        elif cause.counts:
+        if cause.counts and not cause.free:
             usual = cause.assumed
             if any(cause.assumed):
-                held[cause.name] = moved = moves[:, at] * np.array(cause.assumed)
+                moved = moves[:, at] * np.array(cause.assumed)
+                held[cause.name] = moved[:S]
                 considered = considered + moved @ moved.T
             else:
                 usual = typical
             worth[cause.name] = float(np.sqrt((squares[:, at] @ np.square(usual)).max()))
-    labels, expected, total = {}, {}, {}
-    for block, at in blocks.items():
+
+    def bars(at: slice) -> tuple[Array, Array]:
         own = C[at, at]
         factor = max(1.0, float(np.trace(np.linalg.solve(own, clustered[at, at]))) / len(own))
-        labels[block] = own
-        expected[block] = own + considered[at, at]
-        total[block] = factor * own + considered[at, at]
-    return ErrorBars(labels, expected, total, effective, decisive, worth, held)
+        return own + considered[at, at], factor * own + considered[at, at]
+
+    labels, expected, total = {}, {}, {}
+    for block, at in blocks.items():
+        labels[block] = C[at, at]
+        expected[block], total[block] = bars(at)
+    ends = np.cumsum([S, *(cause.size for cause, _ in freed)]).tolist()
+    lags = {
+        cause.subject: float(np.sqrt(bars(slice(start, start + 1))[1][0, 0]))
+        for (cause, _), start in zip(freed, ends, strict=False)
+        if cause.kind == LAG
+    }
+    return ErrorBars(labels, expected, total, effective, decisive, worth, held, lags)
 
 
-def _clustered(model: LinearModel, C: Array) -> tuple[Array, float, float]:
-    """Return the covariance (S, S) with collections as clusters, their effective number, the largest share of one."""
-    S = model.shared
+def _clustered(model: LinearModel, C: Array, free: IntArray) -> tuple[Array, float, float]:
+    """Return the covariance (F, F) of the free columns with collections as clusters.
+
+    And the effective number of collections, and the largest share of one.
+    """
     values, vectors = np.linalg.eigh(C)
     root = vectors * np.sqrt(np.maximum(values, 0.0))  # C = root root^T
-    share = root.T @ model.G[:, :S, :S] @ root  # (K, S, S): fraction of the total information
-    pull = model.g[:, :S] @ root
-    w, U = np.linalg.eigh(np.eye(S) - share)
+    share = root.T @ model.G[:, free[:, None], free] @ root  # (K, F, F): fraction of the total information
+    pull = model.g[:, free] @ root
+    w, U = np.linalg.eigh(np.eye(len(free)) - share)
     left = np.maximum(w, DECISIVE)
     change = (U @ ((pull[:, None] @ U)[:, 0] / np.sqrt(left))[..., None])[..., 0]
     leverages = np.einsum("kii->k", share)

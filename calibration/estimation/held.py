@@ -21,7 +21,7 @@ from calibration.frozen import frozen
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import Step
-from calibration.geometry.transforms import adjoint, inverse, local
+from calibration.geometry.transforms import adjoint, inverse, local, translation
 from calibration.geometry.types import Array
 
 Unit = Literal["m", "rad", "px", "1", "s", "collections"]
@@ -36,6 +36,8 @@ ARM_ACCURACY = 6.0
 accuracy of a good industrial arm (1 mm at most). It differs from pose to pose, as an error of one link would not."""
 SCALE = "scale of poses"
 """Kind of the factor by which all measured translations are too long."""
+LAG = "lag"
+"""Kind of a sensor's time offset."""
 PLACE = "place"
 """Kind of causes that are only tested from some collection on: over all of them the pose is calibrated or gauge."""
 LINK = "link"
@@ -309,13 +311,35 @@ def moved_pattern(pattern: Pattern, assumed: tuple[float, ...] = (0.0,) * 6) -> 
     return Cause(PLACE, pattern.name, "m", assumed, twists, counts=False)
 
 
-def lag(sensor: Sensor) -> Cause:
-    """Cause of a sensor whose labels have a time offset, in steps between collections."""
+def lag(dataset: Dataset, sensor: Sensor, free: bool) -> Cause:
+    """Cause of a sensor whose labels have a time offset: in s by the velocities of frames, else in collections.
 
-    def twists(group: SeenGroup) -> Array | None:
+    Where the dataset has no velocities, the motion from one collection to the next says the direction.
+    """
+
+    def of_frames(group: SeenGroup) -> Array | None:
+        return frame_velocities(dataset, group)[..., None] if group.sensor.name == sensor.name else None
+
+    def of_collections(group: SeenGroup) -> Array | None:
         return velocities(group)[..., None] if group.sensor.name == sensor.name else None
 
-    return Cause("lag", sensor.name, "collections", (0.0,), twists, counts=False)
+    unit: Unit = "s" if dataset.velocities else "collections"
+    effect = of_frames if dataset.velocities else of_collections
+    return Cause(LAG, sensor.name, unit, (0.0,), effect, counts=False, tested=not free, free=free)
+
+
+def frame_velocities(dataset: Dataset, seen: SeenGroup) -> Array:
+    """Return the velocity (V, 6) of the pose by those of all frames in its chain, as a twist in the pattern's frame."""
+    at = seen.group.collections
+    total = np.zeros((len(at), 6))
+    for edge, velocity in dataset.velocities.items():
+        twists = seen.twist(edge, velocity[at][..., None])
+        if twists is not None:
+            total += twists[..., 0]
+    own = dataset.velocities.get((seen.pattern.parent_link, seen.pattern.link))
+    if own is not None:
+        total += own[at] @ adjoint(translation(-seen.pattern.centre)).T
+    return total
 
 
 def velocities(seen: SeenGroup) -> Array:
@@ -346,8 +370,9 @@ def seen_groups(dataset: Dataset, groups: Sequence[ViewGroup], poses: Sequence[A
         sensor, pattern = dataset.sensors[group.sensor], dataset.patterns[group.pattern]
         path = dataset.tree.path(sensor.frame, pattern.parent_link)
         prefixes, at = {}, np.broadcast_to(np.eye(4), (len(T), 4, 4))
+        transforms = dataset.seen_by(sensor.name).transforms
         for step in path:
-            edge = dataset.transforms[step.parent, step.child][group.collections]
+            edge = transforms[step.parent, step.child][group.collections]
             if step.inverted:
                 prefixes[step.parent, step.child] = at
             at = at @ (inverse(edge) if step.inverted else edge)

@@ -11,7 +11,7 @@ with the columns Z of the S calibrated shared parameters and of the causes, Y of
 parameters are answered from these, without another pass over the labels.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -91,6 +91,7 @@ def linear_model(
     assume: Assumptions,
     clusters: IntArray | None = None,
     free_scale: bool = False,
+    free_lags: Collection[str] = (),
 ) -> LinearModel:
     """Linearise at the optimum.
 
@@ -102,10 +103,13 @@ def linear_model(
         assume: assumed standard deviations of fixed parameters.
         clusters: (N,), cluster of each collection, from 0; equal for dependent ones. Each is its own if None.
         free_scale: whether the scale of measured poses is calibrated.
+        free_lags: sensors whose lag is calibrated.
     """
     groups = seen_groups(dataset, problem.groups, [problem.poses(group, values) for group in problem.groups])
-    found = _causes(problem, dataset, groups, assume, free_scale)
-    usual = found if assume == Assumptions() else _causes(problem, dataset, groups, Assumptions(), free_scale)
+    found = _causes(problem, dataset, groups, assume, free_scale, free_lags)
+    usual = (
+        found if assume == Assumptions() else _causes(problem, dataset, groups, Assumptions(), free_scale, free_lags)
+    )
     S, P = problem.sizes
     if S == 0:
         raise AssertionError("nothing is calibrated")
@@ -188,7 +192,12 @@ def _combinations(
 
 
 def _causes(
-    problem: Problem, dataset: Dataset, groups: Sequence[SeenGroup], assume: Assumptions, free_scale: bool
+    problem: Problem,
+    dataset: Dataset,
+    groups: Sequence[SeenGroup],
+    assume: Assumptions,
+    free_scale: bool,
+    free_lags: Collection[str],
 ) -> list[Cause]:
     """Return the causes of fixed parameters; and of each sensor and fixed pattern a displacement and a time offset."""
     intrinsics = [(block.intrinsics, block.held) for block in problem.blocks if block.intrinsics]
@@ -207,7 +216,10 @@ def _causes(
         *(
             cause
             for name in seen
-            for cause in (lag(dataset.sensors[name]), moved_sensor(dataset.sensors[name], steady))
+            for cause in (
+                lag(dataset, dataset.sensors[name], name in free_lags),
+                moved_sensor(dataset.sensors[name], steady),
+            )
         ),
         *(moved_pattern(dataset.patterns[name], steady) for name in patterns),
     ]

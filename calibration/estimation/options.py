@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
+from calibration.dataset.model import Dataset
 from calibration.estimation.assumptions import EXACT, OF_INTRINSICS, Assumptions
 from calibration.estimation.intrinsics import ALL, CalibratedIntrinsics
 from calibration.estimation.intrinsics_file import read_intrinsics
@@ -17,10 +18,12 @@ def _assumed(found: Literal["exact"] | Assumptions, _: Place) -> Assumptions:
     return EXACT if found == "exact" else found
 
 
-def _listed(found: tuple[str, ...] | Literal["all"], _: Place) -> tuple[str, ...]:
+def _listed(found: tuple[str, ...] | str, _: Place) -> tuple[str, ...]:
     return (found,) if isinstance(found, str) else found
 
 
+FREE = "free"
+"""Instead of the names of sensors: the lags of all that can be told."""
 Start = Literal["linear", "given"]
 """Linear initial guess of the engine, or the noisy given one."""
 Loss = Literal["huber", "linear"]
@@ -67,6 +70,12 @@ class Options:
     scale: Scale = field(
         "Of measured poses of patterns: known, or free where a camera alone gives them, as from structure from motion.",
         default="known",
+        option=False,
+    )
+    lag: Annotated[Names, Converted(Names | Literal["free"], _listed)] = field(
+        "Sensors whose time offset to the transforms of their collections is calibrated too, with its error bar; free "
+        "for all. Needs a dataset with velocities, as imports of bags write them.",
+        default=(),
         option=False,
     )
     hold: Names = field(
@@ -128,6 +137,17 @@ class Options:
     def frees_intrinsics_of(self, camera: str) -> bool:
         """Whether the intrinsics of a camera are calibrated."""
         return camera in self.intrinsics or ALL in self.intrinsics
+
+    def free_lags_of(self, dataset: Dataset) -> tuple[str, ...]:
+        """Return the sensors whose lag is calibrated.
+
+        Where nothing but patterns moves, one sensor must give the time: of all, the anchored or the first one.
+        """
+        if self.lag != (FREE,):
+            return self.lag
+        of_patterns = {(pattern.parent_link, pattern.link) for pattern in dataset.patterns.values()}
+        clock = None if dataset.velocities.keys() - of_patterns else dataset.anchored or next(iter(dataset.sensors))
+        return tuple(name for name in dataset.sensors if name != clock)
 
     def known_noise(self) -> NoiseLevels:
         """Standard deviations of the labels that are not estimated."""

@@ -91,6 +91,15 @@ class CalibratedJoint:
         return np.asarray(np.sqrt(np.diagonal(self.label_covariance)))
 
 
+@frozen
+class CalibratedLag:
+    """Lag of a sensor: how much later it saw than its collections' transforms say."""
+
+    seconds: float
+    sigma: float
+    """s: total standard deviation; NaN if the calibration has not converged."""
+
+
 @frozen(eq=False)
 class Solution:
     """Solved problem and its optimum, for checks that linearise it again."""
@@ -103,12 +112,22 @@ class Solution:
     assume: Assumptions
     free_scale: bool = False
     """Whether the scale of measured poses is calibrated."""
+    free_lags: tuple[str, ...] = ()
+    """Sensors whose lag is calibrated."""
 
     @cached_property
     def model(self) -> LinearModel:
         """Linear model at the optimum, of calibrated and fixed parameters."""
-        problem, weighting = self.setup.problem, self.weighting
-        return linear_model(problem, self.values, weighting, self.dataset, self.assume, self.clusters, self.free_scale)
+        return linear_model(
+            self.setup.problem,
+            self.values,
+            self.weighting,
+            self.dataset,
+            self.assume,
+            self.clusters,
+            self.free_scale,
+            self.free_lags,
+        )
 
     @cached_property
     def nominal(self) -> Mapping[int, Array]:
@@ -162,6 +181,8 @@ class Calibration:
     """Joints with free parameters, by name."""
     intrinsics: Mapping[str, CalibratedIntrinsics] = field(default_factory=dict)
     """Cameras with free intrinsics, by name."""
+    lags: Mapping[str, CalibratedLag] = field(default_factory=dict)
+    """Sensors with a calibrated lag, by name."""
     dropped_views: tuple[DroppedView, ...] = ()
     """Rejected views that contradict the majority of the others, which alone determine the result."""
     turned_views: tuple[tuple[str, str, str], ...] = ()

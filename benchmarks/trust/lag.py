@@ -1,0 +1,131 @@
+"""A lag that is calibrated: of a camera on an arm that moves while it looks, and between two cameras.
+
+Each frame moves with a velocity and an acceleration of its own in each collection; the dataset has the velocity with an
+error, as differences of recorded poses have. The arm's camera, or the second of two, sees everything later.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.rows import Bar, Row
+from benchmarks.scenes import CAMERA, board, boards, rig
+from benchmarks.workers import on_all_cores
+from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge
+from calibration.estimation.assumptions import EXACT
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, local, retract
+from calibration.geometry.types import Array
+
+DRAWS, COLLECTIONS = 100, 30
+MOST_LAG = 0.05
+"""s."""
+SPEED = (0.08, 0.08, 0.08, 0.25, 0.25, 0.25)
+"""Standard deviation of velocities, m/s and rad/s."""
+ACCELERATION = (0.1, 0.1, 0.1, 0.3, 0.3, 0.3)
+"""Likewise, m/s^2 and rad/s^2."""
+VELOCITY_ERROR = (0.002, 0.002, 0.002, 0.005, 0.005, 0.005)
+"""Likewise, of the velocities in the dataset."""
+NOISE = 0.3
+"""px."""
+WITHIN = 2.0
+SHARE = Bar(low=0.9)
+"""Of the lags within 2 sigma; of 100 whose error bars are right 95 are, and 90 or fewer once in 50 times."""
+NEES = Bar(0.7, 1.3)
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Errors of one calibration."""
+
+    in_sigmas: float
+    """Error of the lag."""
+    sigma_ms: float
+    nees: float
+    """``e^T C^-1 e / 6`` of the camera's transform."""
+
+
+def rows(quick: bool) -> Iterator[Row]:
+    """Lags within two standard deviations, and whether the transforms' error bars are honest beside a free lag."""
+    count = 20 if quick else DRAWS
+    for name, draw in (("arm", of_an_arm), ("stereo", of_two_cameras)):
+        found = on_all_cores(draw, list(range(count)))
+        within = float(np.mean([abs(each.in_sigmas) <= WITHIN for each in found]))
+        note = f"{count} lags of 0 to 50 ms, +- {np.median([each.sigma_ms for each in found]):.2g} ms"
+        yield Row(f"trust/lag, {name}, within 2 sigma", within, "", SHARE, note)
+        yield Row(f"trust/lag, {name}, NEES/6", float(np.mean([each.nees for each in found])), "", NEES)
+
+
+def of_an_arm(seed: int) -> Draw:
+    """A camera on a hand that moves, and a board in the world."""
+    rng = np.random.default_rng((1, seed))
+    pattern = replace(board(), fixed=True)
+    base, _ = rig(COLLECTIONS, cameras=1, seed=seed)
+    T_camera_board = boards(rng, COLLECTIONS, 0.0, pattern)
+    T_world_board = from_xyz_rpy([0.8, 0.2, 0.1], [0.2, -0.1, 0.5])
+    T_hand_camera = from_xyz_rpy([0.05, -0.03, 0.1], [0.1, 0.2, -1.4])
+    T_world_hand = T_world_board @ inverse(T_camera_board) @ inverse(T_hand_camera)
+    lag, velocity, motion = _moving(rng)
+    T_seen = inverse(retract(T_world_hand, motion) @ T_hand_camera) @ T_world_board
+    hand, camera = ("world", "hand"), ("hand", "camera_0_link")
+    sensor = replace(base.sensors["camera_0"], calibration_parent="hand")
+    dataset = replace(
+        base,
+        sensors={"camera_0": sensor},
+        patterns={pattern.name: pattern},
+        anchored=None,
+        transforms={hand: T_world_hand, camera: np.repeat(T_hand_camera[None], COLLECTIONS, 0)},
+        velocities={hand: velocity},
+    )
+    return _drawn(_labelled(dataset, {"camera_0": T_seen}, rng), "camera_0", camera, lag, T_hand_camera)
+
+
+def of_two_cameras(seed: int) -> Draw:
+    """Two cameras whose clocks differ, and a board that is moved by hand."""
+    rng = np.random.default_rng((2, seed))
+    base, T_world_camera = rig(COLLECTIONS, seed=seed)
+    pattern = base.patterns["board"]
+    T_world_board = boards(rng, COLLECTIONS, 0.06, pattern)
+    lag, velocity, motion = _moving(rng)
+    seen = {
+        "camera_0": inverse(T_world_camera[0]) @ T_world_board,
+        "camera_1": inverse(T_world_camera[1]) @ retract(T_world_board, motion),
+    }
+    dataset = replace(base, velocities={(pattern.parent_link, pattern.link): velocity})
+    return _drawn(_labelled(dataset, seen, rng), "camera_1", ("world", "camera_1_link"), lag, T_world_camera[1])
+
+
+def _moving(rng: np.random.Generator) -> tuple[float, Array, Array]:
+    """Return a lag (s), the velocities (N, 6) as the dataset has them, the twists (N, 6) of the motion in the lag."""
+    lag = float(rng.uniform(0.0, MOST_LAG))
+    velocity, acceleration, error = (
+        rng.normal(size=(COLLECTIONS, 6)) * sigma for sigma in (SPEED, ACCELERATION, VELOCITY_ERROR)
+    )
+    return lag, velocity + error, lag * velocity + lag**2 / 2 * acceleration
+
+
+def _labelled(dataset: Dataset, seen: Mapping[str, Array], rng: np.random.Generator) -> Dataset:
+    """Return the dataset with the labels of cameras by ``T_camera_board`` (N, 4, 4)."""
+    pattern = dataset.patterns["board"]
+    ids = np.arange(len(pattern.corners))
+    corners = np.broadcast_to(pattern.corners, (COLLECTIONS, *pattern.corners.shape))
+    pixels = {name: CAMERA.project(apply(T, corners)) for name, T in seen.items()}
+    collections = tuple(
+        Collection(
+            f"{i:03}",
+            {
+                (pattern.name, name): CornerLabels(ids, each[i] + rng.normal(0.0, NOISE, each[i].shape))
+                for name, each in pixels.items()
+            },
+        )
+        for i in range(COLLECTIONS)
+    )
+    return replace(dataset, collections=collections)
+
+
+def _drawn(dataset: Dataset, camera: str, edge: Edge, lag: float, T: Array) -> Draw:
+    result = calibrate(dataset, Options(lag=(camera,), assume=EXACT))
+    found, error = result.lags[camera], local(result.transforms[edge], T)
+    nees = float(error @ np.linalg.solve(result.covariances[edge], error)) / 6
+    return Draw((found.seconds - lag) / found.sigma, 1e3 * found.sigma, nees)
