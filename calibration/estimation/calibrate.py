@@ -85,7 +85,8 @@ class Calibrator:
         dataset = self._given if options.scale == "known" else _with_scale(self._given, options)[0]
         if not (free := options.free_lags_of(dataset)):
             return dataset
-        return with_lags(dataset, free, lambda each: _from_all_labels(each, options))
+        known = replace(options, lag=())  # lags that cannot be told beside each other would have no error bars
+        return with_lags(dataset, free, lambda each: _from_all_labels(each, known))
 
     def calibrate(self, noise: StartingNoise) -> Calibration:
         """Calibrate from the initial guess with noise.

@@ -44,8 +44,8 @@ def with_lags(dataset: Dataset, free: Sequence[str], calibrated: Callable[[Datas
             raise InputError(f"{dataset.path}: lag: found sensor '{name}', expected of {', '.join(dataset.sensors)}")
     if not dataset.velocities:
         raise UndeterminedError(
-            f"{dataset.path}: the dataset has no velocities, which a lag is told by (lag): import it from a bag whose "
-            f"robot or pattern moves while the sensors look, with standstill: 0, or leave 'lag' out"
+            f"{dataset.path}: the dataset has no velocities, which a lag is told by (lag): import it from a bag of "
+            f"a robot that moves while its sensors look (import.yml: bags: every), or leave 'lag' out"
         )
     for _ in range(MOST_STEPS):
         steps = _steps(calibrated(dataset).solution.model, free, dataset)

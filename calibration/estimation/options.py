@@ -74,7 +74,7 @@ class Options:
     )
     lag: Annotated[Names, Converted(Names | Literal["free"], _listed)] = field(
         "Sensors whose time offset to the transforms of their collections is calibrated too, with its error bar; free "
-        "for all. Needs a dataset with velocities, as imports of bags write them.",
+        "for all. Needs a dataset with velocities, as imports of bags in motion write them.",
         default=(),
         option=False,
     )

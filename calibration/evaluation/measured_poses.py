@@ -27,6 +27,6 @@ def measured_poses(dataset: Dataset, sensor: str, pattern: str | None = None) ->
     views = measured_views(dataset, sensor, board)
     if not len(views.collections):
         raise InputError(f"{dataset.path}: '{sensor}' measures no pose of '{board.name}'")
-    seen = dataset.with_collections(views.collections.tolist())
+    seen = dataset.seen_by(sensor).with_collections(views.collections.tolist())
     off, turned = distance(seen.transform(found.frame, board.link), views.T_camera_pattern)
     return Table(COLLECTION, COLUMNS, seen.keys, np.stack([1e3 * off, np.degrees(turned)], -1))

@@ -66,7 +66,7 @@ def _errors(dataset: Dataset, name: str, pattern: Pattern) -> dict[int, float]:
     if not views:
         return {}
     errors = {}
-    T_camera_pattern = dataset.with_collections(list(views)).transform(sensor.frame, pattern.link)
+    T_camera_pattern = dataset.seen_by(name).with_collections(list(views)).transform(sensor.frame, pattern.link)
     for (i, label), T in zip(views.items(), T_camera_pattern, strict=True):
         distance = np.linalg.norm(camera.project(apply(T, pattern.corners[label.ids])) - label.pixels, axis=-1)
         errors[i] = float(distance.mean()) if np.isfinite(distance).all() else np.inf

@@ -1,6 +1,7 @@
 """Calibrated part of a robot: the transforms, joints and cameras of a dataset that are exported."""
 
 from collections.abc import Mapping
+from dataclasses import field
 
 import numpy as np
 
@@ -30,6 +31,8 @@ class Calibrated:
     """Frame of each camera's images."""
     poses: Mapping[str, Array]
     """``T_first_camera`` (4, 4) of each camera relative to the first one, if no moving transform is between them."""
+    lags: Mapping[str, float] = field(default_factory=dict)
+    """s: of the sensors that have one."""
 
 
 def calibrated(dataset: Dataset) -> Calibrated:
@@ -60,12 +63,13 @@ def calibrated(dataset: Dataset) -> Calibrated:
         transforms[edge] = T[0]
     cameras = {name: sensor.camera for name, sensor in dataset.sensors.items() if sensor.camera}
     frames = {name: dataset.sensors[name].frame for name in cameras}
+    lags = {name: sensor.lag for name, sensor in dataset.sensors.items() if sensor.lag}
     poses = {}
     for name in cameras:
         T = dataset.transform(next(iter(frames.values())), frames[name])
         if not _differs(T):
             poses[name] = T[0]
-    return Calibrated(dataset.name, transforms, joints, cameras, frames, poses)
+    return Calibrated(dataset.name, transforms, joints, cameras, frames, poses, lags)
 
 
 def _origin(dataset: Dataset) -> set[Edge]:

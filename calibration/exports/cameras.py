@@ -13,8 +13,8 @@ from calibration.geometry.transforms import inverse
 from calibration.optional import optional
 
 
-def camera_info(camera: Camera, name: str) -> str:
-    """Return a camera's file for ROS's camera_info_manager."""
+def camera_info(camera: Camera, name: str, lag: float | None = None) -> str:
+    """Return a camera's file for ROS's camera_info_manager; a lag, s, as a comment, which has no place in it."""
     fx, fy, cx, cy = (float(v) for v in camera.intrinsics[:4])
     coefficients = camera.distortion.coefficients.tolist()
 
@@ -31,7 +31,8 @@ def camera_info(camera: Camera, name: str) -> str:
         "rectification_matrix": matrix(3, 3, np.eye(3).ravel().tolist()),
         "projection_matrix": matrix(3, 4, [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]),
     }
-    return yaml_text(document)
+    remark = "" if lag is None else f"# lag: {lag!r} s from the stamp of an image to the transforms that it shows\n"
+    return remark + yaml_text(document)
 
 
 def kalibr_camchain(of: Calibrated) -> str:

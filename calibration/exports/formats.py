@@ -21,7 +21,7 @@ FILES: Mapping[str, Callable[[Calibrated], Mapping[str, str]]] = {
     "tf-static": lambda of: {"tf_static.yaml": tf_static(of)},
     "autoware": autoware,
     "camera-info": lambda of: {
-        f"{file_name(name)}.yaml": camera_info(camera, name) for name, camera in of.cameras.items()
+        f"{file_name(name)}.yaml": camera_info(camera, name, of.lags.get(name)) for name, camera in of.cameras.items()
     },
     "kalibr": lambda of: {"camchain.yaml": kalibr_camchain(of)},
     "opencv": lambda of: {"opencv.yml": opencv_storage(of)},

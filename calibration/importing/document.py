@@ -15,6 +15,8 @@ from calibration.dataset.modalities import MODALITIES
 from calibration.dataset.model import ESTIMATED, Edge
 from calibration.dataset.pattern import pattern_document
 from calibration.dataset.sensors import camera_document
+from calibration.dataset.velocities import KEY as VELOCITIES
+from calibration.dataset.velocities import velocity_documents
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
@@ -49,6 +51,8 @@ class Imported:
     """How well the intrinsics are known, of cameras whose file says so."""
     poses: Mapping[tuple[str, str], Array] = field(default_factory=dict)
     """Measured poses ``T_sensor_pattern`` (N, 4, 4) at the moments, by sensor and pattern."""
+    velocities: Mapping[Edge, Array] = field(default_factory=dict)
+    """(N, 6): of the frames that move at any moment, see `calibration.dataset.velocities`."""
 
     @property
     def seen(self) -> list[list[str]]:
@@ -113,6 +117,7 @@ def dataset_document(imported: Imported) -> dict[str, Any]:
                     for pattern in configuration.patterns
                 },
                 "transforms": {"-".join(edge): documents[number] for edge, documents in rows.items()},
+                **({VELOCITIES: moving} if (moving := velocity_documents(imported.velocities, number)) else {}),
             }
             for number, (key, moment, ranges) in enumerate(
                 zip(imported.keys, imported.moments, imported.ranges, strict=True)

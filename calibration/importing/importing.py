@@ -335,6 +335,7 @@ def _from_bags(described: ImportDescription, lenses: Mapping[str, KnownLens]) ->
                 ),
                 rough=not mounted.edges,
                 lag=max(moment.lag for moment in some),
+                velocities=mounted.velocities(found.log, [moment.time for moment in some]),
             )
 
         rejected = images_without_pattern(found, images, found.log)

@@ -10,7 +10,7 @@ from calibration.dataset.model import Edge
 from calibration.errors import InputError
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.rotations import exp, log
-from calibration.geometry.transforms import distance, transform
+from calibration.geometry.transforms import distance, local, transform
 from calibration.geometry.types import Array
 from calibration.importing.left_out import LeftOutCounts
 from calibration.simulation.robot import Joint, Robot, parse_robot
@@ -21,6 +21,8 @@ AROUND = 0.15
 """s: time before and after a moment at standstill in which nothing moves more than `STILL_M` or `STILL_RAD`."""
 STILL_M, STILL_RAD = 1e-3, 2e-3
 """m and rad: largest motion at standstill."""
+VELOCITY_OVER = 0.06
+"""s: time over which a velocity is taken: several records of an arm, and hardly any acceleration."""
 SECOND = 1e9
 
 
@@ -180,6 +182,22 @@ class MotionLog:
         if T is None:
             raise InputError(f"{what} was recorded within {NEAR:g} s of {time / SECOND:.3f}{self._why_not(edge)}")
         return T
+
+    def velocity(self, edge: Edge, time: float) -> Array:
+        """Return the velocity (6,) of the child at a time, ns, as a twist in its own frame, m/s and rad/s.
+
+        Zero where it stands still, or nothing was recorded around that time.
+        """
+        if not self.moves(edge):
+            return np.zeros(6)
+        try:
+            before, now, after = (self.transform(edge, time + each * VELOCITY_OVER / 2 * SECOND) for each in (-1, 0, 1))
+        except InputError:
+            return np.zeros(6)
+        twist = (local(now, after) - local(now, before)) / VELOCITY_OVER
+        speed, turning = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
+        stands = speed < STILL_M / AROUND and turning < STILL_RAD / AROUND
+        return np.zeros(6) if stands else twist
 
     def _position(self, joint: Joint, time: float) -> Array | None:
         """Return the position (1,) of a joint at a time, ns; of one that follows another, from that one's."""

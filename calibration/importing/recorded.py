@@ -47,6 +47,8 @@ class Recorded:
     rejected: Mapping[str, Sequence[RejectedView]] = field(default_factory=dict)
     """Images of a bag in which no pattern is detected, by camera."""
     left_out: tuple[LeftOut, ...] = ()
+    velocities: Mapping[Edge, Array] = field(default_factory=dict)
+    """(N, 6): of the frames that move at any moment, see `calibration.dataset.velocities`."""
     notes: tuple[str, ...] = ()
     """What was read otherwise than recorded."""
 
@@ -102,6 +104,7 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
         ranges=[ranges[i] for i in kept],
         transforms={edge: T[kept] for edge, T in recorded.transforms.items()},
         rough=recorded.rough,
+        velocities={edge: velocity[kept] for edge, velocity in recorded.velocities.items()},
     )
 
 

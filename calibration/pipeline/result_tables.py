@@ -226,7 +226,7 @@ def parameters_table(results: Results) -> Table:
         )
         for system in results.systems
         if (found := first.get(system))
-        for each in (*found.joints, *found.intrinsics)
+        for each in (*found.joints, *found.lags, *found.intrinsics)
     ]
     return Table(
         ("System", "Joint or camera", "Parameter", "Value", "Sigma", "Unit"),

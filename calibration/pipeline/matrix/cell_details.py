@@ -15,7 +15,7 @@ from calibration.diagnosis.precision import worst_false_accept
 from calibration.errors import UndeterminedError
 from calibration.estimation.intrinsics import CalibratedIntrinsics
 from calibration.estimation.projection import projection_of
-from calibration.estimation.result import CalibratedJoint, Calibration
+from calibration.estimation.result import CalibratedJoint, CalibratedLag, Calibration
 from calibration.geometry.rotations import rpy_rates, to_quaternion, to_rpy
 from calibration.geometry.transforms import distance
 from calibration.geometry.types import Array
@@ -44,6 +44,7 @@ def described(result: CellResult, calibration: Calibration, description: Dataset
         ),
         joints=tuple(row for joint in calibration.joints.values() for row in _parameters(joint.name, joint)),
         intrinsics=tuple(row for name, camera in calibration.intrinsics.items() for row in _parameters(name, camera)),
+        lags=tuple(_lag(name, lag) for name, lag in calibration.lags.items()),
         projection=_projections(calibration) if calibration.converged else (),
         iterations=calibration.iterations,
         cost=calibration.cost,
@@ -207,6 +208,10 @@ def finite_deviation(
         None if joint_mm is None else round(joint_mm, 6),
         None if joint_deg is None else round(joint_deg, 8),
     )
+
+
+def _lag(sensor: str, lag: CalibratedLag) -> Parameter:
+    return Parameter(sensor, "lag", lag.seconds, "s", lag.sigma if math.isfinite(lag.sigma) else None)
 
 
 def _parameters(name: str, calibrated: CalibratedJoint | CalibratedIntrinsics) -> list[Parameter]:

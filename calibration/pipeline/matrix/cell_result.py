@@ -34,12 +34,12 @@ class Deviation:
 
 @result
 class Parameter:
-    """Calibrated parameter of a joint or a camera."""
+    """Calibrated parameter of a joint, a camera, or the lag of a sensor."""
 
-    name: str = field("The joint or the camera.")
+    name: str = field("The joint or the sensor.")
     parameter: str = field("Name of the parameter.")
     value: float = field("The calibrated value.")
-    unit: Literal["m", "rad", "px", "1"] = field("Of value and sigma.")
+    unit: Literal["m", "rad", "px", "1", "s"] = field("Of value and sigma.")
     sigma: float | None = field("Standard deviation; null if it did not converge.")
 
 
@@ -113,6 +113,10 @@ class Details:
     transforms: tuple[Transform, ...] = field("In the cell's own results: the transforms.", default=())
     joints: tuple[Parameter, ...] = field("In the cell's own results: those of joints.", default=())
     intrinsics: tuple[Parameter, ...] = field("In the cell's own results: those of cameras.", default=())
+    lags: tuple[Parameter, ...] = field(
+        "In the cell's own results: how much later sensors saw than the transforms of their collections say.",
+        default=(),
+    )
     projection: tuple[ProjectionResult, ...] = field(
         "In the cell's own results: how sure calibrated intrinsics are, in the image.", default=()
     )
