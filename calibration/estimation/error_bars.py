@@ -10,7 +10,8 @@ The inverse of the information, C, is valid for independent noise of the labels 
   added, with Bartlett's weights (W. Newey and K. West, "A simple, positive semi-definite, heteroskedasticity and
   autocorrelation consistent covariance matrix", 1987), as far as D. Andrews' rule for a first-order autoregression
   says ("Heteroskedasticity and autocorrelation consistent covariance matrix estimation", 1991). With this factor the
-  expected ``e^T (phi C)^-1 e`` is k for any shape of V.
+  expected ``e^T (phi C)^-1 e`` is k for any shape of V. Where phi is large and told by few clusters, it is multiplied by
+  n / (n - 2), with the effective number n of clusters: the mean of the inverse of a chi-square variable.
 - Fixed parameters are known with a standard deviation s (`calibration.estimation.assumptions`). Their error changes the
   result by ``W = -A^-1 B`` times it, so ``W diag(s^2) W^T`` is added (consider analysis: S. F. Schmidt, 1966).
 
@@ -30,6 +31,10 @@ SERIAL = 4.0
 """Correlation of neighbouring clusters, in its standard deviations, from which they are taken to be alike."""
 LONGEST = 0.97
 """Largest correlation of neighbours that is taken; their sum is known too little to tell larger ones."""
+CONTRADICTING = 3.0
+"""Factor above which clusters contradict each other; one that is estimated from few clusters is then corrected."""
+FEWEST_CLUSTERS = 4.0
+"""Minimum of the clusters that a factor is taken to come from."""
 DECISIVE = 1e-6
 """Information left without a cluster, relative to the total, below which that cluster alone determines a direction."""
 
@@ -87,6 +92,8 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collectio
     def bars(at: slice) -> tuple[Array, Array]:
         own = C[at, at]
         factor = max(1.0, float(np.trace(np.linalg.solve(own, clustered[at, at]))) / len(own))
+        if factor > CONTRADICTING:
+            factor *= _for_few_clusters(model.G[:, free[:, None], free], C[at], own)
         return own + considered[at, at], factor * own + considered[at, at]
 
     labels, expected, total = {}, {}, {}
@@ -100,6 +107,19 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collectio
         if cause.kind == LAG
     }
     return ErrorBars(labels, expected, total, effective, decisive, worth, held, lags)
+
+
+def _for_few_clusters(G: Array, C: Array, own: Array) -> float:
+    """Return the factor ``n / (n - 2)`` by which a variance that n clusters tell is too small as a divisor.
+
+    Args:
+        G: (K, F, F), information of each cluster.
+        C: (k, F), rows of the covariance.
+        own: (k, k), of its own columns.
+    """
+    shares = np.einsum("kii->k", np.linalg.solve(own, C @ G @ C.T))
+    count = float(shares.sum() ** 2 / (shares**2).sum())
+    return max(count, FEWEST_CLUSTERS) / (max(count, FEWEST_CLUSTERS) - 2)
 
 
 def _clustered(model: LinearModel, C: Array, free: IntArray) -> tuple[Array, float, float]:
