@@ -27,6 +27,10 @@ ACCELERATION = (0.1, 0.1, 0.1, 0.3, 0.3, 0.3)
 """Likewise, m/s^2 and rad/s^2."""
 VELOCITY_ERROR = (0.002, 0.002, 0.002, 0.005, 0.005, 0.005)
 """Likewise, of the velocities in the dataset."""
+FEW = 9
+"""Moments of cameras without a common clock."""
+UNSYNCHRONISED = 0.03
+"""s: how early or late such a camera is at most, anew at each moment."""
 NOISE = 0.3
 """px."""
 WITHIN = 2.0
@@ -55,6 +59,32 @@ def rows(quick: bool) -> Iterator[Row]:
         note = f"{count} lags of 0 to 50 ms, +- {np.median([each.sigma_ms for each in found]):.2g} ms"
         yield Row(f"trust/lag, {name}, within 2 sigma", within, "", SHARE, note)
         yield Row(f"trust/lag, {name}, NEES/6", float(np.mean([each.nees for each in found])), "", NEES)
+    scattering = on_all_cores(of_scattering_cameras, list(range(count)))
+    yield Row("trust/no common clock, NEES/6", float(np.mean(scattering)), "", NEES, f"4 cameras, {FEW} moments")
+
+
+def of_scattering_cameras(seed: int) -> float:
+    """Return NEES/6 of a camera of four without a common clock, each of which sees 9 moments of a board or fewer."""
+    rng = np.random.default_rng((3, seed))
+    base, T_world_camera = rig(FEW, cameras=4, seed=seed)
+    T_world_board = boards(rng, FEW, 0.18, base.patterns["board"])
+    velocity = rng.normal(size=(FEW, 6)) * SPEED
+    late = rng.uniform(-UNSYNCHRONISED, UNSYNCHRONISED, (4, FEW, 1))
+    seen = {
+        name: inverse(T) @ retract(T_world_board, delay * velocity)
+        for name, T, delay in zip(base.sensors, T_world_camera, late, strict=True)
+    }
+    whole = _labelled(base, seen, rng)
+    kept = [
+        replace(
+            c, labels={key: label for i, (key, label) in enumerate(c.labels.items()) if i < 2 or rng.random() < 0.5}
+        )
+        for c in whole.collections
+    ]
+    result = calibrate(replace(whole, collections=tuple(kept)), Options(assume=EXACT))
+    edge = ("world", "camera_1_link")
+    error = local(result.transforms[edge], T_world_camera[1])
+    return float(error @ np.linalg.solve(result.covariances[edge], error)) / 6
 
 
 def of_an_arm(seed: int) -> Draw:
@@ -109,7 +139,7 @@ def _labelled(dataset: Dataset, seen: Mapping[str, Array], rng: np.random.Genera
     """Return the dataset with the labels of cameras by ``T_camera_board`` (N, 4, 4)."""
     pattern = dataset.patterns["board"]
     ids = np.arange(len(pattern.corners))
-    corners = np.broadcast_to(pattern.corners, (COLLECTIONS, *pattern.corners.shape))
+    corners = np.broadcast_to(pattern.corners, (len(dataset.collections), *pattern.corners.shape))
     pixels = {name: CAMERA.project(apply(T, corners)) for name, T in seen.items()}
     collections = tuple(
         Collection(
@@ -119,7 +149,7 @@ def _labelled(dataset: Dataset, seen: Mapping[str, Array], rng: np.random.Genera
                 for name, each in pixels.items()
             },
         )
-        for i in range(COLLECTIONS)
+        for i in range(len(dataset.collections))
     )
     return replace(dataset, collections=collections)
 
