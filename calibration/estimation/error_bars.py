@@ -10,8 +10,8 @@ The inverse of the information, C, is valid for independent noise of the labels 
   added, with Bartlett's weights (W. Newey and K. West, "A simple, positive semi-definite, heteroskedasticity and
   autocorrelation consistent covariance matrix", 1987), as far as D. Andrews' rule for a first-order autoregression
   says ("Heteroskedasticity and autocorrelation consistent covariance matrix estimation", 1991). With this factor the
-  expected ``e^T (phi C)^-1 e`` is k for any shape of V. Where phi is large and told by few clusters, it is multiplied by
-  n / (n - 2), with the effective number n of clusters: the mean of the inverse of a chi-square variable.
+  expected ``e^T (phi C)^-1 e`` is k for any shape of V. Where phi is large and told by few clusters, it is
+  multiplied by n / (n - 2), with the effective number n of clusters: the mean of an inverse chi-square variable.
 - Fixed parameters are known with a standard deviation s (`calibration.estimation.assumptions`). Their error changes the
   result by ``W = -A^-1 B`` times it, so ``W diag(s^2) W^T`` is added (consider analysis: S. F. Schmidt, 1966).
 
