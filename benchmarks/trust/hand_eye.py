@@ -25,9 +25,9 @@ from calibration.geometry.rotations import to_quaternion
 from calibration.geometry.transforms import inverse, local
 from calibration.geometry.types import Array
 from calibration.importing.importing import import_data
-from calibration.importing.samples import PATTERN, POSE
 
 DATA = "KINHEC_DATA"
+POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 NEES_BAR = Bar(0.5, 1.5)
 MAX_QUICK_SEQUENCES = 16
 """Sequences of a track, if quick."""
@@ -116,7 +116,7 @@ def _calibrated(
         folder = Path(name)
         with (folder / "samples.csv").open("w", newline="") as file:
             writer = csv.writer(file)
-            writer.writerow([*POSE, *(PATTERN + key for key in POSE)])
+            writer.writerow([*POSE_COLUMNS, *("pattern_" + name for name in POSE_COLUMNS)])
             writer.writerows(
                 [*_cells(tool), *_cells(seen)] for tool, seen in zip(T_base_tool, T_camera_pattern, strict=True)
             )

@@ -92,7 +92,8 @@ def read_camera(info: Node) -> Camera:
     if abs(skew) * min(height, MAX_SKEWED_HEIGHT) / (2 * fy) > MAX_SKEW_PX:
         raise info["K"].fault(
             f"found a skew of {skew:g}, which moves pixels by more than {MAX_SKEW_PX:g} px: no lens model here has "
-            "one; calibrate the camera without skew"
+            "one; calibrate without it (OpenCV: CALIB_FIX_SKEW), or leave the intrinsics out of import.yml, and they "
+            "are calibrated"
         )
     camera = Camera(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height, distortion=_read_distortion(info))
     return _of_image(camera, info)
@@ -100,11 +101,8 @@ def read_camera(info: Node) -> Camera:
 
 def _of_image(camera: Camera, info: Node) -> Camera:
     """Return the camera of the part of the image sensor that is read, with the pixels that are added up (REP 104)."""
-    x, y, width, height = 0, 0, camera.width, camera.height
-    roi = info.get("roi")
-    if roi and (roi["width"].whole(0, MAX_PIXELS) or roi["height"].whole(0, MAX_PIXELS)):
-        x, y = roi["x_offset"].whole(0, width - 1), roi["y_offset"].whole(0, height - 1)
-        width, height = roi["width"].whole(1, width - x), roi["height"].whole(1, height - y)
+    x, width = _extent(info, "x_offset", "width", camera.width)
+    y, height = _extent(info, "y_offset", "height", camera.height)
     columns, rows = (max(1, each.whole(0, MAX_BINNING)) if (each := info.get(key)) else 1 for key in BINNING)
     return replace(
         camera,
@@ -115,6 +113,14 @@ def _of_image(camera: Camera, info: Node) -> Camera:
         width=width // columns,
         height=height // rows,
     )
+
+
+def _extent(info: Node, offset: str, length: str, whole: int) -> tuple[int, int]:
+    """Return the offset and the length of an image along one axis of the sensor; a length of 0 is the whole."""
+    roi = info.get("roi")
+    begin = each.whole(0, whole - 1) if roi and (each := roi.get(offset)) else 0
+    part = each if roi and (each := roi.get(length)) and each.number() != 0 else None
+    return begin, part.whole(1, whole - begin) if part else whole - begin
 
 
 def check_principal_point(camera: Camera, where: str) -> None:
