@@ -154,8 +154,14 @@ def _is_wide(fits: Sequence[LensFit], terms: Sequence[CornerTerm]) -> bool:
 
 def _radii(camera: Camera, terms: Sequence[CornerTerm]) -> Array:
     """Return the lengths (n,) of the corners' coordinates in the lens's chart."""
-    radii = np.concatenate([np.hypot(*np.swapaxes(term.seen_with(camera, ()).rays, 0, 1)).ravel() for term in terms])
-    return np.asarray(radii[np.isfinite(radii)])
+    return np.concatenate([np.hypot(*_seen_rays(term.seen_with(camera, ()))) for term in terms])
+
+
+def _seen_rays(term: CornerTerm) -> Array:
+    """Return the labels (2, n) as coordinates in the lens's chart, where they have some; not the corners unseen."""
+    rays = np.swapaxes(term.rays, 0, 1).reshape(2, -1)
+    seen = np.isfinite(rays).all(0) & (True if term.seen is None else term.seen.ravel())
+    return np.asarray(rays[:, seen])
 
 
 def _simplest(fits: Sequence[LensFit]) -> LensChoice:
@@ -251,9 +257,9 @@ def _fitted(start: tuple[Camera, list[Array]], terms: Sequence[CornerTerm], held
     if not np.isfinite(T).all():
         return None
     terms = [term.seen_with(camera, ()) for term in terms]
-    rays = np.concatenate([np.swapaxes(term.rays, 0, 1).reshape(2, -1) for term in terms], 1)
+    rays = np.concatenate([_seen_rays(term) for term in terms], 1)
     parameters = tuple(each for each in camera.parameters if each not in held)
-    free = FreeIntrinsics("camera", camera, parameters, rays[:, np.isfinite(rays[0])])
+    free = FreeIntrinsics("camera", camera, parameters, rays)
     problem = _problem(free, terms)
     found = optimise(problem, (T, camera.intrinsics), NoiseLevels(), robust=True)
     values: Values = found.optimum.values

@@ -161,3 +161,17 @@ def test_the_options_take_all_as_a_word_and_refuse_a_lens_that_is_not_calibrated
         read(Options, {"lens": {"left": "equidistant"}}, "calibration.yml")
     with pytest.raises(InputError, match=r"lens\.left: found 'fisheye', expected"):
         read(Options, {"intrinsics": "all", "lens": {"left": "fisheye"}}, "calibration.yml")
+
+
+def test_corners_that_are_not_seen_do_not_count() -> None:
+    """Their pixels are no labels: those of an image's corner would be 98 degrees off the axis of this fisheye."""
+    model = Camera(300.0, 301.0, 421.0, 302.0, 848, 600, Equidistant(-0.012, 0.045, -0.036, 0.006))
+    dataset = covering(20, 0, 1, model=model, pixel_noise=0.1).dataset(0)
+    partial = [
+        (pattern, CornerLabels(labels.ids[k % 9 :], labels.pixels[k % 9 :]))
+        for k, (pattern, labels) in enumerate(views_of(dataset))
+    ]
+    choice = choose_lens(848, 600, partial)
+    assert choice is not None
+    assert choice.chosen.name == "equidistant", choice.reason
+    assert choice.chosen.camera.fx == pytest.approx(300, abs=2)
