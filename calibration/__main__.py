@@ -68,6 +68,10 @@ COMMANDS: Mapping[str, LazyCommand] = {
         "calibration.commands.gather_results:command", "Merge the results of a workflow's jobs."
     ),
     "comment": LazyCommand("calibration.commands.comment:command", "Keep one comment on a pull request up to date."),
+    "look": LazyCommand(
+        "calibration.commands.look:command",
+        "Look at a recording: what is in it, and what is missing for a calibration.",
+    ),
     "import-data": LazyCommand(
         "calibration.commands.import_data:command", "Make a dataset of recorded images and poses."
     ),

@@ -38,6 +38,7 @@ SCHEMAS = {
     "motion": Shipped("calibration.simulation.motion", "motion.schema.json", "sequence:MotionFile"),
     "import.yml": Shipped("calibration.importing", "import.schema.json", "description:ImportDescription"),
     "import-results": Shipped("calibration.importing", _RESULTS, "results:ImportResults", "import-data"),
+    "look-results": Shipped("calibration.importing", "look.schema.json", "look.results:LookResults", "look"),
     "label-results": Shipped("calibration.importing", "label.schema.json", "results:LabelResults", "label"),
     "scenario-set": Shipped(_SCENARIOS, "scenario_set.schema.json", "parameters:ScenarioSetFile"),
     "coverage": Shipped("calibration.coverage", _RESULTS, "results:Results", "coverage-upload"),

@@ -14,5 +14,6 @@
 - ``printed_sheet``: boards to print;
 - ``best_moments``: selection of the best moments;
 - ``recorded``: the collections of the dataset; ``document``: its ``dataset.json``; ``png``: its image files;
+- ``look``: a preview of a recording, before it is imported;
 - ``importing``: the whole import; ``results``, ``report``: what it reports.
 """

@@ -94,7 +94,7 @@ def _shown(dataset: Dataset) -> tuple[BoolArray, Array]:
         views = [(p, s, each) for (p, s), each in collection.labels.items() if isinstance(each, CornerLabels)]
         for _, sensor, label in views:
             if camera := dataset.sensors[sensor].camera:
-                own.update((sensor, cell) for cell in image_cells(camera, [label]))
+                own.update((sensor, cell) for cell in image_cells(camera.width, camera.height, [label]))
         whole = [len(label.ids) == len(dataset.patterns[pattern].corners) for pattern, _, label in views]
         partial[i] = 1 - np.mean(whole) if whole else 0.0
         places.append(own)

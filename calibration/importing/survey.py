@@ -87,7 +87,7 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
     if not any(kind.has_corners for kind in kinds.values()):
         raise InputError(f"{bag.path}: found no camera among the sensors, expected one that sees where the pattern is")
     own = [sensor for sensor in sensors if sensor.intrinsics is None and kinds[sensor.name].has_intrinsics]
-    infos = {sensor.name: _info_topic(bag, sensor) for sensor in own}
+    infos = {sensor.name: info_topic(bag, sensor) for sensor in own}
     of_topic = {sensor.topic or "": sensor for sensor in sensors}
     first: dict[str, RawMessage] = {}
     lenses = {topic: RecordedLens(topic) for topic in infos.values() if topic is not None}
@@ -101,7 +101,7 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
             first.setdefault(message.topic, message)
             _add_stamp(bag, message, described_sensor, stamps[described_sensor.name], log.left_out)
         elif message.topic in others:
-            _add_motion(bag, message, log)
+            add_motion(bag, message, log)
         else:
             lenses[message.topic].add(bag, message)
     if described.bags is not None and (urdf := described.bags.robot_description):
@@ -125,22 +125,32 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
 
 
 def _found(bag: Bag) -> tuple[SensorDescription, ...]:
+    """Return `cameras_of` a bag, at least one."""
+    if not (cameras := cameras_of(bag)):
+        raise InputError(f"{bag.path}: {no_images(bag)}")
+    return cameras
+
+
+def no_images(bag: Bag) -> str:
+    """Return in words that a bag has no topic of images, and what to do."""
+    kinds = ", ".join(f"{topic} ({kind})" for topic, kind in bag.topics.items()) or "none"
+    depth = [topic for topic in image_topics(bag) if is_depth(topic)]
+    hint = f"; {depth[0]} is taken for depth by its name: name it in 'sensors', with modality: rgb" if depth else ""
+    hint = hint or next((hint for kind in bag.topics.values() if (hint := what_to_record(kind))), "")
+    return f"found no topic of images, expected one{hint}; topics: {kinds}"
+
+
+def cameras_of(bag: Bag) -> tuple[SensorDescription, ...]:
     """Return every topic of colour images that is not rectified beside the raw one."""
-    images, twins = _image_topics(bag), _rectified_twins(bag)
-    topics = [topic for topic in images if not _is_depth(topic) and topic not in twins]
-    if not topics:
-        kinds = ", ".join(f"{topic} ({kind})" for topic, kind in bag.topics.items()) or "none"
-        depth = [topic for topic in images if _is_depth(topic)]
-        hint = f"; {depth[0]} is taken for depth by its name: name it in 'sensors', with modality: rgb" if depth else ""
-        hint = hint or next((hint for kind in bag.topics.values() if (hint := _what_to_record(kind))), "")
-        raise InputError(f"{bag.path}: found no topic of images, expected one{hint}; topics: {kinds}")
+    twins = _rectified_twins(bag)
+    topics = [topic for topic in image_topics(bag) if not is_depth(topic) and topic not in twins]
     names = {topic: topic.strip("/").split("/")[0] for topic in topics}
     if len(set(names.values())) < len(names):
         names = {topic: topic.strip("/").replace("/", "_") for topic in topics}
     return tuple(SensorDescription(name, topic=topic) for topic, name in names.items())
 
 
-def _image_topics(bag: Bag) -> list[str]:
+def image_topics(bag: Bag) -> list[str]:
     """Return every topic of images; of raw and compressed ones of the same images, the raw one."""
     raw, compressed = bag.of_type(IMAGES[0]), bag.of_type(IMAGES[1])
     return [*raw, *(topic for topic in compressed if str(PurePosixPath(topic).parent) not in raw)]
@@ -148,8 +158,8 @@ def _image_topics(bag: Bag) -> list[str]:
 
 def _rectified_twins(bag: Bag) -> list[str]:
     """Return the topics of rectified images in whose namespace the images as they were taken are, too."""
-    rectified: dict[str, bool] = {topic: is_rectified(topic) for topic in _image_topics(bag)}
-    cameras = {_namespace(topic) for topic, is_one in rectified.items() if not is_one and not _is_depth(topic)}
+    rectified: dict[str, bool] = {topic: is_rectified(topic) for topic in image_topics(bag)}
+    cameras = {_namespace(topic) for topic, is_one in rectified.items() if not is_one and not is_depth(topic)}
     return [topic for topic, is_one in rectified.items() if is_one and _namespace(topic) in cameras]
 
 
@@ -160,7 +170,7 @@ def _namespace(topic: str) -> str:
     return "/".join(parts[: ends[0]]) if ends else topic
 
 
-def _what_to_record(kind: str | None) -> str:
+def what_to_record(kind: str | None) -> str:
     """Return what to record in place of messages of a type, to be appended to an error; empty if it is read."""
     return next((hint for name, hint in OTHER_MESSAGES.items() if kind and name in kind), "")
 
@@ -171,7 +181,7 @@ def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
         kind = bag.topics.get(sensor.topic or "")
         problem = f"found '{sensor.topic}' as {kind}" if kind else f"found no topic '{sensor.topic}'"
         raise InputError(
-            f"{bag.path}: {problem}, expected the data of '{sensor.name}'{_what_to_record(kind)}; "
+            f"{bag.path}: {problem}, expected the data of '{sensor.name}'{what_to_record(kind)}; "
             f"topics of cameras and LiDARs: {', '.join(known) or 'none'}"
         )
 
@@ -183,14 +193,15 @@ def _modality(bag: Bag, sensor: SensorDescription) -> Modality:
         return kind
     if sensor.modality:
         return MODALITIES[sensor.modality]
-    return DEPTH if _is_depth(sensor.topic or "") else RGB
+    return DEPTH if is_depth(sensor.topic or "") else RGB
 
 
-def _is_depth(topic: str) -> bool:
+def is_depth(topic: str) -> bool:
+    """Return whether a topic of images is one of depth, by its name."""
     return "depth" in topic.lower()
 
 
-def _info_topic(bag: Bag, sensor: SensorDescription) -> str | None:
+def info_topic(bag: Bag, sensor: SensorDescription) -> str | None:
     """Return the topic of a camera's intrinsics: the named one, else the one next to its images."""
     known = bag.of_type(INFO)
     if sensor.camera_info is not None:
@@ -223,7 +234,12 @@ def _add_stamp(
         stamps[message.recorded] = stamp
 
 
-def _add_motion(bag: Bag, message: RawMessage, log: MotionLog) -> None:
+def add_motion(bag: Bag, message: RawMessage, log: MotionLog) -> None:
+    """Add the frames, joints or robot description of a message to a log.
+
+    Raises:
+        InputError: it cannot be decoded.
+    """
     kind, content = bag.topics[message.topic], bag.decode(message)
     if kind in TF:
         for each in content.transforms:

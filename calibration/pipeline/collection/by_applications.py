@@ -265,7 +265,7 @@ def _record(dataset: Dataset, index: int, number: int) -> Record:
             complete[sensor] |= len(found.ids) == len(dataset.patterns[pattern].corners)
         labels[sensor] += label_count(found)
     cells = {
-        name: image_cells(sensor.camera, corners[name])
+        name: image_cells(sensor.camera.width, sensor.camera.height, corners[name])
         for name, sensor in dataset.sensors.items()
         if sensor.camera and sensor.modality.has_corners
     }

@@ -12,7 +12,6 @@ import numpy as np
 
 from calibration.dataset.model import CornerLabels, Edge
 from calibration.geometry import rotations
-from calibration.geometry.cameras import Camera
 from calibration.geometry.joints import JOINT_PARAMETERS
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array
@@ -118,7 +117,8 @@ def record(play: Play, capture: Capture, lost: tuple[str, ...]) -> Record:
         complete={name: _sees_all(play, capture, name) for name in system.cameras},
         errors={name: error for name in system.cameras if (error := _corner_errors(play, capture, name))},
         cells={
-            name: image_cells(sensor.camera, capture.corners(name).values()) for name, sensor in system.cameras.items()
+            name: image_cells(sensor.camera.width, sensor.camera.height, capture.corners(name).values())
+            for name, sensor in system.cameras.items()
         },
         collection=_collection(play, capture),
         initial={name: _initial(play, capture, name) for name in system.patterns},
@@ -175,9 +175,9 @@ def _corner_errors(play: Play, capture: Capture, camera: str) -> CornerErrors | 
     )
 
 
-def image_cells(camera: Camera, detected: Iterable[CornerLabels]) -> tuple[int, ...]:
-    """Return the cells of the grid over a camera's image with a corner."""
-    size = np.array([camera.width / COLUMNS, camera.height / ROWS])
+def image_cells(width: int, height: int, detected: Iterable[CornerLabels]) -> tuple[int, ...]:
+    """Return the cells of the grid over an image (px) with a corner."""
+    size = np.array([width / COLUMNS, height / ROWS])
     found = set()
     for labels in detected:
         column, row = np.clip((labels.pixels + 0.5) // size, 0, [COLUMNS - 1, ROWS - 1]).astype(int).T

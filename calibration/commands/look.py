@@ -1,0 +1,29 @@
+"""``look``: what is in a recording, and what it lacks for a calibration."""
+
+import os
+from pathlib import Path
+
+import click
+
+from calibration.commands.parameters import path
+from calibration.errors import ExitCode
+from calibration.importing.look.looking import look
+from calibration.importing.look.report import report
+from calibration.report import FILES, publish, remove_results
+from calibration.workflow import Runner
+
+
+@click.command("look")
+@click.argument("recording", type=path)
+@click.option("--pattern", type=path, help="import.yml that describes the pattern (the one found in the images).")
+@click.option("--output", type=path, help="Folder for results.json, junit.xml and summary.md.")
+def command(recording: Path, pattern: Path | None, output: Path | None) -> ExitCode:
+    """Look at a recording before it is imported: a bag, a folder of images, a video, or an import.yml.
+
+    Exit code 1 if something is missing for a calibration.
+    """
+    if output is not None:
+        remove_results(output, FILES)
+    found = report(look(recording, pattern), output)
+    publish(found, Runner.from_environment(os.environ), output)
+    return found.exit_code
