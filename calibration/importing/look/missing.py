@@ -71,6 +71,8 @@ def _missing_frames(content: BagContent, frames: FramesSummary) -> Iterator[Miss
     if not frames.frames:
         why = "" if frames.robot_description == "read" else f" (robot_description: {frames.robot_description})"
         record = "record /tf and /tf_static, or joint states with /robot_description"
+        if content.log.joints:
+            record = "joints are recorded: name the robot's URDF, 'robot-description' of bags, or record /tf"
         several = len(content.cameras) > 1
         use = "" if not several else ", unless only the cameras are calibrated, relative to each other"
         yield Missing(f"no frames{why}", record + use, is_needed=not several)

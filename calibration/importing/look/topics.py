@@ -1,6 +1,5 @@
 """A bag's topics, frames and intrinsics, without decoding an image."""
 
-import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -177,26 +176,35 @@ def _spread(values: Sequence[np.ndarray]) -> float:
 
 
 def _stays(content: BagContent, parents: Collection[str]) -> int | None:
-    """Return how often everything on the way to a camera or a pattern stands still; None if nothing there moves."""
+    """Return how often everything on the way to a camera or a pattern stands still; None if nothing there moves.
+
+    Of a camera and a pattern that nothing is known to move, all counts that moves, but what never stands still, such as
+    wheels.
+    """
     log = content.log
+    followed = {joint.edge: joint.driver for joint in log.robot.joints} if log.robot else {}
+    recorded = [edge for edge in log.edges if edge in log.moving or followed.get(edge) in log.joints]
     above: dict[str, Edge] = {edge[1]: edge for edge in reversed(log.edges)}
     used: dict[Edge, None] = {}
     for frame in (*content.frames.values(), *parents):
         while (edge := above.get(frame)) is not None and edge not in used:
             used[edge] = None
             frame = edge[0]
-    moving = [edge for edge in used if log.moves(edge)] or [edge for edge in log.edges if log.moves(edge)]
+    moving = [edge for edge in recorded if edge in used]
     images = [time for each in content.cameras for time in content.times.get(each.topic or "", TopicTimes()).stamps]
-    if not moving or not images:
+    if not recorded or not images:
         return None
-    begin, end = min(images), max(images)
-    count = int(min((end - begin) / SECOND / STAY_STEP + 1, MAX_STAY_TIMES))
-    still = [False, *(_is_still(log, moving, time) for time in np.linspace(begin, end, count).tolist())]
-    return sum(now and not before for before, now in itertools.pairwise(still))
+    count = int(min((max(images) - min(images)) / SECOND / STAY_STEP + 1, MAX_STAY_TIMES))
+    times = np.linspace(min(images), max(images), count)
+    still = np.array([[_is_still(log, edge, time) for time in times.tolist()] for edge in moving or recorded])
+    if not moving and still.any():
+        still = still[still.any(-1)]
+    together = np.concatenate([[False], still.all(0)])
+    return int((together[1:] & ~together[:-1]).sum())
 
 
-def _is_still(log: MotionLog, edges: list[Edge], time: float) -> bool:
+def _is_still(log: MotionLog, edge: Edge, time: float) -> bool:
     try:
-        return log.is_still(edges, time)
+        return log.is_still([edge], time)
     except InputError:  # nothing was recorded near that time
         return False
