@@ -17,7 +17,7 @@ from calibration.importing.look.looking import look
 from calibration.importing.look.results import LookResults
 from tests.importing.arm import keys, record_arm
 from tests.importing.bags import BEGIN, SECOND, BagFile
-from tests.importing.conftest import CAMERAS, FOCAL
+from tests.importing.conftest import BOARD, CAMERAS, FOCAL, change
 from tests.importing.test_bags import KINDS, describe, file_of, image, record
 from tests.importing.test_videos import write_video
 
@@ -29,7 +29,7 @@ def needed(results: LookResults) -> str:
     return "\n".join(str(each) for each in results.missing if each.is_needed)
 
 
-def one_camera(folder: Path, change: Change = lambda shown: shown, poses: int = POSES, period: float = 1.0) -> Path:
+def one_camera(folder: Path, edit: Change = lambda shown: shown, poses: int = POSES, period: float = 1.0) -> Path:
     """A bag of one camera and its frame; each image is changed."""
     path = file_of(folder, "mcap")
     with BagFile(path, "mcap") as bag:
@@ -37,7 +37,7 @@ def one_camera(folder: Path, change: Change = lambda shown: shown, poses: int = 
         for n in range(poses):
             stamp = BEGIN + int(n * period * SECOND)
             bag.camera_info("/left/camera_info", stamp, "left", (640, 480), FOCAL)
-            bag.image("/left/image_raw", stamp, change(image("left_camera", n)), "left")
+            bag.image("/left/image_raw", stamp, edit(image("left_camera", n)), "left")
     return path
 
 
@@ -113,7 +113,7 @@ def _left_half(shown: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 
 @pytest.mark.parametrize(
-    ("change", "expected"),
+    ("edit", "expected"),
     [
         (lambda shown: cv2.GaussianBlur(shown, (0, 0), 2.5), "is blurred by 2."),
         (lambda shown: shown // 8, "is dark"),
@@ -122,8 +122,8 @@ def _left_half(shown: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         (lambda shown: np.zeros_like(shown), "no known pattern is in any of 10 images"),
     ],
 )
-def test_bad_images_are_named(tmp_path: Path, change: Change, expected: str) -> None:
-    assert expected in needed(look(one_camera(tmp_path, change)))
+def test_bad_images_are_named(tmp_path: Path, edit: Change, expected: str) -> None:
+    assert expected in needed(look(one_camera(tmp_path, edit)))
 
 
 def test_good_images_are_not(tmp_path: Path) -> None:
@@ -162,6 +162,23 @@ def test_folders_of_images_and_an_import_yml(stereo: Path) -> None:
     assert described.pattern == "board"
     assert described.cameras["left_camera"].intrinsics == "camera.yaml"
     assert look(stereo / "left_camera", stereo / "import.yml").pattern == "board"
+
+
+def test_what_is_there_in_place_of_a_described_pattern_is_named(stereo: Path) -> None:
+    change(stereo, "patterns", "board", "dictionary", to="DICT_4X4_100")
+    missing = needed(look(stereo / "import.yml"))
+    assert "(board) is not in any of 6 images of 'left_camera', but markers of DICT_5X5" in missing
+
+
+def test_an_image_that_samples_name_and_is_gone_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = {"sensors": {"camera": {}}, "samples": {"file": "poses.csv"}, "patterns": {"board": BOARD}}
+    (tmp_path / "import.yml").write_text(json.dumps(document))
+    pose = "0,0,0,0,0,0,1"
+    (tmp_path / "poses.csv").write_text(
+        "image,x,y,z,qx,qy,qz,qw\n" + "".join(f"{n}.png,{n},{pose[2:]}\n" for n in range(3))
+    )
+    assert main(["look", str(tmp_path / "import.yml")]) == 2
+    assert "0.png" in capsys.readouterr().err
 
 
 def test_a_chessboard_of_any_size_is_found(tmp_path: Path) -> None:

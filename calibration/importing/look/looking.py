@@ -15,7 +15,7 @@ from calibration.importing.look.patterns import LookedFor, described_pattern, pa
 from calibration.importing.look.results import CameraSummary, FramesSummary, LookResults, Missing, TopicSummary
 from calibration.importing.look.sources import ImageSource, TopicImages, described_images, images_at
 from calibration.importing.look.topics import frames_summary, read_content
-from calibration.importing.survey import IMAGES, no_images
+from calibration.importing.survey import IMAGES, is_depth, no_images
 from calibration.simulation.collection.record import image_cells
 
 
@@ -43,7 +43,9 @@ def look(recording: Path, pattern: Path | None = None) -> LookResults:
         own = sample(source)
         looked_for = looked_for or pattern_in(own.images)
         cameras[name], white = _camera(source, own, looked_for, seen.intrinsics.get(name, "none"))
-        lines += missing_in_images(name, cameras[name], white, looked_for.name if looked_for else None)
+        other = None if cameras[name].with_pattern or with_pattern is None else pattern_in(own.images)
+        sought, instead = looked_for.name if looked_for else None, other.name if other else None
+        lines += missing_in_images(name, cameras[name], white, sought, instead)
     return LookResults(
         str(recording),
         looked_for.name if looked_for else None,
@@ -70,14 +72,18 @@ def _bag(files: Sequence[Path], described: ImportDescription | None) -> _Seen:
     with open_bag(files) as bag:
         content = read_content(bag, described)
         no_camera = "" if content.cameras else no_images(bag)
-    frames = frames_summary(content, [each.parent for each in described.patterns if each.parent] if described else ())
+    patterns = described.patterns if described else ()
+    frames = frames_summary(content, [each.parent for each in patterns if each.parent])
+    only_intrinsics = described is not None and not any(each.parent or each.fixed for each in patterns)
     images = {
         each.name: TopicImages(files, topic, content.times[topic].recorded)
         for each in content.cameras
         if content.types.get(topic := each.topic or "") in IMAGES and content.times[topic].recorded
+        if not (is_depth(topic) if each.modality is None else each.modality == "depth")
     }
+    missing = missing_in_bag(content, frames, no_camera, only_intrinsics)
     topics = {topic: content.times[topic].summary(kind) for topic, kind in content.types.items()}
-    return _Seen(images, content.intrinsics, topics, frames, list(missing_in_bag(content, frames, no_camera)))
+    return _Seen(images, content.intrinsics, topics, frames, list(missing))
 
 
 def _files(images: Mapping[str, ImageSource], described: ImportDescription | None) -> _Seen:

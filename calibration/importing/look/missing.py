@@ -7,11 +7,12 @@ import numpy as np
 
 from calibration.importing.bag import SECOND
 from calibration.importing.look.results import CameraSummary, FramesSummary, Missing
-from calibration.importing.look.topics import BagContent
+from calibration.importing.look.topics import NOT_CALIBRATED, BagContent
 from calibration.importing.stillness import LAG
 from calibration.importing.survey import MAX_STEP_BACK, what_to_record
 
-BAGS = "docs/your-data.md#a-bag-of-ros-1-or-ros-2"
+YOUR_DATA = "docs/your-data.md"
+BAGS = YOUR_DATA + "#a-bag-of-ros-1-or-ros-2"
 MIN_POSES = 10
 """Least number of poses: with 6 the error is twice that with 15 (docs/recording.md)."""
 MIN_SEEN = 0.25
@@ -32,13 +33,16 @@ MIN_RATE = 2.0
 """Hz: from this rate on a hole is not a way to record."""
 
 
-def missing_in_bag(content: BagContent, frames: FramesSummary, no_camera: str) -> Iterator[Missing]:
+def missing_in_bag(
+    content: BagContent, frames: FramesSummary, no_camera: str, only_intrinsics: bool
+) -> Iterator[Missing]:
     """Yield what the topics and frames of a bag lack.
 
     Args:
         content: of the bag.
         frames: its frames.
         no_camera: what to say of a bag without a topic of images.
+        only_intrinsics: whether intrinsics are all that can be wanted, by import.yml.
     """
     if not content.cameras:
         yield Missing("no topic of images", no_camera, BAGS)
@@ -55,6 +59,9 @@ def missing_in_bag(content: BagContent, frames: FramesSummary, no_camera: str) -
         elif content.types.get(topic, "").endswith("Image") and content.intrinsics[camera.name] == "none":
             remedy = "record the camera_info of its images, or give 'intrinsics' or 'camera-info' in import.yml"
             yield Missing(f"no camera_info of '{camera.name}'", remedy)
+        elif content.intrinsics[camera.name] == NOT_CALIBRATED:
+            remedy = "its intrinsics can be calibrated too, from corners in every part of the image"
+            yield Missing(f"the camera_info of '{camera.name}' is {NOT_CALIBRATED}", remedy, is_needed=False)
     sensors = {topic: each.stamps for topic, each in content.times.items() if each.stamps}
     yield from _missing_stamps(sensors, {topic for topic in sensors if topic in named})
     for topic in sensors:
@@ -62,20 +69,21 @@ def missing_in_bag(content: BagContent, frames: FramesSummary, no_camera: str) -
         if (own.rate_hz or 0) >= MIN_RATE and (own.largest_gap_s or 0) > MAX_HOLE:
             what = f"{topic} has a gap of {own.largest_gap_s:.1f} s at {own.rate_hz:.1f} Hz"
             yield Missing(what, "record on a faster disk or fewer topics: were messages dropped?", is_needed=False)
-    yield from _missing_frames(content, frames)
+    yield from _missing_frames(content, frames, only_intrinsics)
     if content.is_cut:
         yield Missing("the recording is long", "only its begin was looked at", is_needed=False)
 
 
-def _missing_frames(content: BagContent, frames: FramesSummary) -> Iterator[Missing]:
+def _missing_frames(content: BagContent, frames: FramesSummary, only_intrinsics: bool) -> Iterator[Missing]:
     if not frames.frames:
         why = "" if frames.robot_description == "read" else f" (robot_description: {frames.robot_description})"
         record = "record /tf and /tf_static, or joint states with /robot_description"
         if content.log.joints:
             record = "joints are recorded: name the robot's URDF, 'robot-description' of bags, or record /tf"
         several = len(content.cameras) > 1
-        use = "" if not several else ", unless only the cameras are calibrated, relative to each other"
-        yield Missing(f"no frames{why}", record + use, is_needed=not several)
+        alone = "the cameras are calibrated, relative to each other" if several else "intrinsics are calibrated"
+        is_needed = not several and not only_intrinsics
+        yield Missing(f"no frames{why}", f"{record}, unless only {alone}", is_needed=is_needed)
         return
     if len(frames.roots) > 1:
         roots = ", ".join(f"'{root}'" for root in frames.roots)
@@ -83,7 +91,7 @@ def _missing_frames(content: BagContent, frames: FramesSummary) -> Iterator[Miss
         yield Missing(f"frames hang on {len(frames.roots)} roots: {roots}", remedy, BAGS, is_needed=False)
     known = {frame for edge in content.log.edges for frame in edge}
     for name, frame in content.frames.items():
-        if frame not in known:
+        if frame and frame not in known:
             remedy = "publish it in /tf_static or the robot description, or name it: 'frame' or 'parent' of the sensor"
             yield Missing(f"the frame of '{name}', '{frame}', is in no transform", remedy, BAGS, is_needed=False)
     if frames.stays is not None and frames.stays < MIN_POSES:
@@ -116,7 +124,9 @@ def _missing_stamps(sensors: Mapping[str, Sequence[int]], cameras: set[str]) -> 
             yield Missing(what, f"trigger them together, within {LAG:g} s where all stands still")
 
 
-def missing_in_images(name: str, camera: CameraSummary, white: float, pattern: str | None) -> Iterator[Missing]:
+def missing_in_images(
+    name: str, camera: CameraSummary, white: float, pattern: str | None, instead: str | None
+) -> Iterator[Missing]:
     """Yield what the images of a camera lack.
 
     Args:
@@ -124,9 +134,10 @@ def missing_in_images(name: str, camera: CameraSummary, white: float, pattern: s
         camera: what was measured.
         white: level of the white of the pattern, median over the images.
         pattern: that was looked for.
+        instead: the pattern that the images show, where it is not that one.
     """
     if camera.fault:
-        yield Missing(f"'{name}' cannot be read", camera.fault, BAGS)
+        yield Missing(f"'{name}' cannot be read", camera.fault, YOUR_DATA)
     if camera.other_size:
         what = f"'{name}' has images of {camera.width} x {camera.height} and of {camera.other_size} pixels"
         yield Missing(what, "record one size: another one is another camera")
@@ -135,7 +146,8 @@ def missing_in_images(name: str, camera: CameraSummary, white: float, pattern: s
     seen, of = camera.with_pattern, f"of {camera.looked_at} images of '{name}'"
     if not seen:
         found = "no known pattern is" if pattern is None else f"the pattern ({pattern}) is not"
-        yield Missing(f"{found} in any {of}", "show the whole board, large and sharp; or describe it (--pattern)")
+        found += f" in any {of}" + (f", but {instead}" if instead else "")
+        yield Missing(found, "show the whole board, large and sharp; or describe it (--pattern)")
     elif seen < MIN_SEEN * camera.looked_at:
         yield Missing(f"the pattern is in {seen} {of}", "keep the board in view while you record")
     if camera.images < MIN_POSES:

@@ -122,7 +122,7 @@ def described_images(described: ImportDescription) -> dict[str, ImageSource]:
     """Return the images of the cameras in folders and videos that import.yml names.
 
     Raises:
-        InputError: a folder or a file is missing or wrong.
+        InputError: a folder or a file is missing or wrong, or there are no images.
     """
     found: dict[str, ImageSource] = {}
     for sensor in [each for each in described.sensors if each.images][:MAX_CAMERAS]:
@@ -133,8 +133,14 @@ def described_images(described: ImportDescription) -> dict[str, ImageSource]:
             found[sensor.name] = FileImages(pictures.place, pictures.files)
     if not found and described.samples is not None:
         images = [each.image for each in read_samples(described.samples, described.in_hand) if each.image]
+        if gone := [each for each in images if not each.is_file()]:
+            raise InputError(f"{gone[0]}: found no such file, expected an image of {described.samples.file}")
         if images:
             found[described.sensors[0].name] = FileImages(str(described.samples.file), images)
+    if not found:
+        raise InputError(
+            "found no images in what is described, expected some to look at: poses alone are not looked at"
+        )
     return found
 
 

@@ -27,8 +27,9 @@ from calibration.robot_description import read_robot_description
 
 MAX_BYTES = 20_000_000_000
 """Limit of the content of the messages that are read; of a longer recording only its begin is looked at."""
-MAX_MESSAGES = 5_000_000
+MAX_MESSAGES = 3_000_000
 """Limit of their number."""
+NOT_CALIBRATED = "not calibrated (focal length 0)"
 STAY_STEP = 0.2
 """s: step of the times at which standstill is looked for."""
 MAX_STAY_TIMES = 3000
@@ -89,6 +90,7 @@ def read_content(bag: Bag, described: ImportDescription | None) -> BagContent:
     info_faults: dict[str, str] = {}
     texts = [topic for topic in bag.of_type(TEXT) if topic.endswith("robot_description")]
     moving, stamped = {*bag.of_type(*TF), *bag.of_type(JOINTS), *texts}, {*bag.of_type(*MODALITY_OF_MESSAGE)}
+    by_recording = {each.topic for each in cameras if each.stamps == "recorded"}
     log, first, size, count, is_cut = MotionLog(), dict[str, RawMessage](), 0, 0, False
     for message in bag.messages(times):
         count, size = count + 1, size + len(message.data)
@@ -97,7 +99,7 @@ def read_content(bag: Bag, described: ImportDescription | None) -> BagContent:
         own = times[message.topic]
         own.recorded.append(message.recorded)
         if message.topic in stamped:
-            own.stamps.append(bag.stamp(message))
+            own.stamps.append(message.recorded if message.topic in by_recording else bag.stamp(message))
             first.setdefault(message.topic, message)
         elif message.topic in moving:
             add_motion(bag, message, log)
@@ -144,7 +146,7 @@ def _lens_in_words(camera: SensorDescription, lens: RecordedLens | None, times: 
     except InputError as error:
         return str(error)
     if known is None:
-        return "not calibrated (focal length 0)"
+        return NOT_CALIBRATED
     centre = f"principal point {known.cx:.0f}, {known.cy:.0f}"
     return f"{known.width} x {known.height}, {type(known.distortion).__name__}, f {known.fx:.0f}, {centre}"
 
