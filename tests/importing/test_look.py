@@ -12,7 +12,7 @@ import pytest
 from rosbags.typesys import get_types_from_msg
 
 from calibration.__main__ import main
-from calibration.importing.look.images import MAX_IMAGES, blur_of
+from calibration.importing.look.images import blur_of
 from calibration.importing.look.looking import look
 from calibration.importing.look.results import LookResults
 from tests.importing.arm import keys, record_arm
@@ -69,6 +69,25 @@ def test_the_stays_of_an_arm_are_counted(tmp_path: Path) -> None:
     assert needed(good) == ""
     record_arm(tmp_path / "moving.bag", "bag", poses, moving=range(1, POSES))
     assert "stands still 1 times" in needed(look(tmp_path / "moving.bag"))
+
+
+def test_a_long_stay_is_one_and_a_wheel_does_not_matter(tmp_path: Path) -> None:
+    """Three stays of a second, and between them two seconds without frames; the camera is mounted on what moves."""
+    path = file_of(tmp_path, "mcap")
+    with BagFile(path, "mcap") as bag:
+        for tenth in range(50):
+            stamp, pose = BEGIN + tenth * SECOND // 10, tenth // 10
+            T = np.eye(4)
+            T[0, 3] = float(pose)
+            if pose not in (1, 2):
+                bag.transforms("/tf", stamp, {("world", "left"): T})
+            T[0, 3] = tenth / 10
+            bag.transforms("/tf", stamp, {("world", "wheel"): T})
+            bag.image("/left/image_raw", stamp, image("left_camera", 0)[::4, ::4], "left", "mono8")
+    frames = look(path).frames
+    assert frames is not None
+    assert frames.stays == 3
+    assert set(frames.moving) == {"left", "wheel"}
 
 
 def test_what_drivers_leave_out_is_named(tmp_path: Path) -> None:
@@ -170,7 +189,9 @@ def test_what_is_there_in_place_of_a_described_pattern_is_named(stereo: Path) ->
     assert "(board) is not in any of 6 images of 'left_camera', but markers of DICT_5X5" in missing
 
 
-def test_an_image_that_samples_name_and_is_gone_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_image_that_samples_name_and_is_gone_is_bad_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     document = {"sensors": {"camera": {}}, "samples": {"file": "poses.csv"}, "patterns": {"board": BOARD}}
     (tmp_path / "import.yml").write_text(json.dumps(document))
     pose = "0,0,0,0,0,0,1"
@@ -193,7 +214,7 @@ def test_a_chessboard_of_any_size_is_found(tmp_path: Path) -> None:
 def test_a_long_video_is_looked_at_in_part(tmp_path: Path) -> None:
     video = write_video(tmp_path / "left.avi", [image("left_camera", n // 4) for n in range(40)])
     camera = look(video).cameras["left"]
-    assert (camera.images, camera.looked_at) == (40, MAX_IMAGES)
+    assert (camera.images, camera.looked_at) == (40, 24)
     assert 0 < camera.still <= camera.compared
 
 

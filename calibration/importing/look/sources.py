@@ -138,9 +138,8 @@ def described_images(described: ImportDescription) -> dict[str, ImageSource]:
         if images:
             found[described.sensors[0].name] = FileImages(str(described.samples.file), images)
     if not found:
-        raise InputError(
-            "found no images in what is described, expected some to look at: poses alone are not looked at"
-        )
+        place = described.samples.file if described.samples else "sensors"
+        raise InputError(f"{place}: found no image, expected some to look at: poses alone tell nothing here")
     return found
 
 
