@@ -231,6 +231,7 @@ def test_no_recording_is_bad_input(tmp_path: Path, name: str, capsys: pytest.Cap
     errors = capsys.readouterr().err.strip().splitlines()
     assert len(errors) == 1
     assert str(tmp_path) in errors[0]
+    assert name or "cut.bag" in errors[0]
 
 
 def test_the_command_writes_its_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 from calibration.errors import InputError
+from calibration.importing.bag import ENDINGS as BAGS
 from calibration.importing.bag import SECOND, open_bag
 from calibration.importing.description import VIDEO_ENDINGS, ImportDescription, SensorDescription, is_video
 from calibration.importing.image_views import read_image
@@ -159,6 +160,10 @@ def images_at(path: Path) -> dict[str, ImageSource]:
     folders = [path, *sorted(each for each in path.iterdir() if each.is_dir())]
     with_images = [each for each in folders if any(file.suffix.lower() in ENDINGS for file in each.iterdir())]
     if not with_images:
-        raise InputError(f"{path}: found no image in it or in its folders, expected files in {', '.join(ENDINGS)}")
+        recordings = [file.name for file in sorted(path.iterdir()) if file.suffix.lower() in (*BAGS, *VIDEO_ENDINGS)]
+        hint = f"; name a recording in it: {recordings[0]}" if recordings else ""
+        raise InputError(
+            f"{path}: found no image in it or in its folders, expected files in {', '.join(ENDINGS)}{hint}"
+        )
     chosen = with_images[:1] if with_images[0] == path else with_images[:MAX_CAMERAS]
     return {each.name: FileImages(str(each), find_pictures(each.name, str(each)).files) for each in chosen}
