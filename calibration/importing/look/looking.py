@@ -13,7 +13,7 @@ from calibration.importing.look.images import Sample, is_still, measured, sample
 from calibration.importing.look.missing import missing_in_bag, missing_in_images
 from calibration.importing.look.patterns import LookedFor, described_pattern, pattern_in
 from calibration.importing.look.results import CameraSummary, FramesSummary, LookResults, Missing, TopicSummary
-from calibration.importing.look.sources import ImageSource, TopicImages, described_images, images_at
+from calibration.importing.look.sources import ImageSource, described_images, images_at, topic_images
 from calibration.importing.look.topics import frames_summary, read_content
 from calibration.importing.survey import IMAGES, is_depth, no_images
 from calibration.simulation.collection.record import image_cells
@@ -76,7 +76,7 @@ def _bag(files: Sequence[Path], described: ImportDescription | None) -> _Seen:
     frames = frames_summary(content, [each.parent for each in patterns if each.parent])
     only_intrinsics = described is not None and not any(each.parent or each.fixed for each in patterns)
     images = {
-        each.name: TopicImages(files, topic, content.times[topic].recorded)
+        each.name: topic_images(files, topic, content.times[topic].recorded)
         for each in content.cameras
         if content.types.get(topic := each.topic or "") in IMAGES and content.times[topic].recorded
         if not (is_depth(topic) if each.modality is None else each.modality == "depth")

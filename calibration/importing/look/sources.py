@@ -1,9 +1,8 @@
 """Images of a recording's cameras, whatever they are in."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from calibration.errors import InputError
 from calibration.importing.bag import ENDINGS as BAGS
@@ -13,110 +12,59 @@ from calibration.importing.image_views import read_image
 from calibration.importing.messages import image_of
 from calibration.importing.pictures import ENDINGS, find_pictures
 from calibration.importing.samples import read_samples
-from calibration.importing.videos import Video, decoded_frames, survey_videos
+from calibration.importing.videos import decoded_frames, survey_videos
 from calibration.labelling.detection import Image
 
 MAX_CAMERAS = 16
 """Cameras that are looked at."""
 
 
-class ImageSource(Protocol):
+@dataclass(frozen=True)
+class ImageSource:
     """Images of one camera."""
 
-    @property
-    def place(self) -> str:
-        """Topic, folder or file, for messages."""
-        ...
-
-    @property
-    def times(self) -> Sequence[int] | None:
-        """Time of every image, ns, in ascending order; None if they have none."""
-        ...
-
-    @property
-    def count(self) -> int:
-        """Number of images."""
-        ...
-
-    def images(self, wanted: Sequence[int]) -> Iterator[Image]:
-        """Decode some images, by ascending index.
-
-        Raises:
-            InputError: one cannot be decoded.
-        """
-        ...
-
-
-@dataclass(frozen=True)
-class TopicImages:
-    """Images of a topic of a bag."""
-
-    files: Sequence[Path]
     place: str
-    times: Sequence[int]
-    """Recording times, ns."""
+    """Topic, folder or file, for messages."""
+    count: int
+    """Number of images."""
+    images: Callable[[Sequence[int]], Iterator[Image]]
+    """Function that decodes some images, by ascending index; it raises an `InputError` for one that cannot be."""
+    times: Sequence[int] | None = None
+    """Time of every image, ns, in ascending order; None if they have none."""
 
-    @property
-    def count(self) -> int:
-        """Number of images."""
-        return len(self.times)
 
-    def images(self, wanted: Sequence[int]) -> Iterator[Image]:
-        """Decode some images; see `ImageSource`."""
-        with open_bag(self.files) as bag:
-            for index in wanted:
-                time = self.times[index]
-                for message in bag.messages({self.place}, time, time + 1):
-                    where = f"{bag.path}: {self.place} at {bag.stamp(message) / SECOND:.3f}"
+def topic_images(files: Sequence[Path], topic: str, times: Sequence[int]) -> ImageSource:
+    """Return the images of a topic of a bag, by their recording times, ns."""
+
+    def images(wanted: Sequence[int]) -> Iterator[Image]:
+        with open_bag(files) as bag:
+            for time in [times[index] for index in wanted]:
+                for message in bag.messages({topic}, time, time + 1):
+                    where = f"{bag.path}: {topic} at {bag.stamp(message) / SECOND:.3f}"
                     yield image_of(bag.decode(message), where)
                     break
 
-
-@dataclass(frozen=True)
-class FileImages:
-    """Images in files."""
-
-    place: str
-    files: Sequence[Path]
-    times: None = None
-
-    @property
-    def count(self) -> int:
-        """Number of images."""
-        return len(self.files)
-
-    def images(self, wanted: Sequence[int]) -> Iterator[Image]:
-        """Decode some images; see `ImageSource`."""
-        for index in wanted:
-            yield read_image(self.files[index])
+    return ImageSource(topic, len(times), images, times)
 
 
-@dataclass(frozen=True)
-class VideoImages:
-    """Frames of a video."""
+def file_images(place: str, files: Sequence[Path]) -> ImageSource:
+    """Return images in files."""
+    return ImageSource(place, len(files), lambda wanted: (read_image(files[index]) for index in wanted))
 
-    video: Video
 
-    @property
-    def place(self) -> str:
-        """Its file."""
-        return str(self.video.path)
+def video_images(sensor: SensorDescription) -> ImageSource:
+    """Return the frames of a sensor's video.
 
-    @property
-    def times(self) -> Sequence[int]:
-        """Time of every frame, ns."""
-        return self.video.stamps
+    Raises:
+        InputError: it is no video.
+    """
+    video = survey_videos([sensor])[sensor.name]
 
-    @property
-    def count(self) -> int:
-        """Number of frames."""
-        return len(self.times)
+    def images(wanted: Sequence[int]) -> Iterator[Image]:
+        frames = decoded_frames(video.path, wanted, wanted[-1] + 1)
+        return (frame.image for frame in frames if frame.image is not None)
 
-    def images(self, wanted: Sequence[int]) -> Iterator[Image]:
-        """Decode some frames; see `ImageSource`."""
-        for frame in decoded_frames(self.video.path, wanted, wanted[-1] + 1):
-            if frame.image is not None:
-                yield frame.image
+    return ImageSource(str(video.path), len(video.stamps), images, video.stamps)
 
 
 def described_images(described: ImportDescription) -> dict[str, ImageSource]:
@@ -128,16 +76,16 @@ def described_images(described: ImportDescription) -> dict[str, ImageSource]:
     found: dict[str, ImageSource] = {}
     for sensor in [each for each in described.sensors if each.images][:MAX_CAMERAS]:
         if is_video(sensor.images or ""):
-            found[sensor.name] = VideoImages(survey_videos([sensor])[sensor.name])
+            found[sensor.name] = video_images(sensor)
         else:
             pictures = find_pictures(sensor.name, sensor.images or "")
-            found[sensor.name] = FileImages(pictures.place, pictures.files)
+            found[sensor.name] = file_images(pictures.place, pictures.files)
     if not found and described.samples is not None:
         images = [each.image for each in read_samples(described.samples, described.in_hand) if each.image]
         if gone := [each for each in images if not each.is_file()]:
             raise InputError(f"{gone[0]}: found no such file, expected an image of {described.samples.file}")
         if images:
-            found[described.sensors[0].name] = FileImages(str(described.samples.file), images)
+            found[described.sensors[0].name] = file_images(str(described.samples.file), images)
     if not found:
         place = described.samples.file if described.samples else "sensors"
         raise InputError(f"{place}: found no image, expected some to look at: poses alone tell nothing here")
@@ -151,7 +99,7 @@ def images_at(path: Path) -> dict[str, ImageSource]:
         InputError: it is none of them.
     """
     if is_video(path.name) and not path.is_dir():
-        return {path.stem: VideoImages(survey_videos([SensorDescription(path.stem, images=str(path))])[path.stem])}
+        return {path.stem: video_images(SensorDescription(path.stem, images=str(path)))}
     if not path.is_dir():
         raise InputError(
             f"{path}: found no such folder or recording, expected a bag (.bag, .db3, .mcap, or a folder with "
@@ -166,4 +114,4 @@ def images_at(path: Path) -> dict[str, ImageSource]:
             f"{path}: found no image in it or in its folders, expected files in {', '.join(ENDINGS)}{hint}"
         )
     chosen = with_images[:1] if with_images[0] == path else with_images[:MAX_CAMERAS]
-    return {each.name: FileImages(str(each), find_pictures(each.name, str(each)).files) for each in chosen}
+    return {each.name: file_images(str(each), find_pictures(each.name, str(each)).files) for each in chosen}
