@@ -7,7 +7,7 @@ from typing import Any, get_args
 import click
 
 from calibration.commands.parameters import count, number, path
-from calibration.dataset.pattern import PatternKind
+from calibration.dataset.pattern import CIRCLES, PatternKind
 from calibration.errors import ExitCode
 from calibration.files import write_atomically
 from calibration.importing.description import ImportDescription
@@ -18,19 +18,28 @@ from calibration.records import read
 
 NAME = "board"
 """Name of the pattern in import.yml."""
-MARKER, DICTIONARY, SPACING = 0.75, "DICT_5X5_1000", 0.3
-"""What is taken without an option: a marker's side in squares, the dictionary, the gap between tags in their sides."""
+MARKER, DICTIONARY, SPACING, DIAMETER = 0.75, "DICT_5X5_1000", 0.3, 0.6
+"""What is taken without an option: a marker's side in squares, the dictionary, the gap between tags in their sides, a
+circle's diameter in spacings."""
 
 
 @click.command("pattern")
 @click.argument("kind", type=click.Choice(get_args(PatternKind)))
-@click.option("--columns", type=count, required=True, help="Corners inside, along a row; of an aprilgrid: tags.")
-@click.option("--rows", type=count, required=True, help="Corners inside, along a column; of an aprilgrid: tags.")
+@click.option(
+    "--columns",
+    type=count,
+    required=True,
+    help="Corners inside, along a row; of an aprilgrid tags, of circles those of a row.",
+)
+@click.option(
+    "--rows", type=count, required=True, help="Corners inside, along a column; of an aprilgrid tags, of circles rows."
+)
 @click.option("--square", type=number, help="Side of a square, mm.")
 @click.option("--marker", type=number, help="Side of a marker of a charuco board, mm (0.75 of the square).")
 @click.option("--dictionary", help="Dictionary of a charuco board's markers (DICT_5X5_1000).")
 @click.option("--tag", type=number, help="Side of a tag of an aprilgrid, mm.")
-@click.option("--spacing", type=number, help="Gap between two tags of an aprilgrid, in sides of a tag (0.3).")
+@click.option("--spacing", type=number, help="Gap between tags, in sides of a tag (0.3); of circles, mm.")
+@click.option("--diameter", type=number, help="Diameter of circles, mm (0.6 of the spacing).")
 @click.option("--first", type=int, help="Lowest id of its markers or tags (0).")
 @click.option("--inverted", is_flag=True, help="Exchange black and white.")
 @click.option("--paper", type=click.Choice(list(PAPERS)), default="A4", help="Size of the paper (A4).")
@@ -44,7 +53,10 @@ def command(kind: PatternKind, paper: str, output: Path, **given: Any) -> ExitCo
         keys.setdefault("dictionary", DICTIONARY)
     if kind == "aprilgrid":
         keys.setdefault("spacing", SPACING)
-    keys |= {key: round(keys[key] / 1000, 9) for key in ("square", "marker", "tag") if key in keys}
+    if kind in CIRCLES and "spacing" in keys:
+        keys.setdefault("diameter", DIAMETER * keys["spacing"])
+    lengths = ("square", "marker", "tag", "diameter", *(("spacing",) if kind in CIRCLES else ()))
+    keys |= {key: round(keys[key] / 1000, 9) for key in lengths if key in keys}
     document = {"sensors": {"camera": {"images": "images"}}, "patterns": {NAME: keys}}
     (described,) = read(ImportDescription, document, "the board").patterns
     pattern = pattern_configuration(described, "world")

@@ -12,11 +12,13 @@ from calibration.dataset.document import Node
 from calibration.dataset.modalities import MODALITIES
 from calibration.dataset.model import Edge
 from calibration.dataset.pattern import (
+    CIRCLES,
     Pattern,
     PatternKind,
     corner_origin,
     grid,
     outline,
+    staggered_grid,
     tag_grid,
     tag_outline,
 )
@@ -66,11 +68,11 @@ class PatternConfiguration:
     parent_link: str
     fixed: bool
     dimension: tuple[int, int]
-    """Inner corners along x and y; of an aprilgrid, tags."""
+    """Inner corners along x and y; of an aprilgrid, tags; circles of a row, and rows."""
     size: float
-    """The side of a square, or of a tag."""
+    """The side of a square, or of a tag; the spacing of circles."""
     inner_size: float | None = None
-    """The side of a charuco board's markers."""
+    """The side of a charuco board's markers; the diameter of circles."""
     border_size: tuple[float, float] = (0.0, 0.0)
     """Margin of the physical board around the print, along x and y."""
     dictionary: str | None = None
@@ -89,6 +91,9 @@ class PatternConfiguration:
         if self.kind == "aprilgrid":
             corners = tag_grid(columns, rows, self.size, self.spacing)
             border = tag_outline(columns, rows, self.size, self.spacing, self.border_size)
+        elif self.kind == "asymmetric-circles":
+            corners = staggered_grid(columns, rows, self.size)
+            border = outline(2 * columns, rows, self.size, self.border_size, (0.0, 0.0))
         else:
             origin = corner_origin(self.kind, version, self.size)
             corners = grid(columns, rows, self.size, origin)
@@ -223,11 +228,12 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
         raise kind.unexpected(f"one of {', '.join(get_args(PatternKind))}")
     dimension = node["dimension"]
     size = node["size"].within(MIN_SIZE, MAX_SIZE)
-    inner = node.get("inner_size")
+    circles = kind.value in CIRCLES
+    inner = node["inner_size"] if circles else node.get("inner_size")
     if inner and kind.value == "chessboard" and inner.number() == 0:  # ATOM's value for a pattern without markers
         inner = None
     if inner and inner.within(MIN_SIZE, MAX_SIZE) >= size:
-        raise inner.unexpected(f"less than the size of a square, {size:g}")
+        raise inner.unexpected(f"less than the {'spacing of circles' if circles else 'size of a square'}, {size:g}")
     columns, rows = dimension["x"].whole(2, MAX_CORNERS), dimension["y"].whole(2, MAX_CORNERS)
     tags = kind.value == "aprilgrid"
     first = marker.whole(0, MAX_MARKER) if (marker := node.get("first_marker")) else 0

@@ -16,7 +16,11 @@ from calibration.dataset.document import Node
 from calibration.frozen import frozen
 from calibration.geometry.types import Array, IntArray
 
-PatternKind = Literal["charuco", "chessboard", "aprilgrid"]
+PatternKind = Literal["charuco", "chessboard", "aprilgrid", "circles", "asymmetric-circles"]
+CIRCLES: tuple[PatternKind, ...] = ("circles", "asymmetric-circles")
+"""Kinds of grids of circles."""
+UNMARKED: tuple[PatternKind, ...] = ("chessboard", *CIRCLES)
+"""Kinds without markers: found whole or not at all, and some look the same turned."""
 
 
 @frozen(eq=False)
@@ -32,7 +36,7 @@ class Pattern:
     fixed: bool
     """Whether it has one pose for all collections, or one for each."""
     corners: Array
-    """(K, 3): inner corners, or corners of an aprilgrid's tags, by label id; z = 0."""
+    """(K, 3): inner corners, corners of an aprilgrid's tags, or centres of circles, by label id; z = 0."""
     outline: Array
     """(4, 2): the corners of the physical border: top left, top right, bottom right, bottom left."""
 
@@ -67,6 +71,16 @@ def grid(columns: int, rows: int, square: float, origin: tuple[float, float]) ->
     corners[:, 0] = origin[0] + column * square
     corners[:, 1] = origin[1] + row * square
     return corners
+
+
+def staggered_grid(columns: int, rows: int, spacing: float) -> Array:
+    """Return the centres (K, 3) of an asymmetric grid of circles, as in OpenCV: every second row is shifted.
+
+    Circle ``row * columns + column`` is at ``(2 column + row % 2, row) * spacing``.
+    """
+    centres = grid(columns, rows, spacing, (0.0, 0.0))
+    centres[:, 0] = 2 * centres[:, 0] + spacing * (np.arange(len(centres)) // columns % 2)
+    return centres
 
 
 def tag_lines(count: int, tag: float, spacing: float) -> Array:

@@ -1,5 +1,6 @@
-"""Report of views of a chessboard that were numbered from its other end."""
+"""Report of views of a board that were numbered from its other end."""
 
+from calibration.dataset.pattern import CIRCLES, PatternKind
 from calibration.diagnosis.finding import Finding
 from calibration.estimation.result import Calibration
 from calibration.estimation.turned_boards import LOOKS_THE_SAME
@@ -17,8 +18,13 @@ def turned_boards(calibration: Calibration) -> tuple[Finding, ...]:
         views = len(calibration.dataset.detections(pattern, sensor))
         text = (
             f"{sensor}: {len(keys)} of {views} views of '{pattern}' are numbered from its other end ({listed}), and "
-            f"were turned back: {LOOKS_THE_SAME}; take one with an odd and an even number of squares, or a charuco "
-            f"board"
+            f"were turned back: {LOOKS_THE_SAME}; take {_unique(calibration.dataset.patterns[pattern].kind)}"
         )
         findings.append(Finding("turned-board", "warning", text, (sensor,), keys, value=float(len(keys))))
     return tuple(findings)
+
+
+def _unique(kind: PatternKind) -> str:
+    if kind in CIRCLES:
+        return "an asymmetric grid with an odd number of rows, or a charuco board"
+    return "one with an odd and an even number of squares, or a charuco board"

@@ -1,4 +1,4 @@
-"""Chessboards that look the same turned by 180 degrees: views that are numbered from the other end than most."""
+"""Boards without markers that look the same turned by 180 degrees: views numbered from the other end than most."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.dataset.model import CornerLabels, Dataset
-from calibration.dataset.pattern import Pattern
+from calibration.dataset.pattern import UNMARKED, Pattern
 from calibration.errors import InputError
 from calibration.estimation.agreeing_rotations import disagreement_of_each, rotations_that_agree
 from calibration.estimation.single_views import corner_term
@@ -42,7 +42,7 @@ class _Views:
 
 
 def with_boards_turned_back(dataset: Dataset) -> tuple[Dataset, tuple[View, ...]]:
-    """Return the dataset with all views of a chessboard numbered from one end, and the views that were from the other.
+    """Return the dataset with all views of a board numbered from one end, and the views that were from the other.
 
     On an arm, ``R_sensor_pattern = X B Y`` in all collections, with the robot's rotation B; two cameras that see a
     moving pattern have one rotation to each other. Where either end would do, as on an arm, the views are turned that
@@ -57,7 +57,7 @@ def with_boards_turned_back(dataset: Dataset) -> tuple[Dataset, tuple[View, ...]
 
 def _from_the_other_end(dataset: Dataset) -> Iterator[View]:
     for pattern in dataset.patterns.values():
-        if pattern.kind != "chessboard":
+        if pattern.kind not in UNMARKED:
             continue
         views = [each for sensor in dataset.sensors if (each := _views(dataset, pattern, sensor)) is not None]
         if pattern.fixed:

@@ -13,7 +13,7 @@ from calibration.dataset.configuration import (
     TAG_COUNT,
     TAGS,
 )
-from calibration.dataset.pattern import PatternKind
+from calibration.dataset.pattern import CIRCLES, UNMARKED, PatternKind
 from calibration.importing.samples import Samples
 from calibration.records import (
     ByName,
@@ -107,11 +107,15 @@ _OF_KIND: Mapping[PatternKind, tuple[str, ...]] = {
     "charuco": ("square", "marker", "dictionary"),
     "chessboard": ("square",),
     "aprilgrid": ("tag", "spacing"),
+    "circles": ("spacing", "diameter"),
+    "asymmetric-circles": ("spacing", "diameter"),
 }
 """Keys of a pattern by its kind, in addition to its columns and rows."""
 
 
 def _a(kind: PatternKind) -> str:
+    if kind in CIRCLES:
+        return "a grid of circles"
     return {"charuco": "a charuco board", "chessboard": "a chessboard", "aprilgrid": "an aprilgrid"}[kind]
 
 
@@ -125,16 +129,23 @@ class PatternDescription:
         "Its kind; of a pattern whose poses are in the samples it need not be known.", default=None
     )
     columns: Count | None = field(
-        "Corners inside, along a row: squares less one. Of an aprilgrid: tags (Kalibr's tagCols).", default=None
+        "Corners inside, along a row: squares less one. Of an aprilgrid: tags (Kalibr's tagCols). Of circles: those of "
+        "a row.",
+        default=None,
     )
-    rows: Count | None = field("Corners inside, along a column. Of an aprilgrid: tags (tagRows).", default=None)
+    rows: Count | None = field(
+        "Corners inside, along a column. Of an aprilgrid: tags (tagRows). Of circles: rows.", default=None
+    )
     square: Size | None = field("Side of a square, m.", default=None)
     marker: Size | None = field("Side of a marker of a charuco board, m.", default=None)
     dictionary: Name | None = field("Dictionary of its markers: DICT_5X5_100.", default=None)
     tag: Size | None = field("Side of a tag of an aprilgrid, m (tagSize).", default=None)
-    spacing: Annotated[float, between(MIN_SPACING, MAX_SPACING)] | None = field(
-        "Gap between two tags of an aprilgrid, in sides of a tag (tagSpacing).", default=None
+    spacing: Size | None = field(
+        "Gap between two tags of an aprilgrid, in sides of a tag (tagSpacing); from circle to circle, m: of an "
+        "asymmetric grid from row to row, half of that along a row.",
+        default=None,
     )
+    diameter: Size | None = field("Diameter of a circle, m.", default=None)
     first: Annotated[int, between(0, MAX_MARKER)] | None = field(
         "Lowest id of its markers or tags, where boards of one dictionary are told apart (0).", default=None
     )
@@ -166,11 +177,17 @@ class PatternDescription:
         others = dict.fromkeys(key for keys in _OF_KIND.values() for key in keys if key not in needed)
         if stray := [key for key in others if getattr(self, key) is not None]:
             raise Misfit(f"found '{stray[0]}', expected the keys of {_a(self.type)}: {', '.join(needed)}")
-        if self.type == "chessboard" and self.first is not None:
+        if self.type in UNMARKED and self.first is not None:
             raise Misfit("found 'first', expected it of a board with markers", "first")
         if self.type == "aprilgrid" and (self.first or 0) + (self.columns or 0) * (self.rows or 0) > TAG_COUNT:
             begin = f" from id {self.first}" if self.first else ""
             raise Misfit(f"found {self.columns} x {self.rows} tags{begin}, expected {TAG_COUNT} at most, as {TAGS} has")
+        if self.type == "aprilgrid" and not MIN_SPACING <= (self.spacing or 0) <= MAX_SPACING:
+            raise Misfit(
+                f"found {self.spacing:g}, expected {MIN_SPACING:g} to {MAX_SPACING:g} sides of a tag", "spacing"
+            )
+        if self.diameter is not None and self.spacing is not None and self.diameter >= self.spacing:
+            raise Misfit(f"found {self.diameter:g}, expected less than the spacing, {self.spacing:g}", "diameter")
         if self.marker is not None and self.square is not None and self.marker >= self.square:
             raise Misfit(f"found {self.marker:g}, expected less than the square, {self.square:g}", "marker")
 

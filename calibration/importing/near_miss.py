@@ -11,6 +11,7 @@ import numpy as np
 
 from calibration.dataset.configuration import TAGS, PatternConfiguration
 from calibration.dataset.model import CornerLabels
+from calibration.dataset.pattern import CIRCLES, UNMARKED
 from calibration.errors import InputError
 from calibration.geometry.types import Array
 from calibration.importing.image_views import View, read_image
@@ -106,7 +107,7 @@ def _otherwise_printed(pattern: PatternConfiguration, images: Sequence[Image]) -
         (f"; {inverted}: add 'inverted: {'false' if pattern.inverted else 'true'}' to the pattern", np.bitwise_not),
         (f"; {mirrored}: turn its printed side to this camera", np.fliplr),
         (f"; {inverted}, and {mirrored}", lambda image: np.bitwise_not(np.fliplr(image))),
-    ):
+    )[: 1 if pattern.kind in CIRCLES else 3]:  # most grids of circles look the same mirrored
         if any(isinstance(detector.detect(np.ascontiguousarray(changed(i))), CornerLabels) for i in images):
             return hint
     return ""
@@ -116,6 +117,8 @@ def _named(pattern: PatternConfiguration) -> str:
     size = f"{pattern.kind}, {pattern.dimension[0]} x {pattern.dimension[1]}"
     if pattern.kind == "aprilgrid":
         return f"{size} tags"
+    if pattern.kind in CIRCLES:
+        return size
     dictionary = f", {pattern.dictionary}" if pattern.dictionary else ""
     return f"{size} corners{dictionary}"
 
@@ -126,13 +129,13 @@ def _markers(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
     if max(map(len, plain[GRID])) > 1:
         del plain[Family(TAGS)]  # with a border of one module the same tags decode differently
     family = max(plain, key=lambda each: max(map(len, plain[each])))
-    if max(map(len, plain[family])) < (OF_A_BOARD if pattern.kind == "chessboard" else 2):
-        return "" if pattern.kind == "chessboard" else "; no markers of 4x4 to 7x7 bits and no tags are found either"
+    if max(map(len, plain[family])) < (OF_A_BOARD if pattern.kind in UNMARKED else 2):
+        return "" if pattern.kind in UNMARKED else "; no markers of 4x4 to 7x7 bits and no tags are found either"
     found = [max(one, family.finder().find_small(i), key=len) for one, i in zip(plain[family], images, strict=True)]
     seen = max(found, key=len)
     many = np.concatenate([markers.ids for markers in found if len(markers) > len(seen) / 2])
     lowest, highest = int(many.min()), int(many.max())
-    if pattern.kind == "chessboard":
+    if pattern.kind in UNMARKED:
         return f"; found {len(seen)} markers of {family.named(highest)}: is it a charuco board or an aprilgrid?"
     if pattern.kind == "aprilgrid":
         return _tags(pattern, family, lowest, highest, seen)

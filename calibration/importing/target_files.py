@@ -15,6 +15,7 @@ from calibration.dataset.configuration import (
     check_tags,
 )
 from calibration.dataset.document import Node
+from calibration.dataset.pattern import CIRCLES
 from calibration.importing.description import PatternDescription
 from calibration.yaml_file import read_yaml
 
@@ -52,6 +53,14 @@ def pattern_configuration(described: PatternDescription, world: str, root: str |
 
 
 def _described(pattern: PatternDescription) -> dict[str, Any]:
+    if pattern.type in CIRCLES:
+        size, diameter = pattern.spacing, pattern.diameter
+        return {
+            "kind": pattern.type,
+            "dimension": (pattern.columns, pattern.rows),
+            "size": size,
+            "inner_size": diameter,
+        }
     return {
         "kind": pattern.type,
         "dimension": (pattern.columns, pattern.rows),

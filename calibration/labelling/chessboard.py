@@ -131,31 +131,32 @@ class ChessboardDetector:
 
     def _numbered(self, image: Image, corners: Array) -> Array:
         """Sort the corners by their ids, (rows, columns, 2)."""
-        ways = [way for way in _ways(corners) if _seen_from_the_front(way)]
+        ways = [way for way in grid_ways(corners) if seen_from_the_front(way)]
         black = [way for way in ways if _begins_black(image, way)]
-        return max(black or ways, key=_upright)
+        return max(black or ways, key=uprightness)
 
 
-def _ways(corners: Array) -> Iterator[Array]:
+def grid_ways(corners: Array) -> Iterator[Array]:
     """Iterate over all numberings of a grid along its rows and columns."""
     square = corners.shape[0] == corners.shape[1]
     for grid in (corners, corners.swapaxes(0, 1)) if square else (corners,):
         yield from (grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1])
 
 
-def _axes(grid: Array) -> tuple[Array, Array]:
+def grid_axes(grid: Array) -> tuple[Array, Array]:
     """Return the mean steps along x and along y, px."""
     return np.diff(grid, axis=1).mean(axis=(0, 1)), np.diff(grid, axis=0).mean(axis=(0, 1))
 
 
-def _seen_from_the_front(grid: Array) -> bool:
-    x, y = _axes(grid)
+def seen_from_the_front(grid: Array) -> bool:
+    """Whether x, y and the direction of view are right-handed."""
+    x, y = grid_axes(grid)
     return bool(x[0] * y[1] - x[1] * y[0] > 0)
 
 
-def _upright(grid: Array) -> float:
+def uprightness(grid: Array) -> float:
     """Return the cosine of the angle between x and the right of the image."""
-    x, _ = _axes(grid)
+    x, _ = grid_axes(grid)
     return float(x[0] / np.linalg.norm(x))
 
 

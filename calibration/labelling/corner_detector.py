@@ -10,12 +10,15 @@ from calibration.dataset.pattern import PatternKind
 from calibration.labelling.aprilgrid import AprilgridDetector
 from calibration.labelling.charuco import CharucoDetector
 from calibration.labelling.chessboard import ChessboardDetector
+from calibration.labelling.circles import CirclesDetector
 from calibration.labelling.detection import CornerDetector, Image, NotDetected, grey
 
 DETECTORS: Mapping[PatternKind, Callable[[PatternConfiguration], CornerDetector]] = {
     "charuco": CharucoDetector,
     "chessboard": ChessboardDetector,
     "aprilgrid": AprilgridDetector,
+    "circles": CirclesDetector,
+    "asymmetric-circles": CirclesDetector,
 }
 """Constructors of detectors, by the kind of the pattern."""
 

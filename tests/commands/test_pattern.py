@@ -35,6 +35,8 @@ BOARDS = {
     "chessboard": ["chessboard", "--columns", "9", "--rows", "6", "--square", "20"],
     "inverted": ["charuco", "--columns", "8", "--rows", "5", "--square", "20", "--inverted"],
     "aprilgrid": ["aprilgrid", "--columns", "5", "--rows", "4", "--tag", "30", "--spacing", "0.3"],
+    "circles": ["circles", "--columns", "8", "--rows", "5", "--spacing", "20", "--diameter", "12"],
+    "asymmetric-circles": ["asymmetric-circles", "--columns", "4", "--rows", "11", "--spacing", "16"],
 }
 DOTS = 8
 """Pixels of a drawing per mm."""
@@ -43,7 +45,15 @@ DOTS = 8
 def rectangles(svg: Path, group: str) -> Array:
     """(N, 4): left, top, width, height of a group's rectangles, mm."""
     (found,) = [each for each in ElementTree.parse(svg).getroot() if each.get("id") == group]
-    return np.array([[float(rect.attrib[key]) for key in ("x", "y", "width", "height")] for rect in found])
+    return np.array([[float(rect.attrib[key]) for key in ("x", "y", "width", "height")] for rect in found]).reshape(
+        -1, 4
+    )
+
+
+def circles(svg: Path) -> Array:
+    """(N, 3): centres and radii, mm."""
+    found = [each for each in ElementTree.parse(svg).getroot() if each.tag.endswith("circle")]
+    return np.array([[float(each.attrib[key]) for key in ("cx", "cy", "r")] for each in found]).reshape(-1, 3)
 
 
 def of_pdf(pdf: Path) -> tuple[Array, float, float]:
@@ -61,6 +71,8 @@ def drawn(svg: Path, inverted: bool) -> Array:
     for group, grey in (("board", 0 if inverted else 255), ("print", 255 if inverted else 0), ("ruler", 0)):
         for x, y, w, h in rectangles(svg, group) * DOTS:
             image[round(y) : round(y + h), round(x) : round(x + w)] = grey
+    for x, y, radius in 256 * DOTS * circles(svg) - [128, 128, 0]:
+        cv2.circle(image, (round(x), round(y)), round(radius), 255 if inverted else 0, -1, cv2.LINE_AA, 8)
     return image
 
 
@@ -81,6 +93,10 @@ def test_a_board_is_true_to_size_and_found(name: str, tmp_path: Path, capsys: py
     in_pdf, width, height = of_pdf(tmp_path / "board.pdf")
     in_svg = np.concatenate([rectangles(svg, group) for group in ("board", "print", "ruler")])
     np.testing.assert_allclose(in_pdf, in_svg, atol=1e-3)
+    right = np.array(re.findall(r"(\S+) (\S+) m ", (tmp_path / "board.pdf").read_text("ascii")), float) * 25.4 / 72
+    right = right.reshape(-1, 2)
+    x, y, radius = circles(svg).T
+    np.testing.assert_allclose(right, np.stack([x + radius, height - y], -1).reshape(-1, 2), atol=1e-3)
     assert (round(width, 3), round(height, 3)) in ((210, 297), (297, 210))
     assert rectangles(svg, "ruler")[0, 2] == 100
 
@@ -95,6 +111,8 @@ def test_sides_are_exact(name: str, tmp_path: Path) -> None:
         "legacy-free-first": (168, 168),
         "chessboard": (200, 140),
         "aprilgrid": (5 * 30 + 6 * 9, 4 * 30 + 5 * 9),
+        "circles": (9 * 20, 6 * 20),
+        "asymmetric-circles": (9 * 16, 12 * 16),
     }
     _, _, across, down = rectangles(tmp_path / "board.svg", "board")[0] - (8 if name == "inverted" else 0)
     assert (across, down) == pytest.approx(expected[name], abs=1e-6)
@@ -126,6 +144,8 @@ def test_a_pdf_finds_its_objects(tmp_path: Path) -> None:
         ),
         (["chessboard", "--columns", "8", "--rows", "5", "--square", "20", "--tag", "3"], "found 'tag'"),
         (["aprilgrid", "--columns", "8", "--rows", "5", "--tag", "-3"], "found -0.003"),
+        (["circles", "--columns", "8", "--rows", "5", "--spacing", "20", "--diameter", "20"], "less than the spacing"),
+        (["asymmetric-circles", "--columns", "4", "--rows", "10", "--spacing", "16"], "expected an odd number"),
         (["aprilgrid", "--columns", "30", "--rows", "30", "--tag", "1"], "587 at most"),
     ],
 )

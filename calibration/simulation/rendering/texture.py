@@ -1,6 +1,6 @@
 """Prints of patterns, as grey images of halving resolution (mipmaps).
 
-A unit is the side of a square, or the side of a tag of an aprilgrid.
+A unit is the side of a square, the side of a tag of an aprilgrid, or the spacing of circles.
 
 Both charuco layouts and their history: OpenCV 4.6 put a black square into the first corner of every
 board; before, a board with an even number of rows of squares began with a white one
@@ -123,7 +123,43 @@ def _tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
     return (size[0], size[1]), (pattern.spacing, size[1] - pattern.spacing), draw
 
 
-KINDS = {"charuco": _squares, "chessboard": _squares, "aprilgrid": _tags}
+def _circles(pattern: PatternConfiguration, _: bool) -> _Sketch:
+    """Draw black circles on white."""
+    (columns, rows), staggered = pattern.dimension, pattern.kind == "asymmetric-circles"
+    size = ((2 * columns if staggered else columns) + 1, rows + 1)
+
+    def draw(texels: int) -> Grey:
+        image = np.full((size[1] * texels, size[0] * texels), WHITE, np.uint8)
+        radius = texels * circle_diameter(pattern) / pattern.size / 2
+        y, x = np.mgrid[-texels:texels, -texels:texels] + 0.5
+        ink = np.clip(radius - np.hypot(x, y) + 0.5, 0, 1)  # of a texel at the edge about its covered share
+        circle = np.round(WHITE + (BLACK - WHITE) * ink).astype(np.uint8)
+        for left, top in np.round(pattern.pattern().corners[:, :2] / pattern.size).astype(int) * texels:
+            part = image[top : top + 2 * texels, left : left + 2 * texels]
+            np.minimum(part, circle, out=part)
+        return image
+
+    return size, (1, 1), draw
+
+
+def circle_diameter(pattern: PatternConfiguration) -> float:
+    """Return the diameter of the circles of a grid, m.
+
+    Raises:
+        InputError: the pattern does not state it.
+    """
+    if pattern.inner_size is None:
+        raise InputError(f"pattern '{pattern.name}': found no inner_size, expected the diameter of its circles, m")
+    return pattern.inner_size
+
+
+KINDS: dict[str, Callable[[PatternConfiguration, bool], _Sketch]] = {
+    "charuco": _squares,
+    "chessboard": _squares,
+    "aprilgrid": _tags,
+    "circles": _circles,
+    "asymmetric-circles": _circles,
+}
 """Functions that draw a pattern, by its kind."""
 
 

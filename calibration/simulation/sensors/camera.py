@@ -1,8 +1,8 @@
 """Simulated cameras: images of patterns, and the corners in them.
 
 A detector finds a corner by the print around it, so a corner counts as seen if its four squares (for an
-aprilgrid the tag, the gaps and the square between them) are in the image, large enough and not occluded. Our detector
-finds nearly all of these, and some more.
+aprilgrid the tag, the gaps and the square between them; for a circle the four cells between it and its neighbours) are
+in the image, large enough and not occluded. Our detector finds nearly all of these, and some more.
 """
 
 import math
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.modalities import RGB, Modality, NoiseKind
 from calibration.dataset.model import CornerLabels, Labels
-from calibration.dataset.pattern import Pattern, grid, tag_lines
+from calibration.dataset.pattern import UNMARKED, Pattern, grid, staggered_grid, tag_lines
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
 from calibration.geometry.transforms import apply
@@ -188,7 +188,7 @@ class SimulatedCamera(SimulatedSensor):
         with np.errstate(invalid="ignore"):
             clear = _all_four(visible) & (_widths(pixels) >= least)
         seen = _all_four(clear).reshape(len(clear), (rows - 2) * (columns - 2))
-        share = 1.0 if views.pattern.kind == "chessboard" else LEAST_SHARE  # all or none
+        share = 1.0 if views.pattern.kind in UNMARKED else LEAST_SHARE  # all or none
         front = facing(views.T_sensor_pattern, views.pattern.centre)
         return CornerViews(
             pixels=pixels[:, 1:-1, 1:-1].reshape(*seen.shape, 2),
@@ -286,6 +286,11 @@ def square_corners(configuration: PatternConfiguration, pattern: Pattern) -> Arr
         x, y = (_tag_lines(configuration, n) for n in (columns, rows))
         lines = np.meshgrid(pattern.corners[0, 0] + x, pattern.corners[0, 1] - y)
         return np.stack([*lines, np.zeros(lines[0].shape)], -1)
+    if configuration.kind == "asymmetric-circles":
+        around = staggered_grid(columns + 2, rows + 2, square)
+        around[:, 0] -= 2 * square  # its second row is the pattern's first, which is not shifted
+        around[:, 0] += square * np.where(np.arange(len(around)) // (columns + 2) % 2 == 0, 1, -1)
+        return (around - [0, square, 0]).reshape(rows + 2, columns + 2, 3)
     x, y = pattern.corners[0, :2] - square
     return grid(columns + 2, rows + 2, square, (float(x), float(y))).reshape(rows + 2, columns + 2, 3)
 
