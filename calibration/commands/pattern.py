@@ -28,19 +28,16 @@ circle's diameter in spacings."""
 @click.option(
     "--columns",
     type=count,
-    required=True,
     help="Corners inside, along a row; of an aprilgrid tags, of circles those of a row.",
 )
-@click.option(
-    "--rows", type=count, required=True, help="Corners inside, along a column; of an aprilgrid tags, of circles rows."
-)
+@click.option("--rows", type=count, help="Corners inside, along a column; of an aprilgrid tags, of circles rows.")
 @click.option("--square", type=number, help="Side of a square, mm.")
 @click.option("--marker", type=number, help="Side of a marker of a charuco board, mm (0.75 of the square).")
-@click.option("--dictionary", help="Dictionary of a charuco board's markers (DICT_5X5_1000).")
-@click.option("--tag", type=number, help="Side of a tag of an aprilgrid, mm.")
+@click.option("--dictionary", help="Dictionary of a charuco board's markers, or of a tag (DICT_5X5_1000).")
+@click.option("--tag", type=number, help="Side of a tag, mm.")
 @click.option("--spacing", type=number, help="Gap between tags, in sides of a tag (0.3); of circles, mm.")
 @click.option("--diameter", type=number, help="Diameter of circles, mm (0.6 of the spacing).")
-@click.option("--first", type=int, help="Lowest id of its markers or tags (0).")
+@click.option("--first", type=int, help="Lowest id of its markers or tags (0); id of a single tag.")
 @click.option("--inverted", is_flag=True, help="Exchange black and white.")
 @click.option("--paper", type=click.Choice(list(PAPERS)), default="A4", help="Size of the paper (A4).")
 @click.option("--output", type=path, default=Path(NAME), help="Files without their endings (board).")
@@ -56,6 +53,9 @@ def command(kind: PatternKind, paper: str, output: Path, **given: Any) -> ExitCo
     if kind in CIRCLES and "spacing" in keys:
         keys.setdefault("diameter", DIAMETER * keys["spacing"])
     lengths = ("square", "marker", "tag", "diameter", *(("spacing",) if kind in CIRCLES else ()))
+    if kind == "tags":
+        keys.setdefault("dictionary", DICTIONARY)
+        keys["tags"] = [{"id": keys.pop("first", 0), "size": keys.pop("tag", 0) / 1000}]
     keys |= {key: round(keys[key] / 1000, 9) for key in lengths if key in keys}
     document = {"sensors": {"camera": {"images": "images"}}, "patterns": {NAME: keys}}
     (described,) = read(ImportDescription, document, "the board").patterns

@@ -8,13 +8,19 @@ from dataclasses import field
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
+
 from calibration.dataset.document import Node
 from calibration.dataset.modalities import MODALITIES
 from calibration.dataset.model import Edge
 from calibration.dataset.pattern import (
     CIRCLES,
+    MAX_MARKER,
+    MAX_SIZE,
+    MIN_SIZE,
     Pattern,
     PatternKind,
+    PlacedTag,
     corner_origin,
     grid,
     outline,
@@ -22,17 +28,15 @@ from calibration.dataset.pattern import (
     tag_grid,
     tag_outline,
 )
+from calibration.errors import InputError
 from calibration.frozen import frozen
+from calibration.records import read
 from calibration.yaml_file import read_yaml
 
 MAX_CORNERS = 1000
 """Limit of the number of corners along one side of a pattern."""
-MIN_SIZE, MAX_SIZE = 1e-6, 1e3
-"""Limits of the side of a pattern's square (m)."""
 TAGS, TAG_COUNT = "DICT_APRILTAG_36h11", 587
 """ArUco dictionary of an aprilgrid's tags, and the number of tags in it."""
-MAX_MARKER = 10_000
-"""Limit of the lowest id of a board's markers."""
 MIN_SPACING, MAX_SPACING = 0.01, 1.0
 """Limits of the gap between two tags, in sides of a tag."""
 FIRST_PATTERN = "pattern_1"
@@ -85,10 +89,17 @@ class PatternConfiguration:
     inverted: bool = False
     """Whether black and white are exchanged in the print."""
 
+    tags: tuple[PlacedTag, ...] = ()
+    """Of kind tags."""
+
     def pattern(self, version: str = "3.0") -> Pattern:
         """Return the geometry of the pattern in a dataset of this version."""
         columns, rows = self.dimension
-        if self.kind == "aprilgrid":
+        if self.kind == "tags":
+            corners = np.concatenate([tag.corners for tag in self.tags])
+            low, high = corners[:, :2].min(0) - self.border_size, corners[:, :2].max(0) + self.border_size
+            border = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+        elif self.kind == "aprilgrid":
             corners = tag_grid(columns, rows, self.size, self.spacing)
             border = tag_outline(columns, rows, self.size, self.spacing, self.border_size)
         elif self.kind == "asymmetric-circles":
@@ -158,6 +169,7 @@ class Configuration:
                     "inner_size": pattern.inner_size,
                     **({"spacing": pattern.spacing} if pattern.kind == "aprilgrid" else {}),
                     **({"first_marker": pattern.first_marker} if pattern.first_marker else {}),
+                    **({"tags": [vars(tag) for tag in pattern.tags]} if pattern.tags else {}),
                     **({"inverted": True} if pattern.inverted else {}),
                 }
                 for pattern in self.patterns.values()
@@ -226,6 +238,8 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
     kind = node["pattern_type"]
     if kind.text() not in get_args(PatternKind):
         raise kind.unexpected(f"one of {', '.join(get_args(PatternKind))}")
+    if kind.value == "tags":
+        return _tag_list(name, node)
     dimension = node["dimension"]
     size = node["size"].within(MIN_SIZE, MAX_SIZE)
     circles = kind.value in CIRCLES
@@ -256,6 +270,29 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
         spacing=node["spacing"].within(MIN_SPACING, MAX_SPACING) if tags else 0.0,
         first_marker=first,
         inverted=inverted.flag() if (inverted := node.get("inverted")) else False,
+    )
+
+
+def _tag_list(name: str, node: Node) -> PatternConfiguration:
+    try:
+        tags = tuple(read(PlacedTag, each.value, str(node.file)) for each in node["tags"].elements())
+    except InputError as error:
+        raise node["tags"].fault(str(error)) from None
+    if not tags or len({tag.id for tag in tags}) < len(tags):
+        raise node["tags"].unexpected("at least one tag, each id once")
+    return PatternConfiguration(
+        name=name,
+        kind="tags",
+        link=node["link"].name(),
+        parent_link=node["parent_link"].name(),
+        fixed=node["fixed"].flag(),
+        dimension=(len(tags), 1),
+        size=tags[0].size,
+        border_size=_border(node.get("border_size")),
+        dictionary=node["dictionary"].name(),
+        mesh_file=_text(node, "mesh_file"),
+        inverted=inverted.flag() if (inverted := node.get("inverted")) else False,
+        tags=tags,
     )
 
 

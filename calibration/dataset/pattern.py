@@ -7,7 +7,7 @@ that sees it), all corners at z = 0. Metres.
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -15,12 +15,37 @@ from calibration.dataset.corners import read_corners
 from calibration.dataset.document import Node
 from calibration.frozen import frozen
 from calibration.geometry.types import Array, IntArray
+from calibration.records import between, field, record
 
-PatternKind = Literal["charuco", "chessboard", "aprilgrid", "circles", "asymmetric-circles"]
+MIN_SIZE, MAX_SIZE = 1e-6, 1e3
+"""Limits of the side of a pattern's square (m)."""
+MAX_MARKER = 10_000
+"""Limit of the lowest id of a board's markers."""
+PatternKind = Literal["charuco", "chessboard", "aprilgrid", "circles", "asymmetric-circles", "tags"]
 CIRCLES: tuple[PatternKind, ...] = ("circles", "asymmetric-circles")
 """Kinds of grids of circles."""
 UNMARKED: tuple[PatternKind, ...] = ("chessboard", *CIRCLES)
 """Kinds without markers: found whole or not at all, and some look the same turned."""
+
+
+@record
+class PlacedTag:
+    """A tag or marker of a dictionary, and where it is in the plane of its pattern."""
+
+    id: Annotated[int, between(0, MAX_MARKER)] = field("Its id in the dictionary.")
+    size: Annotated[float, between(MIN_SIZE, MAX_SIZE)] = field("Side of its black border, m.")
+    x: Annotated[float, between(-MAX_SIZE, MAX_SIZE)] = field("Of its centre, to the right, m (0).", default=0.0)
+    y: Annotated[float, between(-MAX_SIZE, MAX_SIZE)] = field("Of its centre, downwards, m (0).", default=0.0)
+    yaw: Annotated[float, between(-7, 7)] = field("Clockwise, from upright as OpenCV draws it, rad (0).", default=0.0)
+
+    @property
+    def corners(self) -> Array:
+        """Corners (4, 3), clockwise from the top left."""
+        across, down = (
+            self.size / 2 * np.array([[np.cos(self.yaw), np.sin(self.yaw)], [-np.sin(self.yaw), np.cos(self.yaw)]])
+        )
+        plane = np.array([self.x, self.y]) + np.stack([-across - down, across - down, across + down, down - across])
+        return np.pad(plane, ((0, 0), (0, 1)))
 
 
 @frozen(eq=False)

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.dataset.configuration import MAX_SPACING, MIN_SIZE
+from calibration.dataset.configuration import MAX_SPACING
 from calibration.dataset.model import CornerLabels, Dataset
-from calibration.dataset.pattern import Pattern, grid, tag_grid
+from calibration.dataset.pattern import MIN_SIZE, Pattern, grid, tag_grid
 from calibration.errors import InputError
 from calibration.estimation.median import median
 from calibration.geometry.types import Array, IntArray
@@ -40,7 +40,7 @@ def check_board_order(dataset: Dataset) -> None:
     for name, pattern in dataset.patterns.items():
         columns = pattern.columns
         count = len(pattern.corners)
-        if count % columns or columns == count:
+        if count % columns or columns == count or pattern.kind == "tags":
             continue
         mirrored = {}
         for sensor in dataset.sensors:

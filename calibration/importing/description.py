@@ -6,14 +6,12 @@ from typing import Annotated, Literal
 
 from calibration.dataset.configuration import (
     MAX_CORNERS,
-    MAX_MARKER,
-    MAX_SIZE,
     MAX_SPACING,
     MIN_SPACING,
     TAG_COUNT,
     TAGS,
 )
-from calibration.dataset.pattern import CIRCLES, UNMARKED, PatternKind
+from calibration.dataset.pattern import CIRCLES, MAX_MARKER, MAX_SIZE, UNMARKED, PatternKind, PlacedTag
 from calibration.importing.samples import Samples
 from calibration.records import (
     ByName,
@@ -104,19 +102,21 @@ class SensorDescription:
 
 
 _OF_KIND: Mapping[PatternKind, tuple[str, ...]] = {
-    "charuco": ("square", "marker", "dictionary"),
-    "chessboard": ("square",),
-    "aprilgrid": ("tag", "spacing"),
-    "circles": ("spacing", "diameter"),
-    "asymmetric-circles": ("spacing", "diameter"),
+    "charuco": ("columns", "rows", "square", "marker", "dictionary"),
+    "chessboard": ("columns", "rows", "square"),
+    "aprilgrid": ("columns", "rows", "tag", "spacing"),
+    "circles": ("columns", "rows", "spacing", "diameter"),
+    "asymmetric-circles": ("columns", "rows", "spacing", "diameter"),
+    "tags": ("dictionary", "tags"),
 }
-"""Keys of a pattern by its kind, in addition to its columns and rows."""
+"""Keys of a pattern by its kind."""
 
 
 def _a(kind: PatternKind) -> str:
     if kind in CIRCLES:
         return "a grid of circles"
-    return {"charuco": "a charuco board", "chessboard": "a chessboard", "aprilgrid": "an aprilgrid"}[kind]
+    names = {"charuco": "a charuco board", "chessboard": "a chessboard", "aprilgrid": "an aprilgrid"}
+    return names.get(kind, "a list of tags")
 
 
 @record(rules=(excludes("target", "type"),))
@@ -146,6 +146,9 @@ class PatternDescription:
         default=None,
     )
     diameter: Size | None = field("Diameter of a circle, m.", default=None)
+    tags: Annotated[tuple[PlacedTag, ...], length(1, 1000)] | None = field(
+        "Tags or markers in one plane, each once: one on a flange or a wall, or several.", default=None
+    )
     first: Annotated[int, between(0, MAX_MARKER)] | None = field(
         "Lowest id of its markers or tags, where boards of one dictionary are told apart (0).", default=None
     )
@@ -171,13 +174,15 @@ class PatternDescription:
         """
         if self.type is None:
             return
-        needed = ("columns", "rows", *_OF_KIND[self.type])
+        needed = _OF_KIND[self.type]
         if missing := [key for key in needed if getattr(self, key) is None]:
             raise Misfit(f"missing key '{missing[0]}' of {_a(self.type)}")
         others = dict.fromkeys(key for keys in _OF_KIND.values() for key in keys if key not in needed)
         if stray := [key for key in others if getattr(self, key) is not None]:
             raise Misfit(f"found '{stray[0]}', expected the keys of {_a(self.type)}: {', '.join(needed)}")
-        if self.type in UNMARKED and self.first is not None:
+        if self.tags and len({tag.id for tag in self.tags}) < len(self.tags):
+            raise Misfit("found an id twice, expected each tag once", "tags")
+        if self.type in (*UNMARKED, "tags") and self.first is not None:
             raise Misfit("found 'first', expected it of a board with markers", "first")
         if self.type == "aprilgrid" and (self.first or 0) + (self.columns or 0) * (self.rows or 0) > TAG_COUNT:
             begin = f" from id {self.first}" if self.first else ""

@@ -117,6 +117,8 @@ def _named(pattern: PatternConfiguration) -> str:
     size = f"{pattern.kind}, {pattern.dimension[0]} x {pattern.dimension[1]}"
     if pattern.kind == "aprilgrid":
         return f"{size} tags"
+    if pattern.kind == "tags":
+        return f"tags {', '.join(str(tag.id) for tag in pattern.tags)} of {pattern.dictionary}"
     if pattern.kind in CIRCLES:
         return size
     dictionary = f", {pattern.dictionary}" if pattern.dictionary else ""
@@ -129,12 +131,14 @@ def _markers(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
     if max(map(len, plain[GRID])) > 1:
         del plain[Family(TAGS)]  # with a border of one module the same tags decode differently
     family = max(plain, key=lambda each: max(map(len, plain[each])))
-    if max(map(len, plain[family])) < (OF_A_BOARD if pattern.kind in UNMARKED else 2):
+    if max(map(len, plain[family])) < {"tags": 1, **dict.fromkeys(UNMARKED, OF_A_BOARD)}.get(pattern.kind, 2):
         return "" if pattern.kind in UNMARKED else "; no markers of 4x4 to 7x7 bits and no tags are found either"
     found = [max(one, family.finder().find_small(i), key=len) for one, i in zip(plain[family], images, strict=True)]
     seen = max(found, key=len)
     many = np.concatenate([markers.ids for markers in found if len(markers) > len(seen) / 2])
     lowest, highest = int(many.min()), int(many.max())
+    if pattern.kind == "tags":
+        return f"; found {family.named(highest)} with ids {lowest} to {highest}"
     if pattern.kind in UNMARKED:
         return f"; found {len(seen)} markers of {family.named(highest)}: is it a charuco board or an aprilgrid?"
     if pattern.kind == "aprilgrid":
@@ -199,8 +203,10 @@ def _gap(seen: Markers) -> float:
     return float(np.median(gaps)) if len(gaps) else np.nan
 
 
-def marker_ids(pattern: PatternConfiguration) -> range:
-    """Ids of a charuco board's markers, or of an aprilgrid's tags; none of another pattern."""
+def marker_ids(pattern: PatternConfiguration) -> Sequence[int]:
+    """Ids of a charuco board's markers, of an aprilgrid's tags, or of single tags; none of another pattern."""
+    if pattern.kind == "tags":
+        return sorted(tag.id for tag in pattern.tags)
     columns, rows = pattern.dimension
     count = {"aprilgrid": columns * rows, "charuco": (columns + 1) * (rows + 1) // 2}.get(pattern.kind, 0)
     return range(pattern.first_marker, pattern.first_marker + count)
@@ -215,7 +221,7 @@ def check_told_apart(patterns: Mapping[str, PatternConfiguration]) -> None:
     for one, other in combinations((each for each in patterns.values() if marker_ids(each)), 2):
         ids, others = marker_ids(one), marker_ids(other)
         alike = (one.dictionary, one.kind, one.inverted) == (other.dictionary, other.kind, other.inverted)
-        if alike and ids[0] <= others[-1] and others[0] <= ids[-1]:
+        if alike and set(ids) & set(others):
             raise InputError(
                 f"patterns '{one.name}' and '{other.name}' have markers of {one.dictionary} with ids {ids[0]} to "
                 f"{ids[-1]} and {others[0]} to {others[-1]}, expected no id on both: print them with other ids, and "
@@ -254,7 +260,7 @@ def check_board(
     Raises:
         InputError: names the highest marker, or asks whether columns and rows are exchanged.
     """
-    if pattern.kind == "chessboard" or not pattern.dictionary:
+    if pattern.kind in (*UNMARKED, "tags") or not pattern.dictionary:
         return
     expected = marker_ids(pattern)
     of_others = [n for each in others if each.dictionary == pattern.dictionary for n in marker_ids(each)]

@@ -12,7 +12,7 @@ from calibration.dataset.pattern import CIRCLES
 from calibration.errors import InputError
 from calibration.geometry.types import Array, BoolArray
 from calibration.labelling.tags import cell_ends, tag_cells
-from calibration.simulation.rendering.texture import circle_diameter, marker_modules
+from calibration.simulation.rendering.texture import circle_diameter, marker_modules, tag_modules
 
 PAPERS = {
     "A0": (841.0, 1189.0),
@@ -82,7 +82,7 @@ def board_sheet(pattern: PatternConfiguration, paper: str) -> Sheet:
     fitting = [(w, h) for w, h in room if across <= w - 2 * MARGIN and down <= h - 2 * MARGIN - FOOT]
     if not fitting:
         share = max(min((w - 2 * MARGIN) / across, (h - 2 * MARGIN - FOOT) / down) for w, h in room)
-        side = "tag" if pattern.kind == "aprilgrid" else "spacing" if pattern.kind in CIRCLES else "square"
+        side = "tag" if pattern.kind in ("aprilgrid", "tags") else "spacing" if pattern.kind in CIRCLES else "square"
         raise InputError(
             f"the board is {across:g} x {down:g} mm, too large for {paper} with a margin of {MARGIN:g} mm and a ruler: "
             f"take a larger paper, or a {side} of {np.floor(1000 * pattern.size * share * 10) / 10:g} mm at most"
@@ -168,6 +168,10 @@ def _cells(pattern: PatternConfiguration) -> tuple[BoolArray, Array, Array]:
     if pattern.kind == "aprilgrid":
         x, y = cell_ends(*pattern.dimension, pattern.spacing)
         return tag_cells(*pattern.dimension, pattern.first_marker), x * pattern.size, y * pattern.size
+    if pattern.kind == "tags":
+        (white,) = tag_modules(pattern)
+        ends = pattern.size * np.linspace(0, 1, len(white) + 1)
+        return white < 0.5, ends, ends
     columns, rows = (n + 1 for n in pattern.dimension)
     black: BoolArray = np.indices((rows, columns)).sum(axis=0) % 2 == 0
     if pattern.kind != "charuco" or pattern.inner_size is None:
@@ -202,6 +206,8 @@ def _filled(black: BoolArray, x: Array, y: Array) -> Array:
 
 
 def _name(pattern: PatternConfiguration) -> str:
+    if pattern.kind == "tags":
+        return f"{pattern.dictionary} {pattern.tags[0].id}, {1000 * pattern.size:g} mm"
     columns, rows = pattern.dimension
     what = {"aprilgrid": "tags", **dict.fromkeys(CIRCLES, "circles")}.get(pattern.kind, "corners")
     return f"{pattern.kind} {columns} x {rows} {what}, {1000 * pattern.size:g} mm"

@@ -6,16 +6,14 @@ from typing import Any
 
 from calibration.dataset.configuration import (
     MAX_CORNERS,
-    MAX_SIZE,
     MAX_SPACING,
-    MIN_SIZE,
     MIN_SPACING,
     TAGS,
     PatternConfiguration,
     check_tags,
 )
 from calibration.dataset.document import Node
-from calibration.dataset.pattern import CIRCLES
+from calibration.dataset.pattern import CIRCLES, MAX_SIZE, MIN_SIZE
 from calibration.importing.description import PatternDescription
 from calibration.yaml_file import read_yaml
 
@@ -53,6 +51,9 @@ def pattern_configuration(described: PatternDescription, world: str, root: str |
 
 
 def _described(pattern: PatternDescription) -> dict[str, Any]:
+    if pattern.tags:
+        keys = {"size": pattern.tags[0].size, "dictionary": pattern.dictionary, "tags": pattern.tags}
+        return {"kind": "tags", "dimension": (len(pattern.tags), 1)} | keys
     if pattern.type in CIRCLES:
         size, diameter = pattern.spacing, pattern.diameter
         return {

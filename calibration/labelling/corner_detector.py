@@ -12,6 +12,7 @@ from calibration.labelling.charuco import CharucoDetector
 from calibration.labelling.chessboard import ChessboardDetector
 from calibration.labelling.circles import CirclesDetector
 from calibration.labelling.detection import CornerDetector, Image, NotDetected, grey
+from calibration.labelling.tag_list import TagListDetector
 
 DETECTORS: Mapping[PatternKind, Callable[[PatternConfiguration], CornerDetector]] = {
     "charuco": CharucoDetector,
@@ -19,6 +20,7 @@ DETECTORS: Mapping[PatternKind, Callable[[PatternConfiguration], CornerDetector]
     "aprilgrid": AprilgridDetector,
     "circles": CirclesDetector,
     "asymmetric-circles": CirclesDetector,
+    "tags": TagListDetector,
 }
 """Constructors of detectors, by the kind of the pattern."""
 

@@ -6,6 +6,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from calibration.dataset.configuration import PatternConfiguration
+from calibration.errors import InputError
 from calibration.geometry.types import Array, IntArray
 from calibration.labelling.detection import Image
 
@@ -36,7 +38,9 @@ class MarkerFinder:
     LEAST_SIDE = 8
     """Minimum side of a marker (px)."""
 
-    def __init__(self, dictionary: "cv2.aruco.Dictionary", count: int, border: int = 1, first: int = 0) -> None:
+    def __init__(
+        self, dictionary: "cv2.aruco.Dictionary", count: int, border: int = 1, first: int = 0, correction: float = 0.9
+    ) -> None:
         """Create the detector.
 
         Args:
@@ -44,9 +48,10 @@ class MarkerFinder:
             count: number of markers.
             border: width of the black border around a marker's bits, in modules.
             first: the id in the dictionary of marker 0.
+            correction: share of the wrong bits of a code that are corrected, of those that can be.
         """
-        self._plain = cv2.aruco.ArucoDetector(dictionary, _parameters((9, 9), border))
-        self._fine = cv2.aruco.ArucoDetector(dictionary, _parameters((7, 17), border))
+        self._plain = cv2.aruco.ArucoDetector(dictionary, _parameters((9, 9), border, correction))
+        self._fine = cv2.aruco.ArucoDetector(dictionary, _parameters((7, 17), border, correction))
         self._first, self._count = first, count
 
     def find(self, image: Image) -> Markers:
@@ -76,7 +81,25 @@ class MarkerFinder:
         return Markers(found, pixels[known][first])
 
 
-def _parameters(windows: tuple[int, int], border: int) -> "cv2.aruco.DetectorParameters":
+def printed_dictionary(pattern: PatternConfiguration) -> "cv2.aruco.Dictionary":
+    """Return OpenCV's dictionary of a pattern's markers or tags.
+
+    Raises:
+        InputError: there is no such dictionary, or it lacks one of the pattern's tags.
+    """
+    name = pattern.dictionary or ""
+    number = getattr(cv2.aruco, name, None)
+    if not name.startswith("DICT_") or number is None:
+        expected = "expected one of OpenCV's, such as DICT_5X5_100 or DICT_APRILTAG_36h11"
+        raise InputError(f"pattern '{pattern.name}': dictionary: found '{name}', {expected}")
+    dictionary = cv2.aruco.getPredefinedDictionary(number)
+    highest, last = max((tag.id for tag in pattern.tags), default=0), len(dictionary.bytesList) - 1
+    if highest > last:
+        raise InputError(f"pattern '{pattern.name}': found tag {highest}, expected ids of {name}: 0 to {last}")
+    return dictionary
+
+
+def _parameters(windows: tuple[int, int], border: int, correction: float) -> "cv2.aruco.DetectorParameters":
     """Return the detector parameters with the best measured trade-off between found markers and time.
 
     A low threshold constant finds dark boards; much lower ones trace the noise of the image.
@@ -85,7 +108,7 @@ def _parameters(windows: tuple[int, int], border: int) -> "cv2.aruco.DetectorPar
     parameters.adaptiveThreshConstant = 4
     parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = windows
     parameters.adaptiveThreshWinSizeStep = 10
-    parameters.errorCorrectionRate = 0.9
+    parameters.errorCorrectionRate = correction
     parameters.markerBorderBits = border
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     return parameters

@@ -37,6 +37,7 @@ BOARDS = {
     "aprilgrid": ["aprilgrid", "--columns", "5", "--rows", "4", "--tag", "30", "--spacing", "0.3"],
     "circles": ["circles", "--columns", "8", "--rows", "5", "--spacing", "20", "--diameter", "12"],
     "asymmetric-circles": ["asymmetric-circles", "--columns", "4", "--rows", "11", "--spacing", "16"],
+    "tags": ["tags", "--tag", "100", "--first", "7", "--dictionary", "DICT_APRILTAG_36h11"],
 }
 DOTS = 8
 """Pixels of a drawing per mm."""
@@ -113,6 +114,7 @@ def test_sides_are_exact(name: str, tmp_path: Path) -> None:
         "aprilgrid": (5 * 30 + 6 * 9, 4 * 30 + 5 * 9),
         "circles": (9 * 20, 6 * 20),
         "asymmetric-circles": (9 * 16, 12 * 16),
+        "tags": (100, 100),
     }
     _, _, across, down = rectangles(tmp_path / "board.svg", "board")[0] - (8 if name == "inverted" else 0)
     assert (across, down) == pytest.approx(expected[name], abs=1e-6)
@@ -146,6 +148,8 @@ def test_a_pdf_finds_its_objects(tmp_path: Path) -> None:
         (["aprilgrid", "--columns", "8", "--rows", "5", "--tag", "-3"], "found -0.003"),
         (["circles", "--columns", "8", "--rows", "5", "--spacing", "20", "--diameter", "20"], "less than the spacing"),
         (["asymmetric-circles", "--columns", "4", "--rows", "10", "--spacing", "16"], "expected an odd number"),
+        (["tags", "--first", "3"], "found 0"),
+        (["tags", "--tag", "100", "--columns", "3"], "found 'columns'"),
         (["aprilgrid", "--columns", "30", "--rows", "30", "--tag", "1"], "587 at most"),
     ],
 )

@@ -20,6 +20,7 @@ from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.pattern import Pattern
 from calibration.errors import InputError
 from calibration.geometry.types import Array
+from calibration.labelling.markers import printed_dictionary
 from calibration.labelling.tags import cell_ends, tag_cells
 
 Grey = NDArray[np.uint8]
@@ -85,6 +86,8 @@ def texture(pattern: PatternConfiguration, legacy_layout: bool = False) -> Textu
     return Texture(tuple(_with_border(level, margin, paper) for level in levels), texels, margin, size, before)
 
 
+_PAPER = 2
+"""Width of the paper around a tag, texels, so that its edges are interpolated."""
 _Sketch = tuple[tuple[float, float], tuple[float, float], Callable[[int], Grey]]
 """Size of a print, its extent before corner 0, and the function that draws it with this many texels per unit."""
 
@@ -142,6 +145,36 @@ def _circles(pattern: PatternConfiguration, _: bool) -> _Sketch:
     return size, (1, 1), draw
 
 
+def _placed_tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
+    """Draw tags at their places on an image of whole units; a unit is the side of the first."""
+    corners = pattern.pattern().corners[:, :2] / pattern.size
+    low, high = corners.min(0), corners.max(0)
+    size = (float(high[0] - low[0]), float(high[1] - low[1]))
+    before = corners[0] - low
+
+    def draw(texels: int) -> Grey:
+        image = np.full((math.ceil(size[1]) * texels, math.ceil(size[0]) * texels), WHITE, np.uint8)
+        for tag, modules in zip(corners.reshape(-1, 4, 2), tag_modules(pattern), strict=True):
+            each = max(1, round(float(np.linalg.norm(tag[1] - tag[0])) * texels / len(modules)))
+            drawn = np.repeat(np.repeat(np.where(modules > 0.5, WHITE, BLACK).astype(np.uint8), each, 0), each, 1)
+            ends = _PAPER + each * len(modules) * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) - 0.5
+            places = (tag[[0, 1, 3]] - low) * texels - 0.5
+            M = cv2.getAffineTransform(ends.astype(np.float32), places.astype(np.float32))
+            drawn = np.pad(drawn, _PAPER, constant_values=WHITE)
+            height, width = image.shape
+            cv2.warpAffine(drawn, M, (width, height), dst=image, borderMode=cv2.BORDER_TRANSPARENT)
+        return image
+
+    return size, (float(before[0]), float(before[1])), draw
+
+
+def tag_modules(pattern: PatternConfiguration) -> list[Array]:
+    """Return the modules of a list of tags, with their black border: 1 for white."""
+    dictionary = printed_dictionary(pattern)
+    modules = dictionary.markerSize + 2
+    return [np.array(cv2.aruco.generateImageMarker(dictionary, t.id, modules), float) / 255 for t in pattern.tags]
+
+
 def circle_diameter(pattern: PatternConfiguration) -> float:
     """Return the diameter of the circles of a grid, m.
 
@@ -159,6 +192,7 @@ KINDS: dict[str, Callable[[PatternConfiguration, bool], _Sketch]] = {
     "aprilgrid": _tags,
     "circles": _circles,
     "asymmetric-circles": _circles,
+    "tags": _placed_tags,
 }
 """Functions that draw a pattern, by its kind."""
 
@@ -191,11 +225,7 @@ def marker_modules(pattern: PatternConfiguration, count: int) -> list[Array]:
         raise InputError(
             f"pattern '{pattern.name}': found no inner_size; a charuco board needs the side of its markers"
         )
-    number = getattr(cv2.aruco, pattern.dictionary or "", None)
-    if not (pattern.dictionary or "").startswith("DICT_") or number is None:
-        expected = "expected one of OpenCV's, such as DICT_5X5_100"
-        raise InputError(f"pattern '{pattern.name}': dictionary: found '{pattern.dictionary or ''}', {expected}")
-    dictionary = cv2.aruco.getPredefinedDictionary(number)
+    dictionary = printed_dictionary(pattern)
     first = pattern.first_marker
     if first + count > len(dictionary.bytesList):
         raise InputError(

@@ -179,6 +179,8 @@ class SimulatedCamera(SimulatedSensor):
 
     def corner_views(self, views: Views) -> "CornerViews":
         """Return the visibility of a pattern's corners."""
+        if views.configuration.kind == "tags":
+            return self._tag_views(views)
         squares, least = square_corners(views.configuration, views.pattern), least_widths(views.configuration)
         rows, columns = squares.shape[:2]
         places = squares.reshape(-1, 3)
@@ -196,6 +198,19 @@ class SimulatedCamera(SimulatedSensor):
             partial=~np.all(visible[:, 1:-1, 1:-1], axis=(1, 2)),
             detectable=front & (seen.mean(-1) >= share),
         )
+
+    def _tag_views(self, views: Views) -> "CornerViews":
+        """`corner_views` of a list of tags: each is seen as a whole."""
+        places = views.pattern.corners
+        pixels, visible = corners_in_image(self.camera, apply(views.T_sensor_pattern, places))
+        visible &= ~views.hidden(places)
+        tags = pixels.reshape(len(pixels), -1, 4, 2)
+        with np.errstate(invalid="ignore"):
+            widths = _widths(tags[:, :, [0, 1, 3, 2]].reshape(-1, 2, 2, 2)).reshape(tags.shape[:2])
+            seen = visible.reshape(tags.shape[:3]).all(-1) & (widths >= LEAST_TAG)
+        front = facing(views.T_sensor_pattern, views.pattern.centre)
+        partial: BoolArray = ~np.all(visible, axis=-1)
+        return CornerViews(pixels, np.repeat(seen, 4, axis=1), partial, front & seen.any(-1))
 
     def draw(
         self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
