@@ -55,7 +55,8 @@ def command(kind: PatternKind, paper: str, output: Path, **given: Any) -> ExitCo
     lengths = ("square", "marker", "tag", "diameter", *(("spacing",) if kind in CIRCLES else ()))
     if kind == "tags":
         keys.setdefault("dictionary", DICTIONARY)
-        keys["tags"] = [{"id": keys.pop("first", 0), "size": keys.pop("tag", 0) / 1000}]
+        side = {"size": round(keys.pop("tag") / 1000, 9)} if "tag" in keys else {}
+        keys["tags"] = [{"id": keys.pop("first", 0), **side}]
     keys |= {key: round(keys[key] / 1000, 9) for key in lengths if key in keys}
     document = {"sensors": {"camera": {"images": "images"}}, "patterns": {NAME: keys}}
     (described,) = read(ImportDescription, document, "the board").patterns

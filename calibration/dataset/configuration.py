@@ -274,12 +274,13 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
 
 
 def _tag_list(name: str, node: Node) -> PatternConfiguration:
+    listed = list(node["tags"].elements())
     try:
-        tags = tuple(read(PlacedTag, each.value, str(node.file)) for each in node["tags"].elements())
+        tags = tuple(read(PlacedTag, each.value, f"tag {i}") for i, each in enumerate(listed))
     except InputError as error:
         raise node["tags"].fault(str(error)) from None
-    if not tags or len({tag.id for tag in tags}) < len(tags):
-        raise node["tags"].unexpected("at least one tag, each id once")
+    if not 0 < len(tags) <= MAX_CORNERS or len({tag.id for tag in tags}) < len(tags):
+        raise node["tags"].unexpected(f"1 to {MAX_CORNERS} tags, each id once")
     return PatternConfiguration(
         name=name,
         kind="tags",

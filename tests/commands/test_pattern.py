@@ -148,7 +148,7 @@ def test_a_pdf_finds_its_objects(tmp_path: Path) -> None:
         (["aprilgrid", "--columns", "8", "--rows", "5", "--tag", "-3"], "found -0.003"),
         (["circles", "--columns", "8", "--rows", "5", "--spacing", "20", "--diameter", "20"], "less than the spacing"),
         (["asymmetric-circles", "--columns", "4", "--rows", "10", "--spacing", "16"], "expected an odd number"),
-        (["tags", "--first", "3"], "found 0"),
+        (["tags", "--first", "3"], "missing key 'size'"),
         (["tags", "--tag", "100", "--columns", "3"], "found 'columns'"),
         (["aprilgrid", "--columns", "30", "--rows", "30", "--tag", "1"], "587 at most"),
     ],

@@ -1,6 +1,7 @@
 import base64
 import gc
 import json
+import math
 import subprocess
 import sys
 
@@ -255,6 +256,33 @@ def test_an_aprilgrid_is_numbered_as_kalibr_does(tmp_path):
     np.testing.assert_allclose(board.outline, expected, atol=1e-12)
     again = parse_configuration(Node("here", (), content["calibration_config"]))
     assert again.patterns["board"].dictionary == "DICT_APRILTAG_36h11"
+    assert parse_configuration(Node("here", (), again.to_document())) == again
+
+
+@pytest.mark.parametrize(
+    ("changes", "corners"),
+    [
+        ({"pattern_type": "circles"}, [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0, 0.1, 0]]),
+        ({"pattern_type": "asymmetric-circles"}, [[0, 0, 0], [0.2, 0, 0], [0.4, 0, 0], [0.1, 0.1, 0]]),
+        (
+            {
+                "pattern_type": "tags",
+                "dictionary": "DICT_4X4_50",
+                "tags": [{"id": 3, "size": 0.2}, {"id": 1, "size": 0.1, "x": 1.0, "y": 2.0, "yaw": math.pi / 2}],
+            },
+            [[-0.1, -0.1, 0], [0.1, -0.1, 0], [0.1, 0.1, 0], [-0.1, 0.1, 0], [1.05, 1.95, 0], [1.05, 2.05, 0]],
+        ),
+    ],
+)
+def test_circles_and_tags(tmp_path, changes, corners):
+    """As OpenCV numbers them; a configuration is written as it was read."""
+    pattern = "calibration_config/calibration_patterns/board"
+    content = changed(documents.document(), {f"{pattern}/{key}": value for key, value in changes.items()})
+    if len(corners) < 6:
+        board = read(tmp_path, content).patterns["board"]
+        np.testing.assert_allclose(board.corners[:4], corners, atol=1e-15)
+    again = parse_configuration(Node("here", (), content["calibration_config"]))
+    np.testing.assert_allclose(again.patterns["board"].pattern().corners[: len(corners)], corners, atol=1e-15)
     assert parse_configuration(Node("here", (), again.to_document())) == again
 
 

@@ -55,6 +55,16 @@ def test_where_most_are_numbered_from_the_other_end(name: str, sensor: str) -> N
     assert {key for _, _, key in found} == (more if name == "stereo" else fewer)
 
 
+def test_grids_of_circles_are_turned_back_too() -> None:
+    dataset = scene("eye_to_hand")
+    circles = {name: replace(pattern, kind="circles") for name, pattern in dataset.patterns.items()}
+    wrong = with_turned(replace(dataset, patterns=circles), "board", "cam", set(dataset.keys[:4]))
+    found = calibrate(wrong)
+    assert {key for _, _, key in found.turned_views} == set(dataset.keys[:4])
+    (said,) = [each for each in diagnose(found, wrong, Options(), Limits()) if each.kind == "turned-board"]
+    assert "asymmetric grid" in said.text
+
+
 def test_views_that_are_wrong_otherwise_are_not_turned() -> None:
     dataset = scene("eye_to_hand")
     collections = list(dataset.collections)
