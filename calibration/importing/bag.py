@@ -7,6 +7,7 @@ program code from definitions.
 import errno
 import heapq
 import json
+import os
 import re
 import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -58,14 +59,18 @@ class _Part:
     """File of a bag, or folder of ROS 2."""
 
     path: Path
+    unpacked: Path
+    """The path, or a temporary folder with the same if its files are compressed as a whole."""
     reader: "Reader1 | Reader2"
 
 
 class Bag:
-    """Open bag, of one file or of several consecutive ones."""
+    """Open bag, of one file or of several consecutive ones; a forked process opens it once more, where it reads it."""
 
     def __init__(self, parts: Sequence[_Part], ros: int) -> None:
         self._parts = parts
+        self._inherited: Sequence[_Part] = ()
+        self._process = os.getpid()
         self._ros = ros
 
     @property
@@ -97,8 +102,16 @@ class Bag:
             InputError: the bag is damaged.
         """
         begin_pass()
+        self._open_in_this_process()
         streams = [self._of_part(part, topics, start, stop) for part in self._parts]
         yield from streams[0] if len(streams) == 1 else heapq.merge(*streams, key=lambda message: message.recorded)
+
+    def _open_in_this_process(self) -> None:
+        """Open the files anew in a forked process: with those of its parent it would share the place in them."""
+        if self._process != os.getpid():
+            self._inherited = self._parts  # SQLite allows no other process to close them
+            self._parts = [_opened_part(part.path, part.unpacked, self._ros) for part in self._parts]
+            self._process = os.getpid()
 
     @staticmethod
     def _of_part(part: _Part, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[RawMessage]:
@@ -165,18 +178,24 @@ def open_bag(paths: Sequence[Path]) -> Iterator[Bag]:
     if len(kinds) != 1:
         raise InputError(f"{paths[0]}: found bags of ROS 1 and of ROS 2, expected one kind")
     ros = kinds.pop()
-    reader_of = optional(f"rosbags.rosbag{ros}", "reading bags").Reader
     bound_library()
     begin_pass()
     with ExitStack() as stack:
         parts = []
         for path in paths:
             with _readable(path):
-                reader = reader_of(_unpacked(path, stack) if path.is_dir() else path)
-                stack.enter_context(reader)
-                _bound_messages(reader)
-                parts.append(_Part(path, reader))
+                part = _opened_part(path, _unpacked(path, stack) if path.is_dir() else path, ros)
+            stack.callback(part.reader.close)
+            parts.append(part)
         yield Bag(parts, ros)
+
+
+def _opened_part(path: Path, unpacked: Path, ros: int) -> _Part:
+    with _readable(path):
+        reader = optional(f"rosbags.rosbag{ros}", "reading bags").Reader(unpacked)
+        reader.open()
+        _bound_messages(reader)
+    return _Part(path, unpacked, reader)
 
 
 def _unpacked(folder: Path, stack: ExitStack) -> Path:

@@ -1,7 +1,8 @@
 """Import of a recording as a dataset: associates the data, labels them, and writes them."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,14 +24,14 @@ from calibration.files import link_or_copy, write_atomically
 from calibration.geometry.cameras import Camera
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
-from calibration.importing.bag import open_bag
+from calibration.importing.bag import Bag, open_bag
 from calibration.importing.baselines import with_baselines
 from calibration.importing.best_moments import best_moments
 from calibration.importing.camera_files import KnownLens, read_lens
 from calibration.importing.cloud_files import CLOUD_ENDINGS, cloud_view
 from calibration.importing.contact_sheet import FILE as SHEET
 from calibration.importing.contact_sheet import contact_sheet
-from calibration.importing.description import ImportDescription, SensorDescription, Videos
+from calibration.importing.description import Bags, ImportDescription, SensorDescription, Videos
 from calibration.importing.document import Imported, data_file, dataset_document
 from calibration.importing.image_views import LabelledMoment, check_copies, view_of_file
 from calibration.importing.motion_log import MotionLog
@@ -110,9 +111,8 @@ def import_data(
     for pattern in described.patterns:
         if not pattern.is_printed:
             raise InputError(f"{config}: patterns/{pattern.name}: missing key 'type', or 'target': images are given")
-    from_files = _from_videos if described.has_videos else _from_images
-    source = (from_files if described.bags is None else _from_bags)(described, lenses)
     with (
+        _opened_source(described, lenses) as source,
         workspace(output, source.identity, text_of, source.decode) as work,
         single_threaded_opencv(),
     ):
@@ -190,6 +190,16 @@ class _Source:
     finish: Callable[[Sequence[Any], Path, int | None], Recorded]
     """Function that returns the moments of all parts; images from a bag are written into a folder by this many
     processes."""
+
+
+@contextmanager
+def _opened_source(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> Iterator[_Source]:
+    """Return the images of a description; a bag is open as long as they are read."""
+    if described.bags is not None:
+        with open_bag(described.bags.files) as bag:
+            yield _from_bags(bag, described.bags, described, lenses)
+    else:
+        yield (_from_videos if described.has_videos else _from_images)(described, lenses)
 
 
 def _patterns(described: ImportDescription, root: str | None = None) -> dict[str, PatternConfiguration]:
@@ -288,12 +298,8 @@ def _clouds(moment: Moment, number: int, folder: Path, configuration: Configurat
     return {name: cloud_view(file, folder / f"{name.replace('/', '_')}_{number}") for name, file in lidars.items()}
 
 
-def _from_bags(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
-    bags = described.bags
-    if bags is None:
-        raise AssertionError("called for bags")
-    with open_bag(bags.files) as bag:
-        found = survey(bag, described)
+def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
+    found = survey(bag, described)
     where = str(bags.files[0])
     root = root_of(described, found)
     patterns = _patterns(described, root)
@@ -308,7 +314,7 @@ def _from_bags(described: ImportDescription, lenses: Mapping[str, KnownLens]) ->
     def finish(seen: Sequence[SeenImages], folder: Path, jobs: int | None) -> Recorded:
         images = images_by_camera(found, seen)
         for name, own in images.items():
-            at = partial(image_at, bags.files, found.cameras[name].topic)
+            at = partial(image_at, bag, found.cameras[name].topic)
             views, recorded = [image.view for image in own], [image.recorded for image in own]
             check_seen(name, patterns, views, lambda i, at=at, recorded=recorded: at(recorded[i]))  # type: ignore[misc]
 
@@ -344,8 +350,8 @@ def _from_bags(described: ImportDescription, lenses: Mapping[str, KnownLens]) ->
         found.log.left_out.add(f"more than {bags.most} moments ('most')", "moments", count=len(every) - len(moments))
         return replace(
             of_cameras(moments),
-            moments=extracted_images(bags.files, found, moments, folder, jobs),
-            ranges=extracted_ranges(bags.files, found, moments, folder),
+            moments=extracted_images(bag, found, moments, folder, jobs),
+            ranges=extracted_ranges(bag, found, moments, folder),
             searched=len(every),
             evenly=evenly,
             rejected=rejected,
@@ -355,7 +361,7 @@ def _from_bags(described: ImportDescription, lenses: Mapping[str, KnownLens]) ->
 
     return _Source(
         _identity(patterns, [path for each in bags.files for path in ([each] if each.is_file() else each.iterdir())]),
-        detection_tasks(bags.files, found, {name: corner_detector(pattern) for name, pattern in patterns.items()}),
+        detection_tasks(bag, found, {name: corner_detector(pattern) for name, pattern in patterns.items()}),
         decoded_images,
         finish,
     )

@@ -17,7 +17,7 @@ from calibration.execution.tasks import Task, run_tasks
 from calibration.files import read_bytes, write_atomically
 from calibration.geometry.frames import FrameTree
 from calibration.geometry.types import Array
-from calibration.importing.bag import SECOND, Bag, RawMessage, open_bag
+from calibration.importing.bag import SECOND, Bag, RawMessage
 from calibration.importing.contact_sheet import thumbnail, thumbnail_of
 from calibration.importing.description import Bags, ImportDescription, SensorDescription, Videos
 from calibration.importing.image_views import LabelledMoment, View, view_of_image
@@ -32,9 +32,7 @@ from calibration.labelling.detection import CornerDetector, DepthImage, Image
 from calibration.records import field, read, result
 
 AT_ONCE = 20
-"""Images of one task, whose result is stored. To open a bag takes a third of an image's time; a long last task leaves
-the other processes idle.
-"""
+"""Images of one task, whose result is stored; a long last task leaves the other processes idle."""
 LIDAR_LAG = 0.2
 """s: a rotating LiDAR takes 0.1 s for one cloud, and nothing moves meanwhile."""
 MAX_TIMES = 1_000_000
@@ -63,9 +61,7 @@ def decoded_images(text: bytes) -> SeenImages:
     return read(SeenImages, json.loads(text), "finished images")
 
 
-def detection_tasks(
-    files: Sequence[Path], found: Survey, detectors: Mapping[str, CornerDetector]
-) -> list[Task[SeenImages]]:
+def detection_tasks(bag: Bag, found: Survey, detectors: Mapping[str, CornerDetector]) -> list[Task[SeenImages]]:
     """Return the tasks that search every image, each for an interval of time."""
     times = sorted({recorded for camera in found.cameras.values() for recorded in camera.stamps})
     bounds = [*times[::AT_ONCE], times[-1] + 1]
@@ -73,12 +69,11 @@ def detection_tasks(
 
     def detect(start: int, stop: int) -> SeenImages:
         images: dict[tuple[str, int], SeenImage] = {}
-        with open_bag(files) as bag:
-            for message in bag.messages(topics, start, stop):
-                key = name, recorded = topics[message.topic], message.recorded
-                if recorded in found.cameras[name].stamps and key not in images:
-                    view = view_of_image(_image(bag, message), _where(bag, message), detectors)
-                    images[key] = SeenImage(name, recorded, view)
+        for message in bag.messages(topics, start, stop):
+            key = name, recorded = topics[message.topic], message.recorded
+            if recorded in found.cameras[name].stamps and key not in images:
+                view = view_of_image(_image(bag, message), _where(bag, message), detectors)
+                images[key] = SeenImage(name, recorded, view)
         return SeenImages(tuple(images.values()))
 
     return [Task.call(f"{i}", partial(detect, *ends)) for i, ends in enumerate(pairwise(bounds))]
@@ -179,12 +174,12 @@ def _read_times(path: Path, start: int) -> list[float]:
 
 
 def extracted_images(
-    files: Sequence[Path], found: Survey, moments: Sequence[BagMoment], folder: Path, jobs: int | None
+    bag: Bag, found: Survey, moments: Sequence[BagMoment], folder: Path, jobs: int | None
 ) -> list[LabelledMoment]:
     """Extract the chosen images as files into a folder, each with a thumbnail; existing ones are kept.
 
     Args:
-        files: the bag.
+        bag: the recording.
         found: the result of the first pass.
         moments: the chosen ones.
         folder: for the images.
@@ -197,15 +192,14 @@ def extracted_images(
 
     def extract(some: Sequence[BagMoment]) -> list[LabelledMoment]:
         labelled = []
-        with open_bag(files) as bag:
-            for moment in some:
-                views = {}
-                for name, image in moment.images.items():
-                    path = folder / f"{name.replace('/', '_')}_{image.recorded}.png"
-                    if not path.exists():
-                        _extract(bag, found.cameras[name], image, path)
-                    views[name] = replace(image.view, file=str(path))
-                labelled.append(LabelledMoment(views))
+        for moment in some:
+            views = {}
+            for name, image in moment.images.items():
+                path = folder / f"{name.replace('/', '_')}_{image.recorded}.png"
+                if not path.exists():
+                    _extract(bag, found.cameras[name], image, path)
+                views[name] = replace(image.view, file=str(path))
+            labelled.append(LabelledMoment(views))
         return labelled
 
     parts = [moments[i : i + AT_ONCE] for i in range(0, len(moments), AT_ONCE)]
@@ -213,9 +207,7 @@ def extracted_images(
     return [moment for part in run_tasks(tasks, workers=jobs).values() for moment in part]
 
 
-def extracted_ranges(
-    files: Sequence[Path], found: Survey, moments: Sequence[BagMoment], folder: Path
-) -> list[dict[str, RangeView]]:
+def extracted_ranges(bag: Bag, found: Survey, moments: Sequence[BagMoment], folder: Path) -> list[dict[str, RangeView]]:
     """Extract the data of LiDARs and depth cameras nearest to each moment, within `LIDAR_LAG`; all but scans as files.
 
     Raises:
@@ -223,17 +215,16 @@ def extracted_ranges(
         InfrastructureError: a file cannot be written.
     """
     views: list[dict[str, RangeView]] = [{} for _ in moments]
-    with open_bag(files) as bag:
-        for name, lidar in found.range_sensors.items():
-            recorded = np.array(list(lidar.stamps))
-            stamps = np.array(list(lidar.stamps.values()))
-            for own, moment in zip(views, moments, strict=True):
-                nearest = int(abs(stamps - moment.time).argmin())
-                if abs(stamps[nearest] - moment.time) <= LIDAR_LAG * SECOND:
-                    own[name] = _range_view(bag, name, lidar, int(recorded[nearest]), folder)
-                else:
-                    rule = f"moments without its data within {LIDAR_LAG:g} s"
-                    found.log.left_out.add(rule, name, moment.time)
+    for name, lidar in found.range_sensors.items():
+        recorded = np.array(list(lidar.stamps))
+        stamps = np.array(list(lidar.stamps.values()))
+        for own, moment in zip(views, moments, strict=True):
+            nearest = int(abs(stamps - moment.time).argmin())
+            if abs(stamps[nearest] - moment.time) <= LIDAR_LAG * SECOND:
+                own[name] = _range_view(bag, name, lidar, int(recorded[nearest]), folder)
+            else:
+                rule = f"moments without its data within {LIDAR_LAG:g} s"
+                found.log.left_out.add(rule, name, moment.time)
     return views
 
 
@@ -244,24 +235,19 @@ def _range_view(bag: Bag, name: str, lidar: SensorTopic, recorded: int, folder: 
     raise InputError(f"{bag.path}: {lidar.topic}: the message at {recorded / SECOND:.3f} is gone")
 
 
-def image_at(files: Sequence[Path], topic: str, recorded: int) -> Image:
+def image_at(bag: Bag, topic: str, recorded: int) -> Image:
     """Return an image of a bag by its recording time, ns.
 
     Raises:
         InputError: the bag is damaged.
     """
-    with open_bag(files) as bag:
-        return _image_at(bag, topic, recorded)
-
-
-def _image_at(bag: Bag, topic: str, recorded: int) -> Image:
     for message in bag.messages({topic}, recorded, recorded + 1):
         return _image(bag, message)
     raise InputError(f"{bag.path}: {topic}: the image at {recorded / SECOND:.3f} is gone")
 
 
 def _extract(bag: Bag, camera: SensorTopic, chosen: BagImage, path: Path) -> None:
-    image = _image_at(bag, camera.topic, chosen.recorded)
+    image = image_at(bag, camera.topic, chosen.recorded)
     write_atomically(thumbnail_of(path), encoded(thumbnail(image)))
     _write_png(image, path)
 
