@@ -3,6 +3,7 @@
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
 import tempfile
@@ -17,6 +18,8 @@ from calibration.workflow.text import one_line, shorten
 
 STALLED = 60
 """s: limit of the time between two parts of what is decoded."""
+CPU_SECONDS, BYTES_A_CPU_SECOND = 300, 100_000
+"""Limit of the process's time of the processor: these seconds, and one for so many bytes of the file."""
 MEMORY = 2 << 30
 """Bytes of address space of the process, of which it uses a part."""
 FRAME = Struct("<qddIIB")
@@ -61,9 +64,10 @@ def confined_decoding(kind: str, path: Path, what: str, **request: Any) -> Itera
         request: what the decoder needs besides.
 
     Raises:
-        InputError: it cannot be decoded, takes too much memory, or stalls.
+        InputError: it cannot be decoded, takes too much memory or time, or stalls.
     """
-    whole = {"kind": kind, "file": str(path.resolve()), "memory": MEMORY, **request}
+    seconds = CPU_SECONDS + path.stat().st_size // BYTES_A_CPU_SECOND
+    whole = {"kind": kind, "file": str(path.resolve()), "memory": MEMORY, "seconds": seconds, **request}
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(
             [sys.executable, "-I", "-c", _CHILD, _SOURCES, json.dumps(whole)],
@@ -84,7 +88,9 @@ def confined_decoding(kind: str, path: Path, what: str, **request: Any) -> Itera
             process.kill()
             process.wait()
             process.stdout.close()
-        if code not in (0, -13):  # -13: SIGPIPE, as enough was read
+        if code == -signal.SIGXCPU:
+            raise InputError(f"{path}: {what} was expected, but decoding it takes more than {seconds} s: cut it")
+        if code not in (0, -signal.SIGPIPE):  # SIGPIPE, as enough was read
             log.seek(0)
             lines = log.read()[-10_000:].decode(errors="replace").strip().splitlines()
             why = (

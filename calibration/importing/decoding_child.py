@@ -32,6 +32,7 @@ def main() -> None:
     decode = _DECODERS[request["kind"]]()
     resource.setrlimit(resource.RLIMIT_FSIZE, (LOG_BYTES, LOG_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (request["seconds"], request["seconds"] + 1))
     if sys.platform == "linux":
         resource.setrlimit(resource.RLIMIT_AS, (request["memory"], request["memory"]))
         restrict_by_kernel([Path(request["file"]).parent])

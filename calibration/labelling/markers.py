@@ -13,6 +13,8 @@ from calibration.labelling.detection import Image
 
 ENLARGED = 2
 """Factor by which an image is enlarged for small markers."""
+MAX_ENLARGED_PIXELS = 20_000_000
+"""Limit of the pixels that are enlarged: in larger images the smallest marker has dozens of pixels anyway."""
 LEAST_PERIMETER = 0.03
 """Minimum perimeter of a marker, relative to the longer side of the image (OpenCV's default)."""
 Box = tuple[int, int, int, int]
@@ -61,14 +63,14 @@ class MarkerFinder:
     def find_small(self, image: Image, box: Box | None = None) -> Markers:
         """Detect also small markers, down to about 9 pixels, in the enlarged image or a part of it; slower."""
         left, top, right, bottom = box or (0, 0, image.shape[1], image.shape[0])
-        larger = cv2.resize(
-            image[top:bottom, left:right], None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC
-        )
+        part = image[top:bottom, left:right]
+        scale = ENLARGED if part.size <= MAX_ENLARGED_PIXELS else 1
+        larger = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
         # relative to the longer side of the part: the smallest marker is that of the whole image
         parameters = self._fine.getDetectorParameters()
         parameters.minMarkerPerimeterRate = LEAST_PERIMETER * max(image.shape) / max(right - left, bottom - top)
         self._fine.setDetectorParameters(parameters)
-        return self._markers(self._fine.detectMarkers(larger), ENLARGED, (left, top))
+        return self._markers(self._fine.detectMarkers(larger), scale, (left, top))
 
     def _markers(self, detected: Any, scale: int, begin: tuple[int, int] = (0, 0)) -> Markers:
         corners, ids, _ = detected

@@ -18,11 +18,15 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 from rosbags.rosbag2.reader import zstd
 
+from calibration import MAX_IMAGE_PIXELS
+from calibration.dataset.configuration import PatternConfiguration
 from calibration.errors import InputError
 from calibration.importing.bag import open_bag
 from calibration.importing.image_views import read_image
 from calibration.importing.messages import depth_of, image_of
 from calibration.importing.unpacking import UnpackingBudget, UnpackingError
+from calibration.labelling.charuco import CharucoDetector
+from calibration.labelling.detection import NotDetected
 from tests.campaigns.fuzz import bounded
 from tests.importing.bags import BEGIN, SECOND, BagFile, Kind
 
@@ -70,8 +74,21 @@ def _tiff(width: int, height: int) -> bytes:
 )
 def test_an_image_of_too_many_pixels_is_refused_by_its_header(data: bytes, tmp_path: Path) -> None:
     (tmp_path / "image.png").write_bytes(data)
-    with pytest.raises(InputError, match=r"image\.png: this image is too large, expected 100000000 pixels at most"):
+    with pytest.raises(InputError, match=r"image\.png: this image is too large, expected 75000000 pixels at most"):
         read_image(tmp_path / "image.png")
+
+
+def test_the_largest_image_of_16_bits_is_read_and_searched_in_little_memory(tmp_path: Path) -> None:
+    width, height = 10_000, MAX_IMAGE_PIXELS // 10_000
+    packed, row = zlib.compressobj(1), bytes(1 + 6 * width)
+    data = b"".join([packed.compress(row) for _ in range(height)] + [packed.flush()])
+    (tmp_path / "image.png").write_bytes(_png(width, height, 16, 2, data))
+    image = read_image(tmp_path / "image.png")
+    assert (image.shape, image.dtype) == ((height, width, 3), np.uint8)
+    board = PatternConfiguration(
+        "board", "charuco", "board", "world", True, (8, 6), 0.1, inner_size=0.08, dictionary="DICT_5X5_100"
+    )
+    assert isinstance(CharucoDetector(board).detect(image), NotDetected)
 
 
 def test_an_image_in_a_bag_is_refused_by_its_header() -> None:

@@ -146,6 +146,16 @@ def test_decoding_that_stalls_is_killed(tmp_path: Path, monkeypatch: pytest.Monk
         list(decoded_frames(path, [0]))
 
 
+def test_decoding_that_takes_too_long_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    busy = "decoding_child._DECODERS = {'video': lambda: lambda *_: max(iter(int, 1))}; decoding_child.main()"
+    child = f"import sys; sys.path.insert(0, sys.argv.pop(1)); from calibration.importing import decoding_child; {busy}"
+    monkeypatch.setattr(confined_decoding, "_CHILD", child)
+    monkeypatch.setattr(confined_decoding, "CPU_SECONDS", 1)
+    (tmp_path / "a.mp4").write_bytes(b"0")
+    with pytest.raises(InputError, match=r"a\.mp4: a video was expected, but decoding it takes more than 1 s: cut it"):
+        list(decoded_frames(tmp_path / "a.mp4", ()))
+
+
 def test_a_video_stands_beside_videos_only(tmp_path: Path) -> None:
     config = recorded(tmp_path, ".avi")
     document = json.loads(config.read_text())
