@@ -116,7 +116,12 @@ def _weak_directions(setup: Setup, optimum: Optimum) -> tuple[str, ...]:
             f"{setup.dataset.path}: the labels do not determine {named}; "
             f"{MORE_TILT if of_lenses else MORE_ROTATION}{_to_hold(setup, undetermined, names)}"
         )
-        coefficients = [f"{names[each.block]}-{name}" for each in undetermined for name in each.coefficients_to_hold()]
+        coefficients = [
+            f"{names[each.block]}-{name}"
+            for each in undetermined
+            if (free := problem.blocks[each.block].intrinsics)
+            for name in each.coefficients_to_hold(free.camera.distortion)
+        ]
         raise OpenCoefficientsError(message, coefficients) if coefficients else UndeterminedError(message)
     return tuple(direction.describe(names) for direction in weak)
 

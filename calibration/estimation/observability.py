@@ -14,6 +14,7 @@ from calibration.estimation.motion import Motion
 from calibration.estimation.normal_equations import NormalEquations, Weighting
 from calibration.estimation.problem import Problem
 from calibration.frozen import frozen
+from calibration.geometry.lenses import Distortion
 from calibration.geometry.types import Array
 
 SINGULAR = 1e-12
@@ -24,8 +25,6 @@ MOVING = 0.3
 """Blocks and parameters of joints that move by more than this fraction of the largest motion are named too,"""
 INVOLVED = 0.02
 """and by more than this in a direction that is not determined: a joint rotates little if a distant pattern moves."""
-DENOMINATOR = ("k4", "k5", "k6")
-"""Coefficients of the denominator of the rational distortion model."""
 WEAK = 0.005
 """Standard deviation (m or rad) above which a direction is reported as weak."""
 
@@ -63,18 +62,17 @@ class WeakDirection:
         """Return the name of the joint's or camera's parameter that changes least, to be fixed; empty without one."""
         return next((f"{names[block]}-{each[-1]}" for block, each in self.parameters.items() if each), "")
 
-    def coefficients_to_hold(self) -> tuple[str, ...]:
+    def coefficients_to_hold(self, lens: Distortion) -> tuple[str, ...]:
         """Distortion coefficients that can be fixed to determine the direction; empty if it does not depend on them.
 
-        For a model with more coefficients than the labels determine: those of the denominator that move (a fraction
-        whose denominator is fixed is a polynomial), else the one of the highest power.
+        Args:
+            lens: the camera's, if the block with the largest motion is one.
         """
         moving = self.parameters.get(self.block, ())
         if not moving or self.kind != "ray" or moving[0] in PIXELS:
             return ()
-        denominator = tuple(sorted(each for each in moving if each in DENOMINATOR))
-        powers = sorted(each for each in moving if each.startswith("k"))
-        return denominator or tuple(powers[-1:])
+        groups = (tuple(name for name in group if name in moving) for group in lens.held_first)
+        return next(filter(None, groups), ())
 
     def _name(self, block: int, names: Sequence[str]) -> str:
         parameters = self.parameters.get(block)

@@ -76,7 +76,7 @@ class SensorDescription:
     )
     model: Name | None = field(
         "Lens model of the coefficients in that file, where it states none or a wrong one: plumb_bob, "
-        "rational_polynomial, equidistant (cv2.fisheye).",
+        "rational_polynomial, equidistant (cv2.fisheye), eucm, double_sphere or omni.",
         default=None,
     )
     camera: Name | None = field("Its name in that file, where that has several: cam0.", default=None)

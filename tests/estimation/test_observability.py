@@ -9,8 +9,16 @@ from calibration.errors import UndeterminedError
 from calibration.estimation.build import build
 from calibration.estimation.calibrate import calibrate
 from calibration.estimation.normal_equations import NormalEquations, Weighting, assemble
-from calibration.estimation.observability import HOPELESS, WEAK, covariances, determined_parameters, open_directions
+from calibration.estimation.observability import (
+    HOPELESS,
+    WEAK,
+    WeakDirection,
+    covariances,
+    determined_parameters,
+    open_directions,
+)
 from calibration.estimation.problem import Block, Problem
+from calibration.geometry.lenses import Distortion, DoubleSphere, Equidistant, Eucm, Omni, PlumbBob, Rational
 from calibration.geometry.types import Array
 from tests.estimation.scenes import true_values
 from tests.estimation.systems import ALL, eye_to_hand, rotating
@@ -140,3 +148,23 @@ def test_one_kind_of_label_determines_all_parameters(scene):
     assert sum(shares.values()) == pytest.approx(6 * (len(setup.problem.shared) + seen))
     for covariance in covariances(setup.problem, result).values():
         assert (np.linalg.eigvalsh(covariance) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("lens", "moving", "held"),
+    [
+        (PlumbBob(), ("k2", "k1", "k3"), ("k3",)),
+        (Rational(), ("k3", "k6", "k4"), ("k4", "k6")),
+        (Rational(), ("k1", "k3"), ("k3",)),
+        (Equidistant(), ("k4", "k3"), ("k4",)),
+        (DoubleSphere(0.1, 0.5), ("alpha", "xi", "fx"), ("xi",)),
+        (Eucm(0.5, 1.1), ("alpha", "beta"), ("beta",)),
+        (Omni(1.0), ("xi", "k1"), ("k1",)),
+        (DoubleSphere(0.1, 0.5), ("fx", "xi"), ()),
+    ],
+)
+def test_a_lens_says_which_coefficients_are_held_first(
+    lens: Distortion, moving: tuple[str, ...], held: tuple[str, ...]
+) -> None:
+    direction = WeakDirection(0, "ray", np.zeros(3), np.inf, (), {0: moving})
+    assert direction.coefficients_to_hold(lens) == held

@@ -60,6 +60,8 @@ class Distortion(ABC):
     """Coefficients of a lens that is not centred."""
     higher: ClassVar[tuple[str, ...]] = ()
     """Coefficients that many calibrations leave out: the model is then too simple for the lens."""
+    held_first: ClassVar[tuple[tuple[str, ...], ...]]
+    """Coefficients to be fixed where the labels do not determine all of them, group by group, for a simpler model."""
     always: ClassVar[tuple[str, ...]]
     """Coefficients that every calibration determines; others only where they are not 0."""
 

@@ -24,6 +24,7 @@ class _RadialTangential(Distortion):
     radial: ClassVar[tuple[str, ...]] = ("k1", "k2")
     tangential: ClassVar[tuple[str, ...]] = ("p1", "p2")
     higher: ClassVar[tuple[str, ...]] = ("k3", "k4")
+    held_first: ClassVar[tuple[tuple[str, ...], ...]] = (("k3",), ("k2",), ("k1",))
     always: ClassVar[tuple[str, ...]] = ("k1", "k2", "p1", "p2")
 
     k1: float = 0.0
@@ -143,6 +144,8 @@ class Rational(_RadialTangential):
     """
 
     ros_name: ClassVar[str] = "rational_polynomial"
+    # a fraction whose denominator is fixed is a polynomial
+    held_first: ClassVar[tuple[tuple[str, ...], ...]] = (("k4", "k5", "k6"), ("k3",), ("k2",), ("k1",))
 
     k4: float = 0.0
     k5: float = 0.0

@@ -65,6 +65,7 @@ class Equidistant(_Wide):
     kalibr: ClassVar[KalibrName | None] = KalibrName("pinhole", "equidistant", coefficients=4)
     radial: ClassVar[tuple[str, ...]] = ("k1", "k2")
     higher: ClassVar[tuple[str, ...]] = ("k3", "k4")
+    held_first: ClassVar[tuple[tuple[str, ...], ...]] = (("k4",), ("k3",), ("k2",), ("k1",))
     always: ClassVar[tuple[str, ...]] = ("k1", "k2", "k3", "k4")
 
     k1: float = 0.0
@@ -175,6 +176,7 @@ class DoubleSphere(_Sphere):
     limits: ClassVar[Mapping[str, tuple[float, float]]] = {"alpha": (0.0, 1.0)}
     start: ClassVar[tuple[float, ...]] = (0.0, 0.5)
     radial: ClassVar[tuple[str, ...]] = ("xi", "alpha")
+    held_first: ClassVar[tuple[tuple[str, ...], ...]] = (("xi",),)
     always: ClassVar[tuple[str, ...]] = ("xi", "alpha")
 
     xi: float = 0.0
@@ -209,6 +211,7 @@ class Eucm(_Sphere):
     limits: ClassVar[Mapping[str, tuple[float, float]]] = {"alpha": (0.0, 1.0), "beta": (MIN_BETA, MAX_BETA)}
     start: ClassVar[tuple[float, ...]] = (0.5, 1.0)
     radial: ClassVar[tuple[str, ...]] = ("alpha", "beta")
+    held_first: ClassVar[tuple[tuple[str, ...], ...]] = (("beta",),)
     always: ClassVar[tuple[str, ...]] = ("alpha", "beta")
 
     alpha: float = 0.0
@@ -237,6 +240,7 @@ class _Mirror(_Sphere):
     """The unified model: a sphere seen from a point at the distance xi from its centre, ``D = xi + cos t``."""
 
     radial: ClassVar[tuple[str, ...]] = ("xi",)
+    held_first: ClassVar[tuple[tuple[str, ...], ...]] = ()
     always: ClassVar[tuple[str, ...]] = ("xi",)
 
     xi: float = 0.0
@@ -269,6 +273,7 @@ class Omni(Distortion):
     start: ClassVar[tuple[float, ...]] = (1.0, 0.0, 0.0, 0.0, 0.0)
     radial: ClassVar[tuple[str, ...]] = ("xi", "k1", "k2")
     tangential: ClassVar[tuple[str, ...]] = ("p1", "p2")
+    held_first: ClassVar[tuple[tuple[str, ...], ...]] = (("k2",), ("k1",))
     always: ClassVar[tuple[str, ...]] = ("xi", "k1", "k2", "p1", "p2")
 
     xi: float = 0.0

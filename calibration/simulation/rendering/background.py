@@ -50,7 +50,7 @@ class Background:
 
     @cached_property
     def depth(self) -> Array:
-        """(height, width): depth along the optical axis at each pixel's centre, m; infinite for the sky."""
+        """(height, width): distances along the rays of `rays`, to the front the depth, m; infinite for the sky."""
         found = np.full(self._cells.rays.shape[1:], np.inf)
         for index in range(len(self._facets)):
             for some in _batches(np.flatnonzero(self._sight.only == index)):

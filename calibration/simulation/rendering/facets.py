@@ -38,14 +38,15 @@ class Bounds:
     middle: Array
     """(2, N): x and y."""
     half: Array
-    """(2, N): half of the width and of the height; NaN for a rectangle in part of which the lens shows nothing."""
+    """(2, N): half of width and height; NaN if the lens shows nothing in part of it, or what is not in front."""
     margin: Array
     """(N,): limit of the values that have no sign for a ray in the rectangle."""
 
     @classmethod
     def of(cls, rays: Array) -> "Bounds":
         """Bounds of N times K rays (3, N, K)."""
-        low, high = rays[:2].min(axis=-1), rays[:2].max(axis=-1)
+        in_front = np.where(rays[2] == 1, rays[:2], np.nan)
+        low, high = in_front.min(axis=-1), in_front.max(axis=-1)
         far = np.maximum(np.abs(low), np.abs(high)).sum(axis=0)
         return cls((low + high) / 2, (high - low) / 2, _MARGIN * (1 + far))
 

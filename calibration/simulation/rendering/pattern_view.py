@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.geometry.cameras import Camera
+from calibration.geometry.lenses.charts import IN_FRONT
 from calibration.geometry.transforms import apply, inverse
 from calibration.geometry.types import Array, BoolArray
 from calibration.simulation.board import Board
@@ -45,7 +46,7 @@ class PatternView:
     part: tuple[slice, slice]
     """Rows and columns of the image."""
     depth: Array
-    """Depth at the pixels' centres, m along the optical axis; infinite outside of the pattern."""
+    """Distance along the rays of the pixels' centres, to the front the depth, m; infinite outside of the pattern."""
     border: BoolArray
     """Mask of the pixels that the pattern covers partially."""
     radiance: NDArray[np.uint16]
@@ -86,7 +87,7 @@ def _part(camera: Camera, T_camera_pattern: Array, board: Board) -> tuple[slice,
     low, high = board.limits
     grid = np.stack(np.meshgrid(*np.linspace(low, high, 9).T), -1).reshape(-1, 2)
     points = apply(T_camera_pattern, board.surface(grid))
-    if points[:, 2].max() <= 0:
+    if camera.distortion.chart is IN_FRONT and points[:, 2].max() <= 0:
         return None
     pixels, visible = camera.project_visible(points)
     first, last = np.zeros(2), np.array([camera.width, camera.height]) - 1.0
@@ -105,7 +106,7 @@ class _Pixels:
     """Intersections of pixels (h, w) with the infinite sheet of a board; NaN without an intersection."""
 
     depth: Array
-    """Depth of their centres, m; below 0 behind the camera."""
+    """Distance along the rays of their centres, as of `PatternView`; below 0 behind the camera."""
     xy: Array
     """(2, h, w): intersections of their centres, in the pattern frame."""
     to_right: Array

@@ -25,11 +25,11 @@ or columns, so an edge along an axis is found to 1/16 px."""
 
 @lru_cache(maxsize=8)
 def rays(camera: Camera) -> Array:
-    """Return the rays (3, height + 2, width + 2): (x, y, 1) for each pixel, with a margin of one on every side.
+    """Return the rays (3, height + 2, width + 2) of all pixels, with a margin of one on every side.
 
-    With the margin every pixel of the image has differences to both neighbours. NaN where the distortion has no
-    inverse, and where a lens of more than 180 degrees sees what is not in front: that is not rendered. The distance
-    along such a ray is the depth along the optical axis.
+    With the margin every pixel of the image has differences to both neighbours. A ray to the front is (x, y, 1), so
+    that the distance along it is the depth along the optical axis. Others, of a lens of more than 180 degrees, have the
+    length 1. NaN where the distortion has no inverse.
     """
     v, u = np.mgrid[-1 : camera.height + 1, -1 : camera.width + 1].astype(float)
     found = _rays(camera, u, v)
@@ -93,10 +93,8 @@ def sample_rays(camera: Camera, rows: IntArray, columns: IntArray) -> Array:
 
 
 def _rays(camera: Camera, u: Array, v: Array) -> Array:
-    found = np.empty((3, *u.shape))
-    found[0], found[1] = np.moveaxis(camera.normalise(np.stack([u, v], -1)), -1, 0)
-    found[2] = np.where(np.isnan(found[0]), np.nan, 1.0)
-    return found
+    found = np.moveaxis(camera.rays(np.stack([u, v], -1)), -1, 0)
+    return np.asarray(found / np.where(found[2] > 0, found[2], 1.0))
 
 
 def rounded(T: Array) -> Array:

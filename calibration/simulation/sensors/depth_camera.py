@@ -88,7 +88,7 @@ class SimulatedDepthCamera(RangeSensor):
         for board in boards:
             T_camera_pattern = inverse(pose) @ rounded(board.T_world_pattern)
             depth = np.minimum(depth, board.cast_in(T_camera_pattern, directions))
-        in_range = (depth >= self.least_range) & (depth <= self.most_range)
+        in_range = (depth >= self.least_range) & (depth <= self.most_range) & (directions[2] == 1)
         depth = np.where(in_range, depth, 0.0)
         measured = depth + (self.noise + self.noise_growth * depth**2) * noise
         counts = np.rint(measured / UNIT)
@@ -125,6 +125,7 @@ class SimulatedDepthCamera(RangeSensor):
         camera = self.camera
         directions = np.moveaxis(rays(camera), 0, -1)  # with a margin of one pixel on every side
         depth, hits = meets(views.pattern, views.T_sensor_pattern[number], directions)
+        hits &= directions[..., 2] == 1  # to the front
         inner = hits[:-2, 1:-1] & hits[2:, 1:-1] & hits[1:-1, :-2] & hits[1:-1, 2:]
         v, u = np.nonzero(hits[1:-1, 1:-1])
         away = (np.minimum(v, camera.height - 1 - v) >= EDGE * camera.height) & (

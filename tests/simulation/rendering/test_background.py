@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
-from calibration.geometry.lenses import PlumbBob
+from calibration.geometry.cameras import Camera
+from calibration.geometry.lenses import Equidistant, PlumbBob
 from calibration.geometry.transforms import from_xyz_rpy
 from calibration.geometry.types import Array
 from calibration.simulation.rendering.background import STEPS, background
@@ -12,6 +13,8 @@ from calibration.simulation.scene import Box, Light, Scene, turned
 from tests.simulation.rendering.views import DISTORTION, EVEN, T_WORLD_CAMERA, camera
 
 CAMERA = camera()
+CAMERAS = [CAMERA, camera(distortion=DISTORTION), camera(focal=80, distortion=Equidistant())]
+"""The last one sees up to 115 degrees from its axis."""
 RED_BOX = Box(T_WORLD_CAMERA @ from_xyz_rpy([0, 0, 2.5], [0, 0, 0]), np.array([1.0, 1.0, 1.0]), (200.0, 100.0, 50.0))
 
 
@@ -101,10 +104,10 @@ def in_steps(colour: Array) -> np.ndarray:
     return np.rint(np.clip(colour.astype(np.float32) * STEPS, 0, 65535))
 
 
-@pytest.mark.parametrize("distortion", [None, DISTORTION])
-def test_every_pixel_has_the_colour_that_its_own_rays_see(distortion: PlumbBob | None) -> None:
+@pytest.mark.parametrize("of", CAMERAS)
+def test_every_pixel_has_the_colour_that_its_own_rays_see(of: Camera) -> None:
     """The same image without cells and facets."""
-    of, random = camera(distortion=distortion), np.random.default_rng(6)
+    random = np.random.default_rng(6)
     for number in range(6):
         boxes = tuple(
             Box(from_xyz_rpy(random.normal(scale=3, size=3), random.uniform(-3, 3, 3)), random.uniform(0.05, 4, 3))
@@ -130,9 +133,9 @@ def test_what_is_surely_beyond() -> None:
     assert behind.is_beyond(part, [np.array([np.inf])])
 
 
-@pytest.mark.parametrize("distortion", [None, DISTORTION])
-def test_every_pixel_sees_what_its_own_ray_hits(distortion: PlumbBob | None) -> None:
-    of, random = camera(distortion=distortion), np.random.default_rng(5)
+@pytest.mark.parametrize("of", CAMERAS)
+def test_every_pixel_sees_what_its_own_ray_hits(of: Camera) -> None:
+    random = np.random.default_rng(5)
     directions = rays(of)[:, 1:-1, 1:-1]
     for _ in range(6):
         boxes = tuple(

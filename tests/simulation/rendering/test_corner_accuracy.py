@@ -9,9 +9,10 @@ import pytest
 
 from calibration.dataset.configuration import PatternConfiguration
 from calibration.dataset.model import CornerLabels
+from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import PlumbBob
-from calibration.geometry.transforms import apply
+from calibration.geometry.lenses import Distortion, DoubleSphere, Equidistant, PlumbBob
+from calibration.geometry.transforms import apply, transform
 from calibration.labelling.corner_detector import corner_detector
 from calibration.simulation.random_streams import stream
 from calibration.simulation.scene import Scene
@@ -105,3 +106,19 @@ def test_opencv_finds_corners_of_charuco_boards_where_they_are(distortion: Plumb
 @pytest.mark.parametrize(("distortion", "limit"), [(PlumbBob(), 0.06), (DISTORTION, 0.08)])
 def test_opencv_finds_corners_of_chessboards_where_they_are(distortion: PlumbBob, limit: float) -> None:
     check(errors(by_opencv, camera(1280, 720, 900, distortion), CHESSBOARD), limit)
+
+
+@pytest.mark.parametrize(("lens", "focal"), [(Equidistant(0.01, -0.002), 330.0), (DoubleSphere(-0.2, 0.59), 270.0)])
+def test_corners_beside_the_camera_are_where_they_are(lens: Distortion, focal: float) -> None:
+    """A board that stands square to the ray at 100 degrees from the axis of a wide lens, on ground and before sky."""
+    of = Camera(focal, focal, 699.5, 699.5, 1400, 1400, lens)
+    ray = np.array([[np.sin(np.radians(100)), 0.0, np.cos(np.radians(100))]])
+    (R,) = rotations.towards(ray)
+    T = transform(R, 1.5 * ray[0] - R @ CHESSBOARD.pattern().centre)
+    view = board(T, CHESSBOARD)
+    corners = apply(T, view.pattern.corners)
+    assert (corners[:, 2] < 0).sum() > 20
+    image = SimulatedCamera(of).render(T_WORLD_CAMERA, Scene(ground=0.0), [view], stream(1))
+    pixels, ids = by_us(image, CHESSBOARD)
+    assert len(ids) == len(corners)
+    assert np.sqrt(((pixels - of.project(corners)[ids]) ** 2).sum(axis=1).mean()) < 0.08

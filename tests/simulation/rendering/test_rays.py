@@ -21,14 +21,16 @@ def test_no_ray_where_the_lens_shows_nothing() -> None:
     np.testing.assert_array_equal(found[2, 100:140, 140:180], 1)
 
 
-def test_a_fisheye_lens_shows_what_lies_before_the_camera() -> None:
-    """Rays up to pi/2 from the axis: a circle of 157 pixels for a focal length of 100."""
-    found = rays(camera(400, 400, 100, Equidistant()))
-    v, u = np.mgrid[-1:401, -1:401] - 199.5
+def test_a_fisheye_lens_shows_what_lies_before_the_camera_and_beside_it() -> None:
+    """Rays up to pi from the axis: a circle of 314 pixels for a focal length of 100."""
+    found = rays(camera(700, 700, 100, Equidistant()))
+    v, u = np.mgrid[-1:701, -1:701] - 349.5
     radius = np.hypot(u, v)
-    np.testing.assert_array_equal(np.isfinite(found[0]), radius < 50 * np.pi)
-    seen = radius < 150
-    np.testing.assert_allclose(np.hypot(found[0], found[1])[seen], np.tan(radius[seen] / 100), rtol=1e-9)
+    np.testing.assert_array_equal(np.isfinite(found[0]), radius < 100 * np.pi)
+    front, behind = radius < 150, (radius > 50 * np.pi) & (radius < 100 * np.pi)
+    np.testing.assert_allclose(np.hypot(found[0], found[1])[front], np.tan(radius[front] / 100), rtol=1e-9)
+    np.testing.assert_array_equal(found[2][front], 1)
+    np.testing.assert_allclose(found[2][behind], np.cos(radius[behind] / 100), atol=1e-9)
 
 
 def test_samples_lie_evenly_in_their_pixel() -> None:

@@ -5,7 +5,7 @@ import numpy as np
 from calibration.dataset.configuration import TAGS, PatternConfiguration
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import PlumbBob
+from calibration.geometry.lenses import Distortion, PlumbBob
 from calibration.geometry.transforms import from_xyz_rpy, transform
 from calibration.geometry.types import Array
 from calibration.simulation.board import Board
@@ -32,7 +32,7 @@ EVEN = Light(ambient=1.0, intensity=0.0)
 DARK = Scene(light=Light(ambient=0.0, intensity=0.0))
 
 
-def camera(width: int = 320, height: int = 240, focal: float = 300.0, distortion: PlumbBob | None = None) -> Camera:
+def camera(width: int = 320, height: int = 240, focal: float = 300.0, distortion: Distortion | None = None) -> Camera:
     return Camera(focal, focal, width / 2 - 0.5, height / 2 - 0.5, width, height, distortion or PlumbBob())
 
 
