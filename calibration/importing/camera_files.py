@@ -15,7 +15,7 @@ from calibration.errors import InputError
 from calibration.estimation.intrinsics_file import read_calibrated
 from calibration.geometry import rotations
 from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import MODELS
+from calibration.geometry.lenses import MODELS, SYNONYMS
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
 from calibration.importing.structured_files import read_structured
@@ -53,11 +53,8 @@ _MODELS = ("distortion_model", "camera_model")
 _FISHEYE = ("fisheye", "fisheye_model", "use_fisheye")
 """Keys that are true for a fisheye: of anipose, of OpenCV's sample."""
 ALIASES = {
-    "fisheye": "equidistant",
+    **SYNONYMS,
     "opencv_fisheye": "equidistant",
-    "kannala_brandt": "equidistant",
-    "kannala_brandt4": "equidistant",
-    "radtan": "plumb_bob",
     "radial-tangential": "plumb_bob",
     "opencv_radtan": "plumb_bob",
     "standard": "plumb_bob",

@@ -102,6 +102,6 @@ def test_small_errors_that_add_up_are_red_together() -> None:
     assert len(each) > 1
     assert all(one.severity == "note" for one in each)
     alone = max(one.moves_mm or 0.0 for one in each)
-    *_, together = what_does_not_fit(calibration, Limits(translation_mm=1.001 * alone, rotation_deg=10.0))
+    together, *_ = what_does_not_fit(calibration, Limits(translation_mm=1.001 * alone, rotation_deg=10.0))
     assert together.severity == "red"
     assert "together they move cam" in together.text

@@ -277,6 +277,8 @@ def anipose(fisheye: str) -> str:
         ("cam.json", json.dumps(PLEX), "equidistant"),
         ("cam.yaml", yaml.safe_dump({**SIZED, "camera_model": "fisheye", "D": D4}), "equidistant"),
         ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "fisheye", "D": D4}), "equidistant"),
+        ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "ds", "D": [-0.2, 0.59]}), "double_sphere"),
+        ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "mei", "D": [1.5, -0.1, 0.0, 0.0, 0.0]}), "omni"),
         ("cam.yml", yaml.safe_dump({**SIZED, "fisheye_model": 1, "D": D4}), "equidistant"),
         ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "plumb_bob", "D": [*D4, *[0.0] * 9]}), "plumb_bob"),
     ],

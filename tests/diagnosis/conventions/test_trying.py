@@ -172,7 +172,6 @@ RIG_MISTAKES: dict[str, tuple[Callable[[Dataset], Dataset], str]] = {
         lambda d: with_mirrored(with_mirrored_numbering(d, "right", "board", across=False), "right"),
         "the images of 'right' mirrored back",
     ),
-    "turned": (lambda d: with_turned(d, "board", "right"), "'board' turned by 180 degrees in the views of"),
     "camera_info": (lambda d: with_exchanged_cameras(d, "left", "right"), "the camera_info of 'left' and 'right'"),
     "labels": (lambda d: with_exchanged_labels(d, "left", "right"), "the labels of 'left' and 'right' exchanged"),
 }
@@ -182,6 +181,13 @@ RIG_MISTAKES: dict[str, tuple[Callable[[Dataset], Dataset], str]] = {
 def test_two_cameras_by_another_convention(mistake: str) -> None:
     change, named = RIG_MISTAKES[mistake]
     assert named in first_reason(change(systems.stereo(14, seed=1, pixel_noise=0.1).dataset()))
+
+
+def test_all_views_of_one_of_two_cameras_are_turned_back() -> None:
+    wrong = with_turned(systems.stereo(14, seed=1, pixel_noise=0.1).dataset(), "board", "right")
+    found = diagnose(calibrate(wrong, ROUGH), wrong, ROUGH, Limits(translation_mm=5.0))
+    assert [each.kind for each in found if each.severity != "note"] == ["turned-board"]
+    assert "14 of 14 views of 'board'" in found[0].text
 
 
 def test_mirrored_points_of_a_lidar() -> None:
