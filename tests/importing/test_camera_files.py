@@ -20,7 +20,7 @@ from calibration.exports.calibrated import calibrated
 from calibration.exports.cameras import kalibr_camchain
 from calibration.exports.formats import FILES
 from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import MODELS, Distortion, DoubleSphere, Equidistant, Eucm, Omni, PlumbBob
+from calibration.geometry.lenses import MODELS, SYNONYMS, Distortion, DoubleSphere, Equidistant, Eucm, Omni, PlumbBob
 from calibration.geometry.transforms import apply, inverse
 from calibration.importing.camera_files import read_lens
 from tests.estimation.systems import covering
@@ -277,8 +277,6 @@ def anipose(fisheye: str) -> str:
         ("cam.json", json.dumps(PLEX), "equidistant"),
         ("cam.yaml", yaml.safe_dump({**SIZED, "camera_model": "fisheye", "D": D4}), "equidistant"),
         ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "fisheye", "D": D4}), "equidistant"),
-        ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "ds", "D": [-0.2, 0.59]}), "double_sphere"),
-        ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "mei", "D": [1.5, -0.1, 0.0, 0.0, 0.0]}), "omni"),
         ("cam.yml", yaml.safe_dump({**SIZED, "fisheye_model": 1, "D": D4}), "equidistant"),
         ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "plumb_bob", "D": [*D4, *[0.0] * 9]}), "plumb_bob"),
     ],
@@ -291,6 +289,15 @@ def test_a_camera_of_another_tool(tmp_path: Path, name: str, text: str, model: s
     assert isinstance(lens.camera.distortion, MODELS[model])
     fy = 500.0 if "components" in text else 501.0
     assert lens.camera.intrinsics[:8].tolist() == [500.0, fy, 320.0, 240.0, *D4]
+
+
+@pytest.mark.parametrize(("word", "D"), [("ds", [-0.2, 0.59]), ("mei", [1.5, -0.1, 0.0, 0.0, 0.0])])
+def test_a_wide_lens_by_the_names_of_others(tmp_path: Path, word: str, D: list[float]) -> None:
+    (tmp_path / "cam.yaml").write_text(yaml.safe_dump({**SIZED, "distortion_model": word, "D": D}))
+    (tmp_path / "unnamed.yaml").write_text(yaml.safe_dump({**SIZED, "D": D}))
+    for lens in (read_lens(tmp_path / "cam.yaml"), read_lens(tmp_path / "unnamed.yaml", model=word)):
+        assert isinstance(lens.camera.distortion, MODELS[SYNONYMS[word]])
+        assert lens.camera.distortion.coefficients.tolist() == D
 
 
 def test_a_camera_of_visp_and_of_numpy(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from calibration.geometry.cameras import Camera
+from calibration.geometry.lenses.charts import IN_FRONT
 from calibration.geometry.types import Array, IntArray
 from calibration.simulation.rendering.facets import Bounds
 
@@ -93,8 +94,9 @@ def sample_rays(camera: Camera, rows: IntArray, columns: IntArray) -> Array:
 
 
 def _rays(camera: Camera, u: Array, v: Array) -> Array:
-    found = np.moveaxis(camera.rays(np.stack([u, v], -1)), -1, 0)
-    return np.asarray(found / np.where(found[2] > 0, found[2], 1.0))
+    chart = camera.distortion.chart
+    found = chart.rays(*camera.from_pixels(u, v))
+    return found if chart is IN_FRONT else np.asarray(found / np.where(found[2] > 0, found[2], 1.0))
 
 
 def rounded(T: Array) -> Array:
