@@ -53,7 +53,7 @@ SHARED = frozenset(
         *(
             key.replace("-", "_")
             for key in (*option_keys(System), *OF_SOFTWARE)
-            if key not in ("start", "compare", "datasets")
+            if key not in ("start", "compare", "datasets", "undecided")
         ),
         *("dataset", "config", "systems", "rules", "jobs"),
         *("registry_username", "registry_password", "backend", "aws_batch", "run", "resume"),

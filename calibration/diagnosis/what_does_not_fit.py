@@ -24,6 +24,7 @@ GROSS: Mapping[str, tuple[float, str]] = {
     "principal point": (15.0, "camera"),
     "radial distortion": (0.01, "camera"),
     "size": (0.01, "board"),
+    "scale of poses": (0.01, "board"),
     "lengths": (0.01, "arm"),
     "encoder gain": (0.02, "arm"),
 }
@@ -56,7 +57,8 @@ ADVICE: Mapping[str, str] = {
     "encoder offset": "look at this joint's zero, or calibrate its position_bias",
     "encoder gain": "look at this joint's unit and gear ratio",
     "backlash": "approach every pose from the same side",
-    "scale of poses": "are they in metres? Where a camera alone gave them, their scale is unknown: scale: free",
+    "scale of poses": "measure the pattern by which the camera measured them, and calibrate the camera's intrinsics; "
+    "or let the arm tell the scale: scale: free",
     LAG: "look at time stamps; stop the robot for each collection, or calibrate it: lag: free",
     PLACE: "something was knocked; collect anew, or calibrate the collections before and after apart",
 }

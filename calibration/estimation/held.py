@@ -36,6 +36,8 @@ ARM_ACCURACY = 6.0
 accuracy of a good industrial arm (1 mm at most). It differs from pose to pose, as an error of one link would not."""
 SCALE = "scale of poses"
 """Kind of the factor by which all measured translations are too long."""
+SCALE_OF_POSES = 0.001
+"""Standard deviation of that factor: of the focal length and the printed size by which a camera measured the poses."""
 LAG = "lag"
 """Kind of a sensor's time offset."""
 PLACE = "place"
@@ -151,7 +153,16 @@ def causes(
         for cause in _of_sensor(each, assume, free.get(name, ()), lenses.get(name))
     ]
     found += [
-        Cause(SCALE, name, "1", (0.0,), ({(name, "scale"): 1.0},), counts=False, tested=not free_scale, free=free_scale)
+        Cause(
+            SCALE,
+            name,
+            "1",
+            (SCALE_OF_POSES if assume.pattern_size > 0 else 0.0,),
+            ({(name, "scale"): 1.0},),
+            counts=False,
+            tested=not free_scale,
+            free=free_scale,
+        )
         for name, each in seen.items()
         if each.names.poses
     ]
@@ -166,6 +177,8 @@ def causes(
         T = dataset.transforms[edge]
         if edge not in dataset.additional_transforms and np.abs(T - T[0]).max() > STILL:
             found += _of_moving_edge(edge, T, assume)
+            if joint_axis(T) is None and all(each.names.poses for each in groups):
+                found.append(_of_whole_arm(edge, assume))
     return found
 
 
@@ -255,6 +268,16 @@ def _of_moving_edge(edge: Edge, T: Array, assume: Assumptions) -> Iterator[Cause
     yield Cause("encoder offset", name, unit, (one,), _on_views(edge, constant), counts=False)
     yield Cause("encoder gain", name, "1", (0.0,), _on_views(edge, constant * position[:, None, None]))
     yield Cause("backlash", name, unit, (one,), _on_views(edge, constant * back[:, None, None]), counts=False)
+
+
+def _of_whole_arm(edge: Edge, assume: Assumptions) -> Cause:
+    """Return the error that all poses of an arm share, where one transform stands for all of its links.
+
+    It leaves no residual: the calibrated transforms take it up. With that of the link it makes `ARM_ACCURACY`.
+    """
+    beyond = float(np.sqrt(ARM_ACCURACY**2 - 1))
+    sigma = (beyond * assume.arm_translation,) * 3 + (beyond * assume.arm_rotation,) * 3
+    return Cause("accuracy", "-".join(edge), "m", sigma, lambda group: group.twist(edge), tested=False)
 
 
 def _on_views(edge: Edge, twists: Array) -> Twists:

@@ -1,5 +1,6 @@
 """Pairs of poses, without images, become a verdict."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -226,6 +227,20 @@ def test_an_unknown_scale_is_named(tmp_path: Path, factor: float) -> None:
     said = said_of(scaled(imported(tmp_path / "it", True), factor))
     assert "scale: free" in said
     assert "nothing suspicious" in said_of(imported(tmp_path / "metric", True))
+
+
+@pytest.mark.parametrize(("factor", "red"), [(1.002, False), (1.02, True)])
+def test_poses_as_long_as_a_board_and_a_lens_err_are_no_suspects(tmp_path: Path, factor: float, red: bool) -> None:
+    found = what_does_not_fit(calibrate(scaled(imported(tmp_path / "it", True), factor), ROUGH), Limits())
+    assert any(each.severity == "red" and "scale of poses" in each.text for each in found) == red
+
+
+def test_poses_of_a_whole_arm_leave_the_transform_as_uncertain_as_arms_err(tmp_path: Path) -> None:
+    """An error that all poses share leaves no residual: 0.3 mm along each axis, whatever the number of collections."""
+    found = calibrate(imported(tmp_path / "it", True, noise=1e-6), ROUGH)
+    assert found.sigma_mm(("tool0", FRAME)) >= 0.3 * 3**0.5
+    exact = calibrate(imported(tmp_path / "same", True, noise=1e-6), replace(ROUGH, assume=EXACT))
+    assert exact.sigma_mm(("tool0", FRAME)) < 0.01
 
 
 def test_poses_that_only_turn_do_not_determine_their_scale(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """Hypotheses on what sensors saw: when, with which lens, mirrored, by whose labels, from which end of a board."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -18,6 +18,7 @@ from calibration.diagnosis.conventions.changed import (
 from calibration.diagnosis.conventions.hypothesis import Hypothesis
 from calibration.diagnosis.conventions.recording import Recording
 from calibration.estimation.turned_boards import LOOKS_THE_SAME, with_turned
+from calibration.geometry.cameras import Camera
 from calibration.geometry.lenses import PlumbBob
 
 LATER = (1, -1, 2, -2)
@@ -65,39 +66,51 @@ def exchanged(recording: Recording) -> Iterator[Hypothesis]:
 
 
 def lenses(recording: Recording) -> Iterator[Hypothesis]:
+    """Yield other intrinsics of each camera, and of all of them, as one driver or one file may be wrong for all."""
+    found = {name: recording.dataset.sensors[name].camera for name in recording.cameras[:MOST_SENSORS]}
+    cameras = {name: camera for name, camera in found.items() if camera is not None}
+    yield from (each for name, camera in cameras.items() for each in _other_lenses(recording, {name: camera}))
+    if len(cameras) > 1:
+        yield from _other_lenses(recording, cameras)
+
+
+def _other_lenses(recording: Recording, cameras: Mapping[str, Camera]) -> Iterator[Hypothesis]:
     """Yield intrinsics of another resolution, coefficients in another order, images that are rectified already."""
-    dataset = recording.dataset
-    for name in recording.cameras[:MOST_SENSORS]:
-        camera = dataset.sensors[name].camera
-        if camera is None:
-            continue
-        for by in RESOLUTIONS:
-            fx, fy, cx, cy = (by * each for each in (camera.fx, camera.fy, camera.cx, camera.cy))
-            scaled = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy)
-            yield Hypothesis(
-                f"the camera_info of '{name}' for images {by:.3g} times as large",
-                "take the intrinsics of the resolution that was recorded",
-                partial(dataset.with_cameras, {name: scaled}),
-                (name,),
-            )
-        if camera.distortion == type(camera.distortion)():
-            continue
-        if isinstance(camera.distortion, PlumbBob):
-            k1, k2, k3, p1, p2 = camera.distortion.coefficients.tolist()
-            order = replace(camera, distortion=PlumbBob(k1, k2, p1, p2, k3))
-            yield Hypothesis(
-                f"the distortion of '{name}' as k1, k2, k3, p1, p2",
-                "write the coefficients in camera_info's order, k1, k2, p1, p2, k3",
-                partial(dataset.with_cameras, {name: order}),
-                (name,),
-            )
-        none = replace(camera, distortion=type(camera.distortion)())
-        yield Hypothesis(
-            f"no distortion of '{name}'",
-            "its images are rectified: give the intrinsics of rectified images (K from P, D zero), or the raw images",
-            partial(dataset.with_cameras, {name: none}),
-            (name,),
+    of = " and ".join(f"'{name}'" for name in cameras)
+
+    def hypothesis(name: str, remedy: str, changed: Mapping[str, Camera]) -> Hypothesis:
+        return Hypothesis(name, remedy, partial(recording.dataset.with_cameras, changed), tuple(cameras))
+
+    for by in RESOLUTIONS:
+        yield hypothesis(
+            f"the camera_info of {of} for images {by:.3g} times as large",
+            "take the intrinsics of the resolution that was recorded",
+            {name: _resized(camera, by) for name, camera in cameras.items()},
         )
+    undistorted = {name: replace(camera, distortion=type(camera.distortion)()) for name, camera in cameras.items()}
+    if undistorted == cameras:
+        return
+    if all(isinstance(camera.distortion, PlumbBob) for camera in cameras.values()):
+        yield hypothesis(
+            f"the distortion of {of} as k1, k2, k3, p1, p2",
+            "write the coefficients in camera_info's order, k1, k2, p1, p2, k3",
+            {name: _with_radial_first(camera) for name, camera in cameras.items()},
+        )
+    yield hypothesis(
+        f"no distortion of {of}",
+        "its images are rectified: give the intrinsics of rectified images (K from P, D zero), or the raw images",
+        undistorted,
+    )
+
+
+def _resized(camera: Camera, by: float) -> Camera:
+    return replace(camera, fx=by * camera.fx, fy=by * camera.fy, cx=by * camera.cx, cy=by * camera.cy)
+
+
+def _with_radial_first(camera: Camera) -> Camera:
+    """Return the camera with its five coefficients read as k1, k2, k3, p1, p2."""
+    k1, k2, k3, p1, p2 = camera.distortion.coefficients.tolist()
+    return replace(camera, distortion=PlumbBob(k1, k2, p1, p2, k3))
 
 
 def turned_boards(recording: Recording) -> Iterator[Hypothesis]:

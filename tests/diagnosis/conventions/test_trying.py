@@ -26,9 +26,11 @@ from calibration.estimation.calibrate import calibrate
 from calibration.estimation.options import Options
 from calibration.estimation.turned_boards import with_turned
 from calibration.geometry import rotations
+from calibration.geometry.lenses import PlumbBob
 from calibration.geometry.transforms import inverse, transform
 from calibration.geometry.types import Array
 from tests.estimation import systems
+from tests.estimation.scenes import PINHOLE, camera
 
 EDGES = {"eye_to_hand": ("base", "flange"), "eye_in_hand": ("world", "flange")}
 ROUGH = replace(Options(), description="rough")
@@ -188,6 +190,16 @@ def test_all_views_of_one_of_two_cameras_are_turned_back() -> None:
     found = diagnose(calibrate(wrong, ROUGH), wrong, ROUGH, Limits(translation_mm=5.0))
     assert [each.kind for each in found if each.severity != "note"] == ["turned-board"]
     assert "14 of 14 views of 'board'" in found[0].text
+
+
+def test_coefficients_of_both_cameras_in_another_order() -> None:
+    k1, k2, p1, p2, k3 = -0.3, 0.1, 0.0004, -0.0003, -0.015
+    lens = replace(PINHOLE, distortion=PlumbBob(k1, k2, p1, p2, k3))
+    read = replace(lens, distortion=PlumbBob(k1, k2, k3, p1, p2))
+    cameras = [camera(name, model=lens) for name in ("left", "right")]
+    dataset = systems.stereo(14, seed=1, pixel_noise=0.1, sensors=cameras).dataset()
+    [found] = conventions(None, dataset.with_cameras({"left": read, "right": read}), ROUGH)
+    assert "the distortion of 'left' and 'right' as k1, k2, k3, p1, p2" in found.text
 
 
 def test_mirrored_points_of_a_lidar() -> None:
