@@ -6,6 +6,8 @@ from calibration.geometry.types import Array
 
 FIRST = 3
 """Number of collections whose rotation is taken for known when branches are chosen."""
+MOST_COMPARED = 60
+"""Limit of the number of collections that each is compared with, spread over all of them."""
 ROUNDS = 4
 """Number of rounds in which the branches are chosen again."""
 
@@ -30,14 +32,16 @@ def rotations_that_agree(branches: Array, measured: Array) -> tuple[Array, float
     first = [each for each in range(min(FIRST, N) * b) if there.flat[each]]
     known = np.abs((flat @ flat[first].T).reshape(N, b, -1) - wanted[:, None, [each // b for each in first]])
     chosen = np.where(there[..., None], known, np.inf).argmin(1)  # (N, starts)
-    every = np.arange(N)[:, None]
+    some = np.unique(np.linspace(0, N - 1, min(N, MOST_COMPARED)).round().astype(int))
+    every = some[:, None]
     for _ in range(ROUNDS if b > 1 else 0):
-        now = flat.reshape(N, b, 9)[every, chosen]  # (N, starts, 9)
-        off = np.abs((flat @ now.reshape(-1, 9).T).reshape(N, b, N, -1).swapaxes(2, 3) - wanted[:, None, None])
+        now = flat.reshape(N, b, 9)[every, chosen[some]]  # (some, starts, 9)
+        off = (flat @ now.reshape(-1, 9).T).reshape(N, b, len(some), -1).swapaxes(2, 3)
+        off = np.abs(off - wanted[:, None, None, some])
         chosen = np.where(there[..., None], off.mean(-1), np.inf).argmin(1)
-    now = flat.reshape(N, b, 9)[every, chosen]
-    pairs = np.triu_indices(N, 1)
-    apart = np.median(np.abs(now.swapaxes(0, 1) @ now.transpose(1, 2, 0) - wanted)[:, *pairs], axis=-1)
+    now = flat.reshape(N, b, 9)[every, chosen[some]]
+    pairs = np.triu_indices(len(some), 1)
+    apart = np.median(np.abs(now.swapaxes(0, 1) @ now.transpose(1, 2, 0) - wanted[np.ix_(some, some)])[:, *pairs], -1)
     best = int(apart.argmin())
     return branches[np.arange(N), chosen[:, best]], float(apart[best])
 
