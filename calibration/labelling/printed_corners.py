@@ -12,8 +12,6 @@ QUICK_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 1e-4)
 """Termination of OpenCV's refinement: iterations, and step in pixels."""
 STEPS, STOP = 40, 1e-7
 """Termination of the refinement here: iterations after which it has failed, and step (px) at which it has converged."""
-FARTHEST_MOVE = 10.0
-"""Limit of an accelerated move, in plain steps."""
 FLAT = 1e-4
 """Corners need gradients in several directions: minimum determinant of their moments over the squared trace."""
 PATCH = 0.35
@@ -73,7 +71,6 @@ def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
     height, width = image.shape
     corners, found = _nearly(image, start, half), np.zeros(len(start), bool)
     cells, moments = np.full((len(start), 2), -1), np.zeros((len(start), 5, 16))
-    steps, moves = np.zeros((2, len(start), 2))
     active = np.arange(len(start))
     for _ in range(STEPS):
         at = corners[active]
@@ -93,34 +90,13 @@ def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
         safe = np.where(regular, det, 1.0)
         step = np.stack([c * u - b * v, a * v - b * u], -1) / safe[:, None]
         active, step = active[regular], step[regular]
-        moves[active] = _accelerated(step, steps[active], moves[active])
-        steps[active] = step
-        corners[active] += moves[active]
+        corners[active] += step
         ended = np.abs(step).max(axis=-1) < STOP
         found[active[ended]] = True
         active = active[~ended]
         if not len(active):
             break
     return corners, found
-
-
-def _accelerated(step: Array, before: Array, move: Array) -> Array:
-    """Return the moves (K, 2) of a fixed-point iteration that converges in a third of the plain one's steps.
-
-    D. G. Anderson, "Iterative procedures for nonlinear integral equations", 1965, with one earlier step; where that
-    would move a corner by more than `FARTHEST_MOVE` of its steps, the plain step.
-
-    Args:
-        step: (K, 2), the plain steps.
-        before: (K, 2), those before; 0 at first.
-        move: (K, 2), the moves before; 0 at first.
-    """
-    change = step - before
-    gain = (change * step).sum(-1) / np.maximum((change**2).sum(-1), 1e-300)
-    moved: Array = step - gain[:, None] * (move + change)
-    first = ~before.any(axis=-1)
-    far = (moved**2).sum(-1) > FARTHEST_MOVE**2 * (step**2).sum(-1)
-    return np.where((first | far)[:, None], step, moved)
 
 
 def _moments(image: Image, whole: IntArray, half: int) -> Array:
