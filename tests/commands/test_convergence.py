@@ -161,7 +161,7 @@ def test_the_shared_options_are_those_of_calibrate_matrix() -> None:
     mine = {option.name: option for option in command.params}
     assert set(theirs) >= SHARED
     assert all(mine[name] is theirs[name] for name in SHARED)
-    assert set(theirs) - set(mine) == {"compare", "fail_fast", "datasets"}
+    assert set(theirs) - set(mine) == {"compare", "fail_fast", "datasets", "undecided"}
 
 
 def test_levels_are_sorted_each_once_and_begin_with_0() -> None:
