@@ -1,6 +1,6 @@
 """Boards as they are printed: the first id, inverted colours, mirrored backs, a spacing that the images do not show."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -108,21 +108,19 @@ def test_boards_that_share_ids_are_refused() -> None:
     check_told_apart({**boards, "other": replace(BOARD, name="other", first_marker=27)})
 
 
-def grid_views(camera: Camera, described: PatternConfiguration) -> list[View]:
+def grid_views(images: Sequence[Image], described: PatternConfiguration) -> list[View]:
     detectors = {"grid": corner_detector(described)}
-    return [
-        view_of_image(Photograph(camera).of(GRID, facing(GRID, 0.9, 0.12 * i, i)), f"{i}.png", detectors)
-        for i in range(4)
-    ]
+    return [view_of_image(image, f"{i}.png", detectors) for i, image in enumerate(images)]
 
 
 @pytest.mark.parametrize("camera", [VGA, FISHEYE], ids=["pinhole", "fisheye"])
 def test_a_spacing_that_the_images_do_not_show_is_refused_with_the_value(camera: Camera) -> None:
-    check_spacing("camera", GRID, grid_views(camera, GRID))
-    for wrong in (0.25, 0.33, 0.4):
+    images = [Photograph(camera).of(GRID, facing(GRID, 0.9, 0.12 * i, i)) for i in range(3)]
+    check_spacing("camera", GRID, grid_views(images, GRID))
+    for wrong in (0.25, 0.4):
         described = replace(GRID, spacing=wrong)
         with pytest.raises(InputError, match=rf"spacing of {wrong:g}, the images show 0\.(29|30)"):
-            check_spacing("camera", described, grid_views(camera, described))
+            check_spacing("camera", described, grid_views(images, described))
 
 
 def test_keys_of_the_print_reach_the_dataset(stereo: Path, tmp_path: Path) -> None:

