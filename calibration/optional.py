@@ -5,7 +5,11 @@ from typing import Any
 
 from calibration.errors import InfrastructureError
 
-PACKAGES = {"cv2": ("OpenCV", "opencv-python-headless"), "rosbags": ("rosbags", "'calibration-ci[bags]'")}
+PACKAGES = {
+    "av": ("PyAV", "av"),
+    "cv2": ("OpenCV", "opencv-python-headless"),
+    "rosbags": ("rosbags", "'calibration-ci[bags]'"),
+}
 """Name of a package, and what pip installs, where they differ from its module."""
 
 

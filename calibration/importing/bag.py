@@ -38,9 +38,15 @@ MAX_METADATA_BYTES = 1 << 22
 _WHOLE_FILES = re.compile(rb"^[ '\"]*compression_mode['\"]?\s*:\s*['\"]?file\b", re.IGNORECASE | re.MULTILINE)
 _SQLITE_LIMIT_LENGTH = 0
 """SQLite's number of the limit of a value's length (https://www.sqlite.org/c3ref/c_limit_attached.html)."""
-MORE_TYPES = dict.fromkeys(
-    ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), "geometry_msgs/TransformStamped[] transforms"
-)
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+FOXGLOVE_VIDEO = "foxglove_msgs/msg/CompressedVideo"
+VIDEO_TYPES = {
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": "std_msgs/Header header\nint32 width\nint32 height\n"
+    "string encoding\nuint64 pts\nuint8 flags\nbool is_bigendian\nuint8[] data",
+    FOXGLOVE_VIDEO: "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format",
+}
+"""Definitions of messages that hold a packet of a video; Foxglove's has no header, but begins with a stamp."""
+MORE_TYPES = dict.fromkeys(TF, "geometry_msgs/TransformStamped[] transforms") | VIDEO_TYPES
 """Definitions of messages that the library lacks for some versions of ROS."""
 
 
@@ -142,7 +148,8 @@ class Bag:
         """
         try:
             if self._ros == 1:
-                _, seconds, rest = struct.unpack_from("<III", message.data)
+                begin = 0 if self.topics[message.topic] == FOXGLOVE_VIDEO else 4  # no number before it
+                seconds, rest = struct.unpack_from("<II", message.data, begin)
             else:
                 order = "<" if message.data[1] & 1 else ">"
                 seconds, rest = struct.unpack_from(f"{order}iI", message.data, 4)

@@ -58,6 +58,7 @@ from calibration.importing.samples import Sample, read_samples, same_numbers
 from calibration.importing.stillness import BagMoment
 from calibration.importing.survey import survey
 from calibration.importing.target_files import pattern_configuration
+from calibration.importing.video_packets import ImageReader
 from calibration.importing.videos import extracted_frames, frame_tasks, frames_by_camera, survey_videos
 from calibration.labelling.corner_detector import corner_detector
 from calibration.labelling.detection import NotDetected
@@ -314,7 +315,7 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
     def finish(seen: Sequence[SeenImages], folder: Path, jobs: int | None) -> Recorded:
         images = images_by_camera(found, seen)
         for name, own in images.items():
-            at = partial(image_at, bag, found.cameras[name].topic)
+            at = partial(image_at, bag, found.cameras[name].topic, reader=ImageReader(bag, found.key_frames))
             views, recorded = [image.view for image in own], [image.recorded for image in own]
             check_seen(name, patterns, views, lambda i, at=at, recorded=recorded: at(recorded[i]))  # type: ignore[misc]
 

@@ -67,7 +67,8 @@ _TWO_BYTES = frozenset(name for name in _COLOURS if name.endswith("16") or name 
 VIDEO_CODECS = ("h264", "h265", "hevc", "av1", "vp9")
 """What the format of a CompressedImage says where its data are a frame of a video."""
 NO_VIDEO = "record Image or CompressedImage (JPEG or PNG), or convert it by ros2 run image_transport republish"
-"""What to do where a bag has video."""
+"""What to do where a bag has video that cannot be decoded."""
+INSTALL_PYAV = f"{NO_VIDEO}; or, for h264 and h265, install PyAV (pip install av)"
 _HALF_PLANES = frozenset({"nv12", "nv21"})
 """Encodings with half as many rows of colours below those of the brightness."""
 
@@ -82,7 +83,7 @@ def image_of(message: Any, where: str) -> Image:
     """
     if not hasattr(message, "encoding"):
         if any(codec in str(message.format).lower() for codec in VIDEO_CODECS):
-            raise InputError(f"{where}: found a frame of a video, {message.format}, expected an image: {NO_VIDEO}")
+            raise InputError(f"{where}: found a frame of a video, {message.format}, expected an image: {INSTALL_PYAV}")
         return decoded_image(bytes(message.data), f"{where} ({message.format})")
     encoding, height, width = message.encoding, message.height, message.width
     if encoding not in _COLOURS:
@@ -247,6 +248,11 @@ def camera_of(message: Any, where: str) -> CameraMessage | None:
     camera = read_camera(Node(Path(where), (), info))
     check_principal_point(camera, where)
     return CameraMessage(camera, tuple(R), tuple(P))
+
+
+def frame_of(message: Any) -> str:
+    """Return the frame of the data of a message, without a leading slash; Foxglove's have no header around it."""
+    return str(getattr(message, "header", message).frame_id).lstrip("/")
 
 
 def transform_of(message: Any) -> tuple[Edge, Array | None]:

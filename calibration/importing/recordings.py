@@ -21,13 +21,13 @@ from calibration.importing.bag import SECOND, Bag, RawMessage
 from calibration.importing.contact_sheet import thumbnail, thumbnail_of
 from calibration.importing.description import Bags, ImportDescription, SensorDescription, Videos
 from calibration.importing.image_views import LabelledMoment, View, view_of_image
-from calibration.importing.messages import image_of
 from calibration.importing.motion_log import MotionLog
 from calibration.importing.png import encoded
 from calibration.importing.range_views import RANGE_MODALITIES, RangeView
 from calibration.importing.results import RejectedView
 from calibration.importing.stillness import BagImage, BagMoment, evenly, moments_at, still_moments
 from calibration.importing.survey import SensorTopic, Survey
+from calibration.importing.video_packets import ImageReader
 from calibration.labelling.detection import CornerDetector, DepthImage, Image
 from calibration.records import field, read, result
 
@@ -66,13 +66,14 @@ def detection_tasks(bag: Bag, found: Survey, detectors: Mapping[str, CornerDetec
     times = sorted({recorded for camera in found.cameras.values() for recorded in camera.stamps})
     bounds = [*times[::AT_ONCE], times[-1] + 1]
     topics = {camera.topic: name for name, camera in found.cameras.items()}
+    reader = ImageReader(bag, found.key_frames)
 
     def detect(start: int, stop: int) -> SeenImages:
         images: dict[tuple[str, int], SeenImage] = {}
-        for message in bag.messages(topics, start, stop):
+        for message, image in reader.images(topics, start, stop):
             key = name, recorded = topics[message.topic], message.recorded
             if recorded in found.cameras[name].stamps and key not in images:
-                view = view_of_image(_image(bag, message), _where(bag, message), detectors)
+                view = view_of_image(image(), _where(bag, message), detectors)
                 images[key] = SeenImage(name, recorded, view)
         return SeenImages(tuple(images.values()))
 
@@ -81,10 +82,6 @@ def detection_tasks(bag: Bag, found: Survey, detectors: Mapping[str, CornerDetec
 
 def _where(bag: Bag, message: RawMessage) -> str:
     return f"{bag.path}: {message.topic} at {bag.stamp(message) / SECOND:.3f}"
-
-
-def _image(bag: Bag, message: RawMessage) -> Image:
-    return image_of(bag.decode(message), _where(bag, message))
 
 
 def images_by_camera(found: Survey, seen: Sequence[SeenImages]) -> dict[str, list[BagImage]]:
@@ -189,6 +186,7 @@ def extracted_images(
         InputError: the bag is damaged.
         InfrastructureError: a file cannot be written, or a process died.
     """
+    reader = ImageReader(bag, found.key_frames)
 
     def extract(some: Sequence[BagMoment]) -> list[LabelledMoment]:
         labelled = []
@@ -197,7 +195,7 @@ def extracted_images(
             for name, image in moment.images.items():
                 path = folder / f"{name.replace('/', '_')}_{image.recorded}.png"
                 if not path.exists():
-                    _extract(bag, found.cameras[name], image, path)
+                    _extract(image_at(bag, found.cameras[name].topic, image.recorded, reader), path)
                 views[name] = replace(image.view, file=str(path))
             labelled.append(LabelledMoment(views))
         return labelled
@@ -235,19 +233,18 @@ def _range_view(bag: Bag, name: str, lidar: SensorTopic, recorded: int, folder: 
     raise InputError(f"{bag.path}: {lidar.topic}: the message at {recorded / SECOND:.3f} is gone")
 
 
-def image_at(bag: Bag, topic: str, recorded: int) -> Image:
+def image_at(bag: Bag, topic: str, recorded: int, reader: ImageReader) -> Image:
     """Return an image of a bag by its recording time, ns.
 
     Raises:
         InputError: the bag is damaged.
     """
-    for message in bag.messages({topic}, recorded, recorded + 1):
-        return _image(bag, message)
+    if images := [image for _, image in reader.images({topic}, recorded, recorded + 1)]:
+        return images[0]()
     raise InputError(f"{bag.path}: {topic}: the image at {recorded / SECOND:.3f} is gone")
 
 
-def _extract(bag: Bag, camera: SensorTopic, chosen: BagImage, path: Path) -> None:
-    image = image_at(bag, camera.topic, chosen.recorded)
+def _extract(image: Image, path: Path) -> None:
     write_atomically(thumbnail_of(path), encoded(thumbnail(image)))
     _write_png(image, path)
 

@@ -9,26 +9,27 @@ import numpy as np
 from calibration.dataset.modalities import DEPTH, MODALITIES, RGB, Modality
 from calibration.errors import InputError
 from calibration.geometry.cameras import Camera
-from calibration.importing.bag import MORE_TYPES, SECOND, Bag, RawMessage
+from calibration.importing.bag import SECOND, TF, VIDEO_TYPES, Bag, RawMessage
 from calibration.importing.description import ImportDescription, SensorDescription
 from calibration.importing.left_out import LeftOutCounts
-from calibration.importing.messages import NO_VIDEO, transform_of
+from calibration.importing.messages import INSTALL_PYAV, frame_of, transform_of
 from calibration.importing.motion_log import MotionLog, frames_of
 from calibration.importing.recorded_lens import RecordedLens, is_rectified
+from calibration.importing.video_packets import NO_KEY_FRAME, KeyFrames, is_pyav_installed
 from calibration.robot_description import read_robot_description
 
 _SENSOR = "sensor_msgs/msg/"
-IMAGES = (f"{_SENSOR}Image", f"{_SENSOR}CompressedImage")
+IMAGES = (f"{_SENSOR}Image", f"{_SENSOR}CompressedImage", *VIDEO_TYPES)
 MODALITY_OF_MESSAGE = dict.fromkeys(IMAGES, RGB) | {
     f"{_SENSOR}{each.message}": each for each in MODALITIES.values() if each.points and each.message != RGB.message
 }
 """Modalities by the types of the messages; images may be a depth camera's."""
 INFO, JOINTS = f"{_SENSOR}CameraInfo", f"{_SENSOR}JointState"
-TF, TEXT = tuple(MORE_TYPES), "std_msgs/msg/String"
+TEXT = "std_msgs/msg/String"
 OTHER_MESSAGES = {
     "CustomMsg": ": record sensor_msgs/PointCloud2, which Livox's driver publishes with xfer_format 0",
-    "FFMPEGPacket": f": {NO_VIDEO}",
-    "CompressedVideo": f": {NO_VIDEO}",
+    "FFMPEGPacket": f": {INSTALL_PYAV}",
+    "CompressedVideo": f": {INSTALL_PYAV}",
 }
 """What to record in place of messages that are not read, by a part of their type."""
 MAX_STEP_BACK = 0.1
@@ -37,6 +38,7 @@ NOT_LATER = "its stamp is not later than that of the message before"
 SAME_TIME = "it was recorded at the time of another message"
 NO_POSE = "no pose: a number that is not finite, or a quaternion that is not one"
 NO_POSITION = "no position: a number that is not finite"
+NO_KEY_FRAME_YET = "packet of a video before the first key frame"
 RECTIFIED_TWIN = "topic of rectified images beside the raw ones"
 
 
@@ -61,6 +63,8 @@ class Survey:
 
     sensors: Mapping[str, SensorTopic]
     log: MotionLog
+    key_frames: Mapping[str, Sequence[int]]
+    """Recording times of the key frames of each topic with video, ns."""
 
     @property
     def cameras(self) -> Mapping[str, SensorTopic]:
@@ -92,6 +96,7 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
     first: dict[str, RawMessage] = {}
     lenses = {topic: RecordedLens(topic) for topic in infos.values() if topic is not None}
     stamps: dict[str, dict[int, int]] = {sensor.name: {} for sensor in sensors}
+    key_frames = KeyFrames(bag)
     log, texts = MotionLog(), [topic for topic in bag.of_type(TEXT) if topic.endswith("robot_description")]
     for topic in () if described.sensors else _rectified_twins(bag):
         log.left_out.add(RECTIFIED_TWIN, topic)
@@ -99,7 +104,10 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
     for message in bag.messages({*of_topic, *lenses, *others}):
         if (described_sensor := of_topic.get(message.topic)) is not None:
             first.setdefault(message.topic, message)
-            _add_stamp(bag, message, described_sensor, stamps[described_sensor.name], log.left_out)
+            if key_frames.add(message):
+                _add_stamp(bag, message, described_sensor, stamps[described_sensor.name], log.left_out)
+            else:
+                log.left_out.add(NO_KEY_FRAME_YET, described_sensor.name, bag.stamp(message))
         elif message.topic in others:
             add_motion(bag, message, log)
         else:
@@ -111,7 +119,9 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
         topic, info = sensor.topic or "", infos.get(sensor.name)
         if topic not in first:
             raise InputError(f"{bag.path}: {topic}: found no message, expected the data of '{sensor.name}'")
-        frame = sensor.frame or str(bag.decode(first[topic]).header.frame_id).lstrip("/") or sensor.link
+        if not stamps[sensor.name]:
+            raise InputError(f"{bag.path}: {topic}: {NO_KEY_FRAME}")
+        frame = sensor.frame or frame_of(bag.decode(first[topic])) or sensor.link
         camera = None if info is None else lenses[info].camera(is_rectified(topic))
         kind = kinds[sensor.name]
         if kind.points and kind.has_intrinsics and sensor.intrinsics is None and camera is None:
@@ -121,7 +131,7 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
             )
         topics[sensor.name] = SensorTopic(sensor, topic, kind, frame, stamps[sensor.name], camera)
     _check_overlap(bag, list(topics.values()))
-    return Survey(topics, log)
+    return Survey(topics, log, key_frames.recorded)
 
 
 def _found(bag: Bag) -> tuple[SensorDescription, ...]:
@@ -151,9 +161,20 @@ def cameras_of(bag: Bag) -> tuple[SensorDescription, ...]:
 
 
 def image_topics(bag: Bag) -> list[str]:
-    """Return every topic of images; of raw and compressed ones of the same images, the raw one."""
+    """Return every topic of images; of raw, compressed ones and video of the same images, the first of these."""
     raw, compressed = bag.of_type(IMAGES[0]), bag.of_type(IMAGES[1])
-    return [*raw, *(topic for topic in compressed if str(PurePosixPath(topic).parent) not in raw)]
+    videos = bag.of_type(*VIDEO_TYPES) if is_pyav_installed() else []
+    images = {*raw, *(_transported(topic) for topic in compressed)}
+    return [
+        *raw,
+        *(topic for topic in compressed if _transported(topic) not in raw),
+        *(topic for topic in videos if _transported(topic) not in images),
+    ]
+
+
+def _transported(topic: str) -> str:
+    """Return the topic of the raw images, of one of image_transport ("/camera/image_raw/ffmpeg")."""
+    return str(PurePosixPath(topic).parent)
 
 
 def _rectified_twins(bag: Bag) -> list[str]:
@@ -176,7 +197,8 @@ def what_to_record(kind: str | None) -> str:
 
 
 def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
-    known = bag.of_type(*MODALITY_OF_MESSAGE)
+    unread = () if is_pyav_installed() else VIDEO_TYPES
+    known = bag.of_type(*(kind for kind in MODALITY_OF_MESSAGE if kind not in unread))
     if sensor.topic not in known:
         kind = bag.topics.get(sensor.topic or "")
         problem = f"found '{sensor.topic}' as {kind}" if kind else f"found no topic '{sensor.topic}'"

@@ -1,6 +1,7 @@
 """What an import does not need cannot stop it: it is left out, counted, and named."""
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from calibration.estimation.calibrate import Options, calibrate
 from calibration.geometry.cameras import Camera
 from calibration.geometry.rotations import exp
 from calibration.geometry.transforms import distance, transform
+from calibration.importing.bag import VIDEO_TYPES
 from calibration.importing.image_views import decoded_image
 from calibration.importing.importing import import_data
 from calibration.importing.motion_log import MotionLog
@@ -303,18 +305,34 @@ def test_rectified_images_beside_raw_ones_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ffmpeg_image_transport_msgs/msg/FFMPEGPacket", "foxglove_msgs/msg/CompressedVideo"])
-def test_a_video_says_what_to_record(tmp_path: Path, kind: str) -> None:
+def test_a_video_says_what_to_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
     path = file_of(tmp_path, "mcap")
     with BagFile(path, "mcap") as bag:
         bag.types.register(get_types_from_msg("uint32 width", kind))
         bag.write("/camera/ffmpeg", BEGIN, bag.make(kind, width=0))
-    assert "record Image or" in refusal(describe(path))
+    assert "record Image or" in (error := refusal(describe(path)))
+    assert "pip install av" in error
 
 
-def test_frames_of_a_video_in_compressed_images(tmp_path: Path) -> None:
+def test_frames_of_a_video_in_compressed_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
     path = file_of(tmp_path, "mcap")
     with BagFile(path, "mcap") as bag:
         data = np.zeros(9, np.uint8)
         header = bag.header("left", BEGIN)
         bag.write("/left/h264", BEGIN, bag.make(f"{IMAGES[1]}", header=header, format="h264", data=data))
-    assert "found a frame of a video, h264" in refusal(describe(path))
+    assert "found a frame of a video, h264" in (error := refusal(describe(path)))
+    assert "pip install av" in error
+
+
+@pytest.mark.parametrize("topic", ["/left/image_raw/ffmpeg", "/other/image_raw/ffmpeg"])
+def test_a_video_beside_images_cannot_stop_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, topic: str) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    path = one_camera(tmp_path, "/left/image_raw")
+    with BagFile(tmp_path / "more", "mcap") as bag:
+        kind = next(iter(VIDEO_TYPES))
+        bag.types.register(get_types_from_msg("uint32 width", kind))
+        bag.write(topic, BEGIN, bag.make(kind, width=0))
+    config = describe(path, bags={"files": ["more", path.name]})
+    assert list(import_data(config, tmp_path / "out", jobs=1).sensors) == ["left"]

@@ -76,7 +76,7 @@ def _bag(files: Sequence[Path], described: ImportDescription | None) -> _Seen:
     frames = frames_summary(content, [each.parent for each in patterns if each.parent])
     only_intrinsics = described is not None and not any(each.parent or each.fixed for each in patterns)
     images = {
-        each.name: topic_images(files, topic, content.times[topic].recorded)
+        each.name: topic_images(files, topic, content.times[topic].recorded, content.key_frames)
         for each in content.cameras
         if content.types.get(topic := each.topic or "") in IMAGES and content.times[topic].recorded
         if not (is_depth(topic) if each.modality is None else each.modality == "depth")

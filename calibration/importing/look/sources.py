@@ -1,17 +1,17 @@
 """Images of a recording's cameras, whatever they are in."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.errors import InputError
 from calibration.importing.bag import ENDINGS as BAGS
-from calibration.importing.bag import SECOND, open_bag
+from calibration.importing.bag import open_bag
 from calibration.importing.description import VIDEO_ENDINGS, ImportDescription, SensorDescription, is_video
 from calibration.importing.image_views import read_image
-from calibration.importing.messages import image_of
 from calibration.importing.pictures import ENDINGS, find_pictures
 from calibration.importing.samples import read_samples
+from calibration.importing.video_packets import ImageReader
 from calibration.importing.videos import decoded_frames, survey_videos
 from calibration.labelling.detection import Image
 
@@ -33,16 +33,17 @@ class ImageSource:
     """Time of every image, ns, in ascending order; None if they have none."""
 
 
-def topic_images(files: Sequence[Path], topic: str, times: Sequence[int]) -> ImageSource:
-    """Return the images of a topic of a bag, by their recording times, ns."""
+def topic_images(
+    files: Sequence[Path], topic: str, times: Sequence[int], key_frames: Mapping[str, Sequence[int]]
+) -> ImageSource:
+    """Return the images of a topic of a bag, by their recording times, ns, and those of the key frames of videos."""
 
     def images(wanted: Sequence[int]) -> Iterator[Image]:
         with open_bag(files) as bag:
+            reader = ImageReader(bag, key_frames)
             for time in [times[index] for index in wanted]:
-                for message in bag.messages({topic}, time, time + 1):
-                    where = f"{bag.path}: {topic} at {bag.stamp(message) / SECOND:.3f}"
-                    yield image_of(bag.decode(message), where)
-                    break
+                for image in [image for _, image in reader.images({topic}, time, time + 1)][:1]:
+                    yield image()
 
     return ImageSource(topic, len(times), images, times)
 

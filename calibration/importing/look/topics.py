@@ -8,21 +8,22 @@ import numpy as np
 
 from calibration.dataset.model import Edge
 from calibration.errors import InputError
-from calibration.importing.bag import SECOND, Bag, RawMessage
+from calibration.importing.bag import SECOND, TF, Bag, RawMessage
 from calibration.importing.description import ImportDescription, SensorDescription
 from calibration.importing.look.results import FramesSummary, TopicSummary
 from calibration.importing.look.sources import MAX_CAMERAS
+from calibration.importing.messages import frame_of
 from calibration.importing.motion_log import STILL_M, STILL_RAD, MotionLog
 from calibration.importing.recorded_lens import RecordedLens, is_rectified
 from calibration.importing.survey import (
     JOINTS,
     MODALITY_OF_MESSAGE,
     TEXT,
-    TF,
     add_motion,
     cameras_of,
     info_topic,
 )
+from calibration.importing.video_packets import KeyFrames
 from calibration.robot_description import read_robot_description
 
 MAX_BYTES = 20_000_000_000
@@ -71,6 +72,8 @@ class BagContent:
     """Why they cannot be read, likewise."""
     frames: Mapping[str, str]
     """Frame of each camera's images, likewise; empty if it is not known."""
+    key_frames: Mapping[str, Sequence[int]]
+    """Recording times of the key frames of each topic with video, ns."""
     log: MotionLog
     is_cut: bool
     """Whether only the begin was read."""
@@ -90,6 +93,7 @@ def read_content(bag: Bag, described: ImportDescription | None) -> BagContent:
     info_faults: dict[str, str] = {}
     texts = [topic for topic in bag.of_type(TEXT) if topic.endswith("robot_description")]
     moving, stamped = {*bag.of_type(*TF), *bag.of_type(JOINTS), *texts}, {*bag.of_type(*MODALITY_OF_MESSAGE)}
+    key_frames, shown = KeyFrames(bag), {each.topic for each in cameras}
     by_recording = {each.topic for each in cameras if each.stamps == "recorded"}
     log, first, size, count, is_cut = MotionLog(), dict[str, RawMessage](), 0, 0, False
     for message in bag.messages(times):
@@ -101,6 +105,8 @@ def read_content(bag: Bag, described: ImportDescription | None) -> BagContent:
         if message.topic in stamped:
             own.stamps.append(message.recorded if message.topic in by_recording else bag.stamp(message))
             first.setdefault(message.topic, message)
+            if message.topic in shown:
+                key_frames.add(message)
         elif message.topic in moving:
             add_motion(bag, message, log)
         elif message.topic in lenses and message.topic not in info_faults:
@@ -119,9 +125,10 @@ def read_content(bag: Bag, described: ImportDescription | None) -> BagContent:
     frames = {}
     for camera in cameras:
         message_ = first.get(camera.topic or "")
-        frames[camera.name] = camera.frame or (str(bag.decode(message_).header.frame_id) if message_ else "")
+        frames[camera.name] = camera.frame or (frame_of(bag.decode(message_)) if message_ else "")
     stripped = {name: frame.lstrip("/") for name, frame in frames.items()}
-    return BagContent(times, bag.topics, cameras, words, faults, stripped, log, is_cut)
+    videos = key_frames.recorded
+    return BagContent(times, bag.topics, cameras, words, faults, stripped, videos, log, is_cut)
 
 
 def _info_topics(bag: Bag, cameras: Collection[SensorDescription]) -> tuple[dict[str, str], dict[str, str]]:
