@@ -112,7 +112,8 @@ class Photograph:
         T_texel_board[:2, 2] = (0.5 - origin) * TEXELS - 0.5
         H = T_texel_board @ np.linalg.inv(T_camera_pattern[:3, [0, 1, 3]])
         x, y, z = (H @ rays.reshape(3, -1)).reshape(rays.shape)
-        texel = ((x / z).astype(np.float32), (y / z).astype(np.float32))
+        # Outside of what the lens sees there are no rays: OpenCV 4 draws the background there, OpenCV 5 nothing.
+        texel = tuple(np.nan_to_num(each / z, nan=-1e6).astype(np.float32) for each in (x, y))
         paper = printed(pattern, legacy) / 255.0 * (self.white - self.black) + self.black
         seen = cv2.remap(paper.astype(np.float32), *texel, cv2.INTER_LINEAR, borderValue=self.background)
         image = cv2.resize(seen, (width, height), interpolation=cv2.INTER_AREA)
