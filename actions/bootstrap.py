@@ -95,7 +95,7 @@ INSTALLER = ".installer-"  # folders in an environment, while it is made
 MUCH = 8  # packages that pip installs no sooner than uv and them
 PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent ends
 TIMEOUT = 900  # seconds for an installation: steps of a composite action cannot have `timeout-minutes`
-WAIT = 0.02  # seconds between two looks at whether it has ended
+POLL_SECONDS = 0.02  # between two looks at whether it has ended
 
 
 def report(message: str, status: int) -> int:
@@ -349,7 +349,7 @@ def run(command: list[str], variables: dict[str, str], output: IO[bytes] | None)
                 line = f"stopped after {TIMEOUT} s\n"
                 output.write(line.encode()) if output else print(line, end="", flush=True)
                 return False
-            time.sleep(WAIT)
+            time.sleep(POLL_SECONDS)
         return process.returncode == 0
     finally:
         if process.returncode is None:

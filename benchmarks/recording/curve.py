@@ -9,12 +9,12 @@ class Curve:
     """Measured quantity over one property of a recording."""
 
     name: str
-    """Of the picture's file, and of the rows."""
+    """Name of the curve in the rows of the benchmark."""
     title: str
     property_name: str
-    """What is varied, with its unit."""
+    """The property that is varied, with its unit."""
     unit: str
-    """Of the measured quantity."""
+    """What is measured, with its unit."""
     x: Sequence[float]
     y: Sequence[float]
     """Infinite where nothing could be determined or found."""

@@ -21,7 +21,7 @@ from calibration.simulation.rendering.image import radiance
 from calibration.simulation.sensors import SimulatedCamera
 
 MIN_SHARE_FOUND = 0.5
-"""Of the corners: with fewer of them found, an image counts as lost."""
+"""Share of the corners in view below which an image counts as lost."""
 
 Optics = Callable[[float], tuple[SimulatedCamera, float]]
 """From the property to the camera and the length of the motion while exposed, px."""
@@ -33,7 +33,7 @@ def curves(views: int) -> list[Curve]:
     def measured(
         name: str, title: str, of: str, x: Sequence[float], recommended: tuple[float, float], optics: Optics
     ) -> Curve:
-        y = [_error(*optics(each), views) for each in x]
+        y = [_corner_error_px(*optics(each), views) for each in x]
         return Curve(name, title, of, "error of a corner, px", x, y, recommended)
 
     camera = SimulatedCamera(LARGE.camera())
@@ -80,14 +80,14 @@ def _with_squares_of(pixels: float) -> Camera:
     return replace(camera, fx=focal, fy=focal)
 
 
-def _error(camera: SimulatedCamera, motion: float, views: int) -> float:
+def _corner_error_px(camera: SimulatedCamera, motion: float, views: int) -> float:
     """Return the root mean square of the corners' errors, px; infinite where half of the images are lost."""
     detector, seen = corner_detector(PATTERN), poses(views)
     truth = [camera.camera.project(apply(T, PATTERN.pattern().corners)) for T in seen]
 
     def errors(number: int) -> Array:
         board = Board(PATTERN, PATTERN.pattern(), T_WORLD_CAMERA @ seen[number])
-        light = _moved(radiance(camera.camera, T_WORLD_CAMERA, replace(ROOM, boxes=ROOM.boxes[:1]), [board]), motion)
+        light = _smeared(radiance(camera.camera, T_WORLD_CAMERA, replace(ROOM, boxes=ROOM.boxes[:1]), [board]), motion)
         found = detector.detect(camera.expose(light, stream(1, number)))
         inside = int(camera.camera.contains(truth[number]).sum())
         if isinstance(found, NotDetected) or len(found.ids) < MIN_SHARE_FOUND * inside:
@@ -100,7 +100,7 @@ def _error(camera: SimulatedCamera, motion: float, views: int) -> float:
     return float(np.sqrt((np.concatenate(parts) ** 2).mean()))
 
 
-def _moved(light: np.ndarray, pixels: float) -> np.ndarray:
+def _smeared(light: np.ndarray, pixels: float) -> np.ndarray:
     """Return the light of an image that has moved by some pixels to the right, about the middle of its exposure."""
     if not pixels:
         return light

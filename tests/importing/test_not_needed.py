@@ -1,5 +1,6 @@
 """What an import does not need cannot stop it: it is left out, counted, and named."""
 
+import json
 import re
 import sys
 from pathlib import Path
@@ -336,3 +337,22 @@ def test_a_video_beside_images_cannot_stop_them(tmp_path: Path, monkeypatch: pyt
         bag.write(topic, BEGIN, bag.make(kind, width=0))
     config = describe(path, bags={"files": ["more", path.name]})
     assert list(import_data(config, tmp_path / "out", jobs=1).sensors) == ["left"]
+
+
+def test_of_two_images_recorded_at_one_time_the_first_is_labelled(tmp_path: Path) -> None:
+    """As it is the first that is written; another one's corners would be those of another image."""
+    found = []
+    for name, twice in (("once", False), ("twice", True)):
+        (tmp_path / name).mkdir()
+        path = file_of(tmp_path / name, "mcap")
+        with BagFile(path, "mcap") as bag:
+            for number in range(5):
+                stamp = BEGIN + number * SECOND
+                bag.image("/left/image_raw", stamp, image("left_camera", number), "left", "mono8", late=0)
+                if twice:
+                    other = image("left_camera", number + 5)
+                    bag.image("/left/image_raw", stamp + 1, other, "left", "mono8", late=-1)
+        results = import_data(describe(path), tmp_path / name / "out", jobs=1)
+        assert sum(each.count for each in results.left_out) == 5 * twice
+        found.append(json.loads((tmp_path / name / "out" / "dataset.json").read_text())["collections"]["003"]["labels"])
+    assert found[0] == found[1]
