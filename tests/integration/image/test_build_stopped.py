@@ -83,7 +83,7 @@ def test_an_engine_that_is_killed(builds: Builds) -> None:
     marker = uuid.uuid4().hex
     with started_engine() as engine:
         client = engine.api()
-        client.images.load(b"".join(builds.engine.images.get(BASE).save(named=True)))
+        client.images.load(b"".join(builds.engine.images.get(BASE).save(named=BASE)))
         client.close()
         with building(builds, "engine", marker, DOCKER_HOST=engine.address) as process:
             engine.process.kill()
