@@ -42,7 +42,7 @@ def missing() -> str:
         return "needs a Docker Engine"
     client = connect()
     try:
-        return "" if client.images.list(IMAGE) else f"needs the image {IMAGE} (tests/engine.py makes it)"
+        return "" if client.images.list(IMAGE) else f"needs the image {IMAGE} (tests/docker_engine.py makes it)"
     finally:
         client.close()
 

@@ -50,7 +50,7 @@ def missing() -> str:
         return "needs a Docker Engine"
     client = connect()
     try:
-        return "" if client.images.list(BASE) else f"needs the image {BASE} (tests/engine.py makes it)"
+        return "" if client.images.list(BASE) else f"needs the image {BASE} (tests/docker_engine.py makes it)"
     finally:
         client.close()
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urljoin, urlsplit
 
 from calibration.errors import InfrastructureError
-from calibration.workflow import redact
+from calibration.secret_forms import redact
 from calibration.workflow.text import one_line, shorten
 
 if TYPE_CHECKING:

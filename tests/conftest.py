@@ -37,7 +37,7 @@ with suppress(ImportError, AttributeError):
 
 register_profiles()
 
-pytest_plugins = ["tests.engine", "tests.aws.fixtures", "tests.small"]
+pytest_plugins = ["tests.docker_engine", "tests.aws.fixtures", "tests.small"]
 
 PROJECT = Path(__file__).resolve().parents[1]
 NO_SHARED_DATA = "needs ../shared/data beside the project"

@@ -22,7 +22,7 @@ from calibration.estimation.significance import score_of_f, threshold
 from calibration.frozen import frozen
 from calibration.introspection.baseline import Allowance
 from calibration.introspection.numbers import number_text
-from calibration.report import Check, at_most
+from calibration.report.check import Check, at_most
 from calibration.workflow.text import shorten
 
 QUALITY = "baseline-quality"

@@ -10,7 +10,7 @@ from calibration.baseline.settings import BaselineSettings, SameData
 from calibration.baseline.snapshot import Snapshot, Start
 from calibration.diagnosis.finding import Finding
 from calibration.frozen import frozen
-from calibration.report import at_most
+from calibration.report.check import at_most
 
 MOVED = "baseline"
 UNMOVED = "baseline-unmoved"

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable
 
-from calibration.workflow.masks import derived_forms
+from calibration.secret_forms import derived_forms
 
 HIDDEN = b"***"
 

@@ -1,8 +1,9 @@
 """Results of rules applied to tables, and their document."""
 
 from calibration.records import computed, field, result
-from calibration.report import Verdict, count_of, verdict_of
 from calibration.report.check import expectation
+from calibration.report.verdict import Verdict, verdict_of
+from calibration.workflow.text import count_of
 
 
 @result

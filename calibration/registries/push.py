@@ -13,7 +13,7 @@ from calibration.registries.credentials import Credentials
 from calibration.registries.promotion import tag_image
 from calibration.registries.reference import Reference, is_digest, parse_reference
 from calibration.registries.registry import RegistryClient, denied
-from calibration.workflow import redact
+from calibration.secret_forms import redact
 from calibration.workflow.advance import Advance
 from calibration.workflow.text import one_line, shorten
 

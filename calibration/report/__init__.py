@@ -6,7 +6,7 @@ A command describes its results in a :class:`Report`: its verdict, a :class:`Che
 
 from calibration.report.blocks import Block, Code, Lines, Text
 from calibration.report.check import Check, at_least, at_most, expectation
-from calibration.report.outcome import Outcome, count_of, outcome_of_check
+from calibration.report.outcome import Outcome, outcome_of_check
 from calibration.report.publishing import publish, remove_results, show
 from calibration.report.report import FILES, Report
 from calibration.report.results_json import (
@@ -18,6 +18,7 @@ from calibration.report.results_json import (
 )
 from calibration.report.table import Table, shown
 from calibration.report.verdict import VERDICTS, Verdict, verdict_of, worst_verdict
+from calibration.workflow.text import count_of
 
 __all__ = [
     "FILES",

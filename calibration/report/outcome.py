@@ -43,8 +43,3 @@ class Outcome:
 def outcome_of_check(check: Check, group: str) -> Outcome:
     """Convert a check to an outcome, for JUnit."""
     return Outcome(name=check.subject, group=group, reasons=() if check.passed else (str(check),))
-
-
-def count_of(number: int, noun: str) -> str:
-    """Return a number with its noun: ``1 table``, ``2 tables``."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -6,7 +6,7 @@ not written if the runner provides no file for them.
 
 from calibration.workflow.annotations import Annotation, Level, annotate, report_error
 from calibration.workflow.groups import group, stop_commands
-from calibration.workflow.masks import add_mask, redact
+from calibration.workflow.masks import add_mask
 from calibration.workflow.outputs import set_outputs
 from calibration.workflow.runner import Runner
 from calibration.workflow.summary import add_summary
@@ -19,7 +19,6 @@ __all__ = [
     "add_summary",
     "annotate",
     "group",
-    "redact",
     "report_error",
     "set_outputs",
     "stop_commands",

@@ -65,3 +65,8 @@ def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table)
     return "\n".join(line.rstrip() for line in lines)
+
+
+def count_of(number: int, noun: str) -> str:
+    """Return a number with its noun: ``1 table``, ``2 tables``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.engine import wait_until
+from tests.docker_engine import wait_until
 from tests.processes import group_runs, runs
 
 from .conftest import PYTHON, Suite

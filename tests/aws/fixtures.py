@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.engine import _one_at_a_time
+from tests.docker_engine import _one_at_a_time
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main, run_action
-from tests.engine import wait_until
+from tests.docker_engine import wait_until
 from tests.processes import group_runs
 
 ROOT = Path(__file__).parents[2]

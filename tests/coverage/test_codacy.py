@@ -14,7 +14,7 @@ from calibration.coverage.codacy import API_URL, Account, Codacy, Upload, parse_
 from calibration.coverage.lines import FileCoverage, Rate
 from calibration.errors import InfrastructureError, InputError
 from calibration.http import ATTEMPTS, FIRST_PAUSE, MAX_BYTES, Http, Timeouts
-from tests.engine import wait_until
+from tests.docker_engine import wait_until
 
 from . import projects
 from .projects import TOKEN

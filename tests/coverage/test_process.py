@@ -10,7 +10,7 @@ import pytest
 
 from calibration.coverage.tests import run
 from calibration.errors import InfrastructureError, InputError
-from tests.engine import wait_until
+from tests.docker_engine import wait_until
 from tests.processes import runs
 
 STUBBORN = """

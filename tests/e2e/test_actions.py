@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from tests.coverage.projects import TOKEN, codacy
-from tests.engine import Registry
+from tests.docker_engine import Registry
 
 from .conftest import PROJECT, Repository, Run
 from .steps import Step, outcome, outcomes, workflow

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from tests.engine import Registry
+from tests.docker_engine import Registry
 from tests.examples.ros1.conftest import Collected, collected
 
 from .conftest import PROJECT, Repository, Run, commit

@@ -13,7 +13,7 @@ import pytest
 from calibration.registries.credentials import Credentials
 from calibration.registries.reference import parse_reference
 from calibration.registries.registry import RegistryClient
-from tests.engine import Registry
+from tests.docker_engine import Registry
 
 from .conftest import FORK, PROJECT, Repository, Run
 from .pipeline import Caller

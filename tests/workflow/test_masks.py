@@ -4,8 +4,8 @@ from urllib.parse import quote
 
 import pytest
 
-from calibration.workflow import Runner, add_mask, redact
-from calibration.workflow.masks import derived_forms
+from calibration.secret_forms import derived_forms, redact
+from calibration.workflow import Runner, add_mask
 from tests.workflow.conftest import complained, printed
 
 HIDDEN = 'p/a+s&s"w\\ö'

@@ -17,7 +17,7 @@ from calibration.execution.batch.session import Aws
 from calibration.execution.batch.wire import PREPARE, WATCH
 from calibration.execution.job import Job
 from calibration.execution.log_file import MOST_BYTES, LogFile
-from calibration.workflow.masks import redact
+from calibration.secret_forms import redact
 from calibration.workflow.streams import LogDisplay, LogStream
 
 _POLL_SECONDS = 2.0

@@ -21,7 +21,7 @@ from calibration.execution.job_folder import ARTIFACTS, LOGS, make_job_folder, w
 from calibration.execution.job_verdict import failure_of, how_it_ended
 from calibration.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
 from calibration.files import write_atomically
-from calibration.workflow.masks import redact
+from calibration.secret_forms import redact
 from calibration.workflow.text import one_line, shorten
 
 _HOST_LOST = ("Host EC2", "Your Spot Task was interrupted")

@@ -24,7 +24,7 @@ from calibration.execution.log_file import LogFile
 from calibration.execution.outcome import ContainerOutcome, End, JobOutcome
 from calibration.execution.run_names import new_run
 from calibration.execution.supervision import Supervisor
-from calibration.workflow.masks import redact
+from calibration.secret_forms import redact
 from calibration.workflow.streams import LogDisplay
 from calibration.workflow.text import one_line
 

@@ -3,7 +3,8 @@
 from collections import deque
 from collections.abc import Iterable, Sequence
 
-from calibration.workflow import Runner, redact
+from calibration.secret_forms import redact
+from calibration.workflow import Runner
 from calibration.workflow.advance import Advance
 from calibration.workflow.text import one_line, shorten, without_escapes
 

@@ -15,7 +15,7 @@ from calibration.image.builders import programs
 from calibration.image.builders.buildkit import write_login
 from calibration.image.builders.programs import Program, find_buildkit, lines_of
 from calibration.registries.credentials import Credentials
-from tests.engine import wait_until
+from tests.docker_engine import wait_until
 from tests.processes import runs
 
 

@@ -12,7 +12,7 @@ from calibration.execution.docker.backend import DockerBackend
 from calibration.execution.job import OUTPUT, Artifact, Container, Job, Mount, Readiness
 from tests.aws.emulator.faults import child
 from tests.aws.fixtures import BUCKET, QUEUE, REGION, Aws
-from tests.engine import PYTHON_IMAGE
+from tests.docker_engine import PYTHON_IMAGE
 
 ROBOT = f"""
 mkdir -p {OUTPUT}/dataset/images

@@ -7,7 +7,7 @@ import pytest
 from tests.aws.emulator.containers import LABEL
 from tests.aws.emulator.faults import child
 from tests.aws.fixtures import BUCKET, Aws, aws_in_containers
-from tests.engine import PYTHON_IMAGE, wait_until
+from tests.docker_engine import PYTHON_IMAGE, wait_until
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -1,6 +1,6 @@
 import pytest
 
-from tests.engine import PYTHON_IMAGE
+from tests.docker_engine import PYTHON_IMAGE
 
 
 @pytest.fixture(autouse=True)

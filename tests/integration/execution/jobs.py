@@ -7,7 +7,7 @@ from calibration.execution.docker.backend import DockerBackend
 from calibration.execution.docker.leftovers import find_leftovers
 from calibration.execution.job import Container, Job
 from calibration.execution.outcome import JobOutcome
-from tests.engine import PYTHON_IMAGE
+from tests.docker_engine import PYTHON_IMAGE
 
 if TYPE_CHECKING:
     from docker import DockerClient

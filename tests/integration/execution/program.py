@@ -16,7 +16,7 @@ from calibration.execution.job import OUTPUT, Artifact, Container, Job, Readines
 from calibration.workflow import Runner
 from calibration.workflow.signals import Terminated, terminate_cleanly
 from calibration.workflow.streams import LogDisplay
-from tests.engine import PYTHON_IMAGE
+from tests.docker_engine import PYTHON_IMAGE
 
 if TYPE_CHECKING:
     from docker import APIClient

@@ -18,7 +18,7 @@ from calibration.execution.docker.networks import Networks
 from calibration.execution.job import OUTPUT, Artifact, Container, Job, Limits, Readiness
 from calibration.execution.outcome import End
 from calibration.execution.run_names import new_run
-from tests.engine import PYTHON_IMAGE, only_sleep
+from tests.docker_engine import PYTHON_IMAGE, only_sleep
 from tests.integration.execution.jobs import left, python, run_job, run_jobs, shell
 
 if TYPE_CHECKING:

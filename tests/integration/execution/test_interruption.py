@@ -22,7 +22,7 @@ from calibration.execution.job import Job
 from calibration.execution.run_names import new_run
 from calibration.workflow import Runner
 from calibration.workflow.streams import LogDisplay
-from tests.engine import wait_until
+from tests.docker_engine import wait_until
 from tests.integration.execution.jobs import left, shell
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import pytest
 
 from calibration.execution.docker.leftovers import find_leftovers
 from calibration.execution.run_names import new_run
-from tests.engine import OwnEngine, only_sleep, started_engine, wait_until
+from tests.docker_engine import OwnEngine, only_sleep, started_engine, wait_until
 
 PROJECT = Path(__file__).resolve().parents[3]
 IMAGE = "only-sleep:1"

@@ -9,7 +9,7 @@ import pytest
 
 from calibration.errors import ExitCode, InfrastructureError, InputError
 from calibration.image.builders.failure import BuildFailedError
-from tests.engine import Registry
+from tests.docker_engine import Registry
 from tests.image.builders.test_several_platforms import SCRIPT as SEVERAL
 from tests.integration.image.builds import Builds, builds
 

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.registries.reference import parse_reference
 from calibration.registries.registry import RegistryClient
-from tests.engine import Registry
+from tests.docker_engine import Registry
 from tests.integration.image.builds import Builds, builds
 
 __all__ = ["builds"]

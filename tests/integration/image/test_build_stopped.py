@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.engine import started_engine, wait_until
+from tests.docker_engine import started_engine, wait_until
 from tests.integration.image.builds import Builds, builds
 from tests.integration.image.test_build import buildkit_or_skip
 

@@ -12,7 +12,7 @@ from calibration.registries.promotion import promote
 from calibration.registries.push import push_image
 from calibration.registries.registry import Manifest, RegistryClient
 from calibration.workflow import Runner
-from tests.engine import Registry
+from tests.docker_engine import Registry
 from tests.integration.image.registries import faulty, fresh_name, small_image
 from tests.registries.server import Reply, Request
 

@@ -7,7 +7,7 @@ import pytest
 from calibration.errors import InputError
 from calibration.registries.credentials import Credentials
 from calibration.registries.registry import Manifest, RegistryClient
-from tests.engine import Registry
+from tests.docker_engine import Registry
 from tests.integration.image.registries import fresh_name, small_image
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import pytest
 
 from calibration.__main__ import main, run_action
 from calibration.commands.parameters import EVERYWHERE
-from tests.engine import Registry
+from tests.docker_engine import Registry
 
 if TYPE_CHECKING:
     from docker import DockerClient

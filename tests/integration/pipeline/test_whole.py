@@ -14,7 +14,7 @@ import pytest
 
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
-from tests.engine import Registry
+from tests.docker_engine import Registry
 
 PROJECT = Path(__file__).parents[3]
 # A robot application that has collected before, and a calibration that says how far off its start is.

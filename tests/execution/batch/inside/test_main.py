@@ -25,7 +25,7 @@ from calibration.execution.extraction import RefusedError
 from calibration.execution.job import OUTPUT, Artifact, Container, Job
 from calibration.execution.outcome import ArtifactFile, End
 from tests.aws.fixtures import BUCKET
-from tests.engine import wait_until
+from tests.docker_engine import wait_until
 
 if TYPE_CHECKING:
     from tests.aws.fixtures import Aws

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from calibration.errors import InputError
 from calibration.execution.batch.inside.script import BEAT, READY_COMMAND, READY_FILE, Signs, script_of
 from calibration.execution.job import Container, Job, Readiness
-from tests.engine import wait_until
+from tests.docker_engine import wait_until
 from tests.properties import at_most
 
 SHELLS = [

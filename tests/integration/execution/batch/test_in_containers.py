@@ -11,7 +11,7 @@ from calibration.execution.docker.backend import DockerBackend
 from calibration.execution.job import OUTPUT, Artifact, Container, Job, Limits, Mount, Readiness
 from calibration.execution.outcome import JobOutcome
 from tests.aws.fixtures import Aws
-from tests.engine import PYTHON_IMAGE
+from tests.docker_engine import PYTHON_IMAGE
 from tests.execution.batch.client import SETTINGS, running
 
 

@@ -15,7 +15,7 @@ from calibration.execution.batch.inside.script import Signs
 from calibration.execution.batch.inside.watch import Timeouts, Watch
 from calibration.execution.batch.wire import JOB_FOLDER
 from calibration.execution.job import OUTPUT, Container, Job
-from tests.engine import PYTHON_IMAGE, wait_until
+from tests.docker_engine import PYTHON_IMAGE, wait_until
 
 if TYPE_CHECKING:
     from docker.models.containers import Container as Running

@@ -14,7 +14,7 @@ from calibration.execution.batch.inside.script import Signs
 from calibration.execution.batch.inside.watch import Timeouts, Watch
 from calibration.execution.job import OUTPUT, Container, Job, Limits, Readiness
 from calibration.execution.outcome import End
-from tests.engine import PYTHON_IMAGE, wait_until
+from tests.docker_engine import PYTHON_IMAGE, wait_until
 from tests.integration.execution.batch_inside.tasks import NONE, run_task, started
 from tests.integration.execution.jobs import python, shell
 

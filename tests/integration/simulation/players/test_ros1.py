@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from calibration.simulation.players import player_file
-from tests.engine import wait_until
+from tests.docker_engine import wait_until
 
 if TYPE_CHECKING:
     from docker import DockerClient
