@@ -12,7 +12,8 @@ SUMMARY_LIMIT = 1024 * 1024
 
 _CUT = "\n\n*The summary was cut here: GitHub takes 1 MiB. Everything is in the log.*\n"
 _ENTITIES = {"&": "&amp;", "<": "&lt;", ">": "&gt;", "|": "&#124;"}
-_SPECIAL = re.compile(r"\r\n|\r|\n|[&<>|]|[\\`*_\[\]#~$]")
+# The last two begin a list: in it, text that is indented further is code, where entities are shown as they are.
+_SPECIAL = re.compile(r"\r\n|\r|\n|[&<>|]|[\\`*_\[\]#~$]|(?<=\d)[.)](?=\s|\Z)|\A[-+](?=\s)")
 
 
 def add_summary(runner: Runner, markdown: str) -> None:

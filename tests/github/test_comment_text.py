@@ -35,6 +35,8 @@ def rendered(markdown: str) -> str:
 
 
 @example("    |", "    |", "    |")
+@example("", "0.     |", "")
+@example("", "-      |", "1)     |")
 @given(HOSTILE, HOSTILE, HOSTILE)
 def test_nothing_that_a_stranger_wrote_is_active(sentence: str, reason: str, cell: str) -> None:
     table = BriefTable(("System", cell), ((cell, "1.0 px"), ("robot", cell)))
