@@ -15,10 +15,10 @@ setup = INPUT_PYTHON='$(PYTHON)' bash actions/bootstrap.sh environment $(venv)
 uv = $(abspath $(or $(shell command -v uv),$(venv)/bin/uv))
 # Many tests wait, for an engine or a browser: three for each processor are run at once, eight at most.
 tests = $(python) -m pytest -n $(shell n=$$(getconf _NPROCESSORS_ONLN); echo $$(( n > 2 ? 8 : 3 * n ))) --dist worksteal
-rooms = $(patsubst tests/%/__init__.py,%,$(wildcard tests/*/__init__.py tests/*/*/__init__.py))
+rooms = $(patsubst tests/%/__init__.py,%,$(wildcard tests/*/__init__.py tests/*/*/__init__.py tests/*/*/*/__init__.py))
 # Of the engine, the detectors and the renderer; and those of them that use OpenCV.
-engine_tests = $(addprefix tests/,geometry dataset estimation evaluation comparison labelling simulation/rendering)
-opencv_tests = $(addprefix tests/,dataset/test_depth_image.py dataset/test_reading.py comparison labelling simulation/rendering)
+engine_tests = $(addprefix tests/,engine robot/labelling robot/simulation/rendering)
+opencv_tests = $(addprefix tests/,engine/dataset/test_depth_image.py engine/dataset/test_reading.py engine/comparison robot/labelling robot/simulation/rendering)
 
 .PHONY: help run check lint test test-coverage fuzz faults bench bench-table lock test-versions actions pictures aws-example clean
 
@@ -29,13 +29,13 @@ run: ## calibrate the systems in datasets/ and check the tables, as calibration.
 	@$(setup) engine.txt
 	@$(python) -m calibration run $(ARGS)
 
-check: ## ROOM=geometry: ruff, mypy, and the tests of one room with few examples: while one works on it
+check: ## ROOM=engine/geometry: ruff, mypy, and the tests of one room with few examples: while one works on it
 	@[[ ' $(rooms) ' == *' $(ROOM) '* ]] || { echo "ROOM=$(ROOM): no such room; there are: $(rooms)" >&2; exit 2; }
 	@$(setup) dev.txt .
 	$(python) -m ruff check --quiet
 	$(python) -m ruff format --check --quiet
 	$(python) -m mypy
-	$(python) -m pytest -q -n 2 --dist worksteal --hypothesis-profile few $(wildcard tests/test_$(ROOM).py tests/$(ROOM)) $(ARGS)
+	$(python) -m pytest -q -n 2 --dist worksteal --hypothesis-profile few tests/$(ROOM) $(ARGS)
 
 lint: ## ruff, mypy, and the checks of workflows, actions, shell, configurations and the README's examples
 	@$(setup) dev.txt .

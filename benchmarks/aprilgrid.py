@@ -14,20 +14,20 @@ from functools import cache
 import numpy as np
 
 from benchmarks.rows import HEADER, Bar, Row
-from calibration.dataset.configuration import TAGS, PatternConfiguration
-from calibration.dataset.model import CornerLabels
-from calibration.geometry import rotations
-from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import PlumbBob
-from calibration.geometry.transforms import apply, from_xyz_rpy, transform
-from calibration.geometry.types import Array
-from calibration.labelling.corner_detector import corner_detector
-from calibration.labelling.detection import CornerDetector
-from calibration.labelling.printed_corners import shortest
-from calibration.simulation.board import Board
-from calibration.simulation.random_streams import stream
-from calibration.simulation.scene import Box, Scene
-from calibration.simulation.sensors import SimulatedCamera
+from calibration.base.arrays import Array
+from calibration.engine.dataset.configuration import TAGS, PatternConfiguration
+from calibration.engine.dataset.model import CornerLabels
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import PlumbBob
+from calibration.engine.geometry.transforms import apply, from_xyz_rpy, transform
+from calibration.robot.labelling.corner_detector import corner_detector
+from calibration.robot.labelling.detection import CornerDetector
+from calibration.robot.labelling.printed_corners import shortest
+from calibration.robot.simulation.board import Board
+from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.scene import Box, Scene
+from calibration.robot.simulation.sensors import SimulatedCamera
 
 GRID = PatternConfiguration(
     "grid", "aprilgrid", "grid", "world", False, (6, 6), 0.088, None, (0.03, 0.03), TAGS, spacing=0.3

@@ -11,11 +11,11 @@ import numpy as np
 
 from benchmarks.rows import Bar, Row
 from benchmarks.verdict.strata import entries, recording
-from calibration.baseline.change_points import change_points, creeps, noise_of
-from calibration.baseline.comparison import Comparison, compare
-from calibration.baseline.snapshot import Snapshot, snapshot
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.baseline.change_points import change_points, creeps, noise_of
+from calibration.engine.baseline.comparison import Comparison, compare
+from calibration.engine.baseline.snapshot import Snapshot, snapshot
+from calibration.engine.estimation.calibrate import Options, calibrate
 
 ROBOTS, RECORDINGS = 40, 6
 """Of each system, and of each robot: 15 pairs."""

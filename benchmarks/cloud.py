@@ -13,8 +13,8 @@ from benchmarks.rows import Bar, Row
 PROGRAM = """
 import json, sys, time
 from pathlib import Path
-from calibration.execution.batch.backend import BatchBackend
-from tests.execution.batch.client import SETTINGS, jobs
+from calibration.addons.aws_batch.backend import BatchBackend
+from tests.addons.aws_batch.client import SETTINGS, jobs
 
 def memory():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
@@ -52,9 +52,9 @@ def measure(quick: bool) -> Iterator[Row]:
 
 
 def _run(count: int) -> dict[str, Any]:
+    from tests.addons.aws_batch.client import Did, Tasks
     from tests.aws.fixtures import started_aws
     from tests.aws.services import Services
-    from tests.execution.batch.client import Did, Tasks
 
     services = Services()
     try:

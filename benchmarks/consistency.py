@@ -10,8 +10,8 @@ import numpy as np
 
 from benchmarks.rows import Bar, Row
 from benchmarks.scenes import rig
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.geometry.transforms import local
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.geometry.transforms import local
 
 SCENES, COLLECTIONS = 100, 20
 EDGE = ("world", "camera_1_link")

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from benchmarks.rows import Bar, Row
 from benchmarks.timing import interleaved
-from calibration.docker.engine import connect, engine_available
-from calibration.execution.docker.backend import DockerBackend
-from calibration.execution.job import OUTPUT, Artifact, Container, Job
+from calibration.ci.docker.engine import connect, engine_available
+from calibration.ci.execution.docker.backend import DockerBackend
+from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job
 
 IMAGE = "debian:bookworm"
 COMMAND = ("true",)

@@ -8,7 +8,7 @@ from pathlib import Path
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import FOLDER, ROOT
 from benchmarks.timing import in_units_of
-from calibration.dataset.reading import FILE_NAME, read_dataset
+from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 
 FILES = {
     "datasets/t2rgb": ROOT / "datasets" / "t2rgb" / FILE_NAME,

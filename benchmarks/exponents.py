@@ -14,7 +14,7 @@ from benchmarks import reference
 from benchmarks.process import ENVIRONMENT
 from benchmarks.scenes import rig
 from benchmarks.shared_data import ROOT
-from calibration.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.calibrate import Options, calibrate
 
 SIZES = (2000, 10_000)
 LOSSES = {"plain": "linear", "robust": "huber"}

@@ -17,19 +17,19 @@ import numpy as np
 
 from benchmarks.rows import Bar, Row
 from benchmarks.workers import on_all_cores
-from calibration.dataset.model import CornerLabels, Dataset, PointLabels
-from calibration.dataset.truth import truth_of
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.result import Calibration
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.evaluation.truth import truth_error
-from calibration.geometry.joints import JOINT_PARAMETERS
-from calibration.geometry.transforms import local
-from calibration.geometry.types import Array
-from calibration.simulation.system import System, read_system
-from tests.simulation.conftest import DATASETS, SYSTEMS
-from tests.simulation.exact_labels import as_designed, exact_labels, noisy
-from tests.simulation.family.robots import FAMILY
+from calibration.base.arrays import Array
+from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels
+from calibration.engine.dataset.truth import truth_of
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.evaluation.truth import truth_error
+from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.transforms import local
+from calibration.robot.simulation.system import System, read_system
+from tests.robot.simulation.conftest import DATASETS, SYSTEMS
+from tests.robot.simulation.exact_labels import as_designed, exact_labels, noisy
+from tests.robot.simulation.family.robots import FAMILY
 
 ROBOTS = {robot.name: robot for robot in FAMILY}
 NAMES = (*ROBOTS, *SYSTEMS)

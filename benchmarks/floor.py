@@ -10,7 +10,7 @@ changes there do not move it.
 import numpy as np
 
 from benchmarks.rig_arrays import RigArrays
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
 
 CHUNK = 128
 

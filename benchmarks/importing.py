@@ -17,24 +17,24 @@ import yaml
 
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import FOLDER, ROOT, missing
-from calibration.baseline.settings import BaselineSettings
-from calibration.baseline.snapshot import snapshot
-from calibration.baseline.verdict import Accepted, against_baseline
-from calibration.dataset.model import CornerLabels, Dataset
-from calibration.estimation.calibrate import calibrate
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.geometry.transforms import apply, inverse, translation
-from calibration.geometry.types import Array
-from calibration.importing.bag import open_bag
-from calibration.importing.messages import image_of
+from calibration.base.arrays import Array
+from calibration.engine.baseline.settings import BaselineSettings
+from calibration.engine.baseline.snapshot import snapshot
+from calibration.engine.baseline.verdict import Accepted, against_baseline
+from calibration.engine.dataset.model import CornerLabels, Dataset
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.geometry.transforms import apply, inverse, translation
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.first_configuration import first_configuration
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.running_cell import calibrate_cell
-from tests.importing.bags import BEGIN, SECOND, BagFile
-from tests.importing.conftest import BOARD
+from calibration.robot.importing.bags.bag import open_bag
+from calibration.robot.importing.bags.messages import image_of
+from tests.robot.importing.bags import BEGIN, SECOND, BagFile
+from tests.robot.importing.conftest import BOARD
 
 SYSTEMS = ("t2rgb", "riwbot", "rlbot", "softbot", "spjbot")
 PAPER = "t2rgb-paper"
@@ -44,7 +44,7 @@ WATCHED = """
 import resource, sys, threading, time
 from pathlib import Path
 import psutil
-from calibration.importing.importing import import_data
+from calibration.robot.importing.importing import import_data
 most, own, me = 0, 0.0, psutil.Process()
 def watch():
     global most, own

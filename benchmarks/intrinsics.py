@@ -12,22 +12,22 @@ from benchmarks.rig_arrays import RigArrays, corner_pixels
 from benchmarks.rows import Bar, Row
 from benchmarks.scenes import CAMERA, rig
 from benchmarks.timing import seconds
-from calibration.estimation.blocks import Values
-from calibration.estimation.build import build
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.intrinsics import CalibratedIntrinsics
-from calibration.estimation.least_squares import minimise
-from calibration.estimation.linear_start import linear_start
-from calibration.estimation.noise_levels import NoiseLevels
-from calibration.estimation.normal_equations import Weighting
-from calibration.estimation.problem import Problem
-from calibration.estimation.result import Calibration
-from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import Distortion, Equidistant, PlumbBob, Rational
-from calibration.geometry.transforms import inverse, local, translation
-from calibration.geometry.types import Array
-from tests.estimation.scenes import camera, relative
-from tests.estimation.systems import covering
+from calibration.base.arrays import Array
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.problem.blocks import Values
+from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
+from calibration.engine.estimation.problem.problem import Problem
+from calibration.engine.estimation.solve.least_squares import minimise
+from calibration.engine.estimation.solve.noise_levels import NoiseLevels
+from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.start.build import build
+from calibration.engine.estimation.start.linear_start import linear_start
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import Distortion, Equidistant, PlumbBob, Rational
+from calibration.engine.geometry.transforms import inverse, local, translation
+from tests.engine.estimation.scenes import camera, relative
+from tests.engine.estimation.systems import covering
 
 LENSES: tuple[Distortion, ...] = (
     PlumbBob(-0.10, 0.05, 0.001, -0.0005, 0.01),

@@ -11,21 +11,21 @@ import numpy as np
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import FOLDER, ROOT, load, missing
 from benchmarks.timing import seconds
-from calibration.dataset.modalities import LIDAR3D
-from calibration.dataset.model import CornerLabels, Dataset, PointLabels
-from calibration.dataset.pointcloud import read_points
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.truth import read_truth
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.evaluation.rgb_to_rgb import rgb_to_rgb
-from calibration.geometry import rotations
-from calibration.geometry.transforms import distance, inverse, transform, translation
-from calibration.geometry.types import Array
-from calibration.labelling.charuco import CharucoDetector
-from calibration.labelling.chessboard import ChessboardDetector
-from calibration.labelling.detection import NotDetected
-from calibration.labelling.points import label_points
-from tests.labelling.pictures import (
+from calibration.base.arrays import Array
+from calibration.engine.dataset.modalities import LIDAR3D
+from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels
+from calibration.engine.dataset.pointcloud import read_points
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.truth import read_truth
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.transforms import distance, inverse, transform, translation
+from calibration.robot.labelling.charuco import CharucoDetector
+from calibration.robot.labelling.chessboard import ChessboardDetector
+from calibration.robot.labelling.detection import NotDetected
+from calibration.robot.labelling.points import label_points
+from tests.robot.labelling.pictures import (
     HD,
     HD_DISTORTED,
     VGA,

@@ -11,8 +11,8 @@ import numpy as np
 
 from benchmarks.rig_arrays import corner_pixels, solve
 from benchmarks.scenes import rig
-from calibration.estimation.build import build
-from calibration.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.start.build import build
 
 
 def peak(what: str, collections: int) -> float:

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from benchmarks.rows import Bar, Row
-from calibration.errors import UndeterminedError
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.geometry.transforms import local
-from tests.estimation.scenes import Scene, errors
-from tests.estimation.systems import (
+from calibration.base.errors import UndeterminedError
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.geometry.transforms import local
+from tests.engine.estimation.scenes import Scene, errors
+from tests.engine.estimation.systems import (
     camera_and_lidar2d,
     linked_by_a_lidar,
     linked_by_an_arm,

@@ -8,13 +8,13 @@ import numpy as np
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
 from benchmarks.timing import interleaved
-from calibration.geometry.types import IntArray
-from calibration.simulation.motion.candidates import Candidates, find_candidates
-from calibration.simulation.motion.generation import generate_motion
-from calibration.simulation.motion.information import predicted_sigmas
-from calibration.simulation.motion.sequence import Motion
-from calibration.simulation.placement import place
-from calibration.simulation.system import System, read_system
+from calibration.base.arrays import IntArray
+from calibration.robot.simulation.motion.candidates import Candidates, find_candidates
+from calibration.robot.simulation.motion.generation import generate_motion
+from calibration.robot.simulation.motion.information import predicted_sigmas
+from calibration.robot.simulation.motion.sequence import Motion
+from calibration.robot.simulation.placement import place
+from calibration.robot.simulation.system import System, read_system
 
 POSES = 26
 BARS = {"chance": Bar(high=0.8), "the spread": Bar(high=0.85)}

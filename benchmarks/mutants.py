@@ -15,10 +15,10 @@ import numpy as np
 
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
-from calibration.baseline.document import read_baseline
-from calibration.baseline.settings import FILE
-from calibration.baseline.snapshot import Snapshot
-from calibration.geometry.transforms import local
+from calibration.engine.baseline.document import read_baseline
+from calibration.engine.baseline.settings import FILE
+from calibration.engine.baseline.snapshot import Snapshot
+from calibration.engine.geometry.transforms import local
 
 MODULES = (
     *("estimation/residuals.py", "estimation/corner_residuals.py", "estimation/ray_residuals.py"),

@@ -7,9 +7,9 @@ import numpy as np
 
 from benchmarks.rows import Row
 from benchmarks.scenes import rig
-from calibration.dataset.model import CornerLabels, Dataset
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.geometry.transforms import distance
+from calibration.engine.dataset.model import CornerLabels, Dataset
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.geometry.transforms import distance
 
 SCENES, COLLECTIONS = 40, 30
 EDGE = ("world", "camera_1_link")

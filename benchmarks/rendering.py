@@ -17,14 +17,14 @@ from benchmarks import reference
 from benchmarks.room import LARGE, PATTERN, ROOM, SMALL, T_WORLD_CAMERA, Size, poses
 from benchmarks.rows import Bar, Row
 from benchmarks.sensors import RAYS, measured
-from calibration.execution.embedded import Embedded
-from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import apply, from_xyz_rpy
-from calibration.geometry.types import Array
-from calibration.labelling.detection import NotDetected
-from calibration.simulation.board import Board
-from calibration.simulation.random_streams import stream
-from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
+from calibration.base.arrays import Array
+from calibration.ci.execution.embedded import Embedded
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.transforms import apply, from_xyz_rpy
+from calibration.robot.labelling.detection import NotDetected
+from calibration.robot.simulation.board import Board
+from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
 
 PROCESSES = 2
 
@@ -139,7 +139,7 @@ def _beside_before(count: int) -> Iterator[Row]:
 
 def _corners(camera: Camera, count: int, bar: Bar) -> Iterator[Row]:
     """The detector that datasets are labelled with, against the projected truth."""
-    from calibration.labelling.corner_detector import corner_detector
+    from calibration.robot.labelling.corner_detector import corner_detector
 
     detector, views, sensor = corner_detector(PATTERN), poses(count), SimulatedCamera(camera)
     truth = [camera.project(apply(T, PATTERN.pattern().corners)) for T in views]

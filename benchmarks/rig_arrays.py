@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.scenes import CAMERA, rig
-from calibration.dataset.model import Collection, CornerLabels
-from calibration.estimation.blocks import Values
-from calibration.estimation.build import Setup, build
-from calibration.estimation.linear_start import linear_start
-from calibration.estimation.noise_levels import NoiseLevels
-from calibration.estimation.optimisation import WeightedOptimum, optimise
-from calibration.geometry.transforms import inverse, translation
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.dataset.model import Collection, CornerLabels
+from calibration.engine.estimation.problem.blocks import Values
+from calibration.engine.estimation.solve.noise_levels import NoiseLevels
+from calibration.engine.estimation.solve.optimisation import WeightedOptimum, optimise
+from calibration.engine.estimation.start.build import Setup, build
+from calibration.engine.estimation.start.linear_start import linear_start
+from calibration.engine.geometry.transforms import inverse, translation
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,20 +9,20 @@ import numpy as np
 
 from benchmarks.rows import Bar, Row
 from benchmarks.timing import interleaved
-from calibration.dataset.model import Dataset
-from calibration.errors import UndeterminedError
-from calibration.estimation.blocks import Values
-from calibration.estimation.build import build
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.least_squares import minimise
-from calibration.estimation.linear_start import linear_start
-from calibration.estimation.normal_equations import Weighting
-from calibration.estimation.problem import Problem
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.geometry.joints import JOINT_PARAMETERS, JointParameter
-from calibration.geometry.transforms import distance
-from tests.estimation.scenes import true_values
-from tests.estimation.systems import arm_with_patterns, jointed_arm, mobile_base, stereo, two_patterns
+from calibration.base.errors import UndeterminedError
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.problem.blocks import Values
+from calibration.engine.estimation.problem.problem import Problem
+from calibration.engine.estimation.solve.least_squares import minimise
+from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.start.build import build
+from calibration.engine.estimation.start.linear_start import linear_start
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
+from calibration.engine.geometry.transforms import distance
+from tests.engine.estimation.scenes import true_values
+from tests.engine.estimation.systems import arm_with_patterns, jointed_arm, mobile_base, stereo, two_patterns
 
 Free = dict[str, tuple[JointParameter, ...]]
 JOINT: Free = {"j3": ("origin_yaw",)}

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.dataset.configuration import PatternConfiguration
-from calibration.geometry import rotations
-from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import PlumbBob
-from calibration.geometry.transforms import from_xyz_rpy, transform
-from calibration.geometry.types import Array
-from calibration.simulation.scene import Box, Scene
+from calibration.base.arrays import Array
+from calibration.engine.dataset.configuration import PatternConfiguration
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import PlumbBob
+from calibration.engine.geometry.transforms import from_xyz_rpy, transform
+from calibration.robot.simulation.scene import Box, Scene
 
 PATTERN = PatternConfiguration(
     "pattern_1", "charuco", "pattern", "world", False, (11, 8), 0.06, 0.045, (0.04, 0.03), "DICT_5X5_100"

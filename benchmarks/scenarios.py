@@ -5,13 +5,13 @@ from collections.abc import Iterator
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
 from benchmarks.timing import seconds
-from calibration.execution.tasks import run_tasks
-from calibration.simulation.collection.poses import single_threaded_opencv
-from calibration.simulation.scenarios.run import scenario_task
-from calibration.simulation.scenarios.scenario import ScenarioResult
-from calibration.simulation.scenarios.scenario_set import read_scenario_set
-from calibration.simulation.scenarios.statistics import Statistics
-from calibration.simulation.system import read_system
+from calibration.ci.execution.tasks import run_tasks
+from calibration.robot.simulation.collection.poses import single_threaded_opencv
+from calibration.robot.simulation.scenarios.run import scenario_task
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult
+from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
+from calibration.robot.simulation.scenarios.statistics import Statistics
+from calibration.robot.simulation.system import read_system
 
 
 def measure(quick: bool) -> Iterator[Row]:

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.dataset.modalities import RGB
-from calibration.dataset.model import Collection, CornerLabels, Dataset, Sensor
-from calibration.dataset.pattern import Pattern, grid, outline
-from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import PlumbBob
-from calibration.geometry.rotations import exp
-from calibration.geometry.transforms import apply, inverse, transform
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.dataset.modalities import RGB
+from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Sensor
+from calibration.engine.dataset.pattern import Pattern, grid, outline
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import PlumbBob
+from calibration.engine.geometry.rotations import exp
+from calibration.engine.geometry.transforms import apply, inverse, transform
 
 CAMERA = Camera(800.0, 800.0, 640.0, 480.0, 1280, 960, PlumbBob(-0.10, 0.05, 0.001, -0.0005, 0.01))
 COLUMNS, ROWS, SQUARE = 10, 5, 0.06

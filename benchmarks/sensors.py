@@ -17,10 +17,10 @@ from benchmarks import reference
 from benchmarks.process import ENVIRONMENT
 from benchmarks.room import PATTERN, ROOM, SMALL, T_WORLD_CAMERA, poses
 from benchmarks.shared_data import ROOT
-from calibration.geometry.transforms import from_xyz_rpy
-from calibration.simulation.board import Board
-from calibration.simulation.random_streams import stream
-from calibration.simulation.sensors import SimulatedCamera, SimulatedLidar
+from calibration.engine.geometry.transforms import from_xyz_rpy
+from calibration.robot.simulation.board import Board
+from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.sensors import SimulatedCamera, SimulatedLidar
 
 RINGS, AZIMUTHS = 16, 1875
 """Of rlbot's LiDAR."""

@@ -3,8 +3,8 @@
 from functools import cache
 from pathlib import Path
 
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import read_dataset
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import read_dataset
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT.parent / "shared" / "data"

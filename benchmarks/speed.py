@@ -7,10 +7,10 @@ from benchmarks.rig_arrays import rig_problem, solve
 from benchmarks.rows import Bar, Row
 from benchmarks.scenes import rig
 from benchmarks.timing import in_units_of
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.least_squares import minimise
-from calibration.estimation.linear_start import linear_start
-from calibration.estimation.normal_equations import Weighting
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.solve.least_squares import minimise
+from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.start.linear_start import linear_start
 
 COLLECTIONS = 2000
 

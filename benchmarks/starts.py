@@ -6,16 +6,16 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.shared_data import load
-from calibration.dataset.model import Dataset
-from calibration.dataset.truth import truth_of
-from calibration.errors import CalibrationError
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.result import Calibration
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.evaluation.rgb_to_rgb import rgb_to_rgb
-from calibration.evaluation.truth import truth_error
-from calibration.geometry.transforms import distance
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.base.errors import CalibrationError
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.truth import truth_of
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
+from calibration.engine.evaluation.truth import truth_error
+from calibration.engine.geometry.transforms import distance
 
 
 @dataclass(frozen=True)

@@ -56,8 +56,8 @@ def main(rounds: int) -> None:
     from benchmarks.floor import one_pass
     from benchmarks.rig_arrays import rig_problem
     from benchmarks.scenes import rig
-    from calibration.dataset.reading import read_dataset
-    from calibration.estimation.calibrate import Options, calibrate
+    from calibration.engine.dataset.reading import read_dataset
+    from calibration.engine.estimation.calibrate import Options, calibrate
 
     found = {}
     for size in RIGS:

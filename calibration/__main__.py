@@ -1,6 +1,6 @@
 """Command line ``calibration``, and entry point of the actions.
 
-Exit codes are those of :class:`calibration.errors.ExitCode`; a command that is stopped by SIGINT
+Exit codes are those of :class:`calibration.base.errors.ExitCode`; a command that is stopped by SIGINT
 or SIGTERM cleans up and returns 130 or 143 (128 plus the number of the signal), as shells do.
 """
 
@@ -20,12 +20,12 @@ from typing import Any, NamedTuple, NoReturn
 import click
 
 from calibration import __version__
-from calibration.errors import CalibrationError, ExitCode, solvable
-from calibration.garbage_collector import no_collector
-from calibration.process_end import run_process
-from calibration.workflow import Runner, report_error, stop_commands
-from calibration.workflow.signals import Terminated, terminate_cleanly
-from calibration.workflow.text import did_you_mean
+from calibration.base.errors import CalibrationError, ExitCode, solvable
+from calibration.base.garbage_collector import no_collector
+from calibration.base.process_end import run_process
+from calibration.base.signals import Terminated, terminate_cleanly
+from calibration.base.text import did_you_mean
+from calibration.ci.workflow import Runner, report_error, stop_commands
 
 
 class LazyCommand(NamedTuple):

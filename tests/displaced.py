@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.dataset.reading import read_dataset
-from calibration.estimation.calibrate import calibrate
-from calibration.geometry.transforms import apply, retract
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.geometry.transforms import apply, retract
 
 
 def displace(folder: Path, name: str, twist: tuple[float, ...]) -> None:

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
-from calibration.dataset.model import CornerLabels
-from calibration.dataset.reading import FILE_NAME
-from calibration.dataset.writing import write_document
-from calibration.geometry.cameras import Camera
-from calibration.importing.document import Imported, dataset_document
-from calibration.importing.image_views import FoundCorners, LabelledMoment, View
-from calibration.importing.starting_intrinsics import starting_intrinsics
-from tests.estimation.systems import covering
+from calibration.engine.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
+from calibration.engine.dataset.model import CornerLabels
+from calibration.engine.dataset.reading import FILE_NAME
+from calibration.engine.dataset.writing import write_document
+from calibration.engine.geometry.cameras import Camera
+from calibration.robot.importing.document import Imported, dataset_document
+from calibration.robot.importing.patterns.image_views import FoundCorners, LabelledMoment, View
+from calibration.robot.importing.patterns.starting_intrinsics import starting_intrinsics
+from tests.engine.estimation.systems import covering
 
 LENS = Camera(600.0, 590.0, 640.0, 480.0, 1280, 960)
 

@@ -27,14 +27,18 @@ def test_type_checkers_see_the_same_names() -> None:
     assert typed - {None} == set(calibration.__all__) - {"__version__"}
 
 
-def test_importing_it_imports_nothing_else() -> None:
-    script = (
-        "import calibration, sys; print(*(name for name in sys.modules if name.startswith(('calibration.', 'numpy'))))"
-    )
+def test_errors_have_their_public_path() -> None:
+    from calibration.errors import InputError  # type: ignore[import-not-found,unused-ignore]
+
+    assert InputError is calibration.InputError is calibration.errors.InputError
+
+
+def test_importing_it_imports_nothing_but_errors() -> None:
+    script = "import calibration, sys; print(*(x for x in sys.modules if x.startswith(('calibration.', 'numpy'))))"
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT, timeout=60
     )
-    assert done.stdout.strip() == ""
+    assert done.stdout.split() == ["calibration.base", "calibration.base.errors", "calibration.errors"]
 
 
 def test_its_example_runs(monkeypatch: pytest.MonkeyPatch) -> None:

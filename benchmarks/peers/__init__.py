@@ -17,9 +17,9 @@ from benchmarks.peers.with_pyceres import pyceres
 from benchmarks.rig_arrays import RigProblem, rig_problem
 from benchmarks.rows import Bar, Row
 from benchmarks.timing import interleaved, seconds
-from calibration.estimation.calibrate import calibrate
-from calibration.estimation.least_squares import minimise
-from calibration.estimation.normal_equations import Weighting
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.estimation.solve.least_squares import minimise
+from calibration.engine.estimation.solve.normal_equations import Weighting
 
 COLLECTIONS = (20, 200, 2000)
 SAME_COST = 1e-6

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from benchmarks.rig_arrays import RigArrays
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ import numpy as np
 
 from benchmarks.peers.peer import Peer, PeerError, Solution
 from benchmarks.rig_arrays import RigArrays
-from calibration.geometry import rotations
-from calibration.geometry.transforms import transform
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.transforms import transform
 
 INCLUDE = ("/usr/include/eigen3", "/usr/local/include/eigen3")
 HEADER = Path("/usr/include/ceres/ceres.h")

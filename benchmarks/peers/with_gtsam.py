@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks.floor import rows_of
 from benchmarks.peers.peer import Peer, Solution
 from benchmarks.rig_arrays import RigArrays
-from calibration.geometry.transforms import adjoint
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.geometry.transforms import adjoint
 
 TURN_FIRST = [3, 4, 5, 0, 1, 2]
 """gtsam's twists begin with the rotation."""

@@ -10,8 +10,8 @@ from benchmarks.floor import rows_of
 from benchmarks.peers.peer import Peer, PeerError, Solution
 from benchmarks.peers.with_ceres import pose_vectors, poses_of
 from benchmarks.rig_arrays import RigArrays
-from calibration.geometry import rotations
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.geometry import rotations
 
 
 def pyceres() -> Peer | str:

@@ -8,9 +8,9 @@ from scipy.sparse import csr_matrix
 
 from benchmarks.rig_arrays import RigArrays
 from benchmarks.scenes import CAMERA
-from calibration.geometry import rotations
-from calibration.geometry.transforms import apply, transform
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.transforms import apply, transform
 
 
 def solve(rig: RigArrays) -> tuple[Array, Array, float]:

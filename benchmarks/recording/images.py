@@ -9,16 +9,16 @@ import numpy as np
 
 from benchmarks.recording.curve import Curve
 from benchmarks.room import LARGE, PATTERN, ROOM, T_WORLD_CAMERA, poses
-from calibration.execution.embedded import Embedded
-from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import apply
-from calibration.geometry.types import Array
-from calibration.labelling.corner_detector import corner_detector
-from calibration.labelling.detection import NotDetected
-from calibration.simulation.board import Board
-from calibration.simulation.random_streams import stream
-from calibration.simulation.rendering.image import radiance
-from calibration.simulation.sensors import SimulatedCamera
+from calibration.base.arrays import Array
+from calibration.ci.execution.embedded import Embedded
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.transforms import apply
+from calibration.robot.labelling.corner_detector import corner_detector
+from calibration.robot.labelling.detection import NotDetected
+from calibration.robot.simulation.board import Board
+from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.rendering.image import radiance
+from calibration.robot.simulation.sensors import SimulatedCamera
 
 MIN_SHARE_FOUND = 0.5
 """Share of the corners in view below which an image counts as lost."""

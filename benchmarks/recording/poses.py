@@ -9,12 +9,12 @@ import numpy as np
 import calibration
 from benchmarks.recording.curve import Curve
 from benchmarks.room import LARGE, PATTERN
-from calibration.dataset.modalities import RGB
-from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Sensor
-from calibration.errors import InputError
-from calibration.geometry.rotations import exp
-from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, transform
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.base.errors import InputError
+from calibration.engine.dataset.modalities import RGB
+from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Edge, Sensor
+from calibration.engine.geometry.rotations import exp
+from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, transform
 
 CORNER_NOISE = 0.1
 """Standard deviation of the corners, each axis, px."""

@@ -13,10 +13,10 @@ from pathlib import Path
 from benchmarks.ros_defects.kinds import KINDS, planted
 from benchmarks.ros_defects.workspace import Files, Workspace, write
 from benchmarks.rows import Bar, Row
-from calibration.analysis.finding import Finding
-from calibration.analysis.ros.check import check
-from calibration.analysis.ros.repository import Repository
-from calibration.analysis.ros.tree import Tree
+from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.ros.check import check
+from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.tree import Tree
 
 SEEDS = 10
 

@@ -13,12 +13,12 @@ import numpy as np
 from benchmarks.rows import Bar, Row
 from benchmarks.verdict.strata import entries, generator, recording
 from benchmarks.workers import on_all_cores
-from calibration.estimation.assumptions import Assumptions
-from calibration.estimation.calibrate import calibrate
-from calibration.geometry import rotations
-from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import local
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.estimation.problem.assumptions import Assumptions
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.transforms import local
 
 NEES_BAR = Bar(0.5, 1.5)
 SQUARE_SIDES = (0.025, 0.04)

@@ -10,8 +10,8 @@ from benchmarks.rows import Bar, Row
 from benchmarks.verdict.case import Colour, colour_of, judged, with_nothing_set
 from benchmarks.verdict.kind import ALL, ARMS
 from benchmarks.verdict.strata import Conditions, generator, recording
-from calibration.diagnosis.limits import Limits
-from calibration.errors import InputError
+from calibration.base.errors import InputError
+from calibration.engine.diagnosis.limits import Limits
 
 DRAWS = 600
 """Recordings of a stratum."""

@@ -17,14 +17,14 @@ import numpy as np
 
 from benchmarks.rows import Bar, Row
 from benchmarks.workers import on_all_cores
-from calibration.dataset.reading import read_dataset
-from calibration.errors import CalibrationError
-from calibration.estimation.calibrate import calibrate
-from calibration.estimation.options import Options
-from calibration.geometry.rotations import to_quaternion
-from calibration.geometry.transforms import inverse, local
-from calibration.geometry.types import Array
-from calibration.importing.importing import import_data
+from calibration.base.arrays import Array
+from calibration.base.errors import CalibrationError
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.geometry.rotations import to_quaternion
+from calibration.engine.geometry.transforms import inverse, local
+from calibration.robot.importing.importing import import_data
 
 DATA = "KINHEC_DATA"
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")

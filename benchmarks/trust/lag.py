@@ -12,11 +12,11 @@ import numpy as np
 from benchmarks.rows import Bar, Row
 from benchmarks.scenes import CAMERA, board, boards, rig
 from benchmarks.workers import on_all_cores
-from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge
-from calibration.estimation.assumptions import EXACT
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.geometry.transforms import apply, from_xyz_rpy, inverse, local, retract
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Edge
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, local, retract
 
 DRAWS, COLLECTIONS = 100, 30
 MOST_LAG = 0.05

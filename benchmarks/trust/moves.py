@@ -14,12 +14,12 @@ from benchmarks.verdict.case import Colour, colour_of, judged, with_nothing_set
 from benchmarks.verdict.kind import ALL
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Conditions, generator, recording
-from calibration.baseline.settings import BaselineSettings
-from calibration.baseline.snapshot import Snapshot, snapshot
-from calibration.baseline.verdict import Accepted, against_baseline
-from calibration.diagnosis.limits import Limits
-from calibration.errors import InputError
-from calibration.geometry.transforms import retract
+from calibration.base.errors import InputError
+from calibration.engine.baseline.settings import BaselineSettings
+from calibration.engine.baseline.snapshot import Snapshot, snapshot
+from calibration.engine.baseline.verdict import Accepted, against_baseline
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.geometry.transforms import retract
 
 MOVES = 200
 """Recordings in which a sensor moves."""

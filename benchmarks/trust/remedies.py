@@ -17,10 +17,10 @@ from benchmarks.verdict.case import Colour, colour_of, judged, with_nothing_set
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Conditions, generator, recording
 from benchmarks.workers import on_all_cores
-from calibration.diagnosis.limits import Limits
-from calibration.errors import InputError
-from calibration.estimation.assumptions import OF_INTRINSICS, Assumptions
-from calibration.estimation.held import CAMERA_INFO
+from calibration.base.errors import InputError
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
+from calibration.engine.estimation.problem.assumptions import OF_INTRINSICS, Assumptions
 
 DRAWS = 60
 LIMITS_MM = (2.0, 5.0)

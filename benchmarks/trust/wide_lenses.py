@@ -11,15 +11,15 @@ import numpy as np
 
 from benchmarks.rows import Bar, Row
 from benchmarks.workers import on_all_cores
-from calibration.estimation.assumptions import EXACT
-from calibration.estimation.calibrate import calibrate
-from calibration.estimation.options import Options
-from calibration.geometry import rotations
-from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import DoubleSphere, Equidistant, Eucm, Omni
-from calibration.geometry.transforms import local, transform
-from calibration.geometry.types import Array
-from tests.estimation.scenes import Scene, board, camera, pose
+from calibration.base.arrays import Array
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import DoubleSphere, Equidistant, Eucm, Omni
+from calibration.engine.geometry.transforms import local, transform
+from tests.engine.estimation.scenes import Scene, board, camera, pose
 
 NEES_BAR = Bar(0.7, 1.3)
 WITHIN_BAR = Bar(0.95, 1.0)

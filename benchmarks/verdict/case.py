@@ -14,19 +14,19 @@ from benchmarks.verdict.kind import Kind
 from benchmarks.verdict.kinds import CLEAN, KINDS
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Stratum, clean, generator
-from calibration.dataset.model import Dataset
-from calibration.diagnosis.check_data import check_data
-from calibration.diagnosis.limits import TWIST, Limits, sizes
-from calibration.errors import CalibrationError, InputError
-from calibration.estimation.assumptions import EXACT, Assumptions
-from calibration.estimation.calibrate import calibrate
-from calibration.estimation.result import Calibration
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.evaluation.specification import parse_evaluation
-from calibration.evaluation.truth import truth_error
-from calibration.geometry.transforms import inverse, local
-from calibration.introspection.table import read_table
-from calibration.introspection.table_verdict import judge
+from calibration.base.errors import CalibrationError, InputError
+from calibration.base.tables.table import read_table
+from calibration.base.tables.table_verdict import judge
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.diagnosis.check_data import check_data
+from calibration.engine.diagnosis.limits import TWIST, Limits, sizes
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.problem.assumptions import EXACT, Assumptions
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.evaluation.specification import parse_evaluation
+from calibration.engine.evaluation.truth import truth_error
+from calibration.engine.geometry.transforms import inverse, local
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult, nothing_yet
 from calibration.pipeline.matrix.cell_verdict import judge_cells

@@ -15,19 +15,19 @@ from benchmarks.verdict.case import harm_of, judged
 from benchmarks.verdict.defects import boards, cameras, labels, motions
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import clean, entries, generator
-from calibration.dataset.configuration import PatternConfiguration
-from calibration.dataset.modalities import MODALITIES
-from calibration.dataset.model import Collection, Dataset, Sensor
-from calibration.estimation.assumptions import EXACT
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.result import Calibration
-from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import distance, from_quaternion
-from calibration.geometry.types import Array
-from calibration.labelling.charuco import CharucoDetector
-from calibration.labelling.detection import NotDetected
+from calibration.base.arrays import Array
+from calibration.base.yaml_file import read_yaml
+from calibration.engine.dataset.configuration import PatternConfiguration
+from calibration.engine.dataset.modalities import MODALITIES
+from calibration.engine.dataset.model import Collection, Dataset, Sensor
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.transforms import distance, from_quaternion
 from calibration.pipeline.system import System
-from calibration.yaml_file import read_yaml
+from calibration.robot.labelling.charuco import CharucoDetector
+from calibration.robot.labelling.detection import NotDetected
 
 ARM = FOLDER / "real-arm"
 NO_ARM = "no ../shared/data/real-arm: it is not part of the project"

@@ -6,12 +6,12 @@ from functools import cached_property
 
 import numpy as np
 
-from calibration.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels
-from calibration.dataset.pattern import Pattern
-from calibration.dataset.truth import Truth
-from calibration.geometry.joints import JOINT_PARAMETERS
-from calibration.geometry.transforms import apply, inverse
-from calibration.geometry.types import Array, IntArray
+from calibration.base.arrays import Array, IntArray
+from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels
+from calibration.engine.dataset.pattern import Pattern
+from calibration.engine.dataset.truth import Truth
+from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.transforms import apply, inverse
 from calibration.pipeline.system import System
 
 LabelChange = Callable[[int, str, Labels], Labels | None]

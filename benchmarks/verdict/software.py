@@ -10,17 +10,17 @@ import numpy as np
 
 from benchmarks.rows import Bar, Row
 from benchmarks.verdict.strata import Stratum, clean, entries
-from calibration.dataset.model import Dataset
-from calibration.estimation.build import build
-from calibration.estimation.calibrate import calibrate
-from calibration.estimation.initial_values import initial_values
-from calibration.estimation.least_squares import Termination, minimise
-from calibration.estimation.linear_start import pattern_poses
-from calibration.estimation.normal_equations import Weighting
-from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
-from calibration.evaluation.specification import Evaluation, parse_evaluation
-from calibration.execution.outcome import ArtifactFile, JobOutcome
-from calibration.geometry.transforms import translation
+from calibration.ci.execution.outcome import ArtifactFile, JobOutcome
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.estimation.solve.least_squares import Termination, minimise
+from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.start.build import build
+from calibration.engine.estimation.start.initial_values import initial_values
+from calibration.engine.estimation.start.linear_start import pattern_poses
+from calibration.engine.estimation.start.starting_noise import StartingNoise, with_starting_noise
+from calibration.engine.evaluation.specification import Evaluation, parse_evaluation
+from calibration.engine.geometry.transforms import translation
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem

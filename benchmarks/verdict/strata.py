@@ -12,30 +12,30 @@ import numpy as np
 
 from benchmarks.shared_data import ROOT
 from benchmarks.verdict.scene import Scene
-from calibration.dataset import truth
-from calibration.dataset.model import CornerLabels, Labels, PointLabels
-from calibration.dataset.reading import FILE_NAME, read_dataset
-from calibration.dataset.truth import read_truth
-from calibration.dataset.writing import write_document
-from calibration.errors import InputError
-from calibration.geometry.joints import JOINT_PARAMETERS
-from calibration.geometry.transforms import retract
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.base.errors import InputError
+from calibration.engine.dataset import truth
+from calibration.engine.dataset.model import CornerLabels, Labels, PointLabels
+from calibration.engine.dataset.reading import FILE_NAME, read_dataset
+from calibration.engine.dataset.truth import read_truth
+from calibration.engine.dataset.writing import write_document
+from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.transforms import retract
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.system import System as Entry
-from calibration.simulation.collection.capture import Requirements
-from calibration.simulation.collection.document import dataset_document, truth_document
-from calibration.simulation.collection.poses import collect_pose, kept, single_threaded_opencv
-from calibration.simulation.joints import joint_values
-from calibration.simulation.motion.candidates import find_candidates
-from calibration.simulation.motion.expected import expected_dataset
-from calibration.simulation.motion.generation import generate_motion
-from calibration.simulation.motion.sequence import Motion
-from calibration.simulation.placement import place, play
-from calibration.simulation.scenarios.scenario import Scenario
-from calibration.simulation.scenarios.scenario_set import read_scenario_set
-from calibration.simulation.scenarios.world import build_world, scenario_motion
-from calibration.simulation.system import System, read_system
+from calibration.robot.simulation.collection.capture import Requirements
+from calibration.robot.simulation.collection.document import dataset_document, truth_document
+from calibration.robot.simulation.collection.poses import collect_pose, kept, single_threaded_opencv
+from calibration.robot.simulation.joints import joint_values
+from calibration.robot.simulation.motion.candidates import find_candidates
+from calibration.robot.simulation.motion.expected import expected_dataset
+from calibration.robot.simulation.motion.generation import generate_motion
+from calibration.robot.simulation.motion.sequence import Motion
+from calibration.robot.simulation.placement import place, play
+from calibration.robot.simulation.scenarios.scenario import Scenario
+from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
+from calibration.robot.simulation.scenarios.world import build_world, scenario_motion
+from calibration.robot.simulation.system import System, read_system
 
 Stratum = Literal["exact", "rendered", "good"]
 STRATA: tuple[Stratum, ...] = get_args(Stratum)

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import click
 
-from calibration.baseline.document import read_baseline, write_baseline
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.text import one_line
+from calibration.ci.execution.folder_lock import locked
+from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import TEXT_LIST, path, text
-from calibration.errors import ExitCode, InputError
-from calibration.execution.folder_lock import locked
+from calibration.engine.baseline.document import read_baseline, write_baseline
 from calibration.pipeline.accepting import accept
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.pipeline.judging import judge_results
 from calibration.pipeline.results import read_results
-from calibration.workflow import Runner, stop_commands
-from calibration.workflow.text import one_line
 
 
 @click.command("accept")

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
+from calibration.addons.aws_batch.policy import HOLDERS, policy, trust
+from calibration.base.errors import ExitCode
+from calibration.ci.execution.backends import AWS_BATCH, read_sections
 from calibration.commands.parameters import path
-from calibration.errors import ExitCode
-from calibration.execution.backends import AWS_BATCH, read_sections
-from calibration.execution.batch.policy import HOLDERS, policy, trust
 
 _HOLDERS = ("caller", "job", "execution", "trust")
 

@@ -8,27 +8,27 @@ from typing import Any
 
 import click
 
-from calibration.commands.parameters import password_variable, registry_password_option
-from calibration.commands.record_options import chosen, option_keys, record_options
-from calibration.errors import ExitCode, InfrastructureError, InputError
-from calibration.image.builders.failure import BuildFailedError
-from calibration.image.building import BuilderName, build_image
-from calibration.image.context import Context
-from calibration.image.plan import add_recipe
-from calibration.image.report import TITLE, BuildResult, Failure, report
-from calibration.image.specification import (
+from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base.records import field, record
+from calibration.ci.image.builders.failure import BuildFailedError
+from calibration.ci.image.building import BuilderName, build_image
+from calibration.ci.image.context import Context
+from calibration.ci.image.plan import add_recipe
+from calibration.ci.image.report import TITLE, BuildResult, Failure, report
+from calibration.ci.image.specification import (
     ImageSpecification,
     OwnDockerfile,
     parse_image_specification,
     read_image_specification,
 )
-from calibration.records import field, record
-from calibration.registries.credentials import RegistrySettings
-from calibration.registries.login import registry_login
-from calibration.registries.promotion import promote
-from calibration.registries.reference import check_tag
-from calibration.report import FILES, publish, remove_results
-from calibration.workflow import Runner, stop_commands
+from calibration.ci.registries.credentials import RegistrySettings
+from calibration.ci.registries.login import registry_login
+from calibration.ci.registries.promotion import promote
+from calibration.ci.registries.reference import check_tag
+from calibration.ci.report import FILES, publish, remove_results
+from calibration.ci.workflow import Runner, stop_commands
+from calibration.commands.parameters import password_variable, registry_password_option
+from calibration.commands.record_options import chosen, option_keys, record_options
 
 SPECIFICATION = Path("calibration.yml")
 

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.records import at_least, changed, field, read, record
+from calibration.ci.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, ExecutionTarget, check_backend
+from calibration.ci.introspection.rules_file import read_rules
+from calibration.ci.registries.credentials import RegistrySettings
+from calibration.ci.workflow import Runner
 from calibration.commands.parameters import EVERYWHERE, password_variable, registry_password_option
 from calibration.commands.record_options import chosen, given, record_options
 from calibration.commands.target import execution_target
-from calibration.errors import ExitCode, InputError
-from calibration.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, ExecutionTarget, check_backend
-from calibration.introspection.rulesfile import read_rules
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import Software, adjusted_software
 from calibration.pipeline.stages import Run, run_stages
 from calibration.pipeline.system import Noise, NoiseGrid, System, chosen_systems
-from calibration.records import at_least, changed, field, read, record
-from calibration.registries.credentials import RegistrySettings
-from calibration.workflow import Runner
 
 if TYPE_CHECKING:
     from calibration.pipeline.configuration import Configuration
@@ -167,7 +167,7 @@ def pull(settings: MatrixSettings, runner: Runner) -> None:
         raise InputError("registry-username is given without the image that it is for")
 
     login = RegistrySettings(username=settings.registry_username, password_variable=settings.password_variable)
-    from calibration.image.bases import pull_image  # imports the engine's SDK
+    from calibration.ci.image.bases import pull_image  # imports the engine's SDK
 
     pull_image(image, login, runner, TITLE)
 

@@ -5,12 +5,12 @@ from typing import Any
 
 import click
 
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.text import aligned
+from calibration.ci.execution.backends import AWS_BATCH, DOCKER, KINDS, Leftovers, imported
+from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import boolean_option, path, text
 from calibration.commands.target import DEFAULT_FILE
-from calibration.errors import ExitCode, InputError
-from calibration.execution.backends import AWS_BATCH, DOCKER, KINDS, Leftovers, imported
-from calibration.workflow import Runner, stop_commands
-from calibration.workflow.text import aligned
 
 KEPT_SHOWN = 50
 """Limit of shown leftovers that are kept."""

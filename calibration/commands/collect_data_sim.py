@@ -7,6 +7,13 @@ from typing import Any
 
 import click
 
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.files import write_atomically
+from calibration.ci.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, ExecutionTarget, check_backend
+from calibration.ci.report import publish, show
+from calibration.ci.workflow import Runner, stop_commands
+from calibration.ci.workflow.progress import progress
+from calibration.ci.workflow.streams import LogDisplay
 from calibration.commands.collection_settings import (
     CollectionSettings,
     application_options,
@@ -17,9 +24,6 @@ from calibration.commands.collection_settings import (
 )
 from calibration.commands.record_options import chosen, record_options
 from calibration.commands.target import execution_target
-from calibration.errors import ExitCode, InputError
-from calibration.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, ExecutionTarget, check_backend
-from calibration.files import write_atomically
 from calibration.pipeline.collection import report, scenario_report
 from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.report import TITLE, pose_line
@@ -33,14 +37,10 @@ from calibration.pipeline.collection.scenario_report import scenario_line
 from calibration.pipeline.collection.scenarios import ScenarioFolder
 from calibration.pipeline.page.collection_page import collection_page
 from calibration.pipeline.results import PAGE_FILE
-from calibration.report import publish, show
-from calibration.simulation.collection.record import Record
-from calibration.simulation.motion.sequence import Motion
-from calibration.simulation.scenarios.scenario import ScenarioResult
-from calibration.simulation.system import System
-from calibration.workflow import Runner, stop_commands
-from calibration.workflow.progress import progress
-from calibration.workflow.streams import LogDisplay
+from calibration.robot.simulation.collection.record import Record
+from calibration.robot.simulation.motion.sequence import Motion
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult
+from calibration.robot.simulation.system import System
 
 MOST_SHOWN = 16
 """Limit of scenarios whose containers' logs are shown; with more, the logs are only in files."""

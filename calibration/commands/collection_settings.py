@@ -4,9 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from calibration.base.errors import InputError
+from calibration.base.records import at_least, field, record
+from calibration.base.yaml_file import read_yaml
+from calibration.ci.execution.sizes import parse_seconds
 from calibration.commands.parameters import find_system, system_folder
-from calibration.errors import InputError
-from calibration.execution.sizes import parse_seconds
 from calibration.pipeline.collection.applications import SECONDS
 from calibration.pipeline.collection.request import (
     CollectionChecks,
@@ -17,9 +19,7 @@ from calibration.pipeline.collection.request import (
     Share,
 )
 from calibration.pipeline.configuration import parse_applications
-from calibration.records import at_least, field, record
-from calibration.simulation.scenarios.scenario import parse_id
-from calibration.yaml_file import read_yaml
+from calibration.robot.simulation.scenarios.scenario import parse_id
 
 Tolerance = Annotated[float, at_least(0)]
 

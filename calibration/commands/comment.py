@@ -6,20 +6,20 @@ from typing import Any, Literal
 
 import click
 
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.records import field, record
+from calibration.ci.git.event import Event
+from calibration.ci.github.api import API_URL, GitHubApi
+from calibration.ci.github.comment_text import comment_text
+from calibration.ci.github.comments import Comments, Marker
+from calibration.ci.github.pull_requests import pull_request_of
+from calibration.ci.github.workflow_run import WorkflowRun, tested_run
+from calibration.ci.report import count_of
+from calibration.ci.report.brief import BRIEF_FILE, Brief, read_brief
+from calibration.ci.workflow import Runner, add_mask
+from calibration.ci.workflow.annotations import Annotation, Level, annotate
+from calibration.ci.workflow.outputs import set_outputs
 from calibration.commands.record_options import chosen, record_options
-from calibration.errors import ExitCode, InputError
-from calibration.git.event import Event
-from calibration.github.api import API_URL, GitHubApi
-from calibration.github.comment_text import comment_text
-from calibration.github.comments import Comments, Marker
-from calibration.github.pull_requests import pull_request_of
-from calibration.github.workflow_run import WorkflowRun, tested_run
-from calibration.records import field, record
-from calibration.report import count_of
-from calibration.report.brief import BRIEF_FILE, Brief, read_brief
-from calibration.workflow import Runner, add_mask
-from calibration.workflow.annotations import Annotation, Level, annotate
-from calibration.workflow.outputs import set_outputs
 
 TITLE = "comment"
 VARIABLE = "GITHUB_TOKEN"

@@ -8,6 +8,12 @@ from typing import Any, cast
 
 import click
 
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.text import did_you_mean
+from calibration.ci.report import count_of, publish, remove_results
+from calibration.ci.workflow import Runner
+from calibration.ci.workflow.progress import progress
+from calibration.ci.workflow.streams import LogDisplay
 from calibration.commands.calibrate_matrix import (
     OF_SOFTWARE,
     MatrixSettings,
@@ -27,8 +33,7 @@ from calibration.commands.parameters import (
     path,
 )
 from calibration.commands.record_options import option_keys
-from calibration.errors import ExitCode, InputError
-from calibration.estimation.options import Start
+from calibration.engine.estimation.solve.options import Start
 from calibration.pipeline.configuration import DEFAULT_FILE
 from calibration.pipeline.convergence.convergence_map import maps_of
 from calibration.pipeline.convergence.report import ALL_FILES, TITLE, report
@@ -36,11 +41,6 @@ from calibration.pipeline.convergence.results import ConvergenceResults, Minimum
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.system import System
-from calibration.report import count_of, publish, remove_results
-from calibration.workflow import Runner
-from calibration.workflow.progress import progress
-from calibration.workflow.streams import LogDisplay
-from calibration.workflow.text import did_you_mean
 
 STARTS = ("given", "linear")
 SEEDS = 10

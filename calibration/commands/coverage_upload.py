@@ -5,12 +5,12 @@ from typing import Any
 
 import click
 
+from calibration.addons.coverage.report import TITLE
+from calibration.addons.coverage.upload import Settings, upload
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.programs import hide
+from calibration.ci.workflow import Runner, add_mask
 from calibration.commands.record_options import chosen, record_options
-from calibration.coverage.report import TITLE
-from calibration.coverage.upload import Settings, upload
-from calibration.errors import ExitCode, InputError
-from calibration.programs import hide
-from calibration.workflow import Runner, add_mask
 
 TOKENS = {"project_token": "CODACY_PROJECT_TOKEN", "api_token": "CODACY_API_TOKEN"}
 """Environment variables of tokens."""

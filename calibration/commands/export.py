@@ -6,16 +6,16 @@ from pathlib import Path
 
 import click
 
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.files import write_atomically
+from calibration.base.text import did_you_mean, one_line
+from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import TEXT_LIST, assignments, path, text
-from calibration.dataset.reading import read_dataset
-from calibration.errors import ExitCode, InputError
-from calibration.exports.files import exported
-from calibration.exports.names import FORMATS, URDF
-from calibration.files import write_atomically
+from calibration.engine.dataset.reading import read_dataset
 from calibration.pipeline.exportable import refuse_what_has_not_passed
-from calibration.robot_description import NO_INPUTS, XacroInputs
-from calibration.workflow import Runner, stop_commands
-from calibration.workflow.text import did_you_mean, one_line
+from calibration.robot.exports.files import exported
+from calibration.robot.exports.names import FORMATS, URDF
+from calibration.robot.robot_description import NO_INPUTS, XacroInputs
 
 
 @click.command("export")

@@ -9,16 +9,16 @@ from typing import Any
 
 import click
 
+from calibration.base.errors import ExitCode
+from calibration.ci.report import publish
+from calibration.ci.workflow import Runner
 from calibration.commands.parameters import DEFAULT_ARTIFACT_NAME, artifact_name, path, text
-from calibration.errors import ExitCode
 from calibration.pipeline.distribution.artifacts import name_folders_by_slug, read_plan
 from calibration.pipeline.distribution.cost import cost_of_run
 from calibration.pipeline.distribution.gathering import gather, report_of_run
 from calibration.pipeline.distribution.jobs import SUCCESS, parse_needs, parse_seconds
 from calibration.pipeline.page.run_page import report_page
 from calibration.pipeline.results import PAGE_FILE, clear_results
-from calibration.report import publish
-from calibration.workflow import Runner
 
 TITLE = "gather-results"
 

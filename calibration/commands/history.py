@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
-from calibration.baseline.history import History, Step, Trend, history_of
-from calibration.baseline.trend_figure import figure
+from calibration.base.errors import CalibrationError, ExitCode
+from calibration.ci.report import Lines, Report, Table, count_of, publish
+from calibration.ci.workflow import Runner
 from calibration.commands.parameters import TEXT_LIST, path, text
-from calibration.errors import CalibrationError, ExitCode
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
-from calibration.report import Lines, Report, Table, count_of, publish
-from calibration.workflow import Runner
+from calibration.pipeline.history import History, Step, Trend, history_of
+from calibration.pipeline.trend_figure import figure
 
 FIGURE = "history.svg"
 MOST_COMMITS = 10_000

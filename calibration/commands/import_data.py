@@ -6,16 +6,16 @@ from typing import Annotated, Any
 
 import click
 
+from calibration.base.errors import ExitCode
+from calibration.base.records import at_least, field, record
+from calibration.ci.report import publish
+from calibration.ci.workflow import Runner
+from calibration.ci.workflow.progress import progress
 from calibration.commands.record_options import chosen, record_options
-from calibration.errors import ExitCode
-from calibration.importing.image_views import LabelledMoment
-from calibration.importing.importing import import_data
-from calibration.importing.recordings import SeenImages
-from calibration.importing.report import TITLE, report
-from calibration.records import at_least, field, record
-from calibration.report import publish
-from calibration.workflow import Runner
-from calibration.workflow.progress import progress
+from calibration.robot.importing.bags.recordings import SeenImages
+from calibration.robot.importing.importing import import_data
+from calibration.robot.importing.patterns.image_views import LabelledMoment
+from calibration.robot.importing.report import TITLE, report
 
 
 @record(kw_only=True)

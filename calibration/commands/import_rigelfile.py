@@ -5,15 +5,15 @@ from pathlib import Path
 
 import click
 
+from calibration.addons.rigel.conversion import convert
+from calibration.addons.rigel.document import read_rigelfile
+from calibration.addons.rigel.notes import Kind
+from calibration.addons.rigel.writing import written
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.files import write_atomically
+from calibration.base.text import one_line
+from calibration.ci.workflow import Annotation, Level, Runner, annotate, stop_commands
 from calibration.commands.parameters import boolean_option, path
-from calibration.errors import ExitCode, InputError
-from calibration.files import write_atomically
-from calibration.rigel.conversion import convert
-from calibration.rigel.document import read_rigelfile
-from calibration.rigel.notes import Kind
-from calibration.rigel.writing import written
-from calibration.workflow import Annotation, Level, Runner, annotate, stop_commands
-from calibration.workflow.text import one_line
 
 
 @click.command("import-rigelfile")

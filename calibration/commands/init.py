@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.files import write_atomically
+from calibration.base.text import one_line
+from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import boolean_option, path
-from calibration.errors import ExitCode, InputError
-from calibration.files import write_atomically
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.first_configuration import FirstConfiguration, first_configuration
-from calibration.workflow import Runner, stop_commands
-from calibration.workflow.text import one_line
 
 SUITE = "OWNER/calibration-ci@v1"
 CONFIGURATION, WORKFLOW = Path("calibration.yml"), Path(".github", "workflows", "calibration.yml")

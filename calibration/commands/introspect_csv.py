@@ -7,19 +7,19 @@ from typing import Any
 
 import click
 
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.file_patterns import matching
+from calibration.base.frozen import frozen
+from calibration.base.records import flat_fields, read
+from calibration.base.tables.rule_set import RuleEntry, RuleSet, checked
+from calibration.base.tables.table import parse_delimiter, read_table
+from calibration.base.tables.table_verdict import judge
+from calibration.ci.introspection.report import report
+from calibration.ci.introspection.rules_file import read_rules
+from calibration.ci.report import FILES, publish, remove_results
+from calibration.ci.workflow import Runner
 from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.commands.record_options import record_options
-from calibration.errors import ExitCode, InputError
-from calibration.file_patterns import matching
-from calibration.frozen import frozen
-from calibration.introspection.report import report
-from calibration.introspection.rule_set import RuleEntry, RuleSet, checked
-from calibration.introspection.rulesfile import read_rules
-from calibration.introspection.table import parse_delimiter, read_table
-from calibration.introspection.table_verdict import judge
-from calibration.records import flat_fields, read
-from calibration.report import FILES, publish, remove_results
-from calibration.workflow import Runner
 
 
 @frozen
@@ -89,7 +89,7 @@ def introspect(settings: IntrospectionSettings, runner: Runner) -> ExitCode:
     """Check the tables, report every violation, and return the exit code.
 
     Raises :class:`InputError` if a file, a column or a labelled row is missing or a file is not a
-    table, and :class:`calibration.errors.InfrastructureError` if a result cannot be written. Results of
+    table, and :class:`calibration.base.errors.InfrastructureError` if a result cannot be written. Results of
     an earlier run are removed first, so that they are not mistaken for current ones.
     """
     if settings.output is not None:

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import click
 
+from calibration.base.errors import ExitCode
+from calibration.ci.report import publish
+from calibration.ci.workflow import Runner
+from calibration.ci.workflow.progress import progress
 from calibration.commands.parameters import boolean_option, count, path
-from calibration.errors import ExitCode
-from calibration.importing.image_views import LabelledMoment
-from calibration.importing.relabelling import label_dataset
-from calibration.importing.report import label_report
-from calibration.report import publish
-from calibration.workflow import Runner
-from calibration.workflow.progress import progress
+from calibration.robot.importing.patterns.image_views import LabelledMoment
+from calibration.robot.importing.relabelling import label_dataset
+from calibration.robot.importing.report import label_report
 
 
 @click.command("label")

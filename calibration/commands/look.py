@@ -5,12 +5,12 @@ from pathlib import Path
 
 import click
 
+from calibration.base.errors import ExitCode
+from calibration.ci.report import FILES, publish, remove_results
+from calibration.ci.workflow import Runner
 from calibration.commands.parameters import path
-from calibration.errors import ExitCode
-from calibration.importing.look.looking import look
-from calibration.importing.look.report import report
-from calibration.report import FILES, publish, remove_results
-from calibration.workflow import Runner
+from calibration.robot.importing.look.looking import look
+from calibration.robot.importing.look.report import report
 
 
 @click.command("look")

@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 import click
 
-from calibration.errors import InputError
-from calibration.workflow import Runner, add_mask
+from calibration.base.errors import InputError
+from calibration.ci.workflow import Runner, add_mask
 
 SYSTEMS = Path("datasets")
 """Folder of named systems, relative to the working directory."""

@@ -6,15 +6,15 @@ from typing import Any, get_args
 
 import click
 
+from calibration.base.errors import ExitCode
+from calibration.base.files import write_atomically
+from calibration.base.records import read
 from calibration.commands.parameters import count, number, path
-from calibration.dataset.pattern import CIRCLES, PatternKind
-from calibration.errors import ExitCode
-from calibration.files import write_atomically
-from calibration.importing.description import ImportDescription
-from calibration.importing.printed_sheet import PAPERS, board_sheet, pdf, svg
-from calibration.importing.target_files import pattern_configuration
-from calibration.labelling.corner_detector import corner_detector
-from calibration.records import read
+from calibration.engine.dataset.pattern import CIRCLES, PatternKind
+from calibration.robot.importing.description import ImportDescription
+from calibration.robot.importing.files.target_files import pattern_configuration
+from calibration.robot.importing.printed_sheet import PAPERS, board_sheet, pdf, svg
+from calibration.robot.labelling.corner_detector import corner_detector
 
 NAME = "board"
 """Name of the pattern in import.yml."""

@@ -7,6 +7,11 @@ from typing import Any
 
 import click
 
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.files import write_atomically
+from calibration.base.records import read
+from calibration.ci.git.event import Event
+from calibration.ci.workflow import Runner, set_outputs, stop_commands
 from calibration.commands.parameters import (
     DEFAULT_ARTIFACT_NAME,
     PATH_LIST,
@@ -18,15 +23,10 @@ from calibration.commands.parameters import (
     text,
 )
 from calibration.commands.record_options import given, record_options
-from calibration.errors import ExitCode, InputError
-from calibration.files import write_atomically
-from calibration.git.event import Event
 from calibration.pipeline.configuration import DEFAULT_FILE, Configuration, read_configuration
 from calibration.pipeline.distribution.plan import JobInputs, Plan, datasets_as_configuration, plan_jobs
 from calibration.pipeline.distribution.plan_outputs import plan_outputs, plan_text
 from calibration.pipeline.system import Noise
-from calibration.records import read
-from calibration.workflow import Runner, set_outputs, stop_commands
 
 NOISE = {"translation": "translation-noise", "rotation": "rotation-noise"}
 HIGHEST_RATE = 1000.0

@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
+from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.ci.workflow import Runner
 from calibration.commands.parameters import boolean_option, integer, path, system_folder, text
-from calibration.errors import ExitCode, InfrastructureError, InputError
-from calibration.workflow import Runner
 
 MAX_PORT = 65535
 
@@ -71,7 +71,7 @@ def record_motion(settings: RecorderSettings, runner: Runner) -> ExitCode:
         raise InfrastructureError("record-motion needs viser: pip install viser")
     if settings.output.is_dir():
         raise InputError(f"{settings.output}: is a folder, expected a file for the sequence")
-    from calibration.recorder.recording import Inputs, record  # needs the extra record, slow to import
+    from calibration.addons.recorder.recording import Inputs, record  # needs the extra record, slow to import
 
     inputs = Inputs(system_folder(settings.system), settings.robot, settings.config, settings.motion)
     open_page = click.launch if settings.open else None

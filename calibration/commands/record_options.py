@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeVar
 
 import click
 
+from calibration.base.records import Constraint, Converted, flat_fields, read
 from calibration.commands.parameters import (
     boolean_option,
     count,
@@ -19,7 +20,6 @@ from calibration.commands.parameters import (
     share,
     text,
 )
-from calibration.records import Constraint, Converted, flat_fields, read
 
 _Record = TypeVar("_Record")
 _Callback = TypeVar("_Callback", bound=Callable[..., Any])

@@ -7,14 +7,14 @@ from typing import Any
 
 import click
 
+from calibration.base.errors import ExitCode
+from calibration.base.frozen import frozen
+from calibration.ci.image.specification import ImageSpecification
+from calibration.ci.workflow import Runner, set_outputs
 from calibration.commands.parameters import TEXT_LIST, boolean_option, count, path
-from calibration.errors import ExitCode
-from calibration.frozen import frozen
-from calibration.image.specification import ImageSpecification
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.stages import STAGES, Run, run_stages
-from calibration.workflow import Runner, set_outputs
 
 
 @frozen

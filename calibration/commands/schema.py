@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import click
 
-from calibration.errors import ExitCode
-from calibration.records.schema import schema_text
-from calibration.report import Head
+from calibration.base.errors import ExitCode
+from calibration.base.records.schema import schema_text
+from calibration.ci.report import Head
 
 
 class Shipped(NamedTuple):
@@ -24,27 +24,27 @@ class Shipped(NamedTuple):
 
 
 _PIPELINE, _COLLECTION = "calibration.pipeline", "calibration.pipeline.collection"
-_CONVERGENCE, _SCENARIOS = "calibration.pipeline.convergence", "calibration.simulation.scenarios"
+_CONVERGENCE, _SCENARIOS = "calibration.pipeline.convergence", "calibration.robot.simulation.scenarios"
 _RESULTS = "results.schema.json"
 SCHEMAS = {
     "calibration.yml": Shipped(_PIPELINE, "calibration.schema.json", "configuration:Configuration"),
-    "baseline": Shipped("calibration.baseline", "baseline.schema.json", "document:Baseline"),
-    "image": Shipped("calibration.image", "image.schema.json", "specification:ImageDocument"),
-    "aws-batch": Shipped("calibration.execution.batch", "batch.schema.json", "settings:BatchFile"),
+    "baseline": Shipped("calibration.engine.baseline", "baseline.schema.json", "document:Baseline"),
+    "image": Shipped("calibration.ci.image", "image.schema.json", "specification:ImageDocument"),
+    "aws-batch": Shipped("calibration.addons.aws_batch", "batch.schema.json", "settings:BatchFile"),
     "results": Shipped(_PIPELINE, _RESULTS, "distribution.gathering:RunResults", "calibrate-matrix and run"),
     "convergence": Shipped(_CONVERGENCE, "convergence.schema.json", "results:ConvergenceResults", "convergence"),
     "collection": Shipped(_COLLECTION, "collection.schema.json", "results:CollectionDocument", "collect-data-sim"),
-    "simulation.yml": Shipped("calibration.simulation", "simulation.schema.json", "system:Simulation"),
-    "motion": Shipped("calibration.simulation.motion", "motion.schema.json", "sequence:MotionFile"),
-    "import.yml": Shipped("calibration.importing", "import.schema.json", "description:ImportDescription"),
-    "import-results": Shipped("calibration.importing", _RESULTS, "results:ImportResults", "import-data"),
-    "look-results": Shipped("calibration.importing", "look.schema.json", "look.results:LookResults", "look"),
-    "label-results": Shipped("calibration.importing", "label.schema.json", "results:LabelResults", "label"),
+    "simulation.yml": Shipped("calibration.robot.simulation", "simulation.schema.json", "system:Simulation"),
+    "motion": Shipped("calibration.robot.simulation.motion", "motion.schema.json", "sequence:MotionFile"),
+    "import.yml": Shipped("calibration.robot.importing", "import.schema.json", "description:ImportDescription"),
+    "import-results": Shipped("calibration.robot.importing", _RESULTS, "results:ImportResults", "import-data"),
+    "look-results": Shipped("calibration.robot.importing", "look.schema.json", "look.results:LookResults", "look"),
+    "label-results": Shipped("calibration.robot.importing", "label.schema.json", "results:LabelResults", "label"),
     "scenario-set": Shipped(_SCENARIOS, "scenario_set.schema.json", "parameters:ScenarioSetFile"),
-    "coverage": Shipped("calibration.coverage", _RESULTS, "results:Results", "coverage-upload"),
-    "image-results": Shipped("calibration.image", _RESULTS, "report:BuildResult", "build-image"),
-    "analysis": Shipped("calibration.analysis", _RESULTS, "results:Results", "static-analysis"),
-    "introspection": Shipped("calibration.introspection", _RESULTS, "result:Results", "introspect-csv"),
+    "coverage": Shipped("calibration.addons.coverage", _RESULTS, "results:Results", "coverage-upload"),
+    "image-results": Shipped("calibration.ci.image", _RESULTS, "report:BuildResult", "build-image"),
+    "analysis": Shipped("calibration.addons.analysis", _RESULTS, "results:Results", "static-analysis"),
+    "introspection": Shipped("calibration.base.tables", _RESULTS, "result:Results", "introspect-csv"),
 }
 """JSON Schemas by name."""
 

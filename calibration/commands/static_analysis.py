@@ -5,11 +5,11 @@ from typing import Any
 
 import click
 
-from calibration.analysis.process import Settings, analyse
-from calibration.analysis.report import TITLE
+from calibration.addons.analysis.process import Settings, analyse
+from calibration.addons.analysis.report import TITLE
+from calibration.base.errors import ExitCode
+from calibration.ci.workflow import Runner
 from calibration.commands.record_options import chosen, record_options
-from calibration.errors import ExitCode
-from calibration.workflow import Runner
 
 
 @click.command(TITLE)

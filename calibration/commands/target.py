@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from calibration.errors import InputError
-from calibration.execution.backends import KINDS, ExecutionTarget, Sections, read_sections
-from calibration.execution.run_names import new_run
-from calibration.files import read_bytes, write_atomically
-from calibration.workflow import Runner
+from calibration.base.errors import InputError
+from calibration.base.files import read_bytes, write_atomically
+from calibration.ci.execution.backends import KINDS, ExecutionTarget, Sections, read_sections
+from calibration.ci.execution.run_names import new_run
+from calibration.ci.workflow import Runner
 
 DEFAULT_FILE = Path("calibration.yml")
 """Default file with the section aws-batch."""

@@ -6,8 +6,8 @@ from importlib.metadata import PackageNotFoundError, version
 import click
 
 from calibration import __version__
-from calibration.errors import ExitCode
-from calibration.workflow import Runner
+from calibration.base.errors import ExitCode
+from calibration.ci.workflow import Runner
 
 PACKAGES = ("click", "pyyaml", "numpy", "defusedxml", "rich", "opencv-python-headless", "docker", "boto3")
 """Distributions that the suite uses, required or optional."""

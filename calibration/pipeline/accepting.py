@@ -4,19 +4,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from calibration.baseline.document import VERSION, Baseline
-from calibration.baseline.quality import QUALITY
-from calibration.baseline.snapshot import Snapshot
-from calibration.baseline.verdict import MOVED, NO_BASELINE
-from calibration.errors import InputError
-from calibration.evaluation.table import AVERAGES
-from calibration.introspection.numbers import parse_number
-from calibration.introspection.selection import KeyedTable, LabelledRow
-from calibration.introspection.table import read_table
+from calibration.base.errors import InputError
+from calibration.base.tables.numbers import parse_number
+from calibration.base.tables.selection import KeyedTable, LabelledRow
+from calibration.base.tables.table import read_table
+from calibration.base.text import did_you_mean, shorten
+from calibration.engine.baseline.document import VERSION, Baseline
+from calibration.engine.baseline.quality import QUALITY
+from calibration.engine.baseline.snapshot import Snapshot
+from calibration.engine.baseline.verdict import MOVED, NO_BASELINE
+from calibration.engine.evaluation.table import AVERAGES
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.software_cell import start_of
 from calibration.pipeline.results import Results, own_details
-from calibration.workflow.text import did_you_mean, shorten
 
 ABOUT_THE_BASELINE = (MOVED, QUALITY, NO_BASELINE)
 """Kinds of findings that are resolved by accepting."""

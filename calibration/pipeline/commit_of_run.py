@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from calibration.errors import CalibrationError
-from calibration.git.event import Event
-from calibration.git.repository import Repository
+from calibration.base.errors import CalibrationError
+from calibration.ci.git.event import Event
+from calibration.ci.git.repository import Repository
 from calibration.pipeline.results import CommitOfRun
 
 

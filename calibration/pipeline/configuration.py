@@ -5,26 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from calibration.analysis.settings import AnalysisSettings
-from calibration.baseline.settings import FILE, BaselineSettings
-from calibration.diagnosis.limits import Limit, Limits
-from calibration.errors import InputError
-from calibration.estimation.options import Options
-from calibration.execution.backends import CONTAINERS, KINDS, BackendName, ContainerBackend, ExecutionTarget, Sections
-from calibration.image.specification import ImageDocument, ImageSpecification, parse_image_specification
-from calibration.pipeline.collection.applications import Applications, checked_applications
-from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
-from calibration.pipeline.system import (
-    Exports,
-    Noise,
-    NoiseGrid,
-    System,
-    Text,
-    Truth,
-    Undecided,
-    chosen_systems,
-)
-from calibration.records import (
+from calibration.addons.analysis.settings import AnalysisSettings
+from calibration.base.errors import InputError
+from calibration.base.records import (
     ByName,
     Converted,
     Place,
@@ -37,10 +20,34 @@ from calibration.records import (
     read,
     record,
 )
-from calibration.simulation.motion.sequence import GENERATE
-from calibration.variables import with_variables
-from calibration.workflow.text import did_you_mean
-from calibration.yaml_file import read_yaml
+from calibration.base.text import did_you_mean
+from calibration.base.variables import with_variables
+from calibration.base.yaml_file import read_yaml
+from calibration.ci.execution.backends import (
+    CONTAINERS,
+    KINDS,
+    BackendName,
+    ContainerBackend,
+    ExecutionTarget,
+    Sections,
+)
+from calibration.ci.image.specification import ImageDocument, ImageSpecification, parse_image_specification
+from calibration.engine.baseline.settings import FILE, BaselineSettings
+from calibration.engine.diagnosis.limits import Limit, Limits
+from calibration.engine.estimation.solve.options import Options
+from calibration.pipeline.collection.applications import Applications, checked_applications
+from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
+from calibration.pipeline.system import (
+    Exports,
+    Noise,
+    NoiseGrid,
+    System,
+    Text,
+    Truth,
+    Undecided,
+    chosen_systems,
+)
+from calibration.robot.simulation.motion.sequence import GENERATE
 
 DEFAULT_FILE = Path("calibration.yml")
 _NAME = matching("[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", "letters, digits and _ . -, at most 64 of them")

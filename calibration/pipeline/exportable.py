@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import FILE_NAME
-from calibration.errors import InputError
-from calibration.importing.document import ROUGH
+from calibration.base.errors import InputError
+from calibration.base.text import shorten
+from calibration.ci.report import RESULTS_FILE
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import FILE_NAME
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.results import read_results
-from calibration.report import RESULTS_FILE
-from calibration.workflow.text import shorten
+from calibration.robot.importing.document import ROUGH
 
 MAX_FOLDERS_ABOVE = 4
 """Number of folders above a dataset in which its run's results are looked for: OUTPUT/SYSTEM/START/dataset.json."""

@@ -11,25 +11,25 @@ from typing import Any
 
 import yaml
 
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import read_dataset
-from calibration.diagnosis.finding import CONVENTION, SUSPECT
-from calibration.diagnosis.limits import SMALLEST, UNSET, Limits, allowed, stated
-from calibration.diagnosis.projection import projection_limit
-from calibration.errors import InputError
-from calibration.estimation.chosen_lenses import with_chosen_lenses
-from calibration.estimation.lens_choice import LensChoice
-from calibration.estimation.nominal import MOST_NOISE
-from calibration.estimation.options import Options
-from calibration.estimation.result import Calibration
-from calibration.estimation.single_views import noise_inside_views
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.importing.document import ROUGH
+from calibration.base.errors import InputError
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.diagnosis.finding import CONVENTION, SUSPECT
+from calibration.engine.diagnosis.limits import SMALLEST, UNSET, Limits, allowed, stated
+from calibration.engine.diagnosis.projection import projection_limit
+from calibration.engine.estimation.covariance.nominal_covariance import MOST_NOISE
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.start.chosen_lenses import with_chosen_lenses
+from calibration.engine.estimation.start.lens_choice import LensChoice
+from calibration.engine.estimation.start.single_views import noise_inside_views
+from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.system import System
+from calibration.robot.importing.document import ROUGH
 
 SHARED = 3
 """Minimum of collections in which two sensors see a pattern, for a table of both."""

@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from calibration.baseline.document import LARGEST, Baseline, parse_baseline, read_baseline
-from calibration.baseline.settings import BaselineSettings
-from calibration.baseline.update import BaselineUpdate, updates
-from calibration.baseline.verdict import Accepted
-from calibration.errors import CalibrationError
-from calibration.git.event import Event
-from calibration.git.repository import Repository
+from calibration.base.errors import CalibrationError
+from calibration.ci.git.event import Event
+from calibration.ci.git.repository import Repository
+from calibration.engine.baseline.document import LARGEST, Baseline, parse_baseline, read_baseline
+from calibration.engine.baseline.settings import BaselineSettings
+from calibration.engine.baseline.update import BaselineUpdate, updates
+from calibration.engine.baseline.verdict import Accepted
 from calibration.pipeline.matrix.matrix import Matrix
 
 

@@ -5,9 +5,12 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from calibration.execution.embedded import cores
-from calibration.execution.tasks import Task, run_tasks
-from calibration.files import write_atomically
+from calibration.base.files import write_atomically
+from calibration.ci.execution.embedded import cores
+from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.ci.report import Lines, Outcome, Report, Text, results_text
+from calibration.ci.report.badge import FILE as BADGE
+from calibration.ci.report.badge import verdict_badge
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.result_messages import (
     baseline_line,
@@ -36,9 +39,6 @@ from calibration.pipeline.result_tables import (
     updates_table,
 )
 from calibration.pipeline.results import CELLS_FILE, Collected, Results, own_file
-from calibration.report import Lines, Outcome, Report, Text, results_text
-from calibration.report.badge import FILE as BADGE
-from calibration.report.badge import verdict_badge
 
 NOTES_SHOWN = 30
 CELLS_A_PROCESS = 50

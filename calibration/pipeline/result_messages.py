@@ -4,14 +4,14 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from calibration.baseline.quality import QUALITY
-from calibration.baseline.settings import SameData
-from calibration.baseline.verdict import MOVED, exceeds
-from calibration.diagnosis.finding import Severity
+from calibration.ci.report import count_of
+from calibration.engine.baseline.quality import QUALITY
+from calibration.engine.baseline.settings import SameData
+from calibration.engine.baseline.verdict import MOVED, exceeds
+from calibration.engine.diagnosis.finding import Severity
 from calibration.pipeline.matrix.cell import REPROJECTION
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.results import Analysed, ImageResult, Results
-from calibration.report import count_of
 
 NOT_CONVERGED = "it has not converged"
 

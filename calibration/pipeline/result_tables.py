@@ -3,13 +3,13 @@
 import math
 from collections.abc import Sequence
 
-from calibration.baseline.comparison import Change
-from calibration.baseline.settings import SameData
-from calibration.baseline.verdict import exceeds
+from calibration.ci.report import VERDICTS, Table, shown
+from calibration.engine.baseline.comparison import Change
+from calibration.engine.baseline.settings import SameData
+from calibration.engine.baseline.verdict import exceeds
 from calibration.pipeline.matrix.cell import noise_text
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, Details, Deviation, Transform
 from calibration.pipeline.results import Collected, Results
-from calibration.report import VERDICTS, Table, shown
 
 SIDE_BY_SIDE = 3
 """Limit of the systems side by side in a log."""

@@ -6,15 +6,15 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from calibration.baseline.update import BaselineUpdate
-from calibration.errors import ExitCode, InputError, exit_code_of
-from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
+from calibration.base.errors import ExitCode, InputError, exit_code_of
+from calibration.base.records import computed, field, result
+from calibration.ci.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
+from calibration.ci.report.badge import FILE as BADGE
+from calibration.ci.report.brief import BRIEF_FILE
+from calibration.ci.report.outcome import ErrorCode
+from calibration.engine.baseline.update import BaselineUpdate
+from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, Details
-from calibration.records import computed, field, result
-from calibration.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
-from calibration.report.badge import FILE as BADGE
-from calibration.report.brief import BRIEF_FILE
-from calibration.report.outcome import ErrorCode
 
 SCHEMA = Path(__file__).with_name("results.schema.json")
 CELLS_FILE = "cells.csv"

@@ -3,14 +3,8 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.baseline.verdict import Accepted
-from calibration.diagnosis.limits import Limits
-from calibration.errors import InputError
-from calibration.estimation.options import Options
-from calibration.exports.names import FORMATS, URDF
-from calibration.introspection.rule_set import RuleEntry, RuleSet, checked, unfolded
-from calibration.pipeline.matrix.software import Software, checked_software
-from calibration.records import (
+from calibration.base.errors import InputError
+from calibration.base.records import (
     UNIQUE,
     Converted,
     Misfit,
@@ -24,8 +18,14 @@ from calibration.records import (
     record,
     result,
 )
-from calibration.robot_description import XacroInputs
-from calibration.workflow.text import did_you_mean
+from calibration.base.tables.rule_set import RuleEntry, RuleSet, checked, unfolded
+from calibration.base.text import did_you_mean
+from calibration.engine.baseline.verdict import Accepted
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.solve.options import Options
+from calibration.pipeline.matrix.software import Software, checked_software
+from calibration.robot.exports.names import FORMATS, URDF
+from calibration.robot.robot_description import XacroInputs
 
 FormatName = Annotated[str, matching("|".join((URDF, *FORMATS)), f"one of {', '.join((URDF, *FORMATS))}")]
 COLLECTED = "simulation:"
@@ -91,7 +91,7 @@ class System:
         default=None,
         option="The table: rgb-to-rgb:SOURCE:TARGET, lidar-to-rgb:LIDAR:CAMERA, ...",
     )
-    """Text of `calibration.evaluation.specification.parse_evaluation`; None for the table of reprojection errors."""
+    """Text of `specification.parse_evaluation`; None for the table of reprojection errors."""
     truth: Truth | None = field(
         "What the result is compared with: a file, 'dataset' for the transforms in it, 'none'. By default "
         "ground_truth.json beside the dataset, where there is one.",

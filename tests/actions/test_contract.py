@@ -14,9 +14,9 @@ import pytest
 import yaml
 
 from benchmarks.action_start import INPUTS
-from calibration.records import read
-from calibration.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
-from calibration.simulation.system import Simulation
+from calibration.base.records import read
+from calibration.robot.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
+from calibration.robot.simulation.system import Simulation
 from tests.lint.documents import made_whole, yaml_blocks
 
 from .write_inputs import COMMENT, FILES, PAGES, SHOWN, options, with_inputs, with_parts

@@ -12,8 +12,8 @@ from benchmarks.rows import Row
 from benchmarks.trust import moves
 from benchmarks.trust.defects import most_green, of_unforeseen
 from benchmarks.verdict.case import Case, Outcome, colour_of, run
-from calibration.diagnosis.finding import Finding, Severity
-from calibration.estimation.starting_noise import StartingNoise
+from calibration.engine.diagnosis.finding import Finding, Severity
+from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import nothing_yet
 

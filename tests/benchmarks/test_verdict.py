@@ -10,8 +10,8 @@ from benchmarks.verdict.kinds import KINDS
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Conditions, at_zero, clean, moving_edges, recording
 from benchmarks.verdict.unforeseen import UNFORESEEN
-from calibration.dataset.model import CornerLabels, PointLabels
-from calibration.geometry.transforms import inverse
+from calibration.engine.dataset.model import CornerLabels, PointLabels
+from calibration.engine.geometry.transforms import inverse
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from calibration.errors import LONGEST_MESSAGE, CalibrationError, solvable
+from calibration.base.errors import LONGEST_MESSAGE, CalibrationError, solvable
 from tests.campaigns.mutations import mutated
 from tests.campaigns.targets import TARGETS, Target
 

@@ -16,73 +16,73 @@ import numpy as np
 
 from benchmarks.ros_defects.workspace import Workspace
 from calibration.__main__ import main
-from calibration.analysis.earlier_sarif import read_earlier
-from calibration.analysis.ros.check import check as check_ros
-from calibration.analysis.ros.cpp_code import read_cpp
-from calibration.analysis.ros.launch_markup import read_launch_xml, read_launch_yaml
-from calibration.analysis.ros.launch_python import read_launch_python
-from calibration.analysis.ros.python_code import read_python
-from calibration.analysis.ros.tree import Tree
-from calibration.analysis.sarif import FINGERPRINT
-from calibration.analysis.suppressions import read_suppressions
-from calibration.baseline.document import read_baseline
-from calibration.coverage.junit import parse_junit
-from calibration.coverage.reading import read_reports
-from calibration.coverage.sources import Sources
-from calibration.dataset.configuration import read_configuration as read_atom_configuration
-from calibration.dataset.depth_image import read_depth_image
-from calibration.dataset.pointcloud import read_points
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.truth import read_truth
-from calibration.dataset.writing import DatasetWriter
-from calibration.diagnosis.check_data import check_data
-from calibration.errors import CalibrationError, InputError
-from calibration.estimation.intrinsics_file import read_intrinsics
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.evaluation.annotation import read_annotation
-from calibration.execution.batch.documents import Input, job_entry, jobs_document, read_job
-from calibration.execution.extraction import Budget, extract
-from calibration.execution.globs import Glob
-from calibration.execution.job import Container, Job, Readiness
-from calibration.exports.urdf import calibrated_urdf
-from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import translation
-from calibration.git.changes import changed_lines
-from calibration.git.repository import Repository
-from calibration.github.comment_text import comment_text
-from calibration.image.context import read_ignore_file
-from calibration.image.recipe.repositories import read_repositories
-from calibration.image.specification import read_image_specification
-from calibration.importing.bag import open_bag
-from calibration.importing.camera_files import read_lens
-from calibration.importing.cloud_files import read_cloud
-from calibration.importing.description import Bags, ImportDescription, PatternDescription
-from calibration.importing.image_views import read_image
-from calibration.importing.importing import import_data, read_description
-from calibration.importing.messages import depth_of, image_of
-from calibration.importing.samples import Samples, read_samples
-from calibration.importing.survey import survey
-from calibration.importing.target_files import pattern_configuration
-from calibration.importing.videos import decoded_frames
-from calibration.introspection import judge, parse_rules, read_table
-from calibration.introspection.rulesfile import read_rules
+from calibration.addons.analysis.earlier_sarif import read_earlier
+from calibration.addons.analysis.ros.check import check as check_ros
+from calibration.addons.analysis.ros.cpp_code import read_cpp
+from calibration.addons.analysis.ros.launch_markup import read_launch_xml, read_launch_yaml
+from calibration.addons.analysis.ros.launch_python import read_launch_python
+from calibration.addons.analysis.ros.python_code import read_python
+from calibration.addons.analysis.ros.tree import Tree
+from calibration.addons.analysis.sarif import FINGERPRINT
+from calibration.addons.analysis.suppressions import read_suppressions
+from calibration.addons.aws_batch.documents import Input, job_entry, jobs_document, read_job
+from calibration.addons.coverage.junit import parse_junit
+from calibration.addons.coverage.reading import read_reports
+from calibration.addons.coverage.sources import Sources
+from calibration.addons.recorder.page import parsed
+from calibration.addons.rigel.conversion import convert
+from calibration.addons.rigel.document import read_rigelfile
+from calibration.base.errors import CalibrationError, InputError
+from calibration.base.tables import judge, parse_rules, read_table
+from calibration.ci.execution.extraction import Budget, extract
+from calibration.ci.execution.globs import Glob
+from calibration.ci.execution.job import Container, Job, Readiness
+from calibration.ci.git.changes import changed_lines
+from calibration.ci.git.repository import Repository
+from calibration.ci.github.comment_text import comment_text
+from calibration.ci.image.context import read_ignore_file
+from calibration.ci.image.recipe.repositories import read_repositories
+from calibration.ci.image.specification import read_image_specification
+from calibration.ci.introspection.rules_file import read_rules
+from calibration.ci.report.brief import read_brief
+from calibration.engine.baseline.document import read_baseline
+from calibration.engine.dataset.configuration import read_configuration as read_atom_configuration
+from calibration.engine.dataset.depth_image import read_depth_image
+from calibration.engine.dataset.pointcloud import read_points
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.truth import read_truth
+from calibration.engine.dataset.writing import DatasetWriter
+from calibration.engine.diagnosis.check_data import check_data
+from calibration.engine.estimation.problem.intrinsics_file import read_intrinsics
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.evaluation.annotation import read_annotation
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.transforms import translation
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.results import read_results
-from calibration.recorder.page import parsed
-from calibration.report.brief import read_brief
-from calibration.rigel.conversion import convert
-from calibration.rigel.document import read_rigelfile
-from calibration.simulation.motion.sequence import read_motion
-from calibration.simulation.robot import parse_robot, read_robot
-from calibration.simulation.scenarios.scenario_set import read_scenario_set
-from calibration.simulation.system import System, read_system
-from tests.importing import hand_eye
-from tests.importing.bags import BEGIN, SECOND, BagFile, Kind
-from tests.importing.clouds import CLOUDS
-from tests.importing.test_videos import write_video
+from calibration.robot.exports.urdf import calibrated_urdf
+from calibration.robot.importing.bags.bag import open_bag
+from calibration.robot.importing.bags.messages import depth_of, image_of
+from calibration.robot.importing.bags.survey import survey
+from calibration.robot.importing.cloud_files import read_cloud
+from calibration.robot.importing.description import Bags, ImportDescription, PatternDescription
+from calibration.robot.importing.files.camera_files import read_lens
+from calibration.robot.importing.files.samples import Samples, read_samples
+from calibration.robot.importing.files.target_files import pattern_configuration
+from calibration.robot.importing.importing import import_data, read_description
+from calibration.robot.importing.patterns.image_views import read_image
+from calibration.robot.importing.videos import decoded_frames
+from calibration.robot.simulation.motion.sequence import read_motion
+from calibration.robot.simulation.robot import parse_robot, read_robot
+from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
+from calibration.robot.simulation.system import System, read_system
+from tests.robot.importing import hand_eye
+from tests.robot.importing.bags import BEGIN, SECOND, BagFile, Kind
+from tests.robot.importing.clouds import CLOUDS
+from tests.robot.importing.test_videos import write_video
 
 PROJECT = Path(__file__).resolve().parents[2]
 DATASETS = PROJECT / "datasets"
@@ -651,7 +651,7 @@ TARGETS: Mapping[str, Target] = {
     "rules": Target("rules.yml", lambda: [RULES], read_rules),
     "table": Target("table.csv", lambda: [TABLE], _judged, 40),
     "rigelfile": Target(
-        "Rigelfile", _files("tests/rigel/rigelfiles/*.rigel"), lambda path: convert(read_rigelfile(path)), 2
+        "Rigelfile", _files("tests/addons/rigel/rigelfiles/*.rigel"), lambda path: convert(read_rigelfile(path)), 2
     ),
     "coverage": Target("report.info", lambda: [LCOV, COBERTURA], _covered, 10),
     "tar": Target("artifacts.tar", _tars, _brought_out, 20),

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from tests.coverage.projects import git
+from tests.addons.coverage.projects import git
 from tests.displaced import displace
 
 ROOT = Path(__file__).parents[2]

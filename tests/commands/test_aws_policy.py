@@ -4,11 +4,11 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import _execute
+from calibration.addons.aws_batch.policy import policy, trust
+from calibration.addons.aws_batch.settings import BatchSettings
+from calibration.base.records import read
 from calibration.commands.aws_policy import command
-from calibration.execution.batch.policy import policy, trust
-from calibration.execution.batch.settings import BatchSettings
-from calibration.records import read
-from tests.execution.batch.test_settings import NEEDED
+from tests.addons.aws_batch.test_settings import NEEDED
 
 
 def run(*arguments: str) -> int:

@@ -8,13 +8,13 @@ import jsonschema
 import pytest
 
 from calibration.__main__ import main, run_action
+from calibration.ci.image import building
+from calibration.ci.image.builders.failure import BuildFailedError
+from calibration.ci.image.building import BuiltImage
+from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
+from calibration.ci.registries.credentials import Credentials
+from calibration.ci.workflow import Runner
 from calibration.commands import build_image
-from calibration.image import building
-from calibration.image.builders.failure import BuildFailedError
-from calibration.image.building import BuiltImage
-from calibration.image.specification import ImageSpecification, OwnDockerfile
-from calibration.registries.credentials import Credentials
-from calibration.workflow import Runner
 
 SCHEMA = json.loads(Path(building.__file__).with_name("results.schema.json").read_text())
 DIGEST = f"sha256:{'a' * 64}"

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.__main__ import main
-from calibration.execution.docker.labels import JOB, RUN, Owner
-from calibration.execution.docker.leftovers import Leftover, find_leftovers, remove
-from calibration.execution.run_names import new_run
+from calibration.ci.execution.docker.labels import JOB, RUN, Owner
+from calibration.ci.execution.docker.leftovers import Leftover, find_leftovers, remove
+from calibration.ci.execution.run_names import new_run
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.dataset.reading import read_dataset
+from calibration.engine.dataset.reading import read_dataset
 from tests.small import first_poses
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -258,7 +258,7 @@ def test_a_scenario_whose_process_dies_leaves_no_temporary_folder(
 ) -> None:
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
-    monkeypatch.setattr("calibration.simulation.scenarios.run.prove", lambda _: os._exit(3))
+    monkeypatch.setattr("calibration.robot.simulation.scenarios.run.prove", lambda _: os._exit(3))
     scenarios = tmp_path / "scenarios.yml"
     scenarios.write_text("assembly: {translation_mm: {normal: [0, 3]}}\nmotion: {poses: 2}\n")
     arguments = ("--system", small, "--scenario-set", scenarios, "--scenarios", "2", "--jobs", "2")

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from calibration.__main__ import main, run_action
-from calibration.report.brief import BRIEF_FILE, Brief
-from tests.github.stand_in import FORBIDDEN, REPOSITORY, TOKEN, GitHub, github
+from calibration.ci.report.brief import BRIEF_FILE, Brief
+from tests.ci.github.stand_in import FORBIDDEN, REPOSITORY, TOKEN, GitHub, github
 
 HEAD = "a" * 40
 FOUND = Brief(verdict="pass", sentence="4 cells calibrated")
@@ -37,7 +37,7 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[GitHub]
         }
         for name, value in variables.items():
             monkeypatch.setenv(name, value)
-        monkeypatch.setattr("calibration.http.FIRST_PAUSE", 0.0)
+        monkeypatch.setattr("calibration.base.http.FIRST_PAUSE", 0.0)
         yield found
 
 

@@ -16,11 +16,11 @@ import jsonschema
 import pytest
 from defusedxml.ElementTree import parse
 
-from calibration import coverage
 from calibration.__main__ import COMMANDS, LazyCommand, main, run_action
-from calibration.coverage.upload import Settings
-from tests.coverage import projects
-from tests.coverage.projects import NAMING, TOKEN, commit, git, robot, write
+from calibration.addons import coverage
+from calibration.addons.coverage.upload import Settings
+from tests.addons.coverage import projects
+from tests.addons.coverage.projects import NAMING, TOKEN, commit, git, robot, write
 from tests.processes import runs
 
 NAME = "coverage-upload"

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.dataset.reading import read_dataset
-from calibration.importing.document import ROUGH
+from calibration.engine.dataset.reading import read_dataset
+from calibration.robot.importing.document import ROUGH
 from tests.pipeline.conftest import DATASETS
 
 T2RGB = str(DATASETS / "t2rgb")

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from calibration.__main__ import main
-from calibration.baseline.document import Baseline, write_baseline
-from calibration.baseline.snapshot import Snapshot
-from tests.baseline.scenes import stereo, taken
-from tests.coverage.projects import git
+from calibration.engine.baseline.document import Baseline, write_baseline
+from calibration.engine.baseline.snapshot import Snapshot
+from tests.addons.coverage.projects import git
+from tests.engine.baseline.scenes import stereo, taken
 
 PROJECT = Path(__file__).parents[2]
 FILE = "calibration-baseline.json"

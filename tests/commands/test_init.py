@@ -12,10 +12,10 @@ import yaml
 
 from calibration.__main__ import main
 from calibration.commands.schema import generated
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.writing import write_dataset
-from calibration.geometry.transforms import translation
-from calibration.importing.importing import import_data
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.writing import write_dataset
+from calibration.engine.geometry.transforms import translation
+from calibration.robot.importing.importing import import_data
 from tests.pipeline.conftest import DATASETS
 
 

@@ -8,9 +8,9 @@ import pytest
 from defusedxml.ElementTree import parse
 
 from calibration.__main__ import main, run_action
+from calibration.base.errors import InputError
+from calibration.base.file_patterns import matching
 from calibration.commands.introspect_csv import command
-from calibration.errors import InputError
-from calibration.file_patterns import matching
 
 RMS = "RMS (pix)"
 ATOM = """Collection #,RMS (pix),X err (pix),Y err (pix),Trans (mm),Rot (deg)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calibration.__main__ import main
-from calibration.dataset.reading import read_dataset
+from calibration.engine.dataset.reading import read_dataset
 from tests.pipeline.conftest import DATASETS
 
 

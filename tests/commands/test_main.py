@@ -14,9 +14,9 @@ import pytest
 
 from calibration import __main__ as entry
 from calibration.__main__ import COMMANDS, LazyCommand, main, run_action
+from calibration.base.errors import ExitCode, InfrastructureError, InputError, UndeterminedError
 from calibration.commands import parameters
-from calibration.errors import ExitCode, InfrastructureError, InputError, UndeterminedError
-from tests.coverage.projects import needs_git
+from tests.addons.coverage.projects import needs_git
 
 
 @pytest.fixture(autouse=True)

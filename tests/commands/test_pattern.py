@@ -10,12 +10,12 @@ import yaml
 from defusedxml import ElementTree
 
 from calibration.__main__ import main
-from calibration.dataset.model import CornerLabels
-from calibration.geometry.types import Array
-from calibration.importing.description import ImportDescription
-from calibration.importing.target_files import pattern_configuration
-from calibration.labelling.corner_detector import corner_detector
-from calibration.records import read
+from calibration.base.arrays import Array
+from calibration.base.records import read
+from calibration.engine.dataset.model import CornerLabels
+from calibration.robot.importing.description import ImportDescription
+from calibration.robot.importing.files.target_files import pattern_configuration
+from calibration.robot.labelling.corner_detector import corner_detector
 
 BOARDS = {
     "charuco": ["charuco", "--columns", "8", "--rows", "5", "--square", "20"],

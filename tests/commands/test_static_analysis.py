@@ -8,10 +8,10 @@ from typing import Any
 import jsonschema
 import pytest
 
-from calibration import analysis
 from calibration.__main__ import main, run_action
-from calibration.analysis import copies
-from tests.coverage.projects import commit, git, write
+from calibration.addons import analysis
+from calibration.addons.analysis import copies
+from tests.addons.coverage.projects import commit, git, write
 
 NAME = "static-analysis"
 SCHEMA = json.loads(Path(analysis.__file__ or "").with_name("results.schema.json").read_text())

@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
+from calibration.addons.aws_batch.documents import TaskJob
+from calibration.base.errors import InputError
+from calibration.ci.workflow import Runner
 from calibration.commands.target import RUN_FILE, execution_target, name_of_run
-from calibration.errors import InputError
-from calibration.execution.batch.documents import TaskJob
-from calibration.workflow import Runner
+from tests.addons.aws_batch.client import Did, Tasks
+from tests.addons.aws_batch.conftest import quick
 from tests.aws.emulator.attempt import Attempt
 from tests.aws.fixtures import BUCKET, QUEUE, REGION, Aws
-from tests.execution.batch.client import Did, Tasks
-from tests.execution.batch.conftest import quick
 
 __all__ = ["quick"]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 import yaml
 
-from tests.coverage.projects import TOKEN, codacy
+from tests.addons.coverage.projects import TOKEN, codacy
 from tests.docker_engine import Registry
 
 from .conftest import PROJECT, Repository, Run

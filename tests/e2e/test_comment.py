@@ -4,7 +4,7 @@ import json
 import sys
 from pathlib import Path
 
-from tests.github.stand_in import TOKEN, github
+from tests.ci.github.stand_in import TOKEN, github
 
 from .conftest import FORK, PROJECT, Repository
 from .steps import Step, outcome, outcomes, workflow

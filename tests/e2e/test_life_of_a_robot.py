@@ -14,9 +14,9 @@ import pytest
 import yaml
 
 from calibration.pipeline.results import read_results
-from tests.coverage.projects import git
-from tests.github.stand_in import TOKEN, GitHub, github
-from tests.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
+from tests.addons.coverage.projects import git
+from tests.ci.github.stand_in import TOKEN, GitHub, github
+from tests.robot.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
 
 from .conftest import FORK, Repository, Run, calibration, commit
 from .pipeline import Caller

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.coverage.projects import TOKEN, codacy
+from tests.addons.coverage.projects import TOKEN, codacy
 
 from .conftest import FORK, PROJECT, Repository, commit
 from .pipeline import Caller

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.registries.credentials import Credentials
-from calibration.registries.reference import parse_reference
-from calibration.registries.registry import RegistryClient
+from calibration.ci.registries.credentials import Credentials
+from calibration.ci.registries.reference import parse_reference
+from calibration.ci.registries.registry import RegistryClient
 from tests.docker_engine import Registry
 
 from .conftest import FORK, PROJECT, Repository, Run

@@ -11,13 +11,13 @@ import pytest
 import yaml
 
 from calibration.__main__ import load_command
+from calibration.base.errors import InputError
+from calibration.ci.registries.promotion import promote
+from calibration.ci.workflow import Runner
 from calibration.commands.plan_matrix import artifact_name
-from calibration.errors import InputError
 from calibration.pipeline.distribution.jobs import ERROR, FILE, SECONDS, parse_needs
 from calibration.pipeline.distribution.plan import Plan
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
-from calibration.registries.promotion import promote
-from calibration.workflow import Runner
 from tests.actions.write_inputs import options
 
 WORKFLOWS = Path(__file__).resolve().parents[2] / ".github" / "workflows"

@@ -25,9 +25,9 @@ DOCUMENTS = {
     "calibration.yml": [
         PROJECT / "calibration.yml",
         *PROJECT.glob("examples/*/calibration.yml"),
-        *PROJECT.glob("tests/rigel/rigelfiles/*.calibration.yml"),  # what import-rigelfile writes
+        *PROJECT.glob("tests/addons/rigel/rigelfiles/*.calibration.yml"),  # what import-rigelfile writes
     ],
-    "import.yml": [PROJECT / "tests/importing/import.yml"],
+    "import.yml": [PROJECT / "tests/robot/importing/import.yml"],
     "scenario-set": [*PROJECT.glob("datasets/**/scenarios.yml")],
     "collection": [*PROJECT.glob("datasets/*/results.json")],
 }
@@ -44,7 +44,7 @@ PARTS = {
     "systems": ("calibration.yml", lambda part: part),
     "simulation": ("calibration.yml", lambda part: part),
     "patterns": ("import.yml", lambda part: part),
-    # config.yml and simulation.yml have no schema; read in tests/actions/test_contract.py and tests/simulation
+    # config.yml and simulation.yml have no schema; read in tests/actions/test_contract.py and tests/robot/simulation
     "sensors": (None, None),
     "joints": (None, None),
     "calibration_patterns": (None, None),

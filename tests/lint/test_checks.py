@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.coverage.projects import needs_git
+from tests.addons.coverage.projects import needs_git
 from tests.e2e.conftest import tool
 
 from . import documents, shell, yaml_lines

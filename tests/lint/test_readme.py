@@ -11,11 +11,11 @@ import yaml
 
 from benchmarks.run_picture import LINE, PICTURE, drawing, tables
 from calibration.__main__ import load_command, main
-from calibration.dataset.reading import read_dataset
-from calibration.errors import InputError
-from calibration.estimation.assumptions import Assumptions
-from calibration.execution.batch.settings import BatchSettings
-from calibration.records import flat_fields
+from calibration.addons.aws_batch.settings import BatchSettings
+from calibration.base.errors import InputError
+from calibration.base.records import flat_fields
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.estimation.problem.assumptions import Assumptions
 from tests.actions.write_inputs import anchor
 
 from .documents import READMES

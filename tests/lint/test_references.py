@@ -4,9 +4,9 @@ import ast
 import re
 from pathlib import Path
 
-from calibration.evaluation.specification import KINDS
+from calibration.base.records import flat_fields
+from calibration.engine.evaluation.specification import KINDS
 from calibration.pipeline.system import System
-from calibration.records import flat_fields
 
 from .yaml_lines import PROJECT
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.diagnosis.limits import Limits
+from calibration.engine.diagnosis.limits import Limits
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.system import NoiseGrid, System
 

@@ -3,7 +3,7 @@
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
-from calibration.execution.backends import ExecutionTarget, JobBackend
+from calibration.ci.execution.backends import ExecutionTarget, JobBackend
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from calibration.base.errors import ExitCode, InputError
+from calibration.ci.workflow import Runner
 from calibration.commands.run import RunSettings, run
-from calibration.errors import ExitCode, InputError
-from calibration.workflow import Runner
-from tests.coverage.projects import git
+from tests.addons.coverage.projects import git
 
 CONFIGURATION = "systems: {robot: {dataset: robot}}\n"
 CODE = "def f():\n    return missing\n"

@@ -10,9 +10,9 @@ import pytest
 import yaml
 
 from calibration.__main__ import main
-from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import Equidistant, PlumbBob
-from calibration.importing.camera_files import read_lens
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import Equidistant, PlumbBob
+from calibration.robot.importing.files.camera_files import read_lens
 from tests.one_camera import LENS, one_camera
 
 BENT = replace(LENS, distortion=PlumbBob(-0.10, 0.05, 0.001, -0.0005, 0.01))

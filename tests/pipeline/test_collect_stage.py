@@ -8,15 +8,15 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from calibration.errors import ExitCode, InputError
+from calibration.base.errors import ExitCode, InputError
+from calibration.ci.report import Report
+from calibration.ci.workflow import Runner
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.report import report
 from calibration.pipeline.result_tables import collections_table
 from calibration.pipeline.results import SCHEMA, Collected, Results, read_results
 from calibration.pipeline.stages import Run, run_stages
-from calibration.report import Report
-from calibration.workflow import Runner
 from tests.pipeline.conftest import DATASETS
 from tests.pipeline.matrix.test_cell_verdict import CELL
 from tests.small import first_poses

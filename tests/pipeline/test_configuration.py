@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from calibration.diagnosis.limits import Limits
-from calibration.errors import InputError
-from calibration.estimation.assumptions import EXACT, Assumptions
+from calibration.base.errors import InputError
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.problem.assumptions import EXACT, Assumptions
 from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import read_configuration
 

@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.truth import find_truth
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.noise_levels import NoiseLevels
-from calibration.geometry import rotations
-from calibration.geometry.transforms import inverse
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.truth import find_truth
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.solve.noise_levels import NoiseLevels
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.transforms import inverse
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults

@@ -9,28 +9,28 @@ import jsonschema
 import numpy as np
 import pytest
 
-from calibration.dataset.modalities import LIDAR2D
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.truth import find_truth
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.evaluation.specification import parse_evaluation
-from calibration.geometry.transforms import inverse
+from calibration.addons.recorder.preview import preview
+from calibration.engine.dataset.modalities import LIDAR2D
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.truth import find_truth
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.evaluation.specification import parse_evaluation
+from calibration.engine.geometry.transforms import inverse
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA, report
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
-from calibration.recorder.preview import preview
-from calibration.simulation.motion.expected import expected_dataset
-from calibration.simulation.motion.information import expected_noise
-from calibration.simulation.motion.sequence import read_motion
-from calibration.simulation.placement import place
-from calibration.simulation.random_streams import stream
-from calibration.simulation.scene import Scene
-from calibration.simulation.sensors import SimulatedLidar2d
-from calibration.simulation.system import System, read_system
+from calibration.robot.simulation.motion.expected import expected_dataset
+from calibration.robot.simulation.motion.information import expected_noise
+from calibration.robot.simulation.motion.sequence import read_motion
+from calibration.robot.simulation.placement import place
+from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.scene import Scene
+from calibration.robot.simulation.sensors import SimulatedLidar2d
+from calibration.robot.simulation.system import System, read_system
 from tests.pipeline.systems import with_scanner
-from tests.simulation.conftest import DATASETS, detects
+from tests.robot.simulation.conftest import DATASETS, detects
 
 POSES = 12
 LIDAR = "lidar_right"

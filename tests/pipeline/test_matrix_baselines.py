@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.baseline.document import Baseline, write_baseline
-from calibration.baseline.settings import BaselineSettings
-from calibration.baseline.snapshot import Snapshot
-from calibration.baseline.update import BaselineUpdate
-from calibration.baseline.verdict import Accepted, against_baseline
+from calibration.engine.baseline.document import Baseline, write_baseline
+from calibration.engine.baseline.settings import BaselineSettings
+from calibration.engine.baseline.snapshot import Snapshot
+from calibration.engine.baseline.update import BaselineUpdate
+from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.pipeline.matrix.cell_result import Details
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix_baselines import with_accepted
@@ -21,9 +21,9 @@ from calibration.pipeline.result_messages import baseline_line
 from calibration.pipeline.result_tables import changes_table
 from calibration.pipeline.results import Results
 from calibration.pipeline.system import NoiseGrid, System
-from tests.baseline.scenes import stereo, taken
-from tests.coverage.projects import git
+from tests.addons.coverage.projects import git
 from tests.displaced import displace
+from tests.engine.baseline.scenes import stereo, taken
 from tests.pipeline.matrix.test_cell_verdict import CELL
 
 ROOT = Path(__file__).parents[2]

@@ -9,20 +9,20 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from calibration.dataset.document import Node
-from calibration.dataset.modalities import LIDAR2D, MODALITIES, IndexedPoints, Modality, PointData
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.truth import find_truth
-from calibration.estimation.calibrate import calibrate
-from calibration.evaluation.specification import parse_evaluation
+from calibration.addons.recorder.preview import preview
+from calibration.base.records import record
+from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.modalities import LIDAR2D, MODALITIES, IndexedPoints, Modality, PointData
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.truth import find_truth
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
-from calibration.recorder.preview import preview
-from calibration.records import record
-from calibration.simulation.motion.sequence import read_motion
-from calibration.simulation.sensors import KINDS, SimulatedLidar2d
-from calibration.simulation.sensors.sensor import Data
-from calibration.simulation.system import read_system
+from calibration.robot.simulation.motion.sequence import read_motion
+from calibration.robot.simulation.sensors import KINDS, SimulatedLidar2d
+from calibration.robot.simulation.sensors.sensor import Data
+from calibration.robot.simulation.system import read_system
 from tests.pipeline.systems import with_scanner
 
 SONAR = "lidar_right"

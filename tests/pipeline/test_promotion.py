@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import InfrastructureError
-from calibration.image.specification import ImageSpecification, OwnDockerfile
+from calibration.base.errors import InfrastructureError
+from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
+from calibration.ci.workflow import Runner
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.results import Collected, ImageResult, Results
 from calibration.pipeline.stages import Run
 from calibration.pipeline.stages.building import promote_stage
 from calibration.pipeline.system import NoiseGrid
-from calibration.workflow import Runner
 
 SPECIFICATION = ImageSpecification(
     OwnDockerfile(Path("Dockerfile"), Path()), name="127.0.0.1:9/team/robot", promote=("stable",)

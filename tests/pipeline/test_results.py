@@ -9,10 +9,12 @@ import jsonschema
 import pytest
 from defusedxml.ElementTree import fromstring
 
-from calibration.baseline.verdict import UNMOVED
-from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.what_does_not_fit import NOTHING
-from calibration.errors import ExitCode, InputError
+from calibration.base.errors import ExitCode, InputError
+from calibration.ci.report import Report
+from calibration.ci.workflow.annotations import Level
+from calibration.engine.baseline.verdict import UNMOVED
+from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.what_does_not_fit import NOTHING
 from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, Parameter
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import CELLS_A_PROCESS, report, write_cells, write_results
@@ -28,8 +30,6 @@ from calibration.pipeline.results import (
     without_verdicts,
 )
 from calibration.pipeline.system import NoiseGrid
-from calibration.report import Report
-from calibration.workflow.annotations import Level
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.matrix.test_cell_verdict import CELL
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import InputError
+from calibration.base.errors import InputError
 from calibration.pipeline.configuration import Configuration, read_configuration
 
 ROLE = "arn:aws:iam::123456789012:role/robots"

@@ -16,7 +16,7 @@ from benchmarks.trust.mistakes.recordings import (
     shifted,
     with_scaled_board,
 )
-from calibration.geometry import rotations
+from calibration.engine.geometry import rotations
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ import numpy as np
 
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import at_zero, moving_edges
-from calibration.dataset.model import Edge
-from calibration.geometry import rotations
-from calibration.geometry.transforms import inverse, retract, transform, translation
-from calibration.geometry.types import Array, IntArray
+from calibration.base.arrays import Array, IntArray
+from calibration.engine.dataset.model import Edge
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.transforms import inverse, retract, transform, translation
 
 Plant = Callable[[Scene, float, np.random.Generator], Scene]
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.verdict.scene import Scene
-from calibration.dataset.model import CornerLabels, Labels
-from calibration.dataset.pattern import Pattern
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.dataset.model import CornerLabels, Labels
+from calibration.engine.dataset.pattern import Pattern
 
 
 def _told(scene: Scene, pattern: Pattern) -> Scene:

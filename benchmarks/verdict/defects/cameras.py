@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.verdict.scene import Scene
-from calibration.dataset.model import CornerLabels, Labels
-from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import Equidistant, PlumbBob
-from calibration.geometry.transforms import local, retract
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.dataset.model import CornerLabels, Labels
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import Equidistant, PlumbBob
+from calibration.engine.geometry.transforms import local, retract
 
 
 def one_of(names: list[str], rng: np.random.Generator) -> str:

@@ -7,8 +7,8 @@ import numpy as np
 
 from benchmarks.verdict.defects.cameras import one_of
 from benchmarks.verdict.scene import Scene
-from calibration.dataset.model import Collection, CornerLabels, Labels
-from calibration.geometry.types import Array, IntArray
+from calibration.base.arrays import Array, IntArray
+from calibration.engine.dataset.model import Collection, CornerLabels, Labels
 
 
 def _with(scene: Scene, collections: list[Collection]) -> Scene:

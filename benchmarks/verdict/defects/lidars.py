@@ -7,9 +7,9 @@ import numpy as np
 
 from benchmarks.verdict.defects.cameras import one_of
 from benchmarks.verdict.scene import Scene
-from calibration.dataset.model import Labels, PointLabels
-from calibration.geometry.transforms import apply, inverse
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.dataset.model import Labels, PointLabels
+from calibration.engine.geometry.transforms import apply, inverse
 
 Change = Callable[[Array, int], Array]
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.verdict.scene import Scene
-from calibration.geometry import rotations
+from calibration.engine.geometry import rotations
 
 
 def kept(scene: Scene, order: list[int]) -> Scene:

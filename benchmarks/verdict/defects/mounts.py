@@ -7,10 +7,10 @@ import numpy as np
 from benchmarks.verdict.defects.cameras import one_of
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import moving_edges, swayed
-from calibration.dataset.model import Edge
-from calibration.geometry import rotations
-from calibration.geometry.transforms import inverse, local, retract, transform, translation
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.dataset.model import Edge
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.transforms import inverse, local, retract, transform, translation
 
 
 def _free(scene: Scene, rng: np.random.Generator) -> str:

@@ -12,13 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from calibration.errors import InputError
-from calibration.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network, with_secrets
-from calibration.execution.job_check import check_job
-from calibration.execution.placeholders import fill
-from calibration.execution.ros import ROS_HELP, Ros, with_ros
-from calibration.execution.sizes import Seconds
-from calibration.records import ByName, Converted, Place, between, field, length, matching, read, record
+from calibration.base.errors import InputError
+from calibration.base.records import ByName, Converted, Place, between, field, length, matching, read, record
+from calibration.ci.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network, with_secrets
+from calibration.ci.execution.job_check import check_job
+from calibration.ci.execution.placeholders import fill
+from calibration.ci.execution.ros import ROS_HELP, Ros, with_ros
+from calibration.ci.execution.sizes import Seconds
 
 INPUTS = "/calibration/in"
 """Read-only folder in all containers."""

@@ -11,37 +11,37 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from calibration.dataset import truth
-from calibration.dataset.model import CornerLabels, Dataset, label_count
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.writing import write_document
-from calibration.errors import CalibrationError, ExitCode, InfrastructureError, InputError
-from calibration.execution.backends import ExecutionTarget
-from calibration.execution.job import Job
-from calibration.execution.job_folder import ARTIFACTS, LOGS
-from calibration.execution.outcome import JobOutcome
-from calibration.execution.tasks import Task, run_tasks
-from calibration.files import read_bytes, write_atomically
-from calibration.json_file import parse_json
+from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError, InputError
+from calibration.base.files import read_bytes, write_atomically
+from calibration.base.json_file import parse_json
+from calibration.base.temporary_folder import temporary_folder
+from calibration.base.text import one_line, shorten
+from calibration.ci.execution.backends import ExecutionTarget
+from calibration.ci.execution.job import Job
+from calibration.ci.execution.job_folder import ARTIFACTS, LOGS
+from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.engine.dataset import truth
+from calibration.engine.dataset.model import CornerLabels, Dataset, label_count
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.writing import write_document
 from calibration.pipeline.collection.applications import MOTION, PLAYER, REPORT, collection_job, dataset_place
 from calibration.pipeline.collection.report import report
 from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenarios import Judged, Scenarios
-from calibration.simulation.collection.contact_sheet import write_contact_sheet
-from calibration.simulation.collection.dataset_folder import replacing_dataset
-from calibration.simulation.collection.document import truth_document
-from calibration.simulation.collection.proof import prove
-from calibration.simulation.collection.record import Record, image_cells
-from calibration.simulation.motion.generation import named_motion
-from calibration.simulation.motion.sequence import GENERATE, Motion, motion_document
-from calibration.simulation.placement import play
-from calibration.simulation.players import check_motion, player_file
-from calibration.simulation.scenarios.run import finished_result
-from calibration.simulation.scenarios.scenario import ScenarioResult, scenario_id
-from calibration.simulation.system import MOTION_FILE, System, read_system
-from calibration.temporary_folder import temporary_folder
-from calibration.workflow.text import one_line, shorten
+from calibration.robot.simulation.collection.contact_sheet import write_contact_sheet
+from calibration.robot.simulation.collection.dataset_folder import replacing_dataset
+from calibration.robot.simulation.collection.document import truth_document
+from calibration.robot.simulation.collection.proof import prove
+from calibration.robot.simulation.collection.record import Record, image_cells
+from calibration.robot.simulation.motion.generation import named_motion
+from calibration.robot.simulation.motion.sequence import GENERATE, Motion, motion_document
+from calibration.robot.simulation.placement import play
+from calibration.robot.simulation.players import check_motion, player_file
+from calibration.robot.simulation.scenarios.run import finished_result
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult, scenario_id
+from calibration.robot.simulation.system import MOTION_FILE, System, read_system
 
 NO_FILE = "missing"
 """Name of a missing image."""

@@ -13,41 +13,41 @@ import cv2
 import numpy as np
 
 from calibration import __version__
-from calibration.errors import ExitCode, InputError
-from calibration.execution.job import OUTPUT, Artifact, Container, Job, Mount
-from calibration.execution.job_folder import ARTIFACTS, LOGS
-from calibration.execution.outcome import JobOutcome
-from calibration.execution.tasks import run_tasks
-from calibration.execution.workspace import identity, workspace
-from calibration.files import read_bytes, write_atomically
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.files import read_bytes, write_atomically
+from calibration.base.records import read, text_of
+from calibration.base.temporary_folder import temporary_folder
+from calibration.base.text import one_line, shorten
+from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Mount
+from calibration.ci.execution.job_folder import ARTIFACTS, LOGS
+from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.tasks import run_tasks
+from calibration.ci.execution.workspace import identity, workspace
 from calibration.pipeline.collection.applications import INPUTS
 from calibration.pipeline.collection.report import report
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenario_file import FILE, read_scenario, write_scenario
 from calibration.pipeline.collection.scenarios import Judged, ScenarioDone, Scenarios
-from calibration.records import read, text_of
-from calibration.simulation.collection.capture import Requirements
-from calibration.simulation.collection.contact_sheet import write_contact_sheet
-from calibration.simulation.collection.dataset_folder import replacing_dataset, write_dataset
-from calibration.simulation.collection.poses import collect, kept, single_threaded_opencv
-from calibration.simulation.collection.proof import prove
-from calibration.simulation.collection.record import Record
-from calibration.simulation.motion.generation import named_motion
-from calibration.simulation.motion.sequence import GENERATE, Motion, motion_document
-from calibration.simulation.placement import Play, play
-from calibration.simulation.scenarios.run import (
+from calibration.robot.simulation.collection.capture import Requirements
+from calibration.robot.simulation.collection.contact_sheet import write_contact_sheet
+from calibration.robot.simulation.collection.dataset_folder import replacing_dataset, write_dataset
+from calibration.robot.simulation.collection.poses import collect, kept, single_threaded_opencv
+from calibration.robot.simulation.collection.proof import prove
+from calibration.robot.simulation.collection.record import Record
+from calibration.robot.simulation.motion.generation import named_motion
+from calibration.robot.simulation.motion.sequence import GENERATE, Motion, motion_document
+from calibration.robot.simulation.placement import Play, play
+from calibration.robot.simulation.scenarios.run import (
     calibrated_result,
     finished_result,
     pending_result,
     scenario_play,
     scenario_task,
 )
-from calibration.simulation.scenarios.scenario import ScenarioResult, parse_id
-from calibration.simulation.scenarios.scenario_set import read_scenario_set
-from calibration.simulation.system import MOTION_FILE, System, read_system
-from calibration.temporary_folder import temporary_folder
-from calibration.workflow.text import one_line, shorten
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult, parse_id
+from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
+from calibration.robot.simulation.system import MOTION_FILE, System, read_system
 
 CONTAINER = "scenario"
 """Name of the container."""

@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from calibration.execution.backends import ExecutionTarget
+from calibration.ci.execution.backends import ExecutionTarget
 from calibration.pipeline.collection.by_applications import ApplicationScenarios, collect_by_applications
 from calibration.pipeline.collection.by_simulation import Begin, PoseDone, SimulatedScenarios, collect_by_simulation
 from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionResults, ScenarioResults
 from calibration.pipeline.collection.scenarios import ScenarioDone, ScenarioFolder, Scenarios, run_in_containers
-from calibration.simulation.collection.dataset_folder import refuse_existing
-from calibration.simulation.scenarios.statistics import Statistics
+from calibration.robot.simulation.collection.dataset_folder import refuse_existing
+from calibration.robot.simulation.scenarios.statistics import Statistics
 
 ScenariosBegin = Callable[[str, int], None]
 """Callback with the system's name and the number of scenarios, after everything was read and checked."""

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 
 from calibration import __version__
+from calibration.base.records import value_of
+from calibration.ci.report import Lines, Outcome, Report, Table, Text, outcome_of_check
 from calibration.pipeline.collection.results import CollectionDocument, CollectionResults, LostPose, SensorNumbers
-from calibration.records import value_of
-from calibration.report import Lines, Outcome, Report, Table, Text, outcome_of_check
-from calibration.simulation.collection.proof import Proof
-from calibration.simulation.collection.record import Record
+from calibration.robot.simulation.collection.proof import Proof
+from calibration.robot.simulation.collection.record import Record
 
 SCHEMA = Path(__file__).with_name("collection.schema.json")
 TITLE = "collect-data-sim"

@@ -4,9 +4,9 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated
 
-from calibration.frozen import frozen
+from calibration.base.frozen import frozen
+from calibration.base.records import at_least, between, field, record
 from calibration.pipeline.collection.applications import SECONDS, Applications
-from calibration.records import at_least, between, field, record
 
 MAX_SCENARIOS = 100_000
 
@@ -73,7 +73,7 @@ class ContainerRequest:
     seed: int = 1
     checks: CollectionChecks = dataclasses.field(default_factory=CollectionChecks)
     truth: str | None = None
-    """Choice of the truth, see `calibration.dataset.truth.choose_truth`; None for the system's, if there is one."""
+    """Choice of the truth, see `truth.choose_truth`; None for the system's, if there is one."""
     scenario: int = 0
     """Number of the collection among those of the seed."""
 

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from functools import cached_property
 
-from calibration.dataset.modalities import MODALITIES
-from calibration.errors import ExitCode, exit_code_of
+from calibration.base.errors import ExitCode, exit_code_of
+from calibration.base.records import field, result
+from calibration.ci.report import Check, Verdict, at_least, at_most, count_of, verdict_of
+from calibration.engine.dataset.modalities import MODALITIES
 from calibration.pipeline.collection.request import CollectionChecks, ScenarioRequest
-from calibration.records import field, result
-from calibration.report import Check, Verdict, at_least, at_most, count_of, verdict_of
-from calibration.simulation.collection.proof import Proof
-from calibration.simulation.collection.record import COLUMNS, ROWS, CornerErrors, Record
-from calibration.simulation.scenarios.scenario import ScenarioResult
-from calibration.simulation.scenarios.statistics import Statistics
+from calibration.robot.simulation.collection.proof import Proof
+from calibration.robot.simulation.collection.record import COLUMNS, ROWS, CornerErrors, Record
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult
+from calibration.robot.simulation.scenarios.statistics import Statistics
 
 
 def truth_checks(found: Proof | ScenarioResult | None, limits: CollectionChecks) -> list[Check]:

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from calibration import __version__
-from calibration.errors import InputError
-from calibration.files import read_bytes, write_atomically
-from calibration.json_file import parse_json
-from calibration.records import document_of, field, length, read, record
-from calibration.simulation.scenarios.scenario import Amount, ScenarioResult
-from calibration.workflow.text import one_line
+from calibration.base.errors import InputError
+from calibration.base.files import read_bytes, write_atomically
+from calibration.base.json_file import parse_json
+from calibration.base.records import document_of, field, length, read, record
+from calibration.base.text import one_line
+from calibration.robot.simulation.scenarios.scenario import Amount, ScenarioResult
 
 FILE = "scenario.json"
 MAX_BYTES = 16 * 1024**2

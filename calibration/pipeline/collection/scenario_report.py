@@ -8,14 +8,14 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from calibration.errors import InfrastructureError
+from calibration.base.errors import InfrastructureError
+from calibration.ci.report import FILES, Block, Code, Lines, Outcome, Report, Table, Text, count_of, shown
 from calibration.pipeline.collection.report import TITLE
 from calibration.pipeline.collection.results import ScenarioResults
-from calibration.report import FILES, Block, Code, Lines, Outcome, Report, Table, Text, count_of, shown
-from calibration.simulation.scenarios.drivers import SIGNIFICANT
-from calibration.simulation.scenarios.figure import figure
-from calibration.simulation.scenarios.scenario import ScenarioResult
-from calibration.simulation.scenarios.statistics import PERCENTILES, Statistics, why_unknown
+from calibration.robot.simulation.scenarios.drivers import SIGNIFICANT
+from calibration.robot.simulation.scenarios.figure import figure
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult
+from calibration.robot.simulation.scenarios.statistics import PERCENTILES, Statistics, why_unknown
 
 TABLE_FILE, FIGURE_FILE = "scenarios.csv", "scenarios.png"
 REPORT_FILES = (*FILES, TABLE_FILE, FIGURE_FILE)

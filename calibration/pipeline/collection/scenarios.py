@@ -6,16 +6,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.errors import ExitCode, InfrastructureError, InputError
-from calibration.execution.backends import ExecutionTarget
-from calibration.execution.job import Job
-from calibration.execution.job_folder import LOGS
-from calibration.execution.outcome import JobOutcome
-from calibration.execution.tasks import Task, run_tasks
+from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base.temporary_folder import temporary_folder
+from calibration.ci.execution.backends import ExecutionTarget
+from calibration.ci.execution.job import Job
+from calibration.ci.execution.job_folder import LOGS
+from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.pipeline.collection.scenario_file import read_scenario, write_scenario
 from calibration.pipeline.collection.scenario_report import REPORT_FILES
-from calibration.simulation.scenarios.scenario import ScenarioResult
-from calibration.temporary_folder import temporary_folder
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 
 SCENARIOS = "scenarios"
 """Folder of the datasets, with a folder for each scenario."""

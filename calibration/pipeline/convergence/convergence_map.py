@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from itertools import product, takewhile
 
-from calibration.errors import ExitCode
+from calibration.base.errors import ExitCode
+from calibration.base.records import computed, field, result
+from calibration.ci.report.outcome import ErrorCode
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.system import NoiseGrid
-from calibration.records import computed, field, result
-from calibration.report.outcome import ErrorCode
 
 Noise = tuple[float, float]
 """Translation (m) and rotation (rad)."""

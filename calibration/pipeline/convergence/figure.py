@@ -5,12 +5,12 @@ import math
 import warnings
 from typing import TYPE_CHECKING, Any
 
-from calibration.errors import InputError
-from calibration.introspection.numbers import number_text
-from calibration.optional import optional
+from calibration.base.errors import InputError
+from calibration.base.optional import optional
+from calibration.base.tables.numbers import number_text
+from calibration.base.text import one_line, shorten
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap
 from calibration.pipeline.convergence.results import ConvergenceResults
-from calibration.workflow.text import one_line, shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,13 +5,13 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from calibration.errors import CalibrationError
-from calibration.introspection.numbers import number_text
+from calibration.base.errors import CalibrationError
+from calibration.base.tables.numbers import number_text
+from calibration.ci.report import FILES, Lines, Outcome, Report, Table, outcome_of_check
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap
 from calibration.pipeline.convergence.figure import figures
 from calibration.pipeline.convergence.results import ConvergenceResults, without_noise
 from calibration.pipeline.matrix.cell import noise_text
-from calibration.report import FILES, Lines, Outcome, Report, Table, outcome_of_check
 
 SCHEMA = Path(__file__).with_name("convergence.schema.json")
 TITLE = "convergence"

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-from calibration.errors import ExitCode, exit_code_of
+from calibration.base.errors import ExitCode, exit_code_of
+from calibration.base.records import computed, field, result
+from calibration.ci.report import Check, Verdict, at_least, verdict_of
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, Largest
 from calibration.pipeline.system import NoiseGrid
-from calibration.records import computed, field, result
-from calibration.report import Check, Verdict, at_least, verdict_of
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Sweep of the matrix over each kind of initial guess, with every cell judged as by ``calibrate-matrix``.
 
 An initial guess converges if its cell passes: its result is an optimum (the right one: see
-`calibration.estimation.calibrate`), and satisfies the system's rules and limits. Without rules and limits, the
+`calibration.engine.estimation.calibrate`), and satisfies the system's rules and limits. Without rules and limits, the
 RMS must also be that of the best result of the same method in this sweep, because a wrong optimum would pass. For
 software whose dataset has been compared with the optimum, neither is needed.
 """
@@ -17,19 +17,19 @@ from pathlib import Path
 import numpy as np
 
 from calibration import __version__
-from calibration.diagnosis.limits import Limits
-from calibration.errors import InputError
-from calibration.estimation.options import Start
-from calibration.execution.backends import ExecutionTarget
-from calibration.execution.tasks import run_tasks
-from calibration.execution.workspace import identity, workspace
+from calibration.base.errors import InputError
+from calibration.base.records import document_of, read
+from calibration.base.temporary_folder import temporary_folder
+from calibration.ci.execution.backends import ExecutionTarget
+from calibration.ci.execution.tasks import run_tasks
+from calibration.ci.execution.workspace import identity, workspace
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.solve.options import Start
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.cell_verdict import judge_cells
 from calibration.pipeline.matrix.matrix import Done, Matrix, matrix_tasks
 from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.system import System
-from calibration.records import document_of, read
-from calibration.temporary_folder import temporary_folder
 
 CELLS = "cells"
 """Folder, in the output folder, of the files of the team's software."""

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from calibration.errors import InfrastructureError, InputError
-from calibration.files import read_bytes
+from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.files import read_bytes
 from calibration.pipeline.distribution.plan import PLAN, Plan
 from calibration.pipeline.distribution.plan_outputs import plan_of_text
 

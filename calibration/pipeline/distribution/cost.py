@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from calibration.introspection.numbers import number_text
+from calibration.base.records import computed, field, result
+from calibration.base.tables.numbers import number_text
+from calibration.ci.report import Table
 from calibration.pipeline.distribution.jobs import Needs, read_seconds
 from calibration.pipeline.distribution.plan import Plan
-from calibration.records import computed, field, result
-from calibration.report import Table
 
 VERDICT, PROMOTE = "verdict", "promote"
 """The last jobs: the one that computes the cost, and the one that runs after it."""

@@ -4,8 +4,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from calibration import records
-from calibration.errors import ExitCode, InputError, brief
+from calibration.base import records
+from calibration.base.errors import ExitCode, InputError, brief
+from calibration.base.records import result
+from calibration.base.text import one_line
+from calibration.ci.report import RESULTS_FILE, Report, Text, Verdict, reasons_in, verdict_of
+from calibration.ci.report.badge import FILE as BADGE
+from calibration.ci.report.badge import verdict_badge
 from calibration.pipeline.distribution.cost import Cost, jobs_table, money
 from calibration.pipeline.distribution.jobs import SUCCESS, Needs
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, Plan
@@ -14,11 +19,6 @@ from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, noth
 from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.report import report
 from calibration.pipeline.results import CELLS_FILE, Collected, Results, own_details, own_file, read_results
-from calibration.records import result
-from calibration.report import RESULTS_FILE, Report, Text, Verdict, reasons_in, verdict_of
-from calibration.report.badge import FILE as BADGE
-from calibration.report.badge import verdict_badge
-from calibration.workflow.text import one_line
 
 NO_RESULT = "its job left no result: see the job's log"
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from calibration.errors import CalibrationError, InputError
-from calibration.files import read_bytes
+from calibration.base.errors import CalibrationError, InputError
+from calibration.base.files import read_bytes
 
 SUCCESS = "success"
 UNPLANNED = ("coverage",)
@@ -15,7 +15,7 @@ UNPLANNED = ("coverage",)
 SECONDS = "seconds"
 """Output with the duration, of a job without a matrix."""
 ERROR = "error"
-"""Output with the line of an error (`calibration.workflow`), of a job that leaves no results."""
+"""Output with the line of an error (`calibration.ci.workflow`), of a job that leaves no results."""
 FILE = "job-seconds.txt"
 """File with the duration, beside the results of a job of the matrix, whose outputs GitHub does not keep one by one."""
 _SECONDS = re.compile(r"[0-9]{1,7}")

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from calibration.errors import InputError
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.introspection.numbers import number_text
+from calibration.base.errors import InputError
+from calibration.base.tables.numbers import number_text
+from calibration.base.text import did_you_mean
+from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.configuration import Configuration, Simulation
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.system import NoiseGrid, System
-from calibration.workflow.text import did_you_mean
 
 JOBS = ("calibrate", "collect-data", "unit-tests", "static-analysis")
 """Jobs that a user can choose."""

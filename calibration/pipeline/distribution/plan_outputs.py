@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from calibration.errors import InputError
-from calibration.introspection.numbers import number_text
+from calibration.base.errors import InputError
+from calibration.base.tables.numbers import number_text
 from calibration.pipeline.distribution.plan import JobCell, Plan
 
 MAX_OUTPUT_BYTES = 400 * 1024

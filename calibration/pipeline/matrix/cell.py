@@ -1,9 +1,9 @@
 """Cell of the matrix: one system from one noisy initial guess; and a comparison method on the same data."""
 
-from calibration.estimation.options import Loss, Start
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.frozen import frozen
-from calibration.introspection.numbers import number_text
+from calibration.base.frozen import frozen
+from calibration.base.tables.numbers import number_text
+from calibration.engine.estimation.solve.options import Loss, Start
+from calibration.engine.estimation.start.starting_noise import StartingNoise
 
 REPROJECTION = "reprojection.csv"
 """Default table, of a system that names none."""

@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.dataset.model import Dataset, Edge
-from calibration.dataset.pattern import Pattern
-from calibration.dataset.reading import FILE_NAME
-from calibration.diagnosis.limits import Limits
-from calibration.diagnosis.precision import worst_false_accept
-from calibration.errors import UndeterminedError
-from calibration.estimation.intrinsics import CalibratedIntrinsics
-from calibration.estimation.projection import projection_of
-from calibration.estimation.result import CalibratedJoint, CalibratedLag, Calibration
-from calibration.geometry.rotations import rpy_rates, to_quaternion, to_rpy
-from calibration.geometry.transforms import distance
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.base.errors import UndeterminedError
+from calibration.engine.dataset.model import Dataset, Edge
+from calibration.engine.dataset.pattern import Pattern
+from calibration.engine.dataset.reading import FILE_NAME
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.diagnosis.precision import worst_false_accept
+from calibration.engine.estimation.covariance.projection import projection_of
+from calibration.engine.estimation.covariance.result import CalibratedJoint, CalibratedLag, Calibration
+from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
+from calibration.engine.geometry.rotations import rpy_rates, to_quaternion, to_rpy
+from calibration.engine.geometry.transforms import distance
 from calibration.pipeline.matrix.cell_result import (
     CellResult,
     Details,

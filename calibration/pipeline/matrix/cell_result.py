@@ -4,18 +4,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from calibration.baseline.comparison import Change
-from calibration.baseline.snapshot import Snapshot
-from calibration.baseline.verdict import UNMOVED
-from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.what_does_not_fit import NOTHING
-from calibration.estimation.noise_levels import NoiseLevels
-from calibration.estimation.result import DroppedView, RejectedLabel
+from calibration.base.records import computed, field, record, result
+from calibration.ci.report import Verdict
+from calibration.ci.report.outcome import ErrorCode
+from calibration.engine.baseline.comparison import Change
+from calibration.engine.baseline.snapshot import Snapshot
+from calibration.engine.baseline.verdict import UNMOVED
+from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.what_does_not_fit import NOTHING
+from calibration.engine.estimation.covariance.result import DroppedView, RejectedLabel
+from calibration.engine.estimation.solve.noise_levels import NoiseLevels
 from calibration.pipeline.matrix.cell import Cell, Comparison, noise_text
 from calibration.pipeline.matrix.software import SOFTWARE
-from calibration.records import computed, field, record, result
-from calibration.report import Verdict
-from calibration.report.outcome import ErrorCode
 
 OUR_METHOD = "calibration-ci"
 REASSURING = (NOTHING, UNMOVED)

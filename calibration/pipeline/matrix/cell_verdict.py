@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.diagnosis.limits import Limits
-from calibration.errors import InputError
-from calibration.evaluation.reprojection import COLUMNS, KEY
-from calibration.evaluation.table import Table
-from calibration.introspection.rule_set import RuleSet
-from calibration.introspection.selection import EveryRow
-from calibration.introspection.table import parse_table, read_table
-from calibration.introspection.table_verdict import judge
+from calibration.base.errors import InputError
+from calibration.base.tables.rule_set import RuleSet
+from calibration.base.tables.selection import EveryRow
+from calibration.base.tables.table import parse_table, read_table
+from calibration.base.tables.table_verdict import judge
+from calibration.ci.report import at_most
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.evaluation.reprojection import COLUMNS, KEY
+from calibration.engine.evaluation.table import Table
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.system import System
-from calibration.report import at_most
 
 
 def judge_cells(cells: Sequence[CellResult], systems: Sequence[System], output: Path) -> tuple[CellResult, ...]:

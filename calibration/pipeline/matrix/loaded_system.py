@@ -6,27 +6,27 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.baseline.snapshot import Snapshot, Snapshots
-from calibration.baseline.verdict import Accepted
-from calibration.dataset.model import Dataset
-from calibration.dataset.truth import Truth
-from calibration.dataset.writing import DatasetWriter, bring_payload
-from calibration.diagnosis.against_optimum import OurOptimum, find_optimum
-from calibration.diagnosis.check_data import check_data
-from calibration.diagnosis.conventions.trying import conventions
-from calibration.diagnosis.diagnose import diagnose
-from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.limits import Limits
-from calibration.errors import InputError
-from calibration.estimation.calibrate import Calibrator
-from calibration.estimation.lens_choice import LensChoice
-from calibration.estimation.options import Options
-from calibration.estimation.result import Calibration
-from calibration.frozen import frozen
-from calibration.latest import Latest
+from calibration.base.errors import InputError
+from calibration.base.frozen import frozen
+from calibration.base.latest import Latest
+from calibration.engine.baseline.snapshot import Snapshot, Snapshots
+from calibration.engine.baseline.verdict import Accepted
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.truth import Truth
+from calibration.engine.dataset.writing import DatasetWriter, bring_payload
+from calibration.engine.diagnosis.against_optimum import OurOptimum, find_optimum
+from calibration.engine.diagnosis.check_data import check_data
+from calibration.engine.diagnosis.conventions.trying import conventions
+from calibration.engine.diagnosis.diagnose import diagnose
+from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.calibrate import Calibrator
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.start.lens_choice import LensChoice
 
 if TYPE_CHECKING:
-    from calibration.evaluation.specification import Evaluation
+    from calibration.engine.evaluation.specification import Evaluation
     from calibration.pipeline.matrix.running_cell import Evaluated
     from calibration.pipeline.system import Datasets
 

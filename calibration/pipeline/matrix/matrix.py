@@ -12,18 +12,19 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.dataset.changes import refuse_changes
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.truth import choose_truth
-from calibration.diagnosis.copies import without_copies
-from calibration.diagnosis.finding import Finding
-from calibration.errors import InputError
-from calibration.estimation.chosen_lenses import with_chosen_lenses
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.execution.backends import ExecutionTarget
-from calibration.execution.tasks import Task, run_tasks
-from calibration.frozen import frozen
+from calibration.base.errors import InputError
+from calibration.base.frozen import frozen
+from calibration.base.text import did_you_mean
+from calibration.ci.execution.backends import ExecutionTarget
+from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.engine.dataset.changes import refuse_changes
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.truth import choose_truth
+from calibration.engine.diagnosis.copies import without_copies
+from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.estimation.start.chosen_lenses import with_chosen_lenses
+from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.matrix.cell import Cell, Comparison, noise_folder
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.cell_verdict import check_rules
@@ -32,10 +33,9 @@ from calibration.pipeline.matrix.other_method import other_method
 from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
 from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.system import NoiseGrid, System
-from calibration.workflow.text import did_you_mean
 
 if TYPE_CHECKING:
-    from calibration.evaluation.specification import Evaluation
+    from calibration.engine.evaluation.specification import Evaluation
 
 Done = Callable[[int, int, CellResult], None]
 """Callback after each task: number of finished tasks, number of all tasks, result."""
@@ -240,7 +240,7 @@ def load(system: System) -> LoadedSystem:
 
 def _evaluation(text: str) -> "Evaluation":
     """Parse a system's table; see `parse_evaluation`."""
-    from calibration.evaluation.specification import parse_evaluation  # with the modules of all kinds of tables
+    from calibration.engine.evaluation.specification import parse_evaluation  # with the modules of all kinds of tables
 
     return parse_evaluation(text)
 

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from calibration.comparison.methods import Method
+    from calibration.engine.comparison.methods import Method
 
 
 def other_method(name: str) -> "Method":
@@ -12,6 +12,6 @@ def other_method(name: str) -> "Method":
     Raises:
         InputError: there is no such method.
     """
-    from calibration.comparison.methods import method_of  # most matrices compare with no other method
+    from calibration.engine.comparison.methods import method_of  # most matrices compare with no other method
 
     return method_of(name)

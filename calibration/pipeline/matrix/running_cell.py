@@ -7,23 +7,23 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.baseline.verdict import against_baseline
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import FILE_NAME
-from calibration.diagnosis.diagnose import diagnose
-from calibration.diagnosis.finding import CONVENTION, Finding
-from calibration.errors import CalibrationError
-from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
-from calibration.estimation.intrinsics_file import write_intrinsics
-from calibration.estimation.result import Calibration
-from calibration.estimation.starting_noise import with_starting_noise
-from calibration.estimation.wrong_views import without
-from calibration.evaluation import measured_poses
-from calibration.evaluation.reprojection import reprojection
-from calibration.evaluation.table import RMS_PIX, Table
-from calibration.evaluation.truth import truth_error
-from calibration.files import write_atomically
-from calibration.frozen import frozen
+from calibration.base.errors import CalibrationError
+from calibration.base.files import write_atomically
+from calibration.base.frozen import frozen
+from calibration.engine.baseline.verdict import against_baseline
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import FILE_NAME
+from calibration.engine.diagnosis.diagnose import diagnose
+from calibration.engine.diagnosis.finding import CONVENTION, Finding
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.doubts.wrong_views import without
+from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
+from calibration.engine.estimation.problem.intrinsics_file import write_intrinsics
+from calibration.engine.estimation.start.starting_noise import with_starting_noise
+from calibration.engine.evaluation import measured_poses
+from calibration.engine.evaluation.reprojection import reprojection
+from calibration.engine.evaluation.table import RMS_PIX, Table
+from calibration.engine.evaluation.truth import truth_error
 from calibration.pipeline.matrix.cell import REPROJECTION, Cell, Comparison
 from calibration.pipeline.matrix.cell_details import described, finite_deviation
 from calibration.pipeline.matrix.cell_result import (

@@ -11,12 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from calibration.errors import InputError
-from calibration.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network, with_secrets
-from calibration.execution.job_check import check_job
-from calibration.execution.placeholders import fill
-from calibration.execution.ros import ROS_HELP, Ros, with_ros
-from calibration.records import Place, changed, field, length, read, record
+from calibration.base.errors import InputError
+from calibration.base.records import Place, changed, field, length, read, record
+from calibration.ci.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network, with_secrets
+from calibration.ci.execution.job_check import check_job
+from calibration.ci.execution.placeholders import fill
+from calibration.ci.execution.ros import ROS_HELP, Ros, with_ros
 
 SOFTWARE = "software"
 """Method of its cells."""

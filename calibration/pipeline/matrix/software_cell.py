@@ -7,33 +7,33 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from calibration.baseline.quality import QUALITY
-from calibration.baseline.snapshot import Start
-from calibration.baseline.verdict import against_baseline, nothing_accepted, software_against_baseline
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.writing import write_dataset
-from calibration.diagnosis.against_optimum import KIND as AGAINST_OPTIMUM
-from calibration.diagnosis.against_optimum import against_optimum, optimum_for
-from calibration.diagnosis.finding import Finding
-from calibration.diagnosis.same_labels import moved_frames, same_labels
-from calibration.diagnosis.table_follows import not_evaluated, table_follows
-from calibration.errors import CalibrationError, ExitCode, InputError
-from calibration.estimation.starting_noise import with_starting_noise
-from calibration.evaluation.table import AVERAGES
-from calibration.execution.job import OUTPUT, Job, Mount
-from calibration.execution.job_folder import ARTIFACTS
-from calibration.execution.outcome import JobOutcome
-from calibration.execution.tasks import Task
-from calibration.introspection.numbers import number_text, parse_number
-from calibration.introspection.selection import KeyedTable, LabelledRow
-from calibration.introspection.table import read_table
+from calibration.base.errors import CalibrationError, ExitCode, InputError
+from calibration.base.tables.numbers import number_text, parse_number
+from calibration.base.tables.selection import KeyedTable, LabelledRow
+from calibration.base.tables.table import read_table
+from calibration.base.temporary_folder import temporary_folder
+from calibration.ci.execution.job import OUTPUT, Job, Mount
+from calibration.ci.execution.job_folder import ARTIFACTS
+from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.tasks import Task
+from calibration.engine.baseline.quality import QUALITY
+from calibration.engine.baseline.snapshot import Start
+from calibration.engine.baseline.verdict import against_baseline, nothing_accepted, software_against_baseline
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.writing import write_dataset
+from calibration.engine.diagnosis.against_optimum import KIND as AGAINST_OPTIMUM
+from calibration.engine.diagnosis.against_optimum import against_optimum, optimum_for
+from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.same_labels import moved_frames, same_labels
+from calibration.engine.diagnosis.table_follows import not_evaluated, table_follows
+from calibration.engine.estimation.start.starting_noise import with_starting_noise
+from calibration.engine.evaluation.table import AVERAGES
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult, nothing_yet
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import distance_from_truth
 from calibration.pipeline.matrix.software import DATASET, NO_DATASET, SOFTWARE, START, Software, job_of
-from calibration.temporary_folder import temporary_folder
 
 RMS = "RMS (pix)"
 """Column of a table whose average is a cell's ``rms_px``."""

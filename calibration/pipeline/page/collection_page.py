@@ -3,10 +3,10 @@
 from base64 import b64encode
 from pathlib import Path
 
-from calibration.pages.html import Html, element, join
-from calibration.pages.page import bullets, figure, page, verdict_line
-from calibration.pages.tables import table
-from calibration.report import Report, Table
+from calibration.ci.pages.html import Html, element, join
+from calibration.ci.pages.page import bullets, figure, page, verdict_line
+from calibration.ci.pages.tables import table
+from calibration.ci.report import Report, Table
 
 _SHEET = "Every pose that was collected: what each sensor saw, with its labels; red where a pose was lost."
 

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calibration.dataset.model import Dataset, Sensor
-from calibration.errors import CalibrationError
-from calibration.geometry.transforms import apply
-from calibration.geometry.types import Array
-from calibration.pages.html import Html, element, join
-from calibration.pages.scene import Line, scene
-from calibration.pages.svg import thinned
+from calibration.base.arrays import Array
+from calibration.base.errors import CalibrationError
+from calibration.ci.pages.html import Html, element, join
+from calibration.ci.pages.scene import Line, scene
+from calibration.ci.pages.svg import thinned
+from calibration.engine.dataset.model import Dataset, Sensor
+from calibration.engine.geometry.transforms import apply
 
 BOARDS_DRAWN = 30
 DEPTH = 0.06

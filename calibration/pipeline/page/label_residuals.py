@@ -4,15 +4,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calibration.dataset.model import Dataset, Sensor
-from calibration.estimation.noise_levels import NoiseLevels
-from calibration.evaluation.residuals import Residuals, residuals
-from calibration.geometry.types import Array
-from calibration.pages.heat_map import heat_map
-from calibration.pages.histogram import histogram
-from calibration.pages.html import Html, element
-from calibration.pages.page import figure
-from calibration.pages.residual_plane import residual_plane
+from calibration.base.arrays import Array
+from calibration.ci.pages.heat_map import heat_map
+from calibration.ci.pages.histogram import histogram
+from calibration.ci.pages.html import Html, element
+from calibration.ci.pages.page import figure
+from calibration.ci.pages.residual_plane import residual_plane
+from calibration.engine.dataset.model import Dataset, Sensor
+from calibration.engine.estimation.solve.noise_levels import NoiseLevels
+from calibration.engine.evaluation.residuals import Residuals, residuals
 from calibration.pipeline.page.worst_views import worst_views
 
 _PLANE = (

@@ -4,10 +4,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from calibration.geometry.types import Array
-from calibration.pages.html import Html, element
-from calibration.pages.image_map import image_map
-from calibration.pages.page import figure
+from calibration.base.arrays import Array
+from calibration.ci.pages.html import Html, element
+from calibration.ci.pages.image_map import image_map
+from calibration.ci.pages.page import figure
 from calibration.pipeline.matrix.cell_result import ProjectionResult
 
 

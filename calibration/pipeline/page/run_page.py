@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import read_dataset
-from calibration.diagnosis.limits import Limits
-from calibration.errors import CalibrationError
-from calibration.pages.ellipses import ellipses
-from calibration.pages.heat_map import heat_map
-from calibration.pages.html import Html, element, join
-from calibration.pages.page import bullets, figure, folded, page, section, verdict_line
-from calibration.pages.tables import table
-from calibration.pages.trend import trend
+from calibration.base.errors import CalibrationError
+from calibration.ci.pages.ellipses import ellipses
+from calibration.ci.pages.heat_map import heat_map
+from calibration.ci.pages.html import Html, element, join
+from calibration.ci.pages.page import bullets, figure, folded, page, section, verdict_line
+from calibration.ci.pages.tables import table
+from calibration.ci.pages.trend import trend
+from calibration.ci.report import VERDICTS, Report, Verdict
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.diagnosis.limits import Limits
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
@@ -38,10 +39,9 @@ from calibration.pipeline.result_tables import (
 )
 from calibration.pipeline.results import Results
 from calibration.pipeline.system import System
-from calibration.report import VERDICTS, Report, Verdict
 
 if TYPE_CHECKING:
-    from calibration.baseline.history import History
+    from calibration.pipeline.history import History
 
 MAX_SECTION_CHARACTERS = 8_000_000
 """Limit of the sections of all systems together; some 60 000 are one system, and browsers are slow beyond 10 MB."""
@@ -222,7 +222,7 @@ def _trends(system: str, found: "History | None") -> Iterator[Html]:
 
 def accepted_history(file: Path) -> "History | None":
     """Return the newest accepted calibrations of the repository; None if there are none, or they are unreadable."""
-    from calibration.baseline.history import history_of  # most runs have no baseline
+    from calibration.pipeline.history import history_of  # most runs have no baseline
 
     try:
         return history_of(file, (), None, MOST_COMMITS)

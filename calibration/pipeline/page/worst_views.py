@@ -4,16 +4,16 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from calibration.dataset.document import Node
-from calibration.dataset.model import Dataset
-from calibration.dataset.payload import locate
-from calibration.errors import CalibrationError
-from calibration.evaluation.residuals import Residuals
-from calibration.geometry.types import Array
-from calibration.optional import optional
-from calibration.pages.html import Html, element
-from calibration.pages.overlay import overlay
-from calibration.pages.page import figure
+from calibration.base.arrays import Array
+from calibration.base.errors import CalibrationError
+from calibration.base.optional import optional
+from calibration.ci.pages.html import Html, element
+from calibration.ci.pages.overlay import overlay
+from calibration.ci.pages.page import figure
+from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.payload import locate
+from calibration.engine.evaluation.residuals import Residuals
 
 SHOWN = 4
 PIXELS = 640
@@ -64,7 +64,7 @@ def _jpeg(given: Dataset | None, name: str, key: str) -> bytes | None:
         if path.stat().st_size <= SMALL and (data := path.read_bytes()).startswith(JPEG):
             return data
         cv2 = optional("cv2", "a smaller image")
-        from calibration.importing.image_views import read_image  # imports OpenCV
+        from calibration.robot.importing.patterns.image_views import read_image  # imports OpenCV
 
         image: Any = read_image(path)
     except (OSError, CalibrationError):

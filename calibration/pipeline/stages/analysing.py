@@ -3,10 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
-from calibration.analysis.process import analysed
+from calibration.addons.analysis.process import analysed
+from calibration.ci.workflow import annotate
 from calibration.pipeline.results import Analysed
 from calibration.pipeline.stages.running import Run
-from calibration.workflow import annotate
 
 FOLDER = "static-analysis"
 

@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
-from calibration.errors import InfrastructureError
-from calibration.image.building import build_image
+from calibration.base.errors import InfrastructureError
+from calibration.ci.image.building import build_image
+from calibration.ci.registries.login import registry_login
+from calibration.ci.registries.promotion import promote
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.results import ImageResult
 from calibration.pipeline.stages.running import Run
 from calibration.pipeline.system import System
-from calibration.registries.login import registry_login
-from calibration.registries.promotion import promote
 
 
 def build_stage(run: Run) -> Run:

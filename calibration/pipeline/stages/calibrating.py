@@ -4,13 +4,13 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+from calibration.base.text import shorten
+from calibration.ci.workflow.progress import progress
 from calibration.pipeline.judging import judge_results
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import run_matrix
 from calibration.pipeline.results import results_of
 from calibration.pipeline.stages.running import Run
-from calibration.workflow.progress import progress
-from calibration.workflow.text import shorten
 
 LONGEST_REASON = 200
 """Limit of characters of a reason in the log's line of a cell; all of it stands in the results."""

@@ -3,15 +3,15 @@
 import time
 from dataclasses import replace
 
-from calibration.errors import CalibrationError
-from calibration.execution.backends import EMBEDDED
+from calibration.base.errors import CalibrationError
+from calibration.ci.execution.backends import EMBEDDED
+from calibration.ci.workflow.progress import progress
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import pose_line
 from calibration.pipeline.configuration import Simulation
 from calibration.pipeline.results import Collected
 from calibration.pipeline.stages.running import COLLECTED, Run
-from calibration.simulation.collection.record import Record
-from calibration.workflow.progress import progress
+from calibration.robot.simulation.collection.record import Record
 
 
 def collect_stage(run: Run) -> Run:

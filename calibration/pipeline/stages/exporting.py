@@ -5,17 +5,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from calibration.baseline.snapshot import Snapshot
-from calibration.dataset.reading import read_dataset
-from calibration.errors import CalibrationError
-from calibration.exports.files import exported
-from calibration.files import write_atomically
+from calibration.base.errors import CalibrationError
+from calibration.base.files import write_atomically
+from calibration.base.records import field, result, text_of
+from calibration.ci.report import Verdict
+from calibration.engine.baseline.snapshot import Snapshot
+from calibration.engine.dataset.reading import read_dataset
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.results import Exported, own_details
 from calibration.pipeline.stages.running import Run
 from calibration.pipeline.system import Exports, System
-from calibration.records import field, result, text_of
-from calibration.report import Verdict
+from calibration.robot.exports.files import exported
 
 FOLDER = "exports"
 CALIBRATION = "calibration.json"

@@ -9,25 +9,25 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.analysis.settings import AnalysisSettings
-from calibration.baseline.settings import BaselineSettings
-from calibration.dataset.model import Dataset
-from calibration.errors import CalibrationError, InputError
-from calibration.execution.backends import ExecutionTarget, imported
-from calibration.execution.folder_lock import locked
-from calibration.frozen import frozen
+from calibration.addons.analysis.settings import AnalysisSettings
+from calibration.base.errors import CalibrationError, InputError
+from calibration.base.frozen import frozen
+from calibration.base.text import did_you_mean
+from calibration.base.yaml_file import line_of
+from calibration.ci.execution.backends import ExecutionTarget, imported
+from calibration.ci.execution.folder_lock import locked
+from calibration.ci.report import Report, publish
+from calibration.ci.workflow import Runner
+from calibration.ci.workflow.streams import LogDisplay
+from calibration.engine.baseline.settings import BaselineSettings
+from calibration.engine.dataset.model import Dataset
 from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.page.run_page import accepted_history, report_page
 from calibration.pipeline.report import report, write_cells, write_results
 from calibration.pipeline.results import PAGE_FILE, Results, clear_results
-from calibration.report import Report, publish
-from calibration.workflow import Runner
-from calibration.workflow.streams import LogDisplay
-from calibration.workflow.text import did_you_mean
-from calibration.yaml_file import line_of
 
 if TYPE_CHECKING:
-    from calibration.image.specification import ImageSpecification
+    from calibration.ci.image.specification import ImageSpecification
     from calibration.pipeline.configuration import Simulation
 
 COLLECTED = "collected"

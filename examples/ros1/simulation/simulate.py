@@ -15,11 +15,11 @@ from geometry_msgs.msg import PoseStamped, TransformStamped
 from sensor_msgs.msg import CameraInfo, Image
 from tf2_msgs.msg import TFMessage
 
-from calibration.geometry.rotations import to_quaternion
-from calibration.simulation.motion.sequence import Motion
-from calibration.simulation.placement import place
-from calibration.simulation.random_streams import stream
-from calibration.simulation.system import read_system
+from calibration.engine.geometry.rotations import to_quaternion
+from calibration.robot.simulation.motion.sequence import Motion
+from calibration.robot.simulation.placement import place
+from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.system import read_system
 
 RATE = 10.0
 """Images of each camera in a second."""

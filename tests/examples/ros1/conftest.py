@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.writing import write_document
-from calibration.simulation.collection.capture import Requirements
-from calibration.simulation.collection.document import dataset_document
-from calibration.simulation.collection.poses import collect_pose, kept
-from calibration.simulation.collection.record import Record
-from calibration.simulation.motion.sequence import read_motion
-from calibration.simulation.placement import Play, play
-from calibration.simulation.system import read_system
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.writing import write_document
+from calibration.robot.simulation.collection.capture import Requirements
+from calibration.robot.simulation.collection.document import dataset_document
+from calibration.robot.simulation.collection.poses import collect_pose, kept
+from calibration.robot.simulation.collection.record import Record
+from calibration.robot.simulation.motion.sequence import read_motion
+from calibration.robot.simulation.placement import Play, play
+from calibration.robot.simulation.system import read_system
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "ros1"
 sys.path.insert(0, str(EXAMPLE / "robot"))  # as the scripts there find it

@@ -8,19 +8,19 @@ import numpy as np
 from example_robot.board import Board
 from example_robot.dataset import DatasetFolder, View
 
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import read_dataset
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.geometry import rotations
-from calibration.geometry.cameras import Camera
-from calibration.geometry.transforms import inverse
-from calibration.geometry.types import Array
-from calibration.importing.importing import import_data
-from calibration.simulation.collection.capture import capture
-from calibration.simulation.collection.record import pose_document
+from calibration.base.arrays import Array
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.transforms import inverse
+from calibration.robot.importing.importing import import_data
+from calibration.robot.simulation.collection.capture import capture
+from calibration.robot.simulation.collection.record import pose_document
 from tests.examples.ros1.conftest import EXAMPLE, Collected
 from tests.examples.ros1.test_collecting import BOARD, CONFIG
-from tests.importing.bags import BEGIN, SECOND, BagFile
+from tests.robot.importing.bags import BEGIN, SECOND, BagFile
 
 STAY, PERIOD = 6, SECOND // 10
 """Images of each camera at a pose, and the time between two, ns: as the example's simulation publishes them."""

@@ -13,11 +13,11 @@ import calibrate as program
 import numpy as np
 import pytest
 
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import read_dataset
-from calibration.evaluation.rgb_to_rgb import rgb_to_rgb
-from calibration.geometry.transforms import distance
-from calibration.introspection import judge, parse_rules, read_table
+from calibration.base.tables import judge, parse_rules, read_table
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
+from calibration.engine.geometry.transforms import distance
 from tests.examples.ros1.conftest import EXAMPLE, Collected
 
 TABLE = "rgb_to_rgb_results.csv"

@@ -10,10 +10,10 @@ import yaml
 from example_robot.board import Board
 from example_robot.dataset import DatasetFolder, View
 
-from calibration.dataset.model import CornerLabels
-from calibration.dataset.reading import read_dataset
-from calibration.simulation.collection.capture import capture
-from calibration.simulation.collection.record import pose_document
+from calibration.engine.dataset.model import CornerLabels
+from calibration.engine.dataset.reading import read_dataset
+from calibration.robot.simulation.collection.capture import capture
+from calibration.robot.simulation.collection.record import pose_document
 from tests.examples.ros1.conftest import EXAMPLE, Collected
 
 CONFIG = yaml.safe_load((EXAMPLE / "system" / "config.yml").read_text())

@@ -6,7 +6,7 @@ from pathlib import Path
 import defusedxml.ElementTree
 import pytest
 
-from calibration.image.specification import Recipe
+from calibration.ci.image.specification import Recipe
 from calibration.pipeline.configuration import Configuration, read_configuration
 from tests.examples.ros1.conftest import EXAMPLE
 

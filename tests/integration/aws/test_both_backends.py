@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from calibration.execution.backends import JobBackend
-from calibration.execution.batch.backend import BatchBackend
-from calibration.execution.batch.settings import BatchSettings
-from calibration.execution.docker.backend import DockerBackend
-from calibration.execution.job import OUTPUT, Artifact, Container, Job, Mount, Readiness
+from calibration.addons.aws_batch.backend import BatchBackend
+from calibration.addons.aws_batch.settings import BatchSettings
+from calibration.ci.execution.backends import JobBackend
+from calibration.ci.execution.docker.backend import DockerBackend
+from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Mount, Readiness
 from tests.aws.emulator.faults import child
 from tests.aws.fixtures import BUCKET, QUEUE, REGION, Aws
 from tests.docker_engine import PYTHON_IMAGE

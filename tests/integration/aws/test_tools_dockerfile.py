@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.errors import ExitCode
-from calibration.execution.job import OUTPUT, Artifact
+from calibration.base.errors import ExitCode
+from calibration.ci.execution.job import OUTPUT, Artifact
+from tests.addons.aws_batch import client
 from tests.aws.fixtures import Aws
-from tests.execution.batch import client
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from calibration.coverage.command import parse_command
-from calibration.coverage.injection import plain, team_settings
-from calibration.coverage.reading import Found, read_reports
-from calibration.coverage.sources import find_sources
-from calibration.coverage.tests import Measurement, Tests, measured_environment, measurement, run_tests
-from calibration.git.repository import Repository
-from calibration.workflow import Runner
-from tests.coverage.projects import TOKEN, robot
+from calibration.addons.coverage.command import parse_command
+from calibration.addons.coverage.injection import plain, team_settings
+from calibration.addons.coverage.reading import Found, read_reports
+from calibration.addons.coverage.sources import find_sources
+from calibration.addons.coverage.tests import Measurement, Tests, measured_environment, measurement, run_tests
+from calibration.ci.git.repository import Repository
+from calibration.ci.workflow import Runner
+from tests.addons.coverage.projects import TOKEN, robot
 
 Run = Callable[..., tuple[Tests, Measurement, Found]]
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from calibration.coverage.junit import Tally
-from calibration.coverage.lines import FileCoverage, Rate
-from calibration.errors import InfrastructureError, InputError
-from tests.coverage.projects import NAMING, TOKEN, commit, git, write
+from calibration.addons.coverage.junit import Tally
+from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.base.errors import InfrastructureError, InputError
+from tests.addons.coverage.projects import NAMING, TOKEN, commit, git, write
 
 from .conftest import Run
 
@@ -243,6 +243,6 @@ def test_git_knows_nothing_new(run: Run, root: Path, bare_python: str) -> None:
 def test_the_injected_programs_are_readable_for_old_pythons() -> None:
     import ast
 
-    folder = Path(__file__).parents[3] / "calibration/coverage/injected"
+    folder = Path(__file__).parents[3] / "calibration/addons/coverage/injected"
     for path in folder.glob("*.py"):
         ast.parse(path.read_text(), feature_version=(3, 4))

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.execution.docker.backend import DockerBackend
-from calibration.execution.docker.leftovers import find_leftovers
-from calibration.execution.job import Container, Job
-from calibration.execution.outcome import JobOutcome
+from calibration.ci.execution.docker.backend import DockerBackend
+from calibration.ci.execution.docker.leftovers import find_leftovers
+from calibration.ci.execution.job import Container, Job
+from calibration.ci.execution.outcome import JobOutcome
 from tests.docker_engine import PYTHON_IMAGE
 
 if TYPE_CHECKING:

@@ -9,13 +9,13 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.errors import CalibrationError
-from calibration.execution.docker import backend
-from calibration.execution.docker.container_run import ContainerRun
-from calibration.execution.job import OUTPUT, Artifact, Container, Job, Readiness
-from calibration.workflow import Runner
-from calibration.workflow.signals import Terminated, terminate_cleanly
-from calibration.workflow.streams import LogDisplay
+from calibration.base.errors import CalibrationError
+from calibration.base.signals import Terminated, terminate_cleanly
+from calibration.ci.execution.docker import backend
+from calibration.ci.execution.docker.container_run import ContainerRun
+from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Readiness
+from calibration.ci.workflow import Runner
+from calibration.ci.workflow.streams import LogDisplay
 from tests.docker_engine import PYTHON_IMAGE
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import ExitCode
-from calibration.execution.job import OUTPUT, Artifact, Job, Readiness
+from calibration.base.errors import ExitCode
+from calibration.ci.execution.job import OUTPUT, Artifact, Job, Readiness
 from tests.integration.execution.jobs import run_job, run_jobs, shell
 
 ALL = (Artifact(f"{OUTPUT}/*"),)

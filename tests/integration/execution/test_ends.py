@@ -10,14 +10,14 @@ pytest.importorskip("docker")
 
 from docker.errors import APIError, NotFound
 
-from calibration.errors import ExitCode, InfrastructureError, InputError
-from calibration.execution.docker.backend import DockerBackend
-from calibration.execution.docker.container_run import attach
-from calibration.execution.docker.labels import RUN
-from calibration.execution.docker.networks import Networks
-from calibration.execution.job import OUTPUT, Artifact, Container, Job, Limits, Readiness
-from calibration.execution.outcome import End
-from calibration.execution.run_names import new_run
+from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.ci.execution.docker.backend import DockerBackend
+from calibration.ci.execution.docker.container_run import attach
+from calibration.ci.execution.docker.labels import RUN
+from calibration.ci.execution.docker.networks import Networks
+from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Limits, Readiness
+from calibration.ci.execution.outcome import End
+from calibration.ci.execution.run_names import new_run
 from tests.docker_engine import PYTHON_IMAGE, only_sleep
 from tests.integration.execution.jobs import left, python, run_job, run_jobs, shell
 
@@ -131,7 +131,7 @@ def test_a_job_ends_with_its_essential_container(tmp_path: Path) -> None:
 
 
 def test_containers_that_ignore_sigterm_are_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.execution.docker.job_run.GRACE", 1)
+    monkeypatch.setattr("calibration.ci.execution.docker.job_run.GRACE", 1)
     stubborn = python(
         "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('up', flush=True)\ntime.sleep(600)",
         "stubborn",
@@ -260,7 +260,7 @@ def test_an_image_that_only_others_may_pull(tmp_path: Path, private_registry: An
 
 def test_an_image_that_vanishes_after_it_was_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = {PYTHON_IMAGE: "sha256:" + "0" * 64}
-    monkeypatch.setattr("calibration.execution.docker.backend.find_images", lambda *_: found)
+    monkeypatch.setattr("calibration.ci.execution.docker.backend.find_images", lambda *_: found)
     outcome = run_job(tmp_path, shell("true"))
     assert outcome.exit_code == ExitCode.BAD_INPUT
     assert outcome.reasons[0].startswith("container 'a': the Docker Engine reports: No such image: sha256:000")

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.errors import InfrastructureError
-from calibration.execution.docker.backend import DockerBackend
-from calibration.execution.docker.labels import RUN
-from calibration.execution.docker.leftovers import find_leftovers, remove
-from calibration.execution.job import Job
-from calibration.execution.run_names import new_run
-from calibration.workflow import Runner
-from calibration.workflow.streams import LogDisplay
+from calibration.base.errors import InfrastructureError
+from calibration.ci.execution.docker.backend import DockerBackend
+from calibration.ci.execution.docker.labels import RUN
+from calibration.ci.execution.docker.leftovers import find_leftovers, remove
+from calibration.ci.execution.job import Job
+from calibration.ci.execution.run_names import new_run
+from calibration.ci.workflow import Runner
+from calibration.ci.workflow.streams import LogDisplay
 from tests.docker_engine import wait_until
 from tests.integration.execution.jobs import left, shell
 
@@ -142,7 +142,7 @@ def test_a_name_that_is_taken_is_replaced_by_another(
 ) -> None:
     run = new_run()
     names = iter(["taken", "taken", "free"])
-    monkeypatch.setattr("calibration.execution.docker.container_run.new_run", lambda: next(names))
+    monkeypatch.setattr("calibration.ci.execution.docker.container_run.new_run", lambda: next(names))
     other = engine.api.create_container("calibration-test:python", ["true"], name=f"calibration-{run}-job-a-taken")
     try:
         with DockerBackend(run=run) as backend:
@@ -215,7 +215,7 @@ def test_what_cannot_be_removed_is_named_and_the_run_goes_on(
     def fail(_: object) -> None:
         raise InfrastructureError("cannot be removed: volume v")
 
-    monkeypatch.setattr("calibration.execution.docker.backend.remove_of_dead_runs", fail)
+    monkeypatch.setattr("calibration.ci.execution.docker.backend.remove_of_dead_runs", fail)
     with DockerBackend(show=LogDisplay(Runner())):
         pass
     assert capfd.readouterr().out == "of a killed run: cannot be removed: volume v\n"

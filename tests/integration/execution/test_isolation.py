@@ -7,14 +7,24 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.docker.engine import find_engine
-from calibration.execution.docker import backend as backend_module
-from calibration.execution.docker.container_settings import container_settings
-from calibration.execution.docker.labels import RUN
-from calibration.execution.docker.leftovers import find_leftovers, remove
-from calibration.execution.docker.networks import Networks
-from calibration.execution.job import OUTPUT, Artifact, Container, Job, Limits, Mount, Network, Readiness, Relaxations
-from calibration.execution.run_names import new_run
+from calibration.ci.docker.engine import find_engine
+from calibration.ci.execution.docker import backend as backend_module
+from calibration.ci.execution.docker.container_settings import container_settings
+from calibration.ci.execution.docker.labels import RUN
+from calibration.ci.execution.docker.leftovers import find_leftovers, remove
+from calibration.ci.execution.docker.networks import Networks
+from calibration.ci.execution.job import (
+    OUTPUT,
+    Artifact,
+    Container,
+    Job,
+    Limits,
+    Mount,
+    Network,
+    Readiness,
+    Relaxations,
+)
+from calibration.ci.execution.run_names import new_run
 from tests.integration.execution.jobs import python, run_job, run_jobs, shell
 
 if TYPE_CHECKING:
@@ -137,7 +147,7 @@ def test_a_file_that_cannot_be_copied(tmp_path: Path, monkeypatch: pytest.Monkey
     with tempfile.TemporaryDirectory() as gone:
         mount = Mount(Path(gone), "/data")
         vanishing = shell("true", "second", mounts=(mount,), after=("first",))
-        monkeypatch.setattr("calibration.execution.docker.job_run.open_output", lambda *_: Path(gone).rmdir())
+        monkeypatch.setattr("calibration.ci.execution.docker.job_run.open_output", lambda *_: Path(gone).rmdir())
         outcome = run_job(tmp_path, shell("sleep 600", "first", essential=False), vanishing)
         Path(gone).mkdir()
     assert outcome.exit_code == 2
@@ -237,7 +247,7 @@ def test_where_the_engine_cannot_keep_containers_apart_jobs_have_networks_of_the
     run = new_run()
     networks = Networks(run, {RUN: run})
     monkeypatch.setattr(
-        "calibration.execution.docker.networks._NO_TALKING", {"com.docker.network.bridge.enable_icc": "perhaps"}
+        "calibration.ci.execution.docker.networks._NO_TALKING", {"com.docker.network.bridge.enable_icc": "perhaps"}
     )
     try:
         first = networks.shared(engine.api, False)

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.execution.docker.backend import DockerBackend
-from calibration.execution.docker.leftovers import find_leftovers
-from calibration.execution.job import Container, Job, Limits, Mount, Readiness
-from calibration.execution.outcome import End
-from calibration.workflow import Runner
-from calibration.workflow.streams import LogDisplay
+from calibration.ci.execution.docker.backend import DockerBackend
+from calibration.ci.execution.docker.leftovers import find_leftovers
+from calibration.ci.execution.job import Container, Job, Limits, Mount, Readiness
+from calibration.ci.execution.outcome import End
+from calibration.ci.workflow import Runner
+from calibration.ci.workflow.streams import LogDisplay
+from tests.ci.workflow.test_groups import obeyed
 from tests.integration.execution.jobs import python, run_job, run_jobs, shell
-from tests.workflow.test_groups import obeyed
 
 if TYPE_CHECKING:
     from docker import DockerClient
@@ -133,7 +133,7 @@ def test_the_engine_keeps_no_log(tmp_path: Path, engine: "DockerClient") -> None
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from calibration.execution import log_file
+    from calibration.ci.execution import log_file
 
     plain = log_file.Path.open
 

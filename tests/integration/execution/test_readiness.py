@@ -3,10 +3,10 @@ from typing import Any
 
 import pytest
 
-from calibration.errors import ExitCode
-from calibration.execution.docker import readiness
-from calibration.execution.job import Job, Readiness
-from calibration.execution.outcome import End
+from calibration.base.errors import ExitCode
+from calibration.ci.execution.docker import readiness
+from calibration.ci.execution.job import Job, Readiness
+from calibration.ci.execution.outcome import End
 from tests.integration.execution.jobs import python, run_job, run_jobs, shell
 
 SERVE = """

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from calibration.image.building import BuiltImage, build_image
-from calibration.image.specification import parse_image_specification
-from calibration.workflow import Runner
+from calibration.ci.image.building import BuiltImage, build_image
+from calibration.ci.image.specification import parse_image_specification
+from calibration.ci.workflow import Runner
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from tests.registries.server import Reply, Request, Server, serve
+from tests.ci.registries.server import Reply, Request, Server, serve
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from calibration.registries.reference import parse_reference
-from calibration.registries.registry import RegistryClient
+from calibration.ci.registries.reference import parse_reference
+from calibration.ci.registries.registry import RegistryClient
 from tests.docker_engine import Registry
 from tests.integration.image.builds import Builds, builds
 

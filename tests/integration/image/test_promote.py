@@ -5,16 +5,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.errors import InputError
-from calibration.registries.credentials import Credentials, RegistrySettings
-from calibration.registries.login import registry_login
-from calibration.registries.promotion import promote
-from calibration.registries.push import push_image
-from calibration.registries.registry import Manifest, RegistryClient
-from calibration.workflow import Runner
+from calibration.base.errors import InputError
+from calibration.ci.registries.credentials import Credentials, RegistrySettings
+from calibration.ci.registries.login import registry_login
+from calibration.ci.registries.promotion import promote
+from calibration.ci.registries.push import push_image
+from calibration.ci.registries.registry import Manifest, RegistryClient
+from calibration.ci.workflow import Runner
+from tests.ci.registries.server import Reply, Request
 from tests.docker_engine import Registry
 from tests.integration.image.registries import faulty, fresh_name, small_image
-from tests.registries.server import Reply, Request
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.errors import CalibrationError, InfrastructureError, InputError
-from calibration.registries.credentials import Credentials
-from calibration.registries.push import push_image
-from calibration.registries.registry import RegistryClient
-from calibration.workflow import Runner
-from calibration.workflow.progress import progress
+from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.ci.registries.credentials import Credentials
+from calibration.ci.registries.push import push_image
+from calibration.ci.registries.registry import RegistryClient
+from calibration.ci.workflow import Runner
+from calibration.ci.workflow.progress import progress
+from tests.ci.registries.server import Reply, Request, serve
 from tests.docker_engine import Registry
 from tests.integration.image.registries import faulty, fresh_name, small_image
-from tests.registries.server import Reply, Request, serve
 
 if TYPE_CHECKING:
     from docker import DockerClient

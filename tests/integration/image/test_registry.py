@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.errors import InputError
-from calibration.registries.credentials import Credentials
-from calibration.registries.registry import Manifest, RegistryClient
+from calibration.base.errors import InputError
+from calibration.ci.registries.credentials import Credentials
+from calibration.ci.registries.registry import Manifest, RegistryClient
 from tests.docker_engine import Registry
 from tests.integration.image.registries import fresh_name, small_image
 

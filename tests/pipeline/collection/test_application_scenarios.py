@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
+from calibration.base.errors import ExitCode, InputError
+from calibration.ci.execution.job import OUTPUT, Job
+from calibration.ci.execution.outcome import JobOutcome
 from calibration.commands.collect_data_sim import command
-from calibration.errors import ExitCode, InputError
-from calibration.execution.job import OUTPUT, Job
-from calibration.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import applications_from
 from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.request import (
@@ -24,7 +24,7 @@ from calibration.pipeline.collection.request import (
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import replay, report
 from calibration.pipeline.collection.scenarios import ScenarioFolder
-from calibration.simulation.scenarios.scenario import ScenarioResult
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 from tests.pipeline.targets import at
 
 T2RGB = Path(__file__).parents[3] / "datasets" / "t2rgb"

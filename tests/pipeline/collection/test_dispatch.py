@@ -11,15 +11,15 @@ import cv2
 import jsonschema
 import pytest
 
-from calibration.errors import ExitCode, InfrastructureError, InputError
-from calibration.files import write_atomically
+from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base.files import write_atomically
+from calibration.ci.workflow.summary import escape_markdown
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA, report
 from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
-from calibration.simulation.collection import poses
-from calibration.simulation.collection.proof import JointProof, Proof
-from calibration.workflow.summary import escape_markdown
+from calibration.robot.simulation.collection import poses
+from calibration.robot.simulation.collection.proof import JointProof, Proof
 from tests.pipeline.conftest import DATASETS
 from tests.small import first_poses
 
@@ -155,7 +155,7 @@ def test_a_full_disk_loses_nothing(
             raise InfrastructureError(f"{path}: cannot be written: No space left on device")
         write_atomically(path, content)
 
-    monkeypatch.setattr("calibration.execution.workspace.write_atomically", full)
+    monkeypatch.setattr("calibration.ci.execution.workspace.write_atomically", full)
     with pytest.raises(InfrastructureError, match="No space left on device"):
         collect_dataset(request_, tmp_path, jobs=1)
     assert (tmp_path / "notes.txt").read_text() == "mine"

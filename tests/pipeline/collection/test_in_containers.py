@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from calibration.errors import ExitCode, InputError
-from calibration.execution.job import OUTPUT, Artifact, Job
-from calibration.execution.outcome import JobOutcome
+from calibration.base.errors import ExitCode, InputError
+from calibration.ci.execution.job import OUTPUT, Artifact, Job
+from calibration.ci.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import (
     INPUTS,
     MOTION,

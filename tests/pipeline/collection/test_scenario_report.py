@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration.ci.report import Report
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import document, report, scenarios_table
-from calibration.report import Report
-from calibration.simulation.scenarios.scenario import ScenarioResult
-from calibration.simulation.scenarios.statistics import Statistics
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult
+from calibration.robot.simulation.scenarios.statistics import Statistics
 
 
 def result(index: int, error: float | None, **values: float) -> ScenarioResult:

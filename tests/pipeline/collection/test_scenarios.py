@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from calibration.base.errors import ExitCode
 from calibration.commands.collect_data_sim import command
-from calibration.errors import ExitCode
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,
@@ -20,8 +20,8 @@ from calibration.pipeline.collection.request import (
 )
 from calibration.pipeline.collection.results import ScenarioResults, scenario_reasons
 from calibration.pipeline.collection.scenario_report import replay, report, scenario_line
-from calibration.simulation.scenarios.scenario import ScenarioResult
-from calibration.simulation.scenarios.statistics import Statistics
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult
+from calibration.robot.simulation.scenarios.statistics import Statistics
 
 GOOD = ScenarioResult(
     "s1-00000",

@@ -13,10 +13,11 @@ import pytest
 
 from calibration import __version__
 from calibration.__main__ import main
-from calibration.errors import ExitCode, InfrastructureError, InputError
-from calibration.execution.job import OUTPUT, Job
-from calibration.execution.job_check import check_jobs
-from calibration.execution.outcome import JobOutcome
+from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base.records.schema import schema_of
+from calibration.ci.execution.job import OUTPUT, Job
+from calibration.ci.execution.job_check import check_jobs
+from calibration.ci.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import INPUTS
 from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioOfSet, ScenarioRequest
@@ -24,7 +25,6 @@ from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_file import FILE, ScenarioFile
 from calibration.pipeline.collection.scenario_report import report
 from calibration.pipeline.collection.scenarios import ScenarioDone, ScenarioFolder
-from calibration.records.schema import schema_of
 from tests.pipeline.targets import at
 from tests.small import first_poses
 

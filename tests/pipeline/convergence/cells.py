@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from calibration.errors import ExitCode
-from calibration.estimation.options import Start
-from calibration.estimation.starting_noise import StartingNoise
+from calibration.base.errors import ExitCode
+from calibration.engine.estimation.solve.options import Start
+from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, maps_of
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, nothing_yet

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.errors import ExitCode
+from calibration.base.errors import ExitCode
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, maps_of
 from calibration.pipeline.matrix.software import SOFTWARE
 from calibration.pipeline.system import NoiseGrid

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.errors import InfrastructureError
+from calibration.base.errors import InfrastructureError
 from calibration.pipeline.convergence.figure import MOST_MAPS, figures
 from calibration.pipeline.convergence.report import report
 from calibration.pipeline.convergence.results import ConvergenceResults

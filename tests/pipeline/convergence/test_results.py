@@ -10,10 +10,12 @@ from xml.etree import ElementTree as ET
 import jsonschema
 import pytest
 
-from calibration.errors import ExitCode
-from calibration.introspection.rule_set import parse_rules
-from calibration.introspection.table import read_table
-from calibration.introspection.table_verdict import judge
+from calibration.base.errors import ExitCode
+from calibration.base.tables.rule_set import parse_rules
+from calibration.base.tables.table import read_table
+from calibration.base.tables.table_verdict import judge
+from calibration.ci.report import Report, remove_results
+from calibration.ci.report.junit import junit_xml
 from calibration.pipeline.convergence.convergence_map import Largest, least
 from calibration.pipeline.convergence.report import (
     ALL_FILES,
@@ -27,8 +29,6 @@ from calibration.pipeline.convergence.report import (
 )
 from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
 from calibration.pipeline.system import NoiseGrid
-from calibration.report import Report, remove_results
-from calibration.report.junit import junit_xml
 
 from .cells import one_map
 

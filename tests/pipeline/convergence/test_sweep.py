@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from calibration.diagnosis.limits import Limits
-from calibration.errors import InfrastructureError, InputError
-from calibration.introspection.rule_set import parse_rules
+from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.tables.rule_set import parse_rules
+from calibration.engine.diagnosis.limits import Limits
 from calibration.pipeline.convergence import sweep
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult

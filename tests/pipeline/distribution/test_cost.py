@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calibration.base.records import document_of
 from calibration.pipeline.distribution.cost import Cost, JobTime, cost_of_run, jobs_table, money
 from calibration.pipeline.distribution.jobs import FILE, Needs
 from calibration.pipeline.distribution.plan import JobCell, Plan
-from calibration.records import document_of
 
 ONE = JobCell("one", "slug-of-one", "robot", (0.0,), (0.0,))
 TWO = JobCell("two", "slug-of-two", "robot", (0.5,), (0.0,))

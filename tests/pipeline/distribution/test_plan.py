@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.errors import InputError
-from calibration.execution.job import Container
-from calibration.image.specification import ImageSpecification, parse_image_specification
+from calibration.base.errors import InputError
+from calibration.ci.execution.job import Container
+from calibration.ci.image.specification import ImageSpecification, parse_image_specification
 from calibration.pipeline.configuration import Configuration, Simulation, parse_applications
 from calibration.pipeline.distribution.jobs import Needs, parse_needs
 from calibration.pipeline.distribution.plan import (

@@ -8,22 +8,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.comparison.methods import applicable, method_of
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.truth import truth_of
-from calibration.diagnosis.against_optimum import find_optimum
-from calibration.diagnosis.limits import Limits
-from calibration.errors import ExitCode, InputError
-from calibration.estimation.assumptions import EXACT
-from calibration.estimation.calibrate import Calibrator, calibrate
-from calibration.estimation.intrinsics_file import FILE_NAME as INTRINSICS
-from calibration.estimation.intrinsics_file import read_intrinsics
-from calibration.estimation.options import Options
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.evaluation.specification import parse_evaluation
-from calibration.geometry.rotations import from_rpy, to_rpy
-from calibration.geometry.transforms import retract, translation
+from calibration.base.errors import ExitCode, InputError
+from calibration.ci.report import Report
+from calibration.engine.comparison.methods import applicable, method_of
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.truth import truth_of
+from calibration.engine.diagnosis.against_optimum import find_optimum
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.calibrate import Calibrator, calibrate
+from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
+from calibration.engine.estimation.problem.intrinsics_file import read_intrinsics
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.evaluation.specification import parse_evaluation
+from calibration.engine.geometry.rotations import from_rpy, to_rpy
+from calibration.engine.geometry.transforms import retract, translation
 from calibration.pipeline.matrix.cell import Cell, Comparison
 from calibration.pipeline.matrix.cell_details import described, finite_deviation
 from calibration.pipeline.matrix.cell_result import CellResult, Details, Parameter
@@ -34,10 +35,9 @@ from calibration.pipeline.report import report
 from calibration.pipeline.result_tables import parameters_table, transforms_table
 from calibration.pipeline.results import Results
 from calibration.pipeline.system import NoiseGrid
-from calibration.report import Report
-from tests.estimation.systems import jointed_arm, stereo, two_bodies
-from tests.estimation.test_wrong_views import exchanged
-from tests.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
+from tests.engine.estimation.systems import jointed_arm, stereo, two_bodies
+from tests.engine.estimation.test_wrong_views import exchanged
+from tests.engine.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
 from tests.pipeline.conftest import DATASETS, T2RGB
 from tests.pipeline.matrix.test_cell_verdict import CELL
 

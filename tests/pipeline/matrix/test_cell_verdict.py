@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from calibration.diagnosis.limits import Limits
-from calibration.errors import ExitCode, InputError
-from calibration.introspection.rule_set import parse_rules
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.tables.rule_set import parse_rules
+from calibration.engine.diagnosis.limits import Limits
 from calibration.pipeline.judging import judge_results
 from calibration.pipeline.matrix.cell_result import CellResult, Deviation
 from calibration.pipeline.matrix.cell_verdict import judge_cells

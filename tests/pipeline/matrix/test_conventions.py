@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.diagnosis.finding import CONVENTION
-from calibration.errors import InputError
-from calibration.estimation.options import Options
-from calibration.estimation.starting_noise import StartingNoise
+from calibration.base.errors import InputError
+from calibration.engine.diagnosis.finding import CONVENTION
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.first_configuration import first_configuration
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult

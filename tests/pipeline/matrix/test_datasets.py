@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from calibration.errors import InputError
+from calibration.base.errors import InputError
+from calibration.ci.workflow import Runner
 from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.results import Results, clear_results, own_file, results_of
 from calibration.pipeline.stages import Run, run_stages
 from calibration.pipeline.system import Datasets, Exports, NoiseGrid, System
-from calibration.workflow import Runner
 from tests.pipeline.conftest import DATASETS, RIWBOT, T2RGB
 
 

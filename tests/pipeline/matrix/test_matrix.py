@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from calibration.dataset.reading import read_dataset
-from calibration.errors import ExitCode, InfrastructureError, InputError
-from calibration.estimation.calibrate import Calibrator
-from calibration.estimation.result import Calibration
-from calibration.estimation.starting_noise import StartingNoise
-from calibration.evaluation.table import Table
-from calibration.geometry.transforms import from_xyz_rpy
-from calibration.introspection.rule_set import parse_rules
+from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base.tables.rule_set import parse_rules
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.estimation.calibrate import Calibrator
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.evaluation.table import Table
+from calibration.engine.geometry.transforms import from_xyz_rpy
 from calibration.pipeline.matrix import running_cell
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.cell_verdict import check_rules

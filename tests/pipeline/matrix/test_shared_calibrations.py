@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from calibration.estimation.options import Options
-from calibration.estimation.starting_noise import StartingNoise
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.running_cell import run_cell

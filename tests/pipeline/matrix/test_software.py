@@ -10,21 +10,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.dataset.model import Dataset
-from calibration.dataset.reading import read_dataset
-from calibration.dataset.writing import write_dataset
-from calibration.diagnosis.limits import Limits
-from calibration.errors import ExitCode, InputError
-from calibration.estimation.build import build
-from calibration.estimation.initial_values import initial_values
-from calibration.estimation.least_squares import Termination, minimise
-from calibration.estimation.linear_start import pattern_poses
-from calibration.estimation.normal_equations import Weighting
-from calibration.estimation.starting_noise import StartingNoise, with_starting_noise
-from calibration.evaluation.specification import parse_evaluation
-from calibration.execution.job import OUTPUT, Artifact
-from calibration.execution.outcome import ArtifactFile, JobOutcome
-from calibration.geometry.transforms import translation
+from calibration.base.errors import ExitCode, InputError
+from calibration.ci.execution.job import OUTPUT, Artifact
+from calibration.ci.execution.outcome import ArtifactFile, JobOutcome
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.writing import write_dataset
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.solve.least_squares import Termination, minimise
+from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.start.build import build
+from calibration.engine.estimation.start.initial_values import initial_values
+from calibration.engine.estimation.start.linear_start import pattern_poses
+from calibration.engine.estimation.start.starting_noise import StartingNoise, with_starting_noise
+from calibration.engine.evaluation.specification import parse_evaluation
+from calibration.engine.geometry.transforms import translation
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from calibration.execution.batch.backend import BatchBackend
-from calibration.execution.docker.backend import DockerBackend
-from calibration.execution.job import OUTPUT, Artifact, Container, Job, Limits, Mount, Readiness
-from calibration.execution.outcome import JobOutcome
+from calibration.addons.aws_batch.backend import BatchBackend
+from calibration.ci.execution.docker.backend import DockerBackend
+from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Limits, Mount, Readiness
+from calibration.ci.execution.outcome import JobOutcome
+from tests.addons.aws_batch.client import SETTINGS, running
 from tests.aws.fixtures import Aws
 from tests.docker_engine import PYTHON_IMAGE
-from tests.execution.batch.client import SETTINGS, running
 
 
 def shell(text: str, name: str = "robot", **settings: object) -> Container:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import docker
 
-from calibration.execution.batch.documents import TaskJob, TaskOutcome
-from calibration.execution.batch.inside.prepare import prepare
-from calibration.execution.batch.inside.script import Signs
-from calibration.execution.batch.inside.watch import Timeouts, Watch
-from calibration.execution.batch.wire import JOB_FOLDER
-from calibration.execution.job import OUTPUT, Container, Job
+from calibration.addons.aws_batch.documents import TaskJob, TaskOutcome
+from calibration.addons.aws_batch.inside.prepare import prepare
+from calibration.addons.aws_batch.inside.script import Signs
+from calibration.addons.aws_batch.inside.watch import Timeouts, Watch
+from calibration.addons.aws_batch.wire import JOB_FOLDER
+from calibration.ci.execution.job import OUTPUT, Container, Job
 from tests.docker_engine import PYTHON_IMAGE, wait_until
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ import pytest
 
 pytest.importorskip("docker")
 
-from calibration.errors import ExitCode
-from calibration.execution.job import OUTPUT, Artifact, Readiness
+from calibration.base.errors import ExitCode
+from calibration.ci.execution.job import OUTPUT, Artifact, Readiness
 from tests.integration.execution.batch_inside.tasks import run_task
 from tests.integration.execution.jobs import shell
 

@@ -7,13 +7,13 @@ import pytest
 
 pytest.importorskip("docker")
 
-from calibration.errors import ExitCode
-from calibration.execution.batch.documents import TaskJob
-from calibration.execution.batch.inside.prepare import prepare
-from calibration.execution.batch.inside.script import Signs
-from calibration.execution.batch.inside.watch import Timeouts, Watch
-from calibration.execution.job import OUTPUT, Container, Job, Limits, Readiness
-from calibration.execution.outcome import End
+from calibration.addons.aws_batch.documents import TaskJob
+from calibration.addons.aws_batch.inside.prepare import prepare
+from calibration.addons.aws_batch.inside.script import Signs
+from calibration.addons.aws_batch.inside.watch import Timeouts, Watch
+from calibration.base.errors import ExitCode
+from calibration.ci.execution.job import OUTPUT, Container, Job, Limits, Readiness
+from calibration.ci.execution.outcome import End
 from tests.docker_engine import PYTHON_IMAGE, wait_until
 from tests.integration.execution.batch_inside.tasks import NONE, run_task, started
 from tests.integration.execution.jobs import python, shell

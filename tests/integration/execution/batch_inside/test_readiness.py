@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("docker")
 
-from calibration.execution.job import Container, Readiness
+from calibration.ci.execution.job import Container, Readiness
 from tests.docker_engine import free_port
 from tests.integration.execution.batch_inside.tasks import run_task
 from tests.integration.execution.jobs import python, shell

@@ -1,0 +1,99 @@
+"""Comparison of findings with those of an earlier state: matched by rule and content, never by line number."""
+
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+
+from calibration.addons.analysis.copies import Copy
+from calibration.addons.analysis.finding import Finding, Located, located
+
+
+@dataclass(frozen=True)
+class Compared:
+    """New, known and fixed findings of two states of a repository."""
+
+    new: tuple[Finding, ...]
+    unchanged: tuple[Finding, ...]
+    fixed: tuple[Finding, ...]
+    """Fixed findings, at their lines in the earlier state."""
+
+
+def with_content(findings: Sequence[Finding], copy: Copy) -> list[Located]:
+    """Return findings with the content of their lines."""
+    lines = {path: copy.lines(path) for path in {finding.path for finding in findings}}
+    return [located(finding, lines[finding.path]) for finding in findings]
+
+
+def compare(
+    now: Sequence[Finding],
+    copy: Copy,
+    earlier: Sequence[Finding],
+    base: Copy,
+    changed: Collection[str],
+    whole: Collection[str] = (),
+) -> Compared:
+    """Compare findings with those of an earlier state, in which only the changed files were analysed.
+
+    The analysers that ``whole`` names were run on all files of the earlier state.
+
+    A finding is known if the earlier state has one of its rule on a line of the same content, in any file; or one of
+    its rule and message in a file that has the content anywhere, as when a formatter has broken the line. Each earlier
+    finding matches at most one.
+    """
+    touched = set(changed)
+
+    def is_open(finding: Finding) -> bool:
+        return finding.path in touched or finding.rule.partition("/")[0] in whole
+
+    unchanged = [finding for finding in now if not is_open(finding)]
+    open_now = with_content([finding for finding in now if is_open(finding)], copy)
+    open_before = with_content(earlier, base)
+    open_now, open_before, matched = _matched(open_now, open_before, lambda each: (each.finding.rule, each.content))
+    unchanged += matched
+    texts: dict[str, str] = {}
+
+    def was_there(new: Located, old: Located) -> bool:
+        path = old.finding.path
+        texts.setdefault(path, base.content(path))
+        return new.content in texts[path]
+
+    new = []
+    for each in open_now:
+        same = (
+            old
+            for old in open_before
+            if (old.finding.rule, old.finding.message) == (each.finding.rule, each.finding.message)
+            and was_there(each, old)
+        )
+        if (known := next(same, None)) is None:
+            new.append(each.finding)
+        else:
+            open_before.remove(known)
+            unchanged.append(each.finding)
+    return Compared(tuple(new), tuple(unchanged), tuple(each.finding for each in open_before))
+
+
+def _matched(
+    now: Sequence[Located], earlier: Sequence[Located], key: Callable[[Located], tuple[str, str]]
+) -> tuple[list[Located], list[Located], list[Finding]]:
+    """Return the current and earlier findings without a partner, and the current ones with a partner.
+
+    Partners in the same file are matched first, so that the remaining ones are at the expected file.
+    """
+    matched: list[Finding] = []
+    for full in (lambda each: (each.finding.path, *key(each)), key):
+        counts = Counter(map(full, earlier))
+        rest = []
+        for each in now:
+            if counts[full(each)] > 0:
+                counts[full(each)] -= 1
+                matched.append(each.finding)
+            else:
+                rest.append(each)
+        left = []
+        for each in reversed(earlier):
+            if counts[full(each)] > 0:
+                counts[full(each)] -= 1
+                left.append(each)
+        now, earlier = rest, left[::-1]
+    return list(now), list(earlier), matched

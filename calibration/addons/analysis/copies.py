@@ -1,0 +1,192 @@
+"""Copies of a repository's files in a folder: regular files only, so that no link leads out of it."""
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+from calibration.addons.analysis.finding import plain_content
+from calibration.base.errors import InputError
+from calibration.base.files import read_bytes
+from calibration.ci.git.repository import Repository
+
+MAX_BYTES = 1_000_000
+"""Limit of a file's size in bytes; larger ones are generated."""
+MAX_FILES = 50_000
+_DATA = (
+    *(".dae", ".gif", ".jpeg", ".jpg", ".obj", ".pdf", ".png", ".stl", ".svg"),
+    *(".bag", ".db3", ".gz", ".mcap", ".npy", ".npz", ".pcd", ".ply", ".zip"),
+)
+"""Suffixes of data files, which are skipped without a report."""
+_ANALYSED = (
+    *(".bash", ".launch", ".py", ".pyi", ".sdf", ".sh", ".srdf", ".test", ".urdf", ".xacro", ".xml"),
+    *(".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".yaml", ".yml", ".action", ".msg", ".srv"),
+)
+"""Suffixes of files that an analyser may look at; with those without a suffix, and `_ANALYSED_NAMES`, they count."""
+_ANALYSED_NAMES = ("CMakeLists.txt", "dataset.json", "setup.cfg")
+_MESHES = ".stl"
+"""Suffix of data files that are copied, for checks of the files that name them."""
+MAX_MESH_BYTES = 20_000_000
+_DEEPEST = 4000
+"""Limit of a path's length in characters."""
+
+
+@dataclass(frozen=True)
+class Copy:
+    """Folder with the files of one state of the repository."""
+
+    root: Path
+    files: tuple[str, ...]
+    """Analysed files, with ``/``, sorted."""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """Reason why a file is not analysed, by path; without data files."""
+    present: tuple[str, ...] = ()
+    """All tracked files, also those that are not copied."""
+    opaque: tuple[str, ...] = ()
+    """Symbolic links and submodules."""
+    meshes: tuple[str, ...] = ()
+    """Meshes that are copied too, and not analysed themselves."""
+
+    def text(self, path: str) -> str:
+        """Return the text of a file; invalid UTF-8 is replaced."""
+        return (self.root / path).read_bytes().decode("utf-8", "replace")
+
+    def first_line(self, path: str) -> str:
+        """Return the first line of a file, at most 200 characters."""
+        with (self.root / path).open("rb") as stream:
+            return stream.readline(200).decode("utf-8", "replace").strip()
+
+    def is_utf8(self, path: str) -> bool:
+        """Whether a file is UTF-8."""
+        try:
+            (self.root / path).read_bytes().decode("utf-8")
+        except UnicodeDecodeError:
+            return False
+        return True
+
+    def lines(self, path: str) -> list[str]:
+        r"""Return the lines of a file, as all analysers count them: they end in ``\n``."""
+        return self.text(path).split("\n")
+
+    def content(self, path: str) -> str:
+        """Return the text of a file, without what formatters change."""
+        return plain_content(self.text(path))
+
+
+def chosen_files(paths: Sequence[str], asked: Sequence[str], settings: Collection[str]) -> list[str]:
+    """Return the files to copy: all, which are read beside the requested ones too, or in a large repository fewer.
+
+    Args:
+        paths: the tracked files.
+        asked: the requested ones of them.
+        settings: names of files with settings of analysers, which are always copied.
+    """
+    if sum(map(may_be_analysed, paths)) <= MAX_FILES:
+        return list(paths)
+    requested = set(asked)
+    return [path for path in paths if path in requested or PurePosixPath(path).name in settings]
+
+
+def may_be_analysed(path: str) -> bool:
+    """Whether a file may be one that an analyser looks at, by its name."""
+    name = PurePosixPath(path)
+    return name.suffix.lower() in ("", *_ANALYSED) or name.name in _ANALYSED_NAMES
+
+
+def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
+    """Copy the files of the working tree.
+
+    Raises:
+        InputError: there are too many.
+        InfrastructureError: one cannot be read or written.
+    """
+    left_out: dict[str, str] = {}
+    kept: list[str] = []
+    meshes: list[str] = []
+    analysed = 0
+    for path in paths:
+        suffix = PurePosixPath(path).suffix.lower()
+        if suffix == _MESHES and _unfit(path) is None and _copied_mesh(repository, folder, path):
+            meshes.append(path)
+        if suffix in _DATA:
+            continue
+        analysed += may_be_analysed(path)
+        if analysed > MAX_FILES:
+            raise InputError(f"{repository.root}: more than {MAX_FILES} files are to be analysed: name folders (paths)")
+        if why := _unfit(path):
+            left_out[path] = why
+            continue
+        try:
+            data = read_bytes(repository.root / path, MAX_BYTES, "a file")
+        except InputError as error:
+            left_out[path] = str(error).removeprefix(f"{repository.root / path}: ")
+            continue
+        if _is_binary(data):
+            left_out[path] = "this is no text"
+            continue
+        _write(folder / path, data)
+        kept.append(path)
+    return Copy(folder, tuple(kept), left_out, tuple(repository.tracked()), tuple(repository.links()), tuple(meshes))
+
+
+def _copied_mesh(repository: Repository, folder: Path, path: str) -> bool:
+    """Copy a mesh; False if it is too large."""
+    try:
+        data = read_bytes(repository.root / path, MAX_MESH_BYTES, "a mesh")
+    except InputError:
+        return False
+    _write(folder / path, data)
+    return True
+
+
+def before(now: Copy, repository: Repository, commit: str, folder: Path, changed: Iterable[str]) -> Copy:
+    """Copy the changed files as of a commit, with the current version of all others.
+
+    The others are read by analysers too: the team's settings, and headers. So a change of the settings
+    alone makes no finding new.
+
+    Args:
+        now: the copy of the working tree.
+        repository: the checkout.
+        commit: the earlier commit.
+        folder: folder of the new copy.
+        changed: the files that differ between the working tree and the commit, without settings.
+
+    Raises:
+        InfrastructureError: git fails, or a file cannot be written.
+    """
+    for path in (*now.files, *now.meshes):
+        target = folder / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.hardlink_to(now.root / path)
+    kept = []
+    present = dict.fromkeys(now.present)
+    for path in changed:
+        (folder / path).unlink(missing_ok=True)
+        present.pop(path, None)
+        try:
+            data = None if _unfit(path) else repository.content(commit, path, MAX_BYTES)
+        except InputError:
+            present[path] = None
+            continue  # a link, a folder, or too large
+        if data is not None:
+            present[path] = None
+        if data is not None and not _is_binary(data):
+            _write(folder / path, data)
+            kept.append(path)
+    meshes = tuple(path for path in now.meshes if (folder / path).exists())
+    return Copy(folder, tuple(kept), present=tuple(present), opaque=now.opaque, meshes=meshes)
+
+
+def _is_binary(data: bytes) -> bool:
+    return b"\0" in data[:8000]
+
+
+def _unfit(path: str) -> str | None:
+    if "\n" in path or "\t" in path or "\r" in path or len(path) > _DEEPEST or not path.isprintable():
+        return "its name has characters that do not print"
+    return None
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)

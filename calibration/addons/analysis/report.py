@@ -1,0 +1,135 @@
+"""Report of ``static-analysis``."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from calibration.addons.analysis.finding import CATEGORIES, SEVERITIES, Finding
+from calibration.addons.analysis.metrics import BADGE_FILE, grade_badge
+from calibration.addons.analysis.results import Graph, Metrics, Results
+from calibration.addons.analysis.ros_graph import JSON_FILE, PICTURE_FILE, RosGraph
+from calibration.addons.analysis.sarif import FILE as SARIF_FILE
+from calibration.base.text import shorten
+from calibration.ci.report import Lines, Outcome, Report, Table, count_of, outcome_of_check, verdict_of
+from calibration.ci.workflow.annotations import Annotation, Level
+
+TITLE = "static-analysis"
+MOST_ROWS = 100
+MOST_FILES = 20
+_LEVELS = {"error": Level.ERROR, "warning": Level.WARNING, "note": Level.NOTICE}
+_HEADER = ("place", "severity", "category", "rule", "finding")
+
+
+def report(results: Results, sarif: str, graph: RosGraph | None, root: Path, folder: Path | None) -> Report:
+    """Return the report.
+
+    Args:
+        results: the results.
+        sarif: the same as SARIF.
+        graph: of the ROS nodes, if there are any.
+        root: of the repository, for annotations.
+        folder: of the files, if they are written.
+    """
+    categories = Counter((finding.category, finding.severity) for finding in results.findings)
+    return Report(
+        title=TITLE,
+        verdict=verdict_of(not results.problems),
+        sentence=_sentence(results),
+        reasons=tuple(results.problems),
+        results=results,
+        annotations=tuple(
+            Annotation(finding.message, _LEVELS[finding.severity], root / finding.path, finding.line, finding.rule)
+            for finding in gravest_first(results.new)
+        ),
+        blocks=(
+            Table(_HEADER, _rows(results.new), MOST_ROWS, title=f"{len(results.new)} new" if results.base else "New"),
+            Table(
+                ("category", *SEVERITIES, "all"),
+                tuple(
+                    (name, *(str(categories[name, each]) for each in SEVERITIES), str(results.by_category[name]))
+                    for name in CATEGORIES
+                    if results.by_category[name]
+                ),
+                title="Findings",
+            ),
+            Table(("file", "findings"), _files(results), title="Files with most findings"),
+            *_metrics(results.metrics),
+            *_graph(results.graph),
+            Lines(results.remarks),
+            Lines(tuple(f"not analysed: {path}: {why}" for path, why in results.left_out.items()), most=MOST_FILES),
+            Table(_HEADER, _rows(results.unchanged), MOST_ROWS, title="Not new", folded=True),
+            Table(_HEADER, _rows(results.fixed), MOST_ROWS, title="Fixed", folded=True),
+        ),
+        suites={TITLE: _outcomes(results)},
+        outputs={
+            "new": len(results.new),
+            "fixed": len(results.fixed),
+            "findings": len(results.findings),
+            "suppressed": len(results.suppressed),
+            "per-thousand-lines": results.per_thousand_lines,
+            "grade": results.metrics.grade if results.metrics else None,
+            "sarif": None if folder is None else folder / SARIF_FILE,
+        },
+        files={
+            SARIF_FILE: sarif,
+            **({JSON_FILE: graph.document, PICTURE_FILE: graph.picture} if graph else {}),
+            **({BADGE_FILE: grade_badge(results.metrics.grade)} if results.metrics else {}),
+        },
+    )
+
+
+def gravest_first(findings: Sequence[Finding]) -> list[Finding]:
+    """Sort findings for a report: errors first, security before other warnings."""
+    return sorted(findings, key=lambda each: (SEVERITIES.index(each.severity), each.category != "security", each.place))
+
+
+def _sentence(results: Results) -> str:
+    parts = [*results.problems] or [count_of(len(results.findings), "finding")]
+    if results.base is not None and not results.problems:
+        parts = [f"{len(results.new)} new, {len(results.fixed)} fixed, {len(results.unchanged)} not new"]
+    if results.suppressed:
+        parts.append(f"{len(results.suppressed)} suppressed")
+    return "; ".join([*parts, f"{count_of(results.files, 'file')} analysed"])
+
+
+def _rows(findings: Sequence[Finding]) -> tuple[tuple[str, ...], ...]:
+    return tuple(
+        (each.place, each.severity, each.category, each.rule, shorten(each.message, 200))
+        for each in gravest_first(findings)
+    )
+
+
+def _files(results: Results) -> tuple[tuple[str, str], ...]:
+    counts = Counter(finding.path for finding in results.findings)
+    return tuple((path, str(count)) for path, count in counts.most_common(MOST_FILES))
+
+
+def _metrics(metrics: Metrics | None) -> tuple[Table, ...]:
+    if metrics is None:
+        return ()
+    rows = (
+        ("grade", metrics.grade, "A to F"),
+        ("weighted findings in a thousand lines", f"{metrics.weighted_findings:g}", "error 5, warning 1, note 0.2"),
+        ("functions", str(metrics.functions), f"mean complexity {metrics.mean_complexity:g}"),
+        ("too complex", f"{metrics.complex_percent:g} %", "above 10 %: one grade worse"),
+        ("duplicate", f"{metrics.duplicate_percent:g} %", "above 10 %: one grade worse"),
+    )
+    return (Table(("metric", "value", ""), rows, title="Metrics"),)
+
+
+def _graph(graph: Graph | None) -> tuple[Table | Lines, ...]:
+    """Return the blocks about the graph: what a change connects or cuts."""
+    if graph is None:
+        return ()
+    rows = [*(("connected", each) for each in graph.connected), *(("cut", each) for each in graph.cut)]
+    size = f"{count_of(graph.nodes, 'ROS node')}, {count_of(graph.connections, 'connection')}, see {PICTURE_FILE}"
+    unresolved = f"; {len(graph.unresolved)} names are known only at run time" if graph.unresolved else ""
+    table = Table(("change", "connection"), tuple(rows), MOST_ROWS, title="ROS graph")
+    return (table, Lines((f"{size}{unresolved}",)))
+
+
+def _outcomes(results: Results) -> list[Outcome]:
+    """Return the cases of JUnit: each limit, and each analyser, which passes where it has run."""
+    limits = [replace(outcome_of_check(check, TITLE), name=f"{check.subject}") for check in results.checks]
+    return [*limits, *(Outcome(name=f"{tool.name} {tool.version}".strip(), group=TITLE) for tool in results.tools)]

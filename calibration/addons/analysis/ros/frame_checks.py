@@ -1,0 +1,183 @@
+"""Checks of the frames and topics that a calibration names, against the robot description and the graph."""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.ros.faults import fault, quoted
+from calibration.addons.analysis.ros.graph import build_graphs
+from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.tree import join, without_comments
+from calibration.addons.analysis.xml_lines import parse_xml
+from calibration.base.text import did_you_mean
+
+_MOST_BYTES = 50_000_000
+_FRAME_KEYS = ("link", "parent_link", "child_link", "world_link")
+_LINK = re.compile(r"<link\s[^>]*name\s*=\s*[\"']([^\"']+)[\"']")
+
+
+@dataclass(frozen=True)
+class _Description:
+    """Frames of a robot."""
+
+    path: str
+    links: frozenset[str]
+    parents: Mapping[str, str]
+    """Parent of each link with one."""
+    is_complete: bool
+    """Whether it has no other links: xacro may make some."""
+
+
+@dataclass(frozen=True)
+class _Named:
+    """A key that names a frame in a configuration, and its value."""
+
+    key: str
+    value: str
+    line: int
+    group: int
+    """Number of the mapping that it is in."""
+
+
+def check_frames(repository: Repository) -> Iterator[Finding]:
+    """Check the configurations of calibrations, and the datasets that carry one."""
+    published: frozenset[str] | None = None
+    for path in repository.tree.files:
+        found = _configuration(repository, path)
+        if found is None:
+            continue
+        named, description_file = found
+        description = _description(repository, path, description_file)
+        if description is not None:
+            yield from _frames(path, named, description, _static_frames(repository))
+        if published is None:
+            graphs = build_graphs(repository)
+            published = frozenset(end.name for graph in graphs for end in graph.of("publisher"))
+        yield from _topics(path, named, published)
+
+
+def _configuration(repository: Repository, path: str) -> tuple[list[_Named], str] | None:
+    """Return the frames and topics of a configuration, and its description; None if a file is none."""
+    name = path.rpartition("/")[2]
+    if not name.endswith((".yml", ".yaml")) and name != "dataset.json":
+        return None
+    text = repository.tree.text(path)
+    if "description_file" not in text or "sensors" not in text or len(text) > _MOST_BYTES:
+        return None
+    if name == "dataset.json":
+        return _of_dataset(text)
+    try:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return None
+    entries = _entries(root)
+    description = next((str(value.value) for key, value in entries if key.value == "description_file"), "")
+    named = list(_named(root, 0))
+    return named, description
+
+
+def _entries(node: Any) -> list[tuple[Any, Any]]:
+    return node.value if isinstance(node, yaml.MappingNode) else []
+
+
+def _named(node: Any, depth: int) -> Iterator[_Named]:
+    for key, value in _entries(node) if depth < 8 else ():
+        if isinstance(value, yaml.ScalarNode) and key.value in (*_FRAME_KEYS, "topic_name") and value.value:
+            yield _Named(key.value, str(value.value), key.start_mark.line + 1, id(node))
+        elif key.value != "calibration_patterns":
+            yield from _named(value, depth + 1)
+
+
+def _of_dataset(text: str) -> tuple[list[_Named], str] | None:
+    """Return the same of the configuration inside a dataset; the lines are those where the values stand first."""
+    try:
+        configuration = json.loads(text).get("calibration_config")
+    except (ValueError, RecursionError, AttributeError):
+        return None
+    if not isinstance(configuration, dict):
+        return None
+    found: list[_Named] = []
+
+    def line_of(key: str, value: str) -> int:
+        match = re.search(rf'"{re.escape(key)}"\s*:\s*"{re.escape(value)}"', text)
+        return text.count("\n", 0, match.start()) + 1 if match else 1
+
+    sections = [configuration.get("sensors"), configuration.get("additional_tfs"), {"": configuration}]
+    for section in sections:
+        for each in section.values() if isinstance(section, dict) else ():
+            pairs = each.items() if isinstance(each, dict) else ()
+            found += [
+                _Named(key, value, line_of(key, value), id(each))
+                for key, value in pairs
+                if key in (*_FRAME_KEYS, "topic_name") and isinstance(value, str) and value
+            ]
+    description = configuration.get("description_file")
+    return found, description if isinstance(description, str) else ""
+
+
+def _description(repository: Repository, path: str, text: str) -> _Description | None:
+    """Return the description that a configuration names, of a package or beside the configuration."""
+    place = repository.place(text.strip()) or join(path.rpartition("/")[0], text.strip())
+    if place is None or place not in repository.tree.present:
+        return None
+    content = repository.tree.text(place)
+    root = parse_xml(repository.tree.data(place))
+    if root is None:
+        return None
+    is_xacro = place.endswith(".xacro") or "xacro" in content[:2000]
+    if is_xacro:
+        links = frozenset(each for each in _LINK.findall(without_comments(content)) if "$" not in each)
+        return _Description(place, links, {}, is_complete=False)
+    parents = {}
+    for joint in root.iter("joint"):
+        parent, child = (joint.find(tag) for tag in ("parent", "child"))
+        if parent is not None and child is not None:
+            parents[child.get("link", "")] = parent.get("link", "")
+    return _Description(place, frozenset(each.get("name", "") for each in root.iter("link")), parents, is_complete=True)
+
+
+def _static_frames(repository: Repository) -> frozenset[str]:
+    """Return the arguments of all publishers of static transforms, among which are their frames."""
+    starts = (start for launch in repository.launches.values() for start in launch.starts)
+    return frozenset(
+        argument.lstrip("/")
+        for start in starts
+        if start.executable and "static_transform_publisher" in start.executable
+        for argument in start.arguments
+    )
+
+
+def _frames(path: str, named: list[_Named], description: _Description, others: frozenset[str]) -> Iterator[Finding]:
+    links = description.links | others
+    groups: dict[int, dict[str, _Named]] = {}
+    for each in named:
+        if each.key not in _FRAME_KEYS:
+            continue
+        groups.setdefault(each.group, {})[each.key] = each
+        if each.value in links:
+            continue
+        hint = did_you_mean(each.value, links)
+        if hint or description.is_complete:
+            message = f"{description.path} has no link {quoted(each.value)}{hint}"
+            yield fault("no-such-frame", path, each.line, message)
+    for group in groups.values():
+        parent, child = group.get("parent_link"), group.get("child_link")
+        if parent is None or child is None or not {parent.value, child.value} <= description.links:
+            continue
+        actual = description.parents.get(child.value)
+        if description.is_complete and actual is not None and actual != parent.value:
+            message = f"the parent of {quoted(child.value)} is {quoted(actual)} in {description.path}"
+            yield fault("frame-parent", path, parent.line, message)
+
+
+def _topics(path: str, named: list[_Named], published: frozenset[str]) -> Iterator[Finding]:
+    for each in named:
+        name = "/" + each.value.lstrip("/")
+        if each.key == "topic_name" and name not in published and (hint := did_you_mean(name, published)):
+            message = f"no node of this repository publishes {quoted(each.value)}{hint}"
+            yield fault("not-connected", path, each.line, message)

@@ -1,0 +1,251 @@
+"""Graph of nodes that launch files start, with their topics, services and actions."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from calibration.addons.analysis.ros.code import Call, Kind
+from calibration.addons.analysis.ros.executables import with_imports
+from calibration.addons.analysis.ros.launch import Launch, Start, resolved
+from calibration.addons.analysis.ros.package import Package
+from calibration.addons.analysis.ros.repository import Repository
+
+_MOST_INCLUDES = 500
+CONNECTIONS: tuple[tuple[str, Kind, Kind], ...] = (
+    ("topics", "publisher", "subscriber"),
+    ("services", "server", "client"),
+    ("actions", "action server", "action client"),
+)
+"""Kinds of connections: what gives, and what takes."""
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """Use of a topic, service or action by a node."""
+
+    node: str
+    name: str
+    """Full name, after remappings."""
+    call: Call
+    path: str
+    """File that sets its name: the code, or the launch file that remaps it."""
+    line: int
+
+
+@dataclass(frozen=True)
+class GraphNode:
+    """A node that is started."""
+
+    name: str | None
+    """Full name; None if it is not known."""
+    package: str
+    executable: str
+    start: Start | None
+    """Its entry in a launch file; None for a node that no launch file starts."""
+    calls: tuple[Call, ...] = ()
+    takes_any_parameter: bool = False
+    namespace: str | None = ""
+
+    @property
+    def title(self) -> str:
+        """The name, or that of the executable."""
+        return self.name or f"{self.package}/{self.executable}"
+
+
+@dataclass(frozen=True)
+class Graph:
+    """Nodes that run together."""
+
+    root: str
+    """Launch file that starts them; empty for those of no launch file."""
+    nodes: tuple[GraphNode, ...]
+    endpoints: tuple[Endpoint, ...]
+    unresolved: tuple[str, ...]
+    """Messages about what could not be read."""
+
+    def of(self, *kinds: Kind) -> list[Endpoint]:
+        """Return the endpoints of some kinds."""
+        return [each for each in self.endpoints if each.call.kind in kinds]
+
+
+@dataclass
+class _Walk:
+    """Walk through a launch file and those that it includes."""
+
+    repository: Repository
+    starts: list[Start] = field(default_factory=list)
+    unresolved: list[str] = field(default_factory=list)
+    left: int = _MOST_INCLUDES
+
+    def through(self, launch: Launch, namespace: str | None, conditional: bool, above: tuple[str, ...] = ()) -> None:
+        """Add the nodes of a launch file that is included in a namespace."""
+        self.left -= 1
+        if launch.path in above or self.left < 0:
+            return
+        self.unresolved += launch.unresolved
+        for start in launch.starts:
+            inner = _joined(namespace, start.namespace)
+            changed = {"namespace": inner, "conditional": start.conditional or conditional}
+            self.starts.append(Start(**{**vars(start), **changed}))
+        for include in launch.includes:
+            included = self.repository.included(include)
+            if included is None:
+                if include.file is None or "$(" in include.file:
+                    self.unresolved.append(f"{include.path}:{include.line}: the included file")
+                continue
+            inner = _joined(namespace, include.namespace)
+            self.through(included, inner, conditional or include.conditional, (*above, launch.path))
+
+
+def _joined(outer: str | None, inner: str | None) -> str | None:
+    if inner is None or (outer is None and not inner.startswith("/")):
+        return None
+    return inner.strip("/") if inner.startswith("/") else f"{outer}/{inner}".strip("/")
+
+
+def build_graphs(repository: Repository) -> list[Graph]:
+    """Return the graph of each launch file that no other one includes, or the one of all nodes if there is none.
+
+    Executables that no launch file starts may be run beside any of them, so they are in every graph.
+    """
+    included = {
+        launch.path
+        for each in repository.launches.values()
+        for include in each.includes
+        if (launch := repository.included(include)) is not None and launch.path != each.path
+    }
+    roots = [each for path, each in repository.launches.items() if path not in included and not _is_test(path)]
+    started = {(each.package, each.executable) for launch in repository.launches.values() for each in launch.starts}
+    others = list(_others(repository, started))
+    graphs = []
+    for root in roots:
+        walk = _Walk(repository)
+        walk.through(root, "", conditional=False)
+        nodes = [_node(repository, start) for start in walk.starts]
+        graphs.append(_graph(root.path, [*nodes, *others], walk.unresolved))
+    return graphs or [_graph("", others, [])]
+
+
+def _is_test(path: str) -> bool:
+    return path.endswith(".test") or any(part in ("test", "tests") for part in path.split("/")[:-1])
+
+
+def _others(repository: Repository, started: set[tuple[str | None, str | None]]) -> Iterator[GraphNode]:
+    """Yield the executables that no launch file starts."""
+    for package in repository.packages:
+        for name, sources in repository.executables(package).files.items():
+            is_code = any(path.endswith((".py", ".cpp", ".cc", ".cxx")) for path in sources)
+            if (package.name, name) in started or not is_code or any(map(_is_test, sources)):
+                continue
+            calls, _, takes_any, names = _code(repository, package, sources)
+            if calls and names:
+                title = resolved("", names[0]) if len(set(names)) == 1 else None
+                yield GraphNode(title, package.name, name, None, calls, takes_any)
+
+
+def _node(repository: Repository, start: Start) -> GraphNode:
+    package = repository.by_name.get(start.package or "")
+    calls: tuple[Call, ...] = ()
+    names: tuple[str, ...] = ()
+    takes_any = True
+    if package is not None and start.executable is not None:
+        sources = repository.executables(package).files.get(start.executable, ())
+        calls, is_known, takes_any, names = _code(repository, package, sources)
+        takes_any = takes_any or not is_known
+    name = start.name if start.is_named else names[0] if len(set(names)) == 1 else start.executable
+    full = None if name is None or start.namespace is None else resolved(start.namespace, name)
+    return GraphNode(full, start.package or "?", start.executable or "?", start, calls, takes_any, start.namespace)
+
+
+def _code(
+    repository: Repository, package: Package, sources: tuple[str, ...]
+) -> tuple[tuple[Call, ...], bool, bool, tuple[str, ...]]:
+    """Return the calls of an executable, whether its code is known, takes any parameter, and the names of its nodes."""
+    paths = [path for each in sources for path in (with_imports(package, each) if each.endswith(".py") else (each,))]
+    codes = [repository.code(path) for path in dict.fromkeys(paths)]
+    calls = tuple(call for code in codes for call in code.calls)
+    names = tuple(name for code in codes for name in code.node_names)
+    return calls, bool(names), any(code.takes_any_parameter for code in codes), names
+
+
+def _graph(root: str, nodes: list[GraphNode], unresolved: list[str]) -> Graph:
+    endpoints = []
+    missing = list(unresolved)
+    for node in nodes:
+        for call in node.calls:
+            if "parameter" in call.kind:
+                continue
+            endpoint = _endpoint(node, call)
+            if endpoint is None:
+                missing.append(f"{call.path}:{call.line}: the name of a {call.kind}")
+            else:
+                endpoints.append(endpoint)
+    return Graph(root, tuple(nodes), tuple(endpoints), tuple(dict.fromkeys(missing)))
+
+
+def _endpoint(node: GraphNode, call: Call) -> Endpoint | None:
+    """Return the use of a name, after the remappings of the node; None if it is not known."""
+    remappings = node.start.remappings if node.start else ()
+    if call.name is None or node.name is None or any(each.old is None for each in remappings):
+        return None
+    full, path, line = _resolved(node, call.name), call.path, call.line
+    for each in remappings:
+        if node.start and each.old and _resolved(node, each.old) == full:
+            full = None if each.new is None else _resolved(node, each.new)
+            path, line = node.start.path, each.line
+            break
+    return None if full is None else Endpoint(node.title, full, call, path, line)
+
+
+def _resolved(node: GraphNode, name: str) -> str | None:
+    if name.startswith("~"):
+        return None if node.name is None else f"{node.name}/{name.lstrip('~/')}"
+    return resolved(node.namespace, name)
+
+
+def summary_of(graphs: list[Graph]) -> Mapping[str, object]:
+    """Return the numbers and connections of all graphs together, and their document as text."""
+    nodes = {(each.title, each.package, each.executable) for graph in graphs for each in graph.nodes}
+    unresolved = dict.fromkeys(each for graph in graphs for each in graph.unresolved)
+    document = {"schema": 1, "graphs": [_document(each) for each in graphs]}
+    return {
+        "nodes": len(nodes),
+        "connections": sorted({each for graph in graphs for each in _connections(graph)}),
+        "unresolved": list(unresolved),
+        "document": json.dumps(document, indent=1) + "\n",
+    }
+
+
+def _connections(graph: Graph) -> Iterator[str]:
+    """Yield a line for each two nodes that a topic, service or action connects."""
+    for _, giving, taking in CONNECTIONS:
+        for giver in graph.of(giving):
+            for taker in graph.of(taking):
+                if giver.name == taker.name:
+                    yield f"{giver.name}: {giver.node} -> {taker.node}"
+
+
+def _document(graph: Graph) -> Mapping[str, object]:
+    found: dict[str, object] = {
+        "launch": graph.root or None,
+        "nodes": [
+            {
+                "name": each.name,
+                "package": each.package,
+                "executable": each.executable,
+                "started": each.start is not None,
+            }
+            for each in graph.nodes
+        ],
+    }
+    for title, giving, taking in CONNECTIONS:
+        entries = {}
+        for name in sorted({each.name for each in graph.of(giving, taking)}):
+            ends = [each for each in graph.of(giving, taking) if each.name == name]
+            entries[name] = {
+                "types": sorted({each.call.type for each in ends if each.call.type}),
+                "from": sorted({each.node for each in ends if each.call.kind == giving}),
+                "to": sorted({each.node for each in ends if each.call.kind == taking}),
+            }
+        found[title] = entries
+    return found | {"unresolved": list(graph.unresolved)}

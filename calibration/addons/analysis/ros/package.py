@@ -1,0 +1,149 @@
+"""Packages of a repository: package.xml, and the files that belong to it."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from xml.etree.ElementTree import Element
+
+from calibration.addons.analysis.ros.cmake import Command, read_cmake
+from calibration.addons.analysis.ros.setup_script import Setup, read_setup
+from calibration.addons.analysis.ros.tree import Tree, parents
+from calibration.addons.analysis.xml_lines import line_of, parse_xml
+
+FILE = "package.xml"
+_IGNORED = ("COLCON_IGNORE", "CATKIN_IGNORE", "AMENT_IGNORE")
+"""Files whose folder the build tools skip."""
+BUILD_TAGS = ("depend", "build_depend", "build_export_depend", "buildtool_depend", "buildtool_export_depend")
+_TAGS = (*BUILD_TAGS, "exec_depend", "run_depend", "test_depend", "doc_depend", "group_depend")
+
+
+@dataclass(frozen=True)
+class Dependency:
+    """Dependency that package.xml declares."""
+
+    name: str
+    tag: str
+    line: int
+    condition: str
+
+
+@dataclass(frozen=True, eq=False)
+class Package:
+    """A ROS package; its files are those below its folder."""
+
+    tree: Tree
+    folder: str
+    xml: Element
+    files: tuple[str, ...]
+    """Files whose text can be read."""
+
+    @property
+    def path(self) -> str:
+        """The path of package.xml."""
+        return self.inside(FILE)
+
+    @cached_property
+    def name(self) -> str:
+        """The name that package.xml gives; empty if there is none."""
+        return (self.xml.findtext("name") or "").strip()
+
+    @property
+    def name_line(self) -> int:
+        """The line of the name."""
+        return self.line_of("name")
+
+    @cached_property
+    def dependencies(self) -> tuple[Dependency, ...]:
+        """Declared dependencies of all kinds, in their order."""
+        return tuple(
+            Dependency((each.text or "").strip(), each.tag, line_of(each), each.get("condition", ""))
+            for each in self.xml
+            if each.tag in _TAGS and (each.text or "").strip()
+        )
+
+    @cached_property
+    def declared(self) -> frozenset[str]:
+        """Names of all declared dependencies."""
+        return frozenset(each.name for each in self.dependencies)
+
+    @property
+    def is_metapackage(self) -> bool:
+        """Whether the package only names others."""
+        return self.xml.find("export/metapackage") is not None
+
+    @cached_property
+    def build_type(self) -> str:
+        """``catkin``, ``ament_cmake``, ``ament_python``, ``cmake``, ...: exported, or that of the build tool."""
+        exported = (self.xml.findtext("export/build_type") or "").strip()
+        if exported:
+            return exported
+        tools = {each.name for each in self.dependencies if each.tag == "buildtool_depend"}
+        if "catkin" in tools or not tools:
+            return "catkin"
+        return "ament_cmake" if any(each.startswith("ament_cmake") for each in tools) else "cmake"
+
+    @property
+    def is_ros2(self) -> bool:
+        """Whether it is built by ament."""
+        return self.build_type.startswith("ament")
+
+    @cached_property
+    def cmake(self) -> Sequence[Command]:
+        """The commands of CMakeLists.txt."""
+        return read_cmake(self.tree, self.folder)
+
+    @cached_property
+    def setup(self) -> Setup | None:
+        """setup.py, if there is one."""
+        return read_setup(self.tree, self.folder)
+
+    @cached_property
+    def build_text(self) -> str:
+        """The text of all files that say what is built and installed."""
+        names = ("CMakeLists.txt", "setup.py", "setup.cfg")
+        build = (path for path in self.files if path.rpartition("/")[2] in names or path.endswith(".cmake"))
+        return "\n".join(map(self.tree.text, build))
+
+    @cached_property
+    def build_words(self) -> frozenset[str]:
+        """The words of these files."""
+        return frozenset(re.findall(r"[\w.+-]+", self.build_text))
+
+    def inside(self, path: str) -> str:
+        """Return the path in the repository of a path in the package."""
+        return f"{self.folder}/{path}" if self.folder else path
+
+    def relative(self, path: str) -> str:
+        """Return the path in the package of a path in the repository."""
+        return path.removeprefix(f"{self.folder}/") if self.folder else path
+
+    def line_of(self, tag: str) -> int:
+        """Return the line of an element of package.xml, or of the root."""
+        found = self.xml.find(tag)
+        return line_of(self.xml if found is None else found)
+
+    def commands(self, *names: str) -> list[Command]:
+        """Return the commands of CMakeLists.txt of these names, in lower case."""
+        return [each for each in self.cmake if each.name in names]
+
+
+def find_packages(tree: Tree) -> list[Package]:
+    """Return the packages as build tools find them: none in another one, none in an ignored folder."""
+    roots: dict[str, Element] = {}
+    for path in sorted(tree.files, key=lambda each: each.count("/")):
+        folder, _, name = path.rpartition("/")
+        above = [folder, *parents(folder)] if folder else [""]
+        if name != FILE or any(each in roots for each in above):
+            continue
+        if any(f"{each}/{mark}".lstrip("/") in tree.present for each in above for mark in _IGNORED):
+            continue
+        root = parse_xml(tree.data(path))
+        if root is not None and root.tag == "package" and root.find("channel") is None:  # PHP's has a channel
+            roots[folder] = root
+    files: dict[str, list[str]] = {folder: [] for folder in roots}
+    for path in tree.files:
+        owner = next((each for each in parents(path) if each in roots), None)
+        if owner is not None:
+            files[owner].append(path)
+    return [Package(tree, folder, root, tuple(files[folder])) for folder, root in sorted(roots.items())]

@@ -1,0 +1,351 @@
+"""Job definitions for shapes of jobs: the request ``RegisterJobDefinition``, without side effects."""
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from calibration.addons.aws_batch.documents import mount_targets
+from calibration.addons.aws_batch.settings import BatchSettings, Platform
+from calibration.addons.aws_batch.wire import JOB_FOLDER, MOUNTS_FOLDER, PREPARE, WATCH
+from calibration.base.errors import InputError
+from calibration.ci.execution.job import OUTPUT, Container, Job, Relaxations
+
+TOOLS_MEMORY = 512
+"""Memory of each of our containers, MiB."""
+_TOOLS = 2
+_STEP = {"fargate": 0.25, "ec2": 1.0}
+"""Smallest share of a processor for a container, and its increment; EC2 needs whole ones."""
+_FARGATE = {
+    0.25: (512, 1024, 2048),
+    0.5: (1024, 2048, 3072, 4096),
+    1.0: tuple(range(2048, 8193, 1024)),
+    2.0: tuple(range(4096, 16385, 1024)),
+    4.0: tuple(range(8192, 30721, 1024)),
+    8.0: tuple(range(16384, 61441, 4096)),
+    16.0: tuple(range(32768, 122881, 8192)),
+    32.0: (61440, 122880, 249856),
+}
+"""Allowed memory (MiB) of a task by its processors; Batch applies it to the sums over the containers."""
+
+
+@dataclass(frozen=True)
+class Resources:
+    """Resources of a container or a task."""
+
+    cpus: float
+    memory: int
+    """MiB."""
+
+
+@dataclass(frozen=True)
+class TaskSize:
+    """Resources of a task and its containers."""
+
+    total: Resources
+    containers: tuple[Resources, ...]
+    """Resources of the job's containers, in order."""
+    prepare: Resources
+    watch: Resources
+
+
+def task_size(asked: Sequence[Resources], platform: Platform) -> TaskSize:
+    """Compute the size of the task for a job.
+
+    On Fargate it is the smallest size that contains the containers; surplus memory is assigned to our own container,
+    because memory of the job's containers is a limit.
+
+    Args:
+        asked: requested resources of each container of the job.
+        platform: Fargate has fixed sizes, EC2 whole processors.
+
+    Raises:
+        InputError: it exceeds the largest task on Fargate; the message contains the sums.
+    """
+    step = _STEP[platform]
+    shares = [max(1, math.ceil(resources.cpus / step)) for resources in asked]
+    cpus = max(sum(shares), len(shares) + _TOOLS) * step
+    memory = sum(resources.memory for resources in asked) + _TOOLS * TOOLS_MEMORY
+    total = _fargate_size(cpus, memory) if platform == "fargate" else Resources(cpus, memory)
+    rest = round(total.cpus / step) - _TOOLS - sum(shares)
+    while rest < 0:  # reduce the largest share, so that every container keeps one
+        shares[shares.index(max(shares))] -= 1
+        rest += 1
+    shares[shares.index(max(shares))] += rest
+    return TaskSize(
+        total=total,
+        containers=tuple(
+            Resources(share * step, resources.memory) for share, resources in zip(shares, asked, strict=True)
+        ),
+        prepare=Resources(step, TOOLS_MEMORY),
+        watch=Resources(step, TOOLS_MEMORY + total.memory - memory),
+    )
+
+
+def _fargate_size(cpus: float, memory: int) -> Resources:
+    for size, memories in _FARGATE.items():
+        if size >= cpus and memories[-1] >= memory:
+            return Resources(size, next(each for each in memories if each >= memory))
+    largest, memories = list(_FARGATE.items())[-1]
+    raise InputError(
+        f"its containers ask for {cpus:g} CPUs and {memory} MiB (ours {_TOOLS * TOOLS_MEMORY} of them), but a task on "
+        f"Fargate has at most {largest:g} and {memories[-1]}: ask for less, or use platform ec2"
+    )
+
+
+_MIB = 1024**2
+
+
+@dataclass(frozen=True)
+class MountShape:
+    """Mount of a volume in a container."""
+
+    volume: int
+    """Index in the job's `Shape.volumes`."""
+    target: str
+    writable: bool
+
+
+@dataclass(frozen=True)
+class ContainerShape:
+    """Properties of a container that are part of the job definition."""
+
+    name: str
+    image: str
+    resources: Resources
+    """Requested resources."""
+    user: str | None = None
+    secrets: tuple[str, ...] = ()
+    """Names of the variables."""
+    mounts: tuple[MountShape, ...] = ()
+    relaxations: Relaxations = field(default_factory=Relaxations)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Properties of a job that are part of the job definition."""
+
+    containers: tuple[ContainerShape, ...]
+    volumes: tuple[str, ...] = ()
+    """Mount targets."""
+
+    @property
+    def digest(self) -> str:
+        """Hash of the shape, reproducible across runs and machines."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Group:
+    """Jobs of a run with the same shape."""
+
+    name: str
+    shape: Shape
+    jobs: tuple[int, ...]
+    """Indices in the jobs of the run; the position here is the index in the group."""
+
+
+def shape_of(job: Job, settings: BatchSettings) -> Shape:
+    """Return the shape of a job."""
+    volumes = mount_targets(job)
+    return Shape(tuple(_container_shape(each, volumes, settings) for each in job.containers), volumes)
+
+
+def group_by_shape(jobs: Sequence[Job], settings: BatchSettings) -> tuple[Group, ...]:
+    """Group the jobs of a run by shape, in the order of each group's first job.
+
+    The name of a group is derived from the shape: the same jobs give the same groups.
+    """
+    places: dict[Shape, list[int]] = {}
+    for place, job in enumerate(jobs):
+        places.setdefault(shape_of(job, settings), []).append(place)
+    return tuple(Group(shape.digest[:12], shape, tuple(found)) for shape, found in places.items())
+
+
+def _container_shape(container: Container, volumes: Sequence[str], settings: BatchSettings) -> ContainerShape:
+    limits = container.limits
+    memory = settings.memory if limits.memory is None else limits.memory
+    targets = {mount.target.rstrip("/"): mount.writable for mount in container.mounts}
+    return ContainerShape(
+        name=container.name,
+        image=container.image,
+        resources=Resources(settings.cpus if limits.cpus is None else limits.cpus, math.ceil(memory / _MIB)),
+        user=container.user,
+        secrets=tuple(sorted(container.secrets)),
+        mounts=tuple(
+            MountShape(volumes.index(target), target, writable) for target, writable in sorted(targets.items())
+        ),
+        relaxations=container.relaxations,
+    )
+
+
+DIGEST_TAG = "ci.calibration.definition"
+"""Tag with the hash of the rest of the definition; it shows whether a new revision is needed."""
+LOG_PREFIX = "calibration"
+"""Prefix of log streams: ``calibration/CONTAINER/TASK``."""
+MOST_BYTES = 24 * 1024
+"""AWS's size limit of a definition."""
+_START_SECONDS = 3600
+"""Time-out of containers that wait for the inputs on EC2; on Fargate it is fixed at three minutes."""
+_STOP_SECONDS = 120
+"""Time for our container to upload results when the job is terminated: the maximum on Fargate."""
+_UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9]+")
+_VERSION = re.compile(r"(:[^:/@]+)?(@.*)?$")
+_RETRIES = (
+    {"onStatusReason": "Host EC2*", "action": "RETRY"},
+    {"onStatusReason": "Your Spot Task was interrupted*", "action": "RETRY"},
+    # a failure that matches no rule is retried, so these three match every failure with any of the properties
+    {"onStatusReason": "*", "action": "EXIT"},
+    {"onReason": "*", "action": "EXIT"},
+    {"onExitCode": "*", "action": "EXIT"},
+)
+
+
+def definition_name(shape: Shape, settings: BatchSettings) -> str:
+    """Return the name of the definition; other image versions and sizes are revisions of the same name."""
+    images = [_VERSION.sub("", container.image) for container in shape.containers]
+    names = [container.name for container in shape.containers]
+    mark = hashlib.sha256(json.dumps([settings.prefix, names, images]).encode()).hexdigest()[:8]
+    return f"calibration-{_UNFIT_FOR_NAME.sub('-', '-'.join(names)).strip('-')[:80]}-{mark}"
+
+
+def job_definition(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
+    """Return the request to register the definition, with its hash in the tag `DIGEST_TAG`.
+
+    Raises:
+        InputError: the task exceeds the largest size, a secret has no ARN, or the definition exceeds AWS's limit.
+    """
+    fargate = settings.platform == "fargate"
+    request: dict[str, Any] = {
+        "jobDefinitionName": definition_name(shape, settings),
+        "type": "container",
+        "platformCapabilities": [settings.platform.upper()],
+        "ecsProperties": {"taskProperties": [_task(shape, settings)]},
+        "retryStrategy": {"attempts": settings.attempts, "evaluateOnExit": [dict(rule) for rule in _RETRIES]},
+        "propagateTags": True,
+    }
+    if fargate:
+        request["ecsProperties"]["taskProperties"][0] |= _fargate_properties(settings)
+    request["tags"] = {**settings.tags, DIGEST_TAG: _digest(request, settings.tags)}
+    if (size := len(json.dumps(request).encode())) > MOST_BYTES:
+        raise InputError(
+            f"its job definition has {size} bytes, AWS Batch accepts {MOST_BYTES}: it has {len(shape.volumes)} mounts "
+            f"and {sum(len(container.secrets) for container in shape.containers)} secrets: join some of them"
+        )
+    return request
+
+
+def _digest(request: Mapping[str, Any], tags: Mapping[str, str]) -> str:
+    return hashlib.sha256(json.dumps([request, dict(tags)], sort_keys=True).encode()).hexdigest()
+
+
+def _fargate_properties(settings: BatchSettings) -> dict[str, Any]:
+    properties: dict[str, Any] = {
+        "networkConfiguration": {"assignPublicIp": "ENABLED" if settings.public_ip else "DISABLED"},
+        "runtimePlatform": {"operatingSystemFamily": "LINUX", "cpuArchitecture": settings.architecture.upper()},
+    }
+    if settings.disk is not None:
+        properties["ephemeralStorage"] = {"sizeInGiB": settings.disk}
+    return properties
+
+
+def _task(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
+    size = task_size([container.resources for container in shape.containers], settings.platform)
+    job, output = _mount("job", JOB_FOLDER), _mount("output", OUTPUT)
+    inputs = [_mount(f"mount-{i}", f"{MOUNTS_FOLDER}/{i}") for i in range(len(shape.volumes))]
+    prepare = _tools("prepare", size.prepare, [job, output, *inputs], settings)
+    watch = _tools("watch", size.watch, [job, output], settings)
+    if settings.platform == "ec2":
+        prepare["startTimeout"] = _START_SECONDS
+    task: dict[str, Any] = {
+        "containers": [
+            {"name": PREPARE, "essential": False, **prepare},
+            *(
+                {**_container(container, resources, settings), "mountPoints": [job, output, *_mounts(container)]}
+                for container, resources in zip(shape.containers, size.containers, strict=True)
+            ),
+            {"name": WATCH, "essential": True, **watch, "dependsOn": _after_prepare(), "stopTimeout": _STOP_SECONDS},
+        ],
+        "volumes": [{"name": name} for name in ("job", "output", *(f"mount-{i}" for i in range(len(shape.volumes))))],
+        "taskRoleArn": settings.job_role,
+    }
+    if settings.execution_role is not None:
+        task["executionRoleArn"] = settings.execution_role
+    return task
+
+
+def _after_prepare() -> list[dict[str, str]]:
+    return [{"containerName": PREPARE, "condition": "SUCCESS"}]
+
+
+def _tools(verb: str, resources: Resources, mounts: list[dict[str, Any]], settings: BatchSettings) -> dict[str, Any]:
+    """Return one of our containers; it runs as root, to read files of any user and set permissions of volumes."""
+    return {
+        "image": settings.tools_image,
+        "command": ["python3", "-m", "calibration.addons.aws_batch.inside", verb],
+        "user": "root",
+        "mountPoints": mounts,
+        **_common(resources, settings),
+    }
+
+
+def _container(container: ContainerShape, resources: Resources, settings: BatchSettings) -> dict[str, Any]:
+    """Return a container of the job, without its mounts; its command is in the script on the job's volume."""
+    properties: dict[str, Any] = {
+        "name": container.name,
+        "essential": False,
+        "image": container.image,
+        "command": ["/bin/sh", f"{JOB_FOLDER}/{container.name}.sh"],
+        "dependsOn": _after_prepare(),
+        **_common(resources, settings),
+    }
+    if container.user is not None:
+        properties["user"] = container.user
+    if container.secrets:
+        properties["secrets"] = [_secret(name, container.name, settings) for name in container.secrets]
+    relaxed = container.relaxations
+    if relaxed.devices:
+        properties["linuxParameters"]["devices"] = [{"hostPath": device} for device in relaxed.devices]
+    if relaxed.gpus:
+        properties["resourceRequirements"].append({"type": "GPU", "value": "1"})
+    if relaxed.privileged:
+        properties["privileged"] = True
+    return properties
+
+
+def _common(resources: Resources, settings: BatchSettings) -> dict[str, Any]:
+    return {
+        "resourceRequirements": [
+            {"type": "VCPU", "value": f"{resources.cpus:g}"},
+            {"type": "MEMORY", "value": str(resources.memory)},
+        ],
+        "linuxParameters": {"initProcessEnabled": True},  # forwards signals and reaps zombies
+        "logConfiguration": {
+            "logDriver": "awslogs",
+            "options": {
+                "awslogs-group": settings.log_group,
+                "awslogs-region": settings.region,
+                "awslogs-stream-prefix": LOG_PREFIX,
+            },
+        },
+    }
+
+
+def _mount(volume: str, path: str, read_only: bool = False) -> dict[str, Any]:
+    return {"sourceVolume": volume, "containerPath": path, "readOnly": read_only}
+
+
+def _mounts(container: ContainerShape) -> list[dict[str, Any]]:
+    return [_mount(f"mount-{mount.volume}", mount.target, not mount.writable) for mount in container.mounts]
+
+
+def _secret(name: str, container: str, settings: BatchSettings) -> dict[str, str]:
+    if name not in settings.secrets:
+        raise InputError(
+            f"container '{container}': secrets: {name} has no ARN: put it into Secrets Manager or Parameter Store, and "
+            "its ARN under secrets of aws-batch"
+        )
+    return {"name": name, "valueFrom": settings.secrets[name]}

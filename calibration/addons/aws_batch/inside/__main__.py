@@ -1,0 +1,181 @@
+"""``python -m calibration.addons.aws_batch.inside prepare|watch``: entry point of our two containers in a task.
+
+Both return 0 if they have worked, whatever the job's verdict; otherwise they print an error and return the exit code
+of `calibration.base.errors`. A stopped task (its job is terminated, its host is lost) leaves no outcome.
+"""
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from calibration.addons.aws_batch.documents import MOST_BYTES, TaskJob, TaskOutcome, outcome_document, read_job
+from calibration.addons.aws_batch.inside.prepare import prepare
+from calibration.addons.aws_batch.inside.script import Signs
+from calibration.addons.aws_batch.inside.watch import Watch, ended_neighbours
+from calibration.addons.aws_batch.session import Aws, with_retries
+from calibration.addons.aws_batch.store import Store
+from calibration.addons.aws_batch.wire import (
+    ATTEMPT,
+    FILES_FOLDER,
+    FIRST,
+    INDEX,
+    JOB_FOLDER,
+    JOBS_PER_FILE,
+    LOCATION,
+    MOUNTS_FOLDER,
+    OUTCOME_FILE,
+    REGION,
+    Location,
+)
+from calibration.addons.aws_batch.workers import in_threads
+from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base.signals import terminate_cleanly
+from calibration.base.text import shorten
+from calibration.ci.execution.extraction import RefusedError
+from calibration.ci.execution.job import OUTPUT
+from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End
+
+_WORKERS = 8
+_LONGEST_KEY = 1024
+"""S3's limit, in bytes."""
+
+
+def send_files(store: Store, files: Iterable[ArtifactFile], folder: Path, place: str) -> None:
+    """Upload the artifacts of a job.
+
+    Args:
+        store: bucket for the files.
+        files: files with paths relative to ``folder``.
+        folder: folder of the files.
+        place: prefix of their keys.
+
+    Raises:
+        RefusedError: a name exceeds S3's limit.
+        InputError: access is denied.
+        AwsLostError: AWS does not answer.
+    """
+
+    def send(key: str, path: Path) -> None:
+        try:
+            with path.open("rb") as file:
+                store.write(key, file)
+        except OSError as error:
+            raise InfrastructureError(f"{path}: cannot be read: {error.strerror}") from error
+
+    keys = {file.path: f"{place}/{file.path}" for file in files}
+    for path, key in keys.items():
+        if len(key.encode()) > _LONGEST_KEY:
+            raise RefusedError(f"artifact '{shorten(path)}' has a longer name than S3 allows")
+    for _ in in_threads(
+        _WORKERS, (partial(with_retries, partial(send, key, folder / path)) for path, key in keys.items())
+    ):
+        pass
+
+
+@dataclass(frozen=True)
+class Places:
+    """Mount points of the task's volumes."""
+
+    job: Path = Path(JOB_FOLDER)
+    mounts: Path = Path(MOUNTS_FOLDER)
+    output: Path = Path(OUTPUT)
+
+
+class Task:
+    """Identity of the job of this task, and access to its files."""
+
+    def __init__(self, variables: Mapping[str, str]) -> None:
+        """Read it from the variables that the client and Batch have set.
+
+        Raises:
+            InputError: a variable is missing or wrong.
+        """
+        try:
+            self.location = Location.parse(variables[LOCATION])
+            self.index = int(variables[FIRST]) + int(variables.get(INDEX, "0"))
+            self.attempt = int(variables.get(ATTEMPT, "1"))
+            region = variables.get(REGION) or variables["AWS_DEFAULT_REGION"]
+        except (KeyError, ValueError) as error:
+            raise InputError(f"the variables of the task are not those of a job: {error}") from None
+        self.aws = Aws(region)
+        self.store = Store(self.aws, self.location.bucket)
+
+    def key(self, name: str) -> str:
+        """Return the key of a result of this attempt."""
+        return self.location.result_key(self.index, self.attempt, name)
+
+    def send_outcome(self, outcome: TaskOutcome) -> None:
+        """Upload the outcome, as the last file.
+
+        Raises:
+            InputError: access is denied.
+            AwsLostError: AWS does not answer.
+        """
+        with_retries(partial(self.store.put, self.key(OUTCOME_FILE), outcome_document(outcome)))
+
+    def job(self) -> TaskJob:
+        """Download the job.
+
+        Raises:
+            InputError: access to the bucket is denied.
+            InfrastructureError: the job is missing or invalid.
+            AwsLostError: AWS does not answer.
+        """
+        key = self.location.jobs_key(self.index)
+        data = with_retries(lambda: self.store.get(key, MOST_BYTES))
+        if data is None:
+            raise InfrastructureError(f"s3://{self.location.bucket}/{key}: there is no such object")
+        return read_job(data, self.index % JOBS_PER_FILE, key)
+
+
+def main(arguments: Sequence[str], variables: Mapping[str, str], places: Places = Places()) -> int:
+    """Run one of our containers; return its exit code."""
+    verbs = {"prepare": _prepare, "watch": _watch}
+    try:
+        if len(arguments) != 1 or arguments[0] not in verbs:
+            raise InputError("expected prepare or watch")
+        with terminate_cleanly():
+            task = Task(variables)
+            verbs[arguments[0]](task, places, variables)
+    except CalibrationError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        return int(error.exit_code)
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr, flush=True)
+        return 143
+    return 0
+
+
+def _prepare(task: Task, places: Places, _: Mapping[str, str]) -> None:
+    described = task.job()
+    try:
+        prepare(described, task.store, Signs(places.job), places.mounts, places.output)
+    except CalibrationError as error:
+        containers = tuple(ContainerOutcome(each.name, End.NOT_STARTED) for each in described.job.containers)
+        reasons = (str(error),)
+        failed = TaskOutcome(described.job.name, task.attempt, error.exit_code, reasons, containers=containers)
+        with suppress(CalibrationError):  # the error is in the log anyway
+            task.send_outcome(failed)
+        raise
+
+
+def _watch(task: Task, places: Places, variables: Mapping[str, str]) -> None:
+    neighbours = partial(ended_neighbours, variables)
+    watch = Watch(task.job().job, Signs(places.job), places.output, neighbours=neighbours)
+    with tempfile.TemporaryDirectory() as folder:
+        files = Path(folder, "artifacts")
+        watch.run(files)
+        try:
+            send_files(task.store, watch.outcome(task.attempt).artifacts, files, task.key(FILES_FOLDER))
+        except CalibrationError as error:
+            watch.fail(error)
+        task.send_outcome(watch.outcome(task.attempt))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:], os.environ))

@@ -1,0 +1,311 @@
+"""A run of jobs on AWS Batch, from the upload of inputs to the download of results."""
+
+import time
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+
+from calibration.addons.aws_batch.aws_errors import AwsLostError
+from calibration.addons.aws_batch.costs import Usage, billed, estimate, total_size
+from calibration.addons.aws_batch.definition import Group, job_definition
+from calibration.addons.aws_batch.earlier import (
+    Result,
+    find_results,
+    group_name,
+    has_verdict,
+    mark_of,
+    submitted_document,
+)
+from calibration.addons.aws_batch.following import AT_ONCE, Following, JobEnd, Poll, batches, describe
+from calibration.addons.aws_batch.inputs import Inputs, upload_jobs
+from calibration.addons.aws_batch.job_queue import Guard, likely_reasons
+from calibration.addons.aws_batch.logs import LiveLogs
+from calibration.addons.aws_batch.results import Downloader, ResultLocation, host_lost
+from calibration.addons.aws_batch.session import Aws, Backoff, with_retries
+from calibration.addons.aws_batch.settings import BatchSettings
+from calibration.addons.aws_batch.store import Store
+from calibration.addons.aws_batch.submission import attempt_seconds, chunks, run_tags, submission
+from calibration.addons.aws_batch.submitting import Submitting, ensure, terminate
+from calibration.addons.aws_batch.wire import Location
+from calibration.addons.aws_batch.workers import Workers, in_threads
+from calibration.base.errors import CalibrationError
+from calibration.ci.execution.job import Job
+from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.run_names import new_run
+from calibration.ci.workflow.streams import LogDisplay
+
+FEW = 16
+"""Up to this number of jobs, all logs are shown and downloaded; with more, only those of failed jobs."""
+_WORKERS = 12
+_AHEAD = 200
+"""Limit of concurrent downloads of results, to bound the memory."""
+_SAYING = 30.0
+"""Interval of lines about the progress, seconds."""
+_ENDING = 5.0
+
+Answer = tuple[int, JobOutcome]
+
+
+class BatchRun:
+    """Runs jobs in the thread that requests the outcomes; transfers from and to S3 run in other threads."""
+
+    def __init__(
+        self,
+        name: str,
+        aws: Aws,
+        settings: BatchSettings,
+        store: Store,
+        jobs: Sequence[Job],
+        groups: Sequence[Group],
+        folder: Path,
+        show: LogDisplay | None,
+    ) -> None:
+        self.usage = Usage()
+        """Billed resources, as far as they are known."""
+        self._name = name
+        self._aws = aws
+        self._settings = settings
+        self._store = store
+        self._jobs = jobs
+        self._shapes = {group.name: group for group in groups}
+        self._folder = folder
+        self._show = show
+        self._token = new_run()
+        self._places: dict[str, list[int]] = {}
+        """Index in `jobs` for each index of each group in S3."""
+        self._submitting = Submitting(aws, settings.queue)
+        self._following = Following(aws)
+        self._downloads: Workers[Answer] = Workers(_WORKERS)
+        self._live = LiveLogs(aws, settings.log_group, show) if show is not None and len(jobs) <= FEW else None
+        self._guard = Guard(settings.stuck)
+        self._given_up = ""
+        """Reason why the remaining jobs were terminated."""
+        self._told_to_end = False
+        self._began = time.monotonic()
+        self._counts = {"done": 0, "failed": 0}
+        self._said: tuple[float, str] = (0.0, "")
+        self._stopping = False
+        self._ended = False
+        """Whether all jobs have ended, or cannot be terminated."""
+        self._downloader = Downloader(
+            aws=aws,
+            settings=settings,
+            store=store,
+            folder=folder,
+            all_logs=len(jobs) <= FEW,
+            go_on=lambda: not self._stopping,
+        )
+
+    def outcomes(self, resume: bool) -> Generator[Answer]:
+        """Run the jobs, and yield their outcomes.
+
+        Raises:
+            InputError: AWS refuses a request.
+            InfrastructureError: AWS cannot be reached, or a file cannot be written.
+        """
+        inputs = Inputs(self._store, self._location(""), self._settings.memory)
+        inputs.upload(self._jobs, _WORKERS)
+        missing, earlier = self._missing(inputs) if resume else (self._everything(), {})
+        for some in batches(earlier.items(), AT_ONCE):
+            described = describe(self._aws, [result.id for _, result in some if result.id is not None])
+            for place, result in some:
+                found = described.get(result.id or "")
+                self._start_download(
+                    place, ResultLocation(self._location(result.group), result.index, found, result.attempt)
+                )
+            yield from self._answers(None)
+        self._say_estimate(missing)
+        self._submit(inputs, missing)
+        yield from self._follow()
+        self._say_end()
+
+    def end(self, error: BaseException | None) -> None:
+        """Terminate the remaining jobs; idempotent.
+
+        Args:
+            error: previous error, if any.
+
+        Raises:
+            CalibrationError: jobs cannot be terminated; the message includes the previous error.
+        """
+        if self._ended:
+            return
+        self._stopping = True
+        self._downloads.stop()
+        if self._live is not None:
+            self._live.close()
+        ids = [each.id for each in self._submitting.submitted if self._following.may_run(each.id)]
+        try:
+            self._submitting.stop(ids)
+        except CalibrationError as problem:
+            self._ended = True
+            advice = f"to end jobs that may still run in AWS Batch: calibration cleanup --cloud --run {self._name}"
+            if isinstance(error, CalibrationError):
+                raise type(error)(f"{error}; {advice}") from None
+            raise type(problem)(f"{problem}; {advice}") from error
+        self._ended = True
+        self._downloads.join(_ENDING)
+
+    # --- before the run
+
+    def _location(self, group: str) -> Location:
+        return Location(self._settings.bucket, self._settings.prefix, self._name, group)
+
+    def _everything(self) -> dict[str, list[int]]:
+        return {name: list(group.jobs) for name, group in self._shapes.items()}
+
+    def _missing(self, inputs: Inputs) -> tuple[dict[str, list[int]], dict[int, Result]]:
+        """Return the jobs without a verdict, by shape; and the results of the others, by job."""
+        location = self._location("")
+        results = find_results(self._store, location)
+        found: dict[int, Result] = {}
+        for shape, group in self._shapes.items():
+            for place in group.jobs:
+                if (result := results.get(mark_of(shape, inputs.entry(self._jobs[place])))) is not None:
+                    found[place] = result
+
+        def judged(place: int) -> tuple[int, bool]:
+            ask = partial(has_verdict, self._store, location, found[place], self._jobs[place])
+            return place, with_retries(ask)
+
+        final = dict(in_threads(_WORKERS, (partial(judged, place) for place in found)))
+        missing = {
+            shape: places
+            for shape, group in self._shapes.items()
+            if (places := [place for place in group.jobs if not final.get(place)])
+        }
+        earlier = {place: result for place, result in found.items() if final[place]}
+        self._say(f"run {self._name} is resumed: {len(earlier)} of {len(self._jobs)} jobs have a verdict already")
+        return missing, earlier
+
+    def _submit(self, inputs: Inputs, missing: dict[str, list[int]]) -> None:
+        tags = run_tags(self._name)
+        for shape, places in missing.items():
+            group = group_name(shape, self._token)
+            location = self._location(group)
+            jobs = [self._jobs[place] for place in places]
+            definition = ensure(self._aws, job_definition(self._shapes[shape].shape, self._settings))
+            upload_jobs(self._store, location, jobs, inputs.entry, _WORKERS)
+            self._places[group] = places
+            seconds = attempt_seconds(jobs)
+            submitted = []
+            for chunk in chunks(len(places)):
+                request = submission(chunk, location, definition, self._settings, seconds=seconds, tags=tags)
+                submitted.append(self._submitting.submit(request, group, chunk.first))
+                self._following.add(submitted[-1])
+            with_retries(partial(self._store.put, location.submitted_key, submitted_document(submitted)))
+
+    # --- during the run
+
+    def _follow(self) -> Iterator[Answer]:
+        backoff = Backoff()
+        next_poll = 0.0
+        self._began = time.monotonic()
+        while self._following.ids or self._downloads.waiting:
+            done = 0
+            for answer in self._answers(max(0.0, next_poll - time.monotonic()) if self._following.ids else None):
+                done += 1
+                yield answer
+            if not self._following.ids or time.monotonic() < next_poll:
+                continue
+            room = _AHEAD - self._downloads.waiting
+            if room <= 0:  # Batch keeps descriptions of ended jobs
+                yield from self._answers(None)
+                continue
+            try:
+                poll = self._following.poll(room)
+                self._take(poll)
+                self._watch_time(poll, done)
+            except AwsLostError as error:
+                next_poll = time.monotonic() + backoff.failed(error)
+                continue
+            backoff.answered()
+            next_poll = time.monotonic() + (0.0 if poll.more else self._following.delay)
+
+    def _take(self, poll: Poll) -> None:
+        """Download the results of ended jobs; show the logs of running ones."""
+        if self._live is not None:
+            for end in poll.running:
+                self._live.running(self._job_of(end), end.description)
+        for end in poll.ended:
+            self._count(end)
+            place = ResultLocation(self._location(end.group), end.index, end.description, given_up=self._given_up)
+            self._start_download(self._places[end.group][end.index], place)
+        self._say_state(poll)
+
+    def _watch_time(self, poll: Poll, done: int) -> None:
+        """Terminate the remaining jobs if the run takes too long, or gets no hosts."""
+        if not self._following.ids or self._told_to_end:
+            return
+        if not self._given_up and (reason := self._too_late(poll, done)):
+            self._given_up = reason
+            self._say(f"{sum(1 for _ in self._following.left)} jobs are given up: {reason}")
+        if self._given_up:
+            terminate(self._aws, self._following.ids, self._given_up[:1000])
+            self._told_to_end = True
+
+    def _too_late(self, poll: Poll, done: int) -> str:
+        """Return the reason to terminate the remaining jobs; empty if there is none."""
+        settings = self._settings
+        if settings.deadline is not None and time.monotonic() - self._began >= settings.deadline:
+            return f"the run took longer than its {settings.deadline:g} s (deadline)"
+        if not self._guard.is_stuck(poll, done):
+            return ""
+        why = "; ".join(likely_reasons(self._aws, settings, self._following.oldest))
+        return f"it got no host within {settings.stuck:g} s in queue '{settings.queue}' (stuck); likely reasons: {why}"
+
+    def _start_download(self, place: int, found: ResultLocation) -> None:
+        self._downloads.give(partial(self._downloaded, place, found))
+
+    def _downloaded(self, place: int, found: ResultLocation) -> Answer:
+        """Download a result; called in a separate thread."""
+        job = self._jobs[place]
+        if self._live is not None:
+            self._live.ended(job, found.description)
+        return place, self._downloader.download(job, found)
+
+    def _answers(self, seconds: float | None) -> Iterator[Answer]:
+        for place, outcome in self._downloads.take(seconds):
+            self._counts["done" if outcome.verdict == "pass" else "failed"] += 1
+            with self._show.paused() if self._show is not None else nullcontext():
+                yield place, outcome
+
+    def _job_of(self, end: JobEnd) -> Job:
+        return self._jobs[self._places[end.group][end.index]]
+
+    def _count(self, end: JobEnd) -> None:
+        """Add the billed resources of a job, and report lost hosts."""
+        attempts = end.description.attempts
+        shape = self._shapes[end.group.partition("-")[0]].shape
+        size = total_size(shape, self._settings.platform)
+        self.usage += billed(((a.started, a.stopped) for a in attempts), size, self._settings.platform)
+        for number, attempt in enumerate(attempts, 1):
+            if host_lost(attempt):
+                name = self._job_of(end).name
+                self._say(f"job '{name}': attempt {number} of {len(attempts)} lost its host: {attempt.status_reason}")
+
+    # --- messages
+
+    def _say(self, text: str) -> None:
+        if self._show is not None:
+            self._show.note(text)
+
+    def _say_estimate(self, missing: dict[str, list[int]]) -> None:
+        jobs = [(self._jobs[place], self._shapes[shape].shape) for shape, places in missing.items() for place in places]
+        if jobs:
+            cost = estimate(jobs, self._settings).text(self._settings)
+            self._say(f"run {self._name}: {len(jobs)} jobs go to queue '{self._settings.queue}': {cost}")
+
+    def _say_state(self, poll: Poll) -> None:
+        done, failed = self._counts["done"], self._counts["failed"]
+        line = f"{poll.queued_count} queued, {poll.running_count} running, {done} done, {failed} failed"
+        if line != self._said[1] and time.monotonic() - self._said[0] >= _SAYING:
+            self._said = (time.monotonic(), line)
+            self._say(f"run {self._name}: {line}")
+
+    def _say_end(self) -> None:
+        progress = f"{self._counts['done']} done, {self._counts['failed']} failed"
+        if self.usage.seconds:
+            progress += f"; billed: {self.usage.seconds:g} s, {self.usage.text(self._settings.prices)}"
+        self._say(f"run {self._name}: {progress}; {sum(self._aws.calls.values())} calls to AWS")

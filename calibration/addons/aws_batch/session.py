@@ -1,0 +1,210 @@
+"""Sessions with AWS: credentials, clients, and retries.
+
+boto3 finds credentials as AWS's own tools do; in a GitHub job with permission for OIDC tokens, the role is assumed with
+a new token each time, so that a run may outlast one. ``AWS_ENDPOINT_URL`` and ``AWS_ENDPOINT_URL_<SERVICE>`` replace
+the addresses of services.
+"""
+
+import json
+import os
+import random
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, TypeVar
+from urllib.parse import urlsplit
+
+import boto3
+import botocore.session
+from botocore.config import Config
+from botocore.credentials import AssumeRoleWithWebIdentityCredentialFetcher, DeferredRefreshableCredentials
+
+from calibration.addons.aws_batch.aws_errors import AwsLostError, aws_errors
+from calibration.base.errors import InfrastructureError
+from calibration.base.http import Http
+
+Result = TypeVar("Result")
+
+LONGEST_OUTAGE = 300.0
+"""Seconds for which AWS may be unreachable, beyond boto3's own retries."""
+_FIRST, _LONGEST = 1.0, 30.0
+
+
+class Backoff:
+    """Retry delays of a service, and their time-out."""
+
+    def __init__(self, seconds: float = LONGEST_OUTAGE) -> None:
+        self._seconds = seconds
+        self._since: float | None = None
+        self._delay = _FIRST
+
+    def answered(self) -> None:
+        """Record an answer."""
+        self._since, self._delay = None, _FIRST
+
+    def failed(self, error: AwsLostError) -> float:
+        """Record a failure.
+
+        Returns:
+            Seconds until the next attempt.
+
+        Raises:
+            AwsLostError: the time-out has passed.
+        """
+        now = time.monotonic()
+        self._since = now if self._since is None else self._since
+        if now - self._since >= self._seconds:
+            raise error
+        delay, self._delay = self._delay, min(_LONGEST, 2 * self._delay)
+        return delay * random.uniform(0.75, 1.25)  # noqa: S311 (jitter, to spread simultaneous clients)
+
+
+def with_retries(ask: Callable[[], Result], go_on: Callable[[], bool] = lambda: True) -> Result:
+    """Repeat a call until it succeeds.
+
+    Args:
+        ask: call that may raise `AwsLostError`.
+        go_on: returns whether a failed call is repeated.
+
+    Raises:
+        AwsLostError: the time-out has passed.
+    """
+    backoff = Backoff()
+    while True:
+        try:
+            return ask()
+        except AwsLostError as error:
+            delay = backoff.failed(error)
+            if not go_on():
+                raise
+            time.sleep(delay)
+
+
+TRIES = 8
+"""Attempts of a call that AWS throttles or fails, with increasing delays."""
+CONNECTIONS = 32
+_AUDIENCE = "sts.amazonaws.com"
+_TOKEN_URL, _TOKEN = "ACTIONS_ID_TOKEN_REQUEST_URL", "ACTIONS_ID_TOKEN_REQUEST_TOKEN"
+
+
+class Aws:
+    """Clients of the services of one region. Thread-safe."""
+
+    def __init__(self, region: str) -> None:
+        """Create the session, without a request to AWS."""
+        self.region = region
+        self.calls: Counter[str] = Counter()
+        """Number of requests by ``batch:DescribeJobs``, including retries."""
+        self._lock = threading.RLock()
+        self._clients: dict[str, Any] = {}
+
+    @property
+    def batch(self) -> Any:
+        """Client of AWS Batch."""
+        return self._client("batch")
+
+    @property
+    def submitting(self) -> Any:
+        """Client of AWS Batch for calls that are not idempotent: without retries."""
+        return self._client("batch", tries=1)
+
+    @property
+    def s3(self) -> Any:
+        """Client of S3."""
+        return self._client("s3")
+
+    @property
+    def logs(self) -> Any:
+        """Client of CloudWatch Logs."""
+        return self._client("logs")
+
+    def ecr(self, region: str) -> Any:
+        """Return the client of a region's registry."""
+        return self._client("ecr", region=region)
+
+    def close(self) -> None:
+        """Close the connections."""
+        with self._lock:
+            clients, self._clients = self._clients, {}
+        for client in clients.values():
+            client.close()
+
+    def _client(self, service: str, tries: int = TRIES, region: str | None = None) -> Any:
+        key = f"{service} {tries} {region}"
+        with self._lock:
+            if key not in self._clients:
+                self._clients[key] = self._new_client(service, tries, region or self.region)
+            return self._clients[key]
+
+    def _new_client(self, service: str, tries: int, region: str) -> Any:
+        config = Config(
+            retries={"mode": "standard", "total_max_attempts": tries},
+            connect_timeout=10,
+            read_timeout=60,
+            max_pool_connections=CONNECTIONS,
+            tcp_keepalive=True,
+            s3={"addressing_style": "path" if _has_own_endpoint() else "auto"},
+        )
+        with aws_errors(f"region {region}"):
+            client: Any = self._session.client(service, region_name=region, config=config)
+        client.meta.events.register("before-send", self._count)
+        return client
+
+    @cached_property
+    def _session(self) -> Any:
+        with aws_errors(f"region {self.region}"):
+            session = botocore.session.get_session()
+            _take_role_by_tokens_of_github(session, self.region)
+            return boto3.session.Session(botocore_session=session, region_name=self.region)
+
+    def _count(self, event_name: str, **_: object) -> None:
+        service, operation = event_name.split(".")[1:3]
+        with self._lock:
+            self.calls[f"{service}:{operation}"] += 1
+
+
+def _take_role_by_tokens_of_github(session: Any, region: str) -> None:
+    """Assume the role of a GitHub job with a new OIDC token whenever its credentials expire."""
+    url, secret = os.environ.get(_TOKEN_URL), os.environ.get(_TOKEN)
+    scoped = session.get_scoped_config()
+    by_file = scoped.get("role_arn") if "web_identity_token_file" in scoped else None
+    role = os.environ.get("AWS_ROLE_ARN") or by_file
+    if not url or not secret or not role:
+        return
+
+    def create(service: str, **settings: Any) -> Any:
+        return session.create_client(service, region_name=region, **settings)
+
+    fetcher = AssumeRoleWithWebIdentityCredentialFetcher(
+        client_creator=create,
+        web_identity_token_loader=lambda: _token_of_github(url, secret),
+        role_arn=role,
+        extra_args={"RoleSessionName": os.environ.get("AWS_ROLE_SESSION_NAME") or "calibration-ci"},
+    )
+    session._credentials = DeferredRefreshableCredentials(fetcher.fetch_credentials, "calibration-ci-github")
+
+
+def _token_of_github(url: str, secret: str) -> str:
+    """Request an OIDC token of the current job from GitHub.
+
+    Raises:
+        InfrastructureError: GitHub returns no token.
+    """
+    if urlsplit(url).scheme not in ("https", "http"):
+        raise InfrastructureError(f"GitHub's token service: {_TOKEN_URL} is no URL")
+    http = Http([secret], address=_TOKEN_URL)
+    try:
+        answer = http.send("GET", f"{url}&audience={_AUDIENCE}", {"Authorization": f"bearer {secret}"})
+        token = str(json.loads(answer.body)["value"])
+    except (InfrastructureError, ValueError, LookupError, TypeError, RecursionError) as error:
+        why = f"answered {answer.status}" if not isinstance(error, InfrastructureError) else error
+        raise InfrastructureError(f"GitHub's token service gives no token for a role in AWS ({why})") from None
+    finally:
+        http.close()
+    return token
+
+
+def _has_own_endpoint() -> bool:
+    return bool(os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL"))

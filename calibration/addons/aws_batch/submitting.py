@@ -1,0 +1,257 @@
+"""Requests that change a queue: registration of job definitions, submission, termination, and search for leftovers."""
+
+import re
+import time
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from calibration.addons.aws_batch.aws_errors import AwsLostError, aws_errors
+from calibration.addons.aws_batch.definition import DIGEST_TAG
+from calibration.addons.aws_batch.following import AT_ONCE, Submitted, batches, describe, records
+from calibration.addons.aws_batch.session import Aws, Backoff
+from calibration.addons.aws_batch.submission import owner_of
+from calibration.base.errors import CalibrationError, InfrastructureError
+from calibration.ci.execution.docker.labels import RUN, Owner
+
+
+def ensure(aws: Aws, request: Mapping[str, Any]) -> str:
+    """Register a definition, unless an equal one exists.
+
+    Args:
+        aws: session.
+        request: request RegisterJobDefinition, with its digest in the tags.
+
+    Returns:
+        ARN with the revision.
+
+    Raises:
+        InputError: access is denied, or AWS refuses the definition.
+        AwsLostError: AWS does not answer.
+    """
+    name = str(request["jobDefinitionName"])
+    digest = request["tags"][DIGEST_TAG]
+    for definition in _active(aws, name):
+        if definition.get("tags", {}).get(DIGEST_TAG) == digest:
+            return str(definition["jobDefinitionArn"])
+    with aws_errors(f"job definition '{name}'"):
+        # not idempotent, but a repeated registration is only one more equal revision
+        return str(aws.batch.register_job_definition(**request)["jobDefinitionArn"])
+
+
+def find_old(aws: Aws) -> list[str]:
+    """Return the ARNs of all revisions of our definitions but the latest of each.
+
+    Raises:
+        InputError: access is denied.
+        AwsLostError: AWS does not answer.
+    """
+    revisions: dict[str, dict[int, str]] = {}
+    for definition in _active(aws):
+        if DIGEST_TAG in definition.get("tags", {}):
+            of_name = revisions.setdefault(str(definition["jobDefinitionName"]), {})
+            of_name[int(definition["revision"])] = str(definition["jobDefinitionArn"])
+    return [arn for found in revisions.values() for revision, arn in sorted(found.items()) if revision != max(found)]
+
+
+def deregister(aws: Aws, arns: Iterable[str]) -> None:
+    """Deregister revisions of definitions.
+
+    Raises:
+        InputError: access is denied.
+        AwsLostError: AWS does not answer.
+    """
+    for arn in arns:
+        with aws_errors(f"job definition {arn}"):
+            aws.batch.deregister_job_definition(jobDefinition=arn)
+
+
+def _active(aws: Aws, name: str | None = None) -> Iterator[dict[str, Any]]:
+    """Yield active definitions, of a name or all."""
+    chosen = {} if name is None else {"jobDefinitionName": name}
+    token: dict[str, str] = {}
+    while True:
+        with aws_errors("job definitions" if name is None else f"job definition '{name}'"):
+            page = aws.batch.describe_job_definitions(status="ACTIVE", **chosen, **token)
+        yield from page["jobDefinitions"]
+        if not page.get("nextToken"):
+            return
+        token = {"nextToken": page["nextToken"]}
+
+
+_ENDED = ("SUCCEEDED", "FAILED")
+_UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9_-]+")
+_SETTLING = 60.0
+"""Seconds until Batch's data show a requested termination."""
+_TAKING_NOTE = 0.5
+_MOST_PROBLEMS = 3
+"""Limit of failed terminations, after which the remaining ones are not tried."""
+
+
+@dataclass(frozen=True)
+class CloudLeftover:
+    """An unfinished job in the queue."""
+
+    id: str
+    name: str
+    run: str
+    status: str
+    jobs: int
+    """Number of children of an array; 1 for a single job."""
+    owner: Owner | None
+    """Owner by the tags; None if the tags do not contain one."""
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """Cells of a table's row."""
+        return (self.id, self.name, self.run, str(self.jobs), self.status)
+
+
+def find_in_queue(aws: Aws, queue: str, run: str | None = None) -> list[CloudLeftover]:
+    """Find unfinished jobs of a run, or of all runs, in a queue.
+
+    Raises:
+        InputError: the queue does not exist, or access is denied.
+        AwsLostError: AWS does not answer.
+    """
+    prefix = "calibration-" if run is None else _UNFIT_FOR_NAME.sub("-", f"calibration-{run}-")
+    ids = (entry["jobId"] for entry in _named(aws, queue, f"{prefix}*") if entry["status"] not in _ENDED)
+    found = [_leftover(record) for some in batches(ids, AT_ONCE) for record in records(aws, some)]
+    return [each for each in found if each.run and each.status not in _ENDED and run in (None, each.run)]
+
+
+def find_by_name(aws: Aws, queue: str, name: str) -> list[str]:
+    """Return the ids of all jobs with a name, in any state, the latest first.
+
+    Raises:
+        InputError: the queue does not exist, or access is denied.
+        AwsLostError: AWS does not answer.
+    """
+    return [str(entry["jobId"]) for entry in _named(aws, queue, name) if entry["jobName"] == name]
+
+
+def terminate(aws: Aws, ids: Sequence[str], reason: str) -> None:
+    """Terminate jobs in any state, and wait until Batch's data show it.
+
+    Raises:
+        InfrastructureError: jobs are not terminated; the message contains their number.
+        InputError: access is denied, or the credentials are expired.
+        AwsLostError: AWS does not answer.
+    """
+    problems: list[CalibrationError] = []
+    for identifier in ids:  # all requests first, because a runner that cancels leaves little time
+        try:
+            with aws_errors(f"job {identifier}"):
+                aws.batch.terminate_job(jobId=identifier, reason=reason)
+        except CalibrationError as error:
+            problems.append(error)
+            if len(problems) > _MOST_PROBLEMS:
+                break
+    if problems:
+        raise problems[0]
+    deadline = time.monotonic() + _SETTLING
+    left: Collection[str] = ids
+    while left:
+        seen = describe(aws, left)
+        left = [each for each in left if each in seen and not (seen[each].ended or seen[each].terminated)]
+        if left and time.monotonic() > deadline:
+            raise InfrastructureError(f"{len(left)} jobs in AWS Batch are not terminated, such as {next(iter(left))}")
+        if left:
+            time.sleep(_TAKING_NOTE)
+
+
+def _named(aws: Aws, queue: str, name: str) -> Iterator[dict[str, Any]]:
+    """Yield summaries of jobs by name, which may end with ``*``."""
+    token: dict[str, str] = {}
+    while True:
+        with aws_errors(f"queue '{queue}'"):
+            page = aws.batch.list_jobs(jobQueue=queue, filters=[{"name": "JOB_NAME", "values": [name]}], **token)
+        yield from page["jobSummaryList"]
+        if not page.get("nextToken"):
+            return
+        token = {"nextToken": page["nextToken"]}
+
+
+def _leftover(record: dict[str, Any]) -> CloudLeftover:
+    tags = record.get("tags", {})
+    return CloudLeftover(
+        id=str(record["jobId"]),
+        name=str(record["jobName"]),
+        run=str(tags.get(RUN, "")),
+        status=str(record["status"]),
+        jobs=int(record.get("arrayProperties", {}).get("size", 1)),
+        owner=owner_of(tags),
+    )
+
+
+STOPPED = "the run was stopped"
+"""Reason of the termination, reported to Batch."""
+_TRIES = 3
+_POLL_SECONDS = 1.0
+
+
+class Submitting:
+    """Submits jobs, and tracks what it has submitted."""
+
+    def __init__(self, aws: Aws, queue: str) -> None:
+        self.submitted: list[Submitted] = []
+        self._aws = aws
+        self._queue = queue
+        self._unclear: str = ""
+        """Name of a job that may have been submitted, because the answer is missing."""
+
+    def submit(self, request: Mapping[str, Any], group: str, first: int) -> Submitted:
+        """Submit a job or an array with a unique name.
+
+        If the answer is lost, the queue is searched for the name before the next attempt.
+
+        Raises:
+            InputError: Batch refuses it, or access is denied.
+            AwsLostError: AWS does not answer, or throttles for too long.
+        """
+        self._unclear = name = str(request["jobName"])
+        backoff = Backoff()
+        answers_lost = False
+        while True:
+            try:
+                ids = find_by_name(self._aws, self._queue, name) if answers_lost else []
+                identifier = ids[0] if ids else self._send(request)
+                break
+            except AwsLostError as error:
+                answers_lost = True
+                time.sleep(backoff.failed(error))
+        count = int(request.get("arrayProperties", {}).get("size", 1))
+        self.submitted.append(Submitted(identifier, group, first, count))
+        self._unclear = ""
+        if answers_lost:
+            self._end_doubles(name, identifier)
+        return self.submitted[-1]
+
+    def stop(self, ids: list[str], reason: str = STOPPED) -> None:
+        """Terminate jobs, including one that may have been submitted without an answer.
+
+        Raises:
+            InfrastructureError: jobs may still run.
+            InputError: access is denied, or the credentials are expired.
+            AwsLostError: AWS does not answer.
+        """
+        terminate(self._aws, ids, reason)
+        for _ in range(_TRIES if self._unclear else 0):
+            if found := find_by_name(self._aws, self._queue, self._unclear):
+                terminate(self._aws, found, reason)
+                break
+            time.sleep(_POLL_SECONDS)  # new jobs appear in the list with a delay
+        self._unclear = ""
+
+    def _send(self, request: Mapping[str, Any]) -> str:
+        with aws_errors(f"queue '{self._queue}'"):
+            answer = self._aws.submitting.submit_job(**request)
+        if not answer.get("jobId"):
+            raise InfrastructureError(f"queue '{self._queue}': AWS Batch answers without the id of the job")
+        return str(answer["jobId"])
+
+    def _end_doubles(self, name: str, keep: str) -> None:
+        """Terminate duplicates submitted by requests whose answer was lost."""
+        doubles = [each for each in find_by_name(self._aws, self._queue, name) if each != keep]
+        if doubles:
+            terminate(self._aws, doubles, "submitted twice")

@@ -1,0 +1,35 @@
+"""Commit that the coverage belongs to."""
+
+from calibration.base.errors import InputError
+from calibration.base.text import one_line, shorten
+from calibration.ci.git.event import Event
+from calibration.ci.git.repository import Repository, is_commit
+
+
+def find_commit(given: str | None, event: Event, repository: Repository) -> tuple[str, str]:
+    """Return the commit to report coverage for, and the source of that information.
+
+    For a pull request it is the head commit, not the merge commit that GitHub creates for testing. For
+    ``pull_request_target`` it is the commit that is checked out, by default the base.
+
+    Raises:
+        InputError: the given commit is not a full hash, or no commit is known.
+    """
+    if given is not None:
+        if not is_commit(given.lower()):
+            raise InputError(f"commit: found {shorten(one_line(given))!r}, expected a hash of 40 hexadecimal digits")
+        return given.lower(), "as given"
+    head = repository.head()
+    pull_request = event.at("pull_request", "head", "sha")
+    candidates = [
+        (pull_request if event.name != "pull_request_target" else None, "the pull request's last"),
+        (event.at("workflow_run", "head_sha"), "that of the workflow that this one follows"),
+    ]
+    if event.name == "pull_request_target" and head is not None:
+        merged = isinstance(pull_request, str) and pull_request in repository.parents(head)
+        candidates.append((pull_request if merged else head, "the one that is checked out"))
+    candidates += [(event.sha, "GITHUB_SHA"), (head, "the one that is checked out")]
+    for sha, source in candidates:
+        if isinstance(sha, str) and is_commit(sha):
+            return sha, source
+    raise InputError("commit is not given, and there is no checkout: set commit, or check out the repository")

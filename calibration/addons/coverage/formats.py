@@ -1,0 +1,198 @@
+"""Parsers of coverage reports (Cobertura XML and LCOV), both to one structure."""
+
+import io
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NoReturn
+from xml.etree.ElementTree import Element
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import ParseError, iterparse
+
+from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.base.errors import InputError
+from calibration.base.text import one_line, shorten
+
+MAX_BYTES = 100 * 1024 * 1024
+"""Limit of the size of a report."""
+MAX_LINE = 10_000_000
+"""Limit of a line number."""
+MAX_HITS = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class Report:
+    """Content of one coverage report."""
+
+    name: str
+    """Path of the report, for messages."""
+    files: Mapping[str, FileCoverage]
+    """Coverage by the file name in the report."""
+    folders: tuple[str, ...] = ()
+    """Folders that the names are relative to; absolute, or relative to the working directory of the tests."""
+
+
+DEEPEST = 100
+"""Limit of nested elements; the supported formats need ten."""
+
+
+def elements(data: bytes, name: str) -> Iterator[tuple[str, Element]]:
+    """Yield ``("start" | "end", element)`` in the order of the document; an element that ended may be cleared.
+
+    Raises:
+        InputError: it is not XML, declares entities, or is nested too deeply.
+    """
+    depth = 0
+    try:
+        for event, element in iterparse(io.BytesIO(data), ("start", "end")):
+            depth += 1 if event == "start" else -1
+            if depth > DEEPEST:
+                raise InputError(f"{name}: its elements are nested more than {DEEPEST} deep, the limit of a report")
+            yield event, element
+    except DefusedXmlException:
+        raise InputError(f"{name}: the XML declares entities, which are not allowed, for safety") from None
+    except (ParseError, ValueError, LookupError) as error:  # the last two: unknown encoding
+        raise InputError(f"{name}: this is not valid XML: {shorten(one_line(str(error)), 200)}") from None
+
+
+_WHOLE = re.compile(r"[0-9]{1,19}")
+_BRANCHES = re.compile(r"\s*[0-9.]+\s*%\s*\(([0-9]{1,9})/([0-9]{1,9})\)\s*")
+
+
+def parse_cobertura(data: bytes, name: str) -> Report:
+    """Parse Cobertura XML; classes in one file, and entries of one line, are added up.
+
+    Raises:
+        InputError: it is not Cobertura XML, or a number is malformed; names the file and line concerned.
+    """
+    hits: dict[str, dict[int, int]] = {}
+    branches: dict[str, dict[int, Rate]] = {}
+    folders: list[str] = []
+    file: str | None = None
+    in_methods = 0
+    root: Element | None = None
+    for event, element in elements(data, name):
+        tag = element.tag
+        if root is None:
+            root = element
+            _check_root(element, name)
+        elif tag == "class" and event == "start":
+            file = element.get("filename")
+            if not file:
+                raise InputError(f"{name}: a class has no filename")
+            hits.setdefault(file, {})
+            branches.setdefault(file, {})
+        elif tag == "methods":  # the class repeats their lines
+            in_methods += 1 if event == "start" else -1
+        elif tag == "line" and event == "end" and file is not None and not in_methods:
+            _add_line(element, f"{name}: {file}", hits[file], branches[file])
+        elif tag == "source" and event == "end" and element.text and element.text.strip():
+            folders.append(element.text.strip())
+        if event == "end":
+            element.clear()
+    found = {file: FileCoverage(lines, branches[file]) for file, lines in hits.items()}
+    return Report(name, found, tuple(folders))
+
+
+def _check_root(root: Element, name: str) -> None:
+    if root.tag == "coverage" and "line-rate" in root.attrib:
+        return
+    tag = shorten(one_line(str(root.tag)))
+    raise InputError(f"{name}: found XML with the root <{tag}>, expected Cobertura: <coverage line-rate=...>")
+
+
+def _add_line(element: Element, where: str, hits: dict[int, int], branches: dict[int, Rate]) -> None:
+    number = _whole(element.get("number"), where, "number", 1, MAX_LINE)
+    count = _whole(element.get("hits"), f"{where}:{number}", "hits", 0, MAX_HITS)
+    hits[number] = hits.get(number, 0) + count
+    condition = element.get("condition-coverage")
+    if element.get("branch", "").lower() == "true" and condition is not None:
+        found = _BRANCHES.fullmatch(condition)
+        if found is None or int(found[1]) > int(found[2]):
+            _refuse(f"{where}:{number}", "condition-coverage", condition, "such as 50% (1/2)")
+        known = branches.get(number, Rate())
+        branches[number] = Rate(max(known.covered, int(found[1])), max(known.total, int(found[2])))
+
+
+def _whole(text: str | None, where: str, key: str, least: int, most: int) -> int:
+    if text is None or not _WHOLE.fullmatch(text) or not least <= int(text) <= most:
+        _refuse(where, key, text, f"a whole number from {least} to {most}")
+    return int(text)
+
+
+def _refuse(where: str, key: str, found: str | None, expected: str) -> NoReturn:
+    shown = "nothing" if found is None else repr(shorten(found))
+    raise InputError(f"{shorten(one_line(where), 300)}: {key} is {shown}, {expected} was expected")
+
+
+_LINE = re.compile(r"([0-9]{1,8}),([0-9]{1,19})(?:,[^,]*)?")
+_BRANCH = re.compile(r"([0-9]{1,8}),([^,]+),([^,]+),(-|[0-9]{1,19})")
+
+
+@dataclass
+class _Record:
+    hits: dict[int, int] = field(default_factory=dict)
+    branches: dict[int, dict[tuple[str, str], bool]] = field(default_factory=dict)
+    """Return which branches of a line were taken."""
+
+    def coverage(self) -> FileCoverage:
+        rates = {line: Rate(sum(taken.values()), len(taken)) for line, taken in self.branches.items()}
+        return FileCoverage(self.hits, rates)
+
+
+def parse_lcov(data: bytes, name: str) -> Report:
+    """Parse a tracefile (LCOV); records of one file (one for each test) are added up.
+
+    Raises:
+        InputError: it is not a tracefile, is truncated, or a number is malformed; names the line.
+    """
+    records: dict[str, _Record] = {}
+    record: _Record | None = None
+    for number, line in enumerate(io.BytesIO(data), 1):
+        kind, _, value = line.decode("utf-8", "surrogateescape").strip().partition(":")
+        if kind == "SF":
+            if record is not None:
+                raise InputError(f"{name}:{number}: a record begins before the last one ended (end_of_record)")
+            if not value.strip():
+                raise InputError(f"{name}:{number}: SF names no file")
+            record = records.setdefault(value.strip(), _Record())
+        elif kind == "end_of_record":
+            record = None
+        elif kind in ("DA", "BRDA"):
+            if record is None:
+                raise InputError(f"{name}:{number}: {kind} precedes the file that it belongs to (SF)")
+            _add(record, kind, value.strip(), f"{name}:{number}")
+    if record is not None:
+        raise InputError(f"{name}: it ends in the middle of a record: end_of_record was expected")
+    if not records:
+        raise InputError(f"{name}: no file is named in it (SF:...), a tracefile of LCOV was expected")
+    return Report(name, {file: record.coverage() for file, record in records.items()})
+
+
+def tracefile(files: Mapping[str, FileCoverage]) -> str:
+    """Return the coverage of files as an LCOV tracefile, the inverse of :func:`parse_lcov`."""
+    lines: list[str] = []
+    for path, coverage in files.items():
+        if len(path.splitlines()) != 1 or path != path.strip():
+            continue  # LCOV cannot represent a file name with a line break
+        lines += ["TN:", f"SF:{path}"]
+        lines += [f"DA:{line},{hits}" for line, hits in coverage.hits.items()]
+        for line, rate in coverage.branches.items():
+            lines += [f"BRDA:{line},0,{branch},{int(branch < rate.covered)}" for branch in range(rate.total)]
+        lines.append("end_of_record")
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _add(record: _Record, kind: str, value: str, where: str) -> None:
+    found = (_LINE if kind == "DA" else _BRANCH).fullmatch(value)
+    if found is None or not 1 <= int(found[1]) <= MAX_LINE:
+        expected = "line,hits" if kind == "DA" else "line,block,branch,taken"
+        raise InputError(f"{where}: found {kind}:{shorten(one_line(value))}, expected {kind}:{expected}")
+    line = int(found[1])
+    if kind == "DA":
+        record.hits[line] = record.hits.get(line, 0) + min(int(found[2]), MAX_HITS)
+        return
+    taken = record.branches.setdefault(line, {})
+    branch = (found[2], found[3])
+    taken[branch] = taken.get(branch, False) or found[4].strip("-0") != ""

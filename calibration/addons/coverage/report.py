@@ -1,0 +1,189 @@
+"""Report of ``coverage-upload``: log, summary, annotations and JUnit cases."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from calibration.addons.coverage.formats import tracefile
+from calibration.addons.coverage.lines import Rate
+from calibration.addons.coverage.reading import Found
+from calibration.addons.coverage.results import Results
+from calibration.base.errors import ExitCode
+from calibration.base.text import one_line, shorten
+from calibration.ci.report import Lines, Outcome, Report, Table, outcome_of_check, verdict_of
+from calibration.ci.workflow.annotations import Annotation, Level
+
+TITLE = "coverage-upload"
+LCOV = "lcov.info"
+MOST_ROWS = 200
+"""Limit of rows of a table in the log, and of files below the goal; the summary and results.json have all."""
+MOST_NAMES = 20
+"""Limit of names in a list."""
+_HEADER = ("file", "lines", "branches", "goal", "not run")
+
+
+def report(results: Results, directory: Path = Path(), badge: Path | None = None) -> Report:
+    """Return the report.
+
+    Args:
+        results: what was found.
+        directory: where the tests ran; their files are named relative to it.
+        badge: file of the badge, if one was written.
+    """
+    below, total = results.below_goal, (_total(results),)
+    rows = _rows(results, sorted(results.files))
+    not_passed = f"{len(below)} of {len(rows)} files are below the goal of {results.goal:g} %"
+    verdict = verdict_of(not results.problems)
+    return Report(
+        title=TITLE,
+        verdict=verdict,
+        error=ExitCode.INFRASTRUCTURE if verdict == "pass" and results.upload.state == "failed" else None,
+        sentence=_sentence(results),
+        reasons=tuple(results.problems),
+        annotations=tuple(_annotations(results, directory)),
+        blocks=(
+            Table(_HEADER, (*total, *_rows(results, _by_rate(results))), MOST_ROWS, only="log"),
+            Table(("", "run", "of"), tuple(_summary_rows(results)), only="summary"),
+            Lines(tuple(remarks(results))),
+            Table(_HEADER, _rows(results, below), MOST_ROWS, title=not_passed, only="summary"),
+            Table(_HEADER, (*total, *rows), title=f"All {len(rows)} files", only="summary", folded=True),
+        ),
+        suites={TITLE: list(_outcomes(results))},
+        results=results,
+        outputs={
+            "line-rate": results.lines.percent,
+            "branch-rate": results.branches.percent,
+            "change-rate": results.change.rate.percent if results.change else None,
+            "files-below-goal": len(below),
+            "uploaded": results.upload.state,
+            "commit": results.commit,
+            "badge": badge,
+        },
+        # so that a separate job, in which no test runs, can upload it
+        files={LCOV: tracefile(results.files).encode("utf-8", "surrogateescape")} if results.lines.total else {},
+    )
+
+
+def _sentence(results: Results) -> str:
+    parts = results.problems or [f"{results.lines} of the lines are run"]
+    state = {
+        "uploaded": f"uploaded to {results.upload.service}",
+        "skipped": f"not uploaded ({results.upload.reason})",
+        "failed": "the upload failed",
+        "dry-run": "nothing was sent (dry-run)",
+        "none": "",
+    }[results.upload.state]
+    return one_line(f"{'; '.join(parts)}{'; ' if state else ''}{state}")
+
+
+def remarks(results: Results) -> list[str]:
+    """Return remarks that explain the numbers, a line for each."""
+    lines = []
+    if results.tests is not None and results.lines.total and not results.lines.covered:
+        lines.append("not a line is run: tests that measure themselves (pytest-cov) name their report (reports)")
+    if results.change is not None:
+        lines.append(f"change since {results.change.base[:12]}: {results.change.rate} of its lines are run")
+    elif results.no_change:
+        lines.append(f"no coverage of the change: {results.no_change}")
+    return lines + what_is_left_out(results.found)
+
+
+def what_is_left_out(found: Found) -> list[str]:
+    """Return a line for each part of the reports that is not counted, and for languages without a report."""
+    lines = []
+    if found.mapped.unmatched:
+        lines.append(f"in reports, but no file that git tracks: {_names(found.mapped.unmatched)}")
+    for name, paths in list(found.mapped.ambiguous.items())[:MOST_NAMES]:
+        lines.append(f"left out, because it may be several files: {shorten(one_line(name), 200)} ({_names(paths)})")
+    for path, line in list(found.mapped.ill_fitting.items())[:MOST_NAMES]:
+        lines.append(f"left out, because a report contains line {line}, which the file lacks: {one_line(path)}")
+    if found.unreadable:
+        lines.append(f"left out, because coverage.py cannot read or parse them: {_names(found.unreadable)}")
+    for language, count in sorted(found.without_report.items()):
+        lines.append(f"{count} {language} file{'' if count == 1 else 's'} not counted: no report contains any")
+    return lines
+
+
+def _annotations(results: Results, directory: Path) -> Iterable[Annotation]:
+    """Return an annotation of each failed test, of the upload, and of the uncovered lines of the change."""
+    for failure in results.tests.tally.failures if results.tests and results.tests.tally else ():
+        file = None if failure.file is None else directory / failure.file
+        yield Annotation(f"{failure.name}: {failure.message}", file=file, line=failure.line, title="test failed")
+    if results.upload.state == "failed":
+        yield Annotation(results.upload.reason)
+    if results.upload.state == "skipped":
+        yield Annotation(f"not uploaded: {results.upload.reason}", Level.NOTICE)
+    for span in results.change.missing if results.change else ():
+        message = f"no test runs {_lines(span.first, span.last)} of this change"
+        yield Annotation(message, Level.WARNING, span.path, span.first, title="not covered")
+
+
+def _outcomes(results: Results) -> Iterable[Outcome]:
+    """Return the JUnit cases: the tests as a whole, each limit, and the upload."""
+    if results.tests is not None:
+        problem = results.tests.problem
+        yield Outcome(name="tests", group=TITLE, reasons=(problem,) if problem else (), seconds=results.tests.seconds)
+    for limit in results.limits:
+        yield replace(outcome_of_check(limit.check, TITLE), name=f"{limit.name} {limit.minimum:g} %")
+    if results.upload.state != "none":
+        failed, skipped = (results.upload.state == state for state in ("failed", "skipped"))
+        yield Outcome(
+            name=f"upload to {results.upload.service}",
+            group=TITLE,
+            reasons=(results.upload.reason,) if failed else (),
+            error=ExitCode.INFRASTRUCTURE if failed else None,
+            skipped=results.upload.reason if skipped else None,
+        )
+
+
+def _summary_rows(results: Results) -> list[tuple[str, str, str]]:
+    rates = [("lines", results.lines), ("branches", results.branches)]
+    if results.change is not None:
+        rates.append(("lines of the change", results.change.rate))
+    rows = [(name, _percent_text(rate), f"{rate.covered} of {rate.total}") for name, rate in rates]
+    tally = results.tests.tally if results.tests is not None else None
+    if tally is not None:
+        skipped = f", {tally.skipped} skipped" if tally.skipped else ""
+        rows.append(("tests", f"{tally.passed} passed", f"{tally.ran} run{skipped}"))
+    return rows
+
+
+def _rows(results: Results, paths: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    below = set(results.below_goal)
+    return tuple(
+        (
+            path,
+            str(results.files[path].line_rate),
+            str(results.files[path].branch_rate),
+            "" if not results.files[path].hits else "below" if path in below else "above",
+            shorten(", ".join(_span(*part) for part in results.files[path].ranges(results.files[path].missing))),
+        )
+        for path in paths
+    )
+
+
+def _total(results: Results) -> tuple[str, ...]:
+    below = len(results.below_goal)
+    return "total", str(results.lines), str(results.branches), f"{below} below {results.goal:g} %", ""
+
+
+def _by_rate(results: Results) -> list[str]:
+    rates = results.line_rates()
+    return sorted(rates, key=lambda path: (rates[path].covered / max(rates[path].total, 1), path))
+
+
+def _lines(first: int, last: int) -> str:
+    return f"line {first}" if first == last else f"lines {first} to {last}"
+
+
+def _span(first: int, last: int) -> str:
+    return str(first) if first == last else f"{first}-{last}"
+
+
+def _names(names: Sequence[str]) -> str:
+    shown = ", ".join(shorten(one_line(name), 200) for name in names[:MOST_NAMES])
+    return f"{shown} and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else shown
+
+
+def _percent_text(rate: Rate) -> str:
+    return str(rate).partition(" (")[0]

@@ -1,0 +1,168 @@
+"""Results of ``coverage-upload`` and their document: tests, coverage, limits and upload."""
+
+from collections.abc import Mapping
+from typing import Literal
+
+from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.addons.coverage.reading import Found
+from calibration.addons.coverage.tests import Tests
+from calibration.base.records import computed, field, result
+from calibration.ci.report import Check, Verdict, verdict_of
+
+State = Literal["uploaded", "skipped", "failed", "dry-run", "none"]
+"""Outcome of the upload; none without a service."""
+
+
+@result
+class Uploaded:
+    """The upload of the coverage to a service."""
+
+    service: str = field("The name of the service, or none.", default="none")
+    state: State = field("What came of it.", default="none")
+    reason: str = field("Why it was skipped or failed; else empty.", default="")
+
+
+@result
+class Limit:
+    """Lower limit of the percentage of covered lines."""
+
+    name: str = field("The option: minimum, minimum-change.")
+    minimum: float = field("The limit.", unit="percent")
+    rate: Rate = field("The lines that it is of.", key="lines")
+    of_change: bool = False
+    """Whether it applies to the lines of a change; then it passes if the change has no executable line."""
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Verdict of the limit."""
+        return verdict_of(self.check.passed)
+
+    @property
+    def check(self) -> Check:
+        """Comparison of the covered lines with the limit."""
+        return Check(
+            subject="lines of the change that are run" if self.of_change else "lines that are run",
+            found=str(self.rate) if self.rate.total else "no line",
+            expected=f"at least {self.minimum:g} % ({self.name})",
+            passed=self.rate.reaches(self.minimum) or (self.of_change and self.rate.total == 0),
+            value=self.rate.percent,
+            limit=self.minimum,
+            minimum=True,
+            unit="%",
+        )
+
+
+@result
+class Span:
+    """Consecutive lines of a file that no test runs."""
+
+    path: str = field("The file, in the repository.")
+    first: int = field("The first line; the first of the file is 1.")
+    last: int = field("The last line.")
+
+
+@result
+class Change:
+    """Coverage of the lines that a change touched."""
+
+    base: str = field("The commit that it is compared with.")
+    rate: Rate = field("The lines of the change.", key="lines")
+    missing: tuple[Span, ...] = field("What no test runs of the change.")
+
+
+@result
+class FileResult:
+    """Coverage of a file that counts."""
+
+    path: str = field("In the repository.")
+    lines: Rate = field("The lines that can be run.")
+    branches: Rate = field("The branches.")
+    missing: tuple[tuple[int, int], ...] = field("Lines that no test runs, as first and last.")
+
+
+@result
+class LeftOut:
+    """Content of reports that is not counted, and languages without a report."""
+
+    unmatched: tuple[str, ...] = field("Names that are no tracked file.")
+    ambiguous: Mapping[str, tuple[str, ...]] = field("Names that may be several files, with these.")
+    ill_fitting: Mapping[str, int] = field("Files with fewer lines than a report claims, with its highest line number.")
+    unreadable: tuple[str, ...] = field("Python files that cannot be parsed.")
+    without_report: Mapping[str, int] = field(
+        "Number of source files by language, for languages that no report contains."
+    )
+
+
+@result
+class Results:
+    """Results of coverage-upload."""
+
+    found: Found
+    goal: float = field("Percent of its lines that every file is to have run.")
+    commit: str = field("The commit that the coverage is of.")
+    tests: Tests | None = field("What came of the tests; null where only reports were read.", default=None)
+    change: Change | None = field(
+        "Of the lines that the change touched; null where there is nothing to compare with.", default=None
+    )
+    no_change: str = ""
+    """Reason why there is no base to compare with."""
+    limits: tuple[Limit, ...] = field("The limits that were asked for.", default=())
+    upload: Uploaded = field("What came of the upload.", default_factory=Uploaded)
+
+    @property
+    def files(self) -> Mapping[str, FileCoverage]:
+        """Coverage by path."""
+        return self.found.files
+
+    @property
+    @computed("files")
+    def file_results(self) -> tuple[FileResult, ...]:
+        """Results of the files that count."""
+        return tuple(
+            FileResult(path, each.line_rate, each.branch_rate, tuple(each.ranges(each.missing)))
+            for path, each in sorted(self.files.items())
+        )
+
+    @property
+    @computed()
+    def left_out(self) -> LeftOut:
+        """Files and names that are not counted."""
+        mapped = self.found.mapped
+        left_out = (mapped.unmatched, mapped.ambiguous, mapped.ill_fitting)
+        return LeftOut(*left_out, self.found.unreadable, self.found.without_report)
+
+    @property
+    @computed()
+    def lines(self) -> Rate:
+        """Rate of the lines of all files."""
+        return sum((coverage.line_rate for coverage in self.files.values()), Rate())
+
+    @property
+    @computed()
+    def branches(self) -> Rate:
+        """Rate of the branches of all files."""
+        return sum((coverage.branch_rate for coverage in self.files.values()), Rate())
+
+    @property
+    @computed()
+    def files_below_goal(self) -> int:
+        """Number of files below the goal."""
+        return len(self.below_goal)
+
+    @property
+    def below_goal(self) -> list[str]:
+        """The files below the goal, the least covered first."""
+        below = {path: rate for path, rate in self.line_rates().items() if rate.total and not rate.reaches(self.goal)}
+        return sorted(below, key=lambda path: (below[path].covered / below[path].total, path))
+
+    def line_rates(self) -> dict[str, Rate]:
+        """Return the line rate of each file."""
+        return {path: coverage.line_rate for path, coverage in self.files.items()}
+
+    @property
+    @computed()
+    def problems(self) -> list[str]:
+        """Reasons for the verdict fail, one line each; empty if it is pass."""
+        tests = [self.tests.problem] if self.tests is not None and self.tests.problem else []
+        return tests + [str(limit.check) for limit in self.limits if not limit.check.passed]

@@ -1,0 +1,100 @@
+"""Selection of the files that count: tracked source files that are not tests."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from calibration.base.errors import InputError
+from calibration.ci.git.repository import Repository
+
+LANGUAGES = {
+    "c": (".c",),
+    "cpp": (".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".ipp", ".tpp"),
+    "csharp": (".cs",),
+    "go": (".go",),
+    "java": (".java",),
+    "javascript": (".js", ".jsx", ".mjs", ".cjs"),
+    "kotlin": (".kt",),
+    "php": (".php",),
+    "python": (".py", ".pyw"),
+    "ruby": (".rb",),
+    "rust": (".rs",),
+    "scala": (".scala",),
+    "shell": (".sh", ".bash"),
+    "swift": (".swift",),
+    "typescript": (".ts", ".tsx"),
+}
+"""Suffixes by language, in Codacy's names."""
+_LANGUAGE = {suffix: language for language, suffixes in LANGUAGES.items() for suffix in suffixes}
+NO_SOURCES = (
+    *("**/test", "**/tests", "**/test_*.*", "**/*_test.*", "**/*_tests.*", "**/conftest.py"),
+    *("**/setup.py", "**/noxfile.py", "**/docs/conf.py", "**/doc/conf.py"),
+)
+"""Default of ``exclude``, as git patterns: tests, build scripts and configuration of documentation."""
+
+
+def language_of(path: str) -> str | None:
+    """Return the language of a file by its suffix; None if it is not source code."""
+    return _LANGUAGE.get(PurePosixPath(path).suffix.lower())
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Files that count for coverage."""
+
+    repository: Repository
+    directory: Path
+    """Working directory of the tests."""
+    folders: tuple[str, ...]
+    """Folders and files that the user named, relative to the root; none for the whole repository."""
+    tracked: Sequence[str]
+    """Every tracked file."""
+    counted: Sequence[str]
+    """Every file that counts."""
+
+    def measured(self) -> list[str]:
+        """Return the sources for coverage.py: folders, and packages, which may be imported from an installed copy."""
+        root = self.repository.root
+        named = [root / folder for folder in self.folders or (".",)]
+        # Of a file its folder, since coverage.py takes files for names of packages; what counts is chosen later.
+        folders = dict.fromkeys(str(path if path.is_dir() else path.parent) for path in named)
+        return [*folders, *self._packages()]
+
+    def _packages(self) -> list[str]:
+        folders = {str(PurePosixPath(path).parent) for path in self.counted if path.endswith("/__init__.py")}
+        return sorted(
+            PurePosixPath(folder).name for folder in folders if str(PurePosixPath(folder).parent) not in folders
+        )
+
+
+def find_sources(
+    repository: Repository, directory: Path, named: Iterable[Path], exclude: Iterable[str] | None
+) -> Sources:
+    """Find the files that count.
+
+    Args:
+        repository: the repository of the directory.
+        directory: working directory of the tests.
+        named: folders and files of sources, relative to it.
+        exclude: git patterns of files that do not count; None for :data:`NO_SOURCES`.
+
+    Raises:
+        InputError: a source is outside of the repository, or contains no tracked source file.
+    """
+    folders = []
+    for path in named:
+        inside = repository.path(directory / path)
+        if inside is None:
+            raise InputError(f"source: {path}: found a path outside of the repository {repository.root}")
+        folders.append(inside)
+    # Folders are filtered here: git 2.39 fails if they are combined with patterns to exclude.
+    candidates = list(filter(language_of, repository.tracked(NO_SOURCES if exclude is None else exclude)))
+    for folder in folders or (".",):
+        if not any(_lies_in(path, folder) for path in candidates):
+            raise InputError(f"source: {folder}: no source file was found there that git tracks and exclude leaves in")
+    counted = [path for path in candidates if any(_lies_in(path, folder) for folder in folders or (".",))]
+    return Sources(repository, directory, tuple(folders), repository.tracked(), counted)
+
+
+def _lies_in(path: str, folder: str) -> bool:
+    return folder in (".", path) or path.startswith(f"{folder}/")

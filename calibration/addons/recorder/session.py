@@ -1,0 +1,284 @@
+"""Editing session of a motion sequence: the current pose, the saved poses, and the actions on them.
+
+A pose is a motion of length one, with the precision of a file, so that the preview matches what will
+be played. Saved poses are immutable and compared by identity.
+"""
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import chain, count
+from pathlib import Path
+
+import numpy as np
+
+from calibration.addons.recorder.handle import drag, find_handle, handle_pose
+from calibration.base.arrays import Array
+from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.files import read_bytes, write_atomically
+from calibration.base.json_text import json_text
+from calibration.engine.geometry.transforms import inverse
+from calibration.robot.simulation.description import MAX_BYTES
+from calibration.robot.simulation.motion.generation import generate_motion
+from calibration.robot.simulation.motion.sequence import DECIMALS, MAX_POSES, Motion, motion_document, moving_model
+from calibration.robot.simulation.placement import Placement, place
+from calibration.robot.simulation.robot import compose
+from calibration.robot.simulation.system import System
+
+_UNDONE = 100  # maximum number of undo steps
+
+
+class Session:
+    """State of the recorder, independent of the page and of threads."""
+
+    def __init__(self, system: System, motion: Motion | None = None) -> None:
+        """Start with a sequence, or with no sequence and a pose that the sensors see.
+
+        Raises:
+            InputError: nothing in the system moves, or the motion does not match it.
+        """
+        self.system = system
+        self.handle = find_handle(system)
+        if self.handle is None and not system.robot.movable:
+            raise InputError(
+                f"{system.name}: found no pattern that is moved and no joint that moves; nothing to record"
+            )
+        self.poses: tuple[Motion, ...] = ()
+        """Saved poses, in the order in which they are played."""
+        self.selected: int | None = None
+        """Index of the saved pose that was last saved or selected."""
+        self._written: tuple[Motion, ...] = ()
+        self._files: dict[Path, bytes] = {}  # files that this session wrote
+        self._history: list[tuple[tuple[Motion, ...], int | None]] = []
+        if motion is None:
+            self.pose = _first_pose(system)
+        else:
+            self.load(motion)
+            self._written = self.poses
+            self._history.clear()
+
+    # The current pose
+
+    @property
+    def placement(self) -> Placement:
+        """Placement of the system at the current pose; its arrays are (1, 4, 4)."""
+        return place(self.system, self.pose)
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether the current pose differs from the selected one."""
+        return self.selected is not None and self.pose is not self.poses[self.selected]
+
+    def handle_pose(self) -> Array | None:
+        """Return ``T_world_handle`` (4, 4); None if the system has no handle."""
+        return None if self.handle is None else handle_pose(self.system, self.handle, self.pose)
+
+    def drag(self, T_world_handle: Array) -> bool:
+        """Move the handle; return False, with the pose unchanged, if it cannot be reached."""
+        pose = None if self.handle is None else drag(self.system, self.handle, self.pose, T_world_handle)
+        if pose is not None:
+            self.pose = settled(self.system, pose)
+        return pose is not None
+
+    def move_model(self, T_parent_model: Array) -> None:
+        """Move the model of the moved pattern to a pose (4, 4) in its parent frame."""
+        moved = moving_model(T_parent_model[None])
+        self.pose = replace(self.pose, positions=moved.positions, orientations=moved.orientations)
+
+    def move_joints(self, positions: Mapping[str, float]) -> None:
+        """Move joints, rad or m, within their limits."""
+        joints = {name: np.array([position]) for name, position in positions.items()}
+        self.pose = settled(self.system, replace(self.pose, joints={**self.pose.joints, **joints}))
+
+    # The sequence
+
+    def save(self) -> None:
+        """Append the current pose to the sequence.
+
+        Raises:
+            InputError: there are already `MAX_POSES`.
+        """
+        if len(self.poses) >= MAX_POSES:
+            raise InputError(f"found {len(self.poses)} poses; a sequence has {MAX_POSES} at most")
+        self.pose = replace(self.pose)  # a copy, because saved poses are compared by identity
+        self._change((*self.poses, self.pose), len(self.poses))
+
+    def replace_selected(self) -> None:
+        """Replace the selected pose by the current one."""
+        if self.selected is not None and self.is_changed:
+            self._change((*self.poses[: self.selected], self.pose, *self.poses[self.selected + 1 :]), self.selected)
+
+    def delete_selected(self) -> None:
+        """Delete the selected pose; the next one is selected, and becomes the current pose."""
+        if self.selected is None:
+            return
+        left = self.poses[: self.selected] + self.poses[self.selected + 1 :]
+        self._change(left, min(self.selected, len(left) - 1) if left else None)
+        if self.selected is not None:
+            self.pose = self.poses[self.selected]
+
+    def shift_selected(self, steps: int) -> None:
+        """Move the selected pose by a number of positions (negative: earlier), limited to the ends."""
+        if self.selected is None:
+            return
+        target = min(max(self.selected + steps, 0), len(self.poses) - 1)
+        others = [*self.poses[: self.selected], *self.poses[self.selected + 1 :]]
+        others.insert(target, self.poses[self.selected])
+        if target != self.selected:
+            self._change(tuple(others), target)
+
+    def select(self, index: int) -> None:
+        """Make a saved pose the current pose.
+
+        Raises:
+            IndexError: there is no pose with this index.
+        """
+        if not 0 <= index < len(self.poses):
+            raise IndexError(index)
+        self.selected, self.pose = index, self.poses[index]
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether a change of the sequence can be undone."""
+        return bool(self._history)
+
+    def undo(self) -> None:
+        """Undo the last change of the sequence."""
+        if self._history:
+            self.poses, self.selected = self._history.pop()
+            if self.selected is not None:
+                self.pose = self.poses[self.selected]
+
+    def load(self, motion: Motion) -> None:
+        """Replace the whole sequence; its first pose becomes the current one.
+
+        Raises:
+            InputError: it does not match the system; nothing is changed.
+        """
+        place(self.system, motion)
+        rest = {name: np.full(len(motion), joint.rest) for name, joint in self.system.robot.movable.items()}
+        whole = replace(motion, joints={**rest, **motion.joints})
+        poses = tuple(whole.take([i]) for i in range(len(whole)))
+        self._change(poses, 0)
+        self.pose = poses[0]
+
+    def _change(self, poses: tuple[Motion, ...], selected: int | None) -> None:
+        self._history = [*self._history, (self.poses, self.selected)][-_UNDONE:]
+        self.poses, self.selected = poses, selected
+
+    # Files
+
+    @property
+    def is_unsaved(self) -> bool:
+        """Whether there are poses that are not in a file."""
+        return bool(self.poses) and self.poses != self._written
+
+    def motion(self) -> Motion:
+        """Return the saved poses as one motion.
+
+        Raises:
+            InputError: no pose is saved.
+        """
+        if not self.poses:
+            raise InputError("no pose is saved yet; a sequence needs one at least")
+        return joined(self.poses)
+
+    def text(self) -> str:
+        """Return the sequence in the format of a file.
+
+        Raises:
+            InputError: no pose is saved.
+        """
+        return json_text(motion_document(self.motion())) + "\n"
+
+    def export(self, path: Path, replace_file: bool = False) -> None:
+        """Write the sequence to a file.
+
+        Raises:
+            InputError: no pose is saved, or the file exists, is not what this session wrote there,
+                and may not be replaced.
+            InfrastructureError: it cannot be written.
+        """
+        content = self.text().encode()
+        if not replace_file and not self.may_write(path):
+            raise InputError(f"{path}: exists already; replace it, or give another name")
+        write_atomically(path, content)
+        self._files[path] = content
+        self._written = self.poses
+
+    def autosave(self, output: Path) -> Path | None:
+        """Write unsaved poses to a new file beside the export file, or in the temporary folder.
+
+        Returns:
+            The new file; None if everything is saved.
+
+        Raises:
+            InfrastructureError: no location is writable.
+        """
+        if not self.is_unsaved:
+            return None
+        try:
+            path = _free_name(output)
+            self.export(path)
+        except InfrastructureError:
+            path = _free_name(Path(tempfile.gettempdir(), output.name))
+            self.export(path)
+        return path
+
+    def may_write(self, path: Path) -> bool:
+        """Return whether a file can be overwritten without loss: it is missing, or as this session wrote it."""
+        own = self._files.get(path)
+        is_there = path.exists() or path.is_symlink()
+        return not is_there or (own is not None and read_bytes(path, MAX_BYTES, "a motion sequence") == own)
+
+
+def _free_name(output: Path) -> Path:
+    """Return an unused file name for unsaved poses, beside a file."""
+    numbers = chain([""], (f"-{number}" for number in count(2)))
+    return next(
+        path for number in numbers if not (path := output.with_name(f"{output.stem}.autosave{number}.json")).exists()
+    )
+
+
+def settled(system: System, pose: Motion) -> Motion:
+    """Round a pose to the precision of a file, with its joints within their limits."""
+    joints = {}
+    for name, joint in system.robot.movable.items():
+        rounded = np.round(pose.joints.get(name, np.array([joint.rest])), DECIMALS) + 0.0
+        joints[name] = np.clip(rounded, joint.lower, joint.upper)
+    return replace(pose, joints=joints)
+
+
+def joined(poses: Sequence[Motion]) -> Motion:
+    """Join poses with the same joints and models to one motion."""
+    positions = [pose.positions for pose in poses if pose.positions is not None]
+    orientations = [pose.orientations for pose in poses if pose.orientations is not None]
+    return Motion(
+        np.concatenate(positions) if positions else None,
+        np.concatenate(orientations) if orientations else None,
+        {name: np.concatenate([pose.joints[name] for pose in poses]) for name in poses[0].joints},
+        "the recorded motion",
+    )
+
+
+def _first_pose(system: System) -> Motion:
+    """Return a pose that every sensor sees, if one is found; else a default in front of a sensor."""
+    moved = system.moved_pattern
+    rest = {name: np.array([joint.rest]) for name, joint in system.robot.movable.items()}
+    try:
+        pose = generate_motion(system, 1, seed=1)
+    except InputError:
+        pose = moving_model(_in_front(system)) if moved is not None else Motion(None, None, {})
+    return settled(system, replace(pose, joints={**rest, **pose.joints}, source="the recorded motion"))
+
+
+def _in_front(system: System) -> Array:
+    """Return ``T_parent_model`` (1, 4, 4) of the moved pattern, facing the first sensor at two metres."""
+    moved = system.moved_pattern
+    assert moved is not None  # noqa: S101 (the caller has asked)
+    sensor = next(iter(system.configuration.sensors.values()))
+    transforms = system.robot.transforms({})
+    T_parent_sensor = compose(system.robot.tree, transforms, moved.parent_link, sensor.link)
+    T_sensor_pattern = np.eye(4)
+    T_sensor_pattern[:3, 3] = np.array([0.0, 0.0, 2.0]) - moved.centre
+    return T_parent_sensor @ T_sensor_pattern @ inverse(system.T_model_pattern)

@@ -1,0 +1,108 @@
+"""Files: reading with a size limit, and atomic writing."""
+
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from calibration.base.errors import InfrastructureError, InputError
+
+
+def read_bytes(path: Path | str, limit: int, what: str) -> bytes:
+    """Return the content of a regular file; ``what`` describes it in messages ("a CSV file").
+
+    Raises:
+        InputError: the file does not exist, is not readable, is not a regular file, or has more than
+            ``limit`` bytes.
+        InfrastructureError: reading fails.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # non-blocking, because opening a named pipe would wait
+    except (OSError, ValueError) as error:  # ValueError: a NUL or a lone surrogate in the name
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise InputError(f"{path}: {what} was expected, but it cannot be read: {reason}") from None
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(f"{path}: this is no regular file, {what} was expected")
+        if status.st_size > limit:
+            raise InputError(f"{path}: found {status.st_size} bytes, {what} of at most {limit} was expected")
+        return os.read(descriptor, status.st_size)
+    except (OSError, MemoryError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else "not enough memory"
+        raise InfrastructureError(f"{path}: {what} cannot be read: {reason}") from error
+    finally:
+        os.close(descriptor)
+
+
+def write_atomically(path: Path | str, content: bytes | str) -> None:
+    """Write a file so that readers see the old content or the new, never a part; creates missing folders.
+
+    Text is written as UTF-8; lone surrogates, which UTF-8 cannot encode, are written as escapes.
+
+    Raises:
+        InfrastructureError: the file cannot be written.
+        InputError: a folder of its path is a link, below one of `follow_no_links`.
+    """
+    data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
+    with _replacing(Path(path)) as temporary:
+        temporary.write_bytes(data)
+
+
+_without_links: set[Path] = set()
+"""Folders below which nothing is written through a link."""
+
+
+def follow_no_links(folder: Path) -> None:
+    """Refuse from now on to write through links to folders that are below a folder: they may come with a checkout."""
+    _without_links.add(Path.cwd() / os.path.normpath(folder))
+
+
+def _refuse_links(path: Path) -> None:
+    absolute = Path.cwd() / os.path.normpath(path)
+    for folder in _without_links.intersection(absolute.parents):
+        below = absolute.parents[: absolute.parents.index(folder)]
+        if link := next((each for each in below if each.is_symlink()), None):
+            raise InputError(
+                f"{link}: found a link, expected a folder: remove it, as results are not written through links"
+            )
+
+
+def link_or_copy(source: Path | str, target: Path | str) -> None:
+    """Hard-link ``target`` to ``source``, or copy it where links are not possible; creates missing folders.
+
+    Replacing one of the two by renaming (as `write_atomically` does) leaves the other unchanged.
+
+    Raises:
+        InfrastructureError: the target cannot be written, or the source cannot be read.
+    """
+    with _replacing(Path(target)) as temporary:
+        try:
+            temporary.hardlink_to(source)
+        except OSError:
+            _copy(Path(source), temporary)
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary path beside a file, which replaces the file if the block succeeds."""
+    _refuse_links(path)
+    temporary = path.with_name(f".{os.urandom(8).hex()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield temporary
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except (OSError, ValueError) as error:  # ValueError: a NUL or a lone surrogate in the name
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise InfrastructureError(f"{path}: cannot be written: {reason}") from error
+
+
+def _copy(source: Path, target: Path) -> None:
+    """Copy a file's content; `shutil`, which imports libraries of compression, takes a millisecond to import."""
+    with source.open("rb") as reader, target.open("wb") as writer:
+        while part := reader.read(1 << 20):
+            writer.write(part)

@@ -1,0 +1,33 @@
+"""Packages that only some of the work needs: imported at their first use, as they are slow, or not installed."""
+
+from importlib import import_module
+from typing import Any
+
+from calibration.base.errors import InfrastructureError
+
+PACKAGES = {
+    "av": ("PyAV", "av"),
+    "cv2": ("OpenCV", "opencv-python-headless"),
+    "rosbags": ("rosbags", "'calibration-ci[bags]'"),
+}
+"""Name of a package, and what pip installs, where they differ from its module."""
+
+
+def optional(module: str, user: str) -> Any:
+    """Import a module.
+
+    Args:
+        module: its name, such as "matplotlib.figure".
+        user: what needs it, for the message: "the figure".
+
+    Raises:
+        InfrastructureError: its package is not installed.
+    """
+    package = module.partition(".")[0]
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != package:
+            raise
+        name, source = PACKAGES.get(package, (package, package))
+        raise InfrastructureError(f"{user} needs {name}: pip install {source}") from None

@@ -1,0 +1,263 @@
+"""Declaration of records: frozen dataclasses whose fields define the content of a document."""
+
+import dataclasses
+import typing
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import MISSING
+from functools import cache, cached_property
+from typing import Any, Literal, TypeVar, dataclass_transform
+
+from calibration.base.frozen import frozen
+from calibration.base.records.constraints import Converted
+from calibration.base.text import did_you_mean, shorten
+
+_Class = TypeVar("_Class", bound=type)
+_Getter = TypeVar("_Getter", bound=Callable[[Any], Any])
+_SETTINGS = "__record__"
+_DECLARED = "record"
+
+
+@frozen
+class Rule:
+    """Condition on the keys of a document."""
+
+    fault: Callable[[Collection[str]], str | None]
+    """Function that returns the error in these keys; None if there is none."""
+    schema: Mapping[str, Any]
+    """The condition as keywords of JSON Schema."""
+
+
+@frozen
+class Settings:
+    """Properties of a record as a whole."""
+
+    case: Literal["kebab", "snake"] = "kebab"
+    nulls: bool = False
+    """Whether None is written as null, and null is read as an absent key; else null is rejected."""
+    unknown: Literal["refuse", "ignore"] = "refuse"
+    rules: tuple[Rule, ...] = ()
+
+
+@frozen
+class Declared:
+    """Field of a record that is part of its document."""
+
+    name: str
+    key: str
+    type: Any
+    """Type, including the content of ``Annotated``."""
+    help: str
+    default: Any
+    """Default value; `dataclasses.MISSING` if the key is required."""
+    implied: Any
+    """Document value equivalent to an absent key; `dataclasses.MISSING` if ``default`` is the value itself."""
+    flat: bool
+    option: bool | str
+    """Whether the field is an option of a command; or the help of the option, if it differs."""
+    omitted: bool
+    """Whether the key is omitted for None, also in a record with ``nulls``."""
+    computed: bool = False
+    """Whether it is a property, which is written and not read."""
+
+    @property
+    def required(self) -> bool:
+        """Whether the key is required."""
+        return self.default is MISSING and self.implied is MISSING and not self.flat
+
+
+def field(
+    help: str = "",  # noqa: A002 (click's word)
+    *,
+    default: Any = MISSING,
+    default_factory: Any = MISSING,
+    implied: Any = MISSING,
+    key: str | None = None,
+    unit: str | None = None,
+    flat: bool = False,
+    option: bool | str = True,
+    omitted: bool = False,
+    repr: bool = True,  # noqa: A002 (dataclasses' word)
+) -> Any:
+    """Declare a field of a record.
+
+    Args:
+        help: description in one sentence, for schemas, options and tables.
+        default: value if the key is absent.
+        default_factory: function that makes the default; the record itself in a flat field.
+        implied: document value equivalent to an absent key, such as a path relative to the file.
+        key: key in the document, if it differs from the field's name.
+        unit: unit of the value; added to the help.
+        flat: whether the keys of the nested record are keys of the outer record; with
+            `Converted`, the keys of the record that it accepts. An optional flat record is present if one of its keys
+            is.
+        option: whether a command has an option for it; or the help of the option, if it differs.
+        omitted: whether the key is omitted for None, also in a record with ``nulls``.
+        repr: whether it is part of the record's ``repr``; False for possible secrets.
+    """
+    text = f"{help.removesuffix('.')}, {unit}." if unit else help
+    declared = {"key": key, "help": text, "implied": implied, "flat": flat, "option": option, "omitted": omitted}
+    metadata = {_DECLARED: declared}
+    if default_factory is not MISSING:
+        return dataclasses.field(default_factory=default_factory, metadata=metadata, repr=repr)
+    return dataclasses.field(default=default, metadata=metadata, repr=repr)
+
+
+def computed(key: str | None = None) -> Callable[[_Getter], _Getter]:
+    """Declare a property, written below ``@property``, as part of the document: its docstring's first line is the help.
+
+    Args:
+        key: key in the document, if it differs from the property's name.
+    """
+
+    def declare(getter: _Getter) -> _Getter:
+        setattr(getter, _DECLARED, key or getter.__name__)
+        return getter
+
+    return declare
+
+
+@typing.overload
+def record(cls: _Class, /) -> _Class: ...
+@typing.overload
+def record(
+    *,
+    case: Literal["kebab", "snake"] = "kebab",
+    nulls: bool = False,
+    unknown: Literal["refuse", "ignore"] = "refuse",
+    rules: tuple[Rule, ...] = (),
+    **options: bool,
+) -> Callable[[_Class], _Class]: ...
+@dataclass_transform(frozen_default=True, field_specifiers=(field, dataclasses.field))
+def record(cls: Any = None, /, **settings: Any) -> Any:
+    """Make a class a record: a frozen dataclass that can be read, written and described as a schema.
+
+    Args:
+        cls: the class; its docstring describes the document.
+        settings: see `Settings`; all others are those of `frozen`.
+    """
+
+    def declare(cls: Any) -> Any:
+        own = {name: settings[name] for name in Settings.__dataclass_fields__.keys() & settings.keys()}
+        others = {name: value for name, value in settings.items() if name not in own}
+        made = frozen(**others)(cls)
+        setattr(made, _SETTINGS, Settings(**own))
+        return made
+
+    return declare if cls is None else declare(cls)
+
+
+@typing.overload
+def result(cls: _Class, /) -> _Class: ...
+@typing.overload
+def result(**options: bool) -> Callable[[_Class], _Class]: ...
+@dataclass_transform(frozen_default=True, field_specifiers=(field, dataclasses.field))
+def result(cls: Any = None, /, **options: Any) -> Any:
+    """Make a class a record of results: keys in snake_case, null for None; unknown keys of newer versions are ignored.
+
+    Args:
+        cls: the class; its docstring describes the document.
+        options: those of `frozen`.
+    """
+    declare = record(case="snake", nulls=True, unknown="ignore", **options)
+    return declare if cls is None else declare(cls)
+
+
+def is_record(kind: Any) -> bool:
+    """Return whether a type is a record."""
+    return isinstance(kind, type) and hasattr(kind, _SETTINGS)
+
+
+def settings_of(kind: Any) -> Settings:
+    """Return the properties of a record as a whole."""
+    found: Settings = getattr(kind, _SETTINGS)
+    return found
+
+
+@cache
+def fields_of(kind: Any) -> tuple[Declared, ...]:
+    """Return the fields of a record that are part of its document, in order, then its computed properties."""
+    types = typing.get_type_hints(kind, include_extras=True)
+    kebab = settings_of(kind).case == "kebab"
+    found = []
+    for each in dataclasses.fields(kind):
+        if (declared := each.metadata.get(_DECLARED)) is None:
+            continue
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        key = declared["key"] or (each.name.replace("_", "-") if kebab else each.name)
+        details = {name: declared[name] for name in ("help", "implied", "flat", "option", "omitted")}
+        found.append(Declared(each.name, key, types[each.name], default=default, **details))
+    return (*found, *_computed(kind))
+
+
+def _computed(kind: Any) -> list[Declared]:
+    members = {name: member for base in reversed(kind.__mro__) for name, member in vars(base).items()}
+    found = []
+    for name, member in members.items():
+        getter = member.func if isinstance(member, cached_property) else getattr(member, "fget", None)
+        if (key := getattr(getter, _DECLARED, None)) is not None:
+            help_, result = (getter.__doc__ or "").split("\n")[0], typing.get_type_hints(getter, include_extras=True)
+            found.append(Declared(name, key, result["return"], help_, MISSING, MISSING, False, False, False, True))
+    return found
+
+
+def flat_fields(kind: Any) -> dict[str, Declared]:
+    """Return the fields by key; flat records are replaced by their fields."""
+    found: dict[str, Declared] = {}
+    for each in fields_of(kind):
+        found |= flat_fields(flat_record(each)[0]) if each.flat else {each.key: each}
+    return found
+
+
+def flat_record(each: Declared) -> tuple[Any, Converted | None]:
+    """Return the record whose keys a flat field has, and its conversion, if there is one."""
+    extras = typing.get_args(each.type)[1:] if typing.get_origin(each.type) is typing.Annotated else ()
+    converted = next((extra for extra in extras if isinstance(extra, Converted)), None)
+    return (converted.accepts if converted else bare(each.type)), converted
+
+
+def bare(kind: Any) -> Any:
+    """Return a type without the content of ``Annotated``, and without None beside a record."""
+    if typing.get_origin(kind) is typing.Annotated:
+        return bare(typing.get_args(kind)[0])
+    return next(filter(is_record, typing.get_args(kind)), kind)
+
+
+def excludes(first: str, second: str) -> Rule:
+    """Rule that two keys exclude each other."""
+    return Rule(
+        lambda keys: f"{first} and {second} exclude each other" if {first, second} <= set(keys) else None,
+        {"not": {"required": [first, second]}},
+    )
+
+
+def needs(key: str, other: str, why: str = "") -> Rule:
+    """Rule that a key requires another one."""
+    fault = why or f"{key} needs {other}: say {other} too"
+    return Rule(
+        lambda keys: fault if key in keys and other not in keys else None, {"dependentRequired": {key: [other]}}
+    )
+
+
+def one_of(*names: str, why: str) -> Rule:
+    """Rule that at least one of some keys is present; ``why`` is the message."""
+    return Rule(
+        lambda keys: None if any(name in keys for name in names) else why,
+        {"anyOf": [{"required": [name]} for name in names]},
+    )
+
+
+def exactly_one(*names: str) -> Rule:
+    """Rule that exactly one of some keys is present."""
+
+    def fault(keys: Collection[str]) -> str | None:
+        found = [name for name in names if name in keys]
+        return (
+            None if len(found) == 1 else f"found {' and '.join(found) or 'nothing'}, expected one of {', '.join(names)}"
+        )
+
+    return Rule(fault, {"oneOf": [{"required": [name]} for name in names]})
+
+
+def unknown_key(key: object, known: Collection[str]) -> str:
+    """Return the message about an unknown key."""
+    return f"unknown key {shorten(repr(key))}{did_you_mean(str(key), known)} (known: {', '.join(known)})"

@@ -1,0 +1,273 @@
+"""Reading of documents as records; an error is one line with file, key, found and expected value."""
+
+import typing
+from collections.abc import Mapping
+from dataclasses import MISSING, replace
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, TypeVar
+
+from calibration.base.errors import CalibrationError, InputError
+from calibration.base.records.constraints import ByName, Constraint, Converted
+from calibration.base.records.declaration import (
+    Declared,
+    fields_of,
+    flat_fields,
+    flat_record,
+    is_record,
+    settings_of,
+    unknown_key,
+)
+from calibration.base.records.place import Misfit, Place, is_number, shown
+from calibration.base.text import did_you_mean
+
+_Record = TypeVar("_Record")
+_NOUNS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", Path: "a path", dict: "keys"}
+
+
+def read(
+    kind: type[_Record],
+    document: object,
+    where: str,
+    folder: Path | None = None,
+    error: type[CalibrationError] = InputError,
+    **more: Any,
+) -> _Record:
+    """Read a document as a record.
+
+    Args:
+        kind: the record.
+        document: parsed document: mappings, lists, texts, numbers, booleans.
+        where: prefix of messages: the file, and the key in it if the document is a part of one.
+        folder: base folder of relative paths; None leaves them unchanged.
+        error: class of the error; `InfrastructureError` for documents that are not written by users.
+        more: values of fields that are not part of the document, such as ``name``.
+
+    Raises:
+        InputError: one line that names the file, the key, what was found and what was expected.
+    """
+    found: _Record = _record(kind, document, Place(where, folder=folder or Path(), error=error), more)
+    return found
+
+
+def changed(record: _Record, document: Mapping[str, Any], where: str, folder: Path | None = None) -> _Record:
+    """Return a record with the values of a document in place of its own.
+
+    Args:
+        record: the record.
+        document: some of its keys, including those of flat records.
+        where: prefix of messages.
+        folder: base folder of relative paths; None leaves them unchanged.
+
+    Raises:
+        InputError: as `read`.
+    """
+    place = Place(where, folder=folder or Path())
+    values: dict[str, Any] = {}
+    kind: Any = type(record)
+    for each in fields_of(kind):
+        if each.flat:
+            values[each.name] = changed(getattr(record, each.name), document, where, folder)
+        elif each.key in document and not each.computed:
+            values[each.name] = read_as(each.type, document[each.key], place.below(each.key))
+    made: _Record = replace(typing.cast("Any", record), **values)
+    return made
+
+
+def read_as(kind: Any, value: object, place: Place) -> Any:
+    """Read a value as any type that a field of a record may have.
+
+    Raises:
+        InputError: as `read`.
+    """
+    base, extras = _parts(kind)
+    for extra in extras:
+        if isinstance(extra, Converted):
+            made = extra.make(read_as(extra.accepts, value, place), place)
+            return _checked(made, value, base, extras, place)
+        if isinstance(extra, ByName):
+            return _by_name(typing.get_args(base)[0], value, extra, place)
+    return _checked(_plain(base, value, extras, place), value, base, extras, place)
+
+
+def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Return a type without ``Annotated``, and the content of that, innermost first."""
+    if typing.get_origin(kind) is typing.Annotated:
+        base, *extras = typing.get_args(kind)
+        inner, more = _parts(base)
+        return inner, (*more, *extras)
+    return kind, ()
+
+
+def _plain(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> Any:
+    origin = typing.get_origin(kind)
+    if origin in (typing.Union, UnionType):
+        return _union(kind, value, extras, place)
+    if not fits(kind, value):
+        raise _wrong(value, kind, extras, place)
+    if is_record(kind):
+        return _record(kind, value, place, {})
+    if origin is tuple:
+        item = typing.get_args(kind)[0]
+        return tuple(read_as(item, each, place.below(i)) for i, each in enumerate(typing.cast("list[Any]", value)))
+    if origin is not None and origin is not typing.Literal:
+        names, item = typing.get_args(kind)
+        mapping = typing.cast("dict[Any, Any]", value)
+        return {str(_key(names, key, place)): read_as(item, each, place.below(key)) for key, each in mapping.items()}
+    if kind is Path:
+        return place.folder / str(value)
+    return kind(value) if kind in (int, float) else value
+
+
+def _key(kind: Any, key: object, place: Place) -> Any:
+    try:
+        return read_as(kind, key, place)
+    except CalibrationError:
+        if typing.get_origin(kind) is typing.Literal:
+            raise place.fault(unknown_key(key, typing.get_args(kind))) from None
+        expected = ", ".join(each.expected for each in _parts(kind)[1] if isinstance(each, Constraint))
+        raise place.fault(f"found the key {shown(key)}, expected {expected or 'a text'}") from None
+
+
+def _checked(result: Any, value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> Any:
+    """Return the result after checking all constraints."""
+    for extra in extras:
+        if isinstance(extra, Constraint) and not extra.holds(result):
+            if extra.secret:
+                raise place.fault(f"expected {extra.expected}")
+            raise _wrong(value, kind, extras, place)
+    return result
+
+
+def _wrong(value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> CalibrationError:
+    limits = [each for each in extras if isinstance(each, Constraint)]
+    whole = next((each.expected for each in limits if each.whole), None)
+    expected = whole or " ".join([expectation(kind), *(each.expected for each in limits)])
+    if any(each.secret for each in limits):
+        return place.fault(f"expected {expected}")
+    hint = ""
+    if typing.get_origin(kind) is typing.Literal and isinstance(value, str):
+        hint = did_you_mean(value, [each for each in typing.get_args(kind) if isinstance(each, str)])
+    if kind is str and isinstance(value, int | float):
+        hint = ": put it in quotes"
+    return place.unexpected(value, expected + hint)
+
+
+def _union(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> Any:
+    members = [each for each in typing.get_args(kind) if each is not NoneType]
+    if len(members) > 1:
+        fitting = [each for each in members if fits(each, value)]
+        members = [each for each in fitting if _is_literal_of(each, value)] or fitting
+    if not members:
+        raise _wrong(value, kind, extras, place)
+    return read_as(members[0], value, place)
+
+
+def _is_literal_of(kind: Any, value: object) -> bool:
+    return typing.get_origin(kind) is typing.Literal and value in typing.get_args(kind)
+
+
+def fits(kind: Any, value: object) -> bool:
+    """Return whether a value has the form that a type is read from; its content may still be invalid."""
+    base, extras = _parts(kind)
+    if (other := next((each for each in extras if isinstance(each, Converted)), None)) is not None:
+        return fits(other.accepts, value)
+    origin = typing.get_origin(base)
+    if origin in (typing.Union, UnionType):
+        return any(fits(each, value) for each in typing.get_args(base))
+    if origin is typing.Literal:
+        return any(type(value) is type(each) and value == each for each in typing.get_args(base))
+    if is_record(base) or base is dict or any(isinstance(each, ByName) for each in extras):
+        return isinstance(value, dict)
+    if origin is tuple or base is list:
+        return isinstance(value, list)
+    if origin is not None:
+        return isinstance(value, dict)
+    if base in (int, float):
+        return is_number(value) and (base is float or value == int(typing.cast("float", value)))
+    return value != "" and isinstance(value, str) if base is Path else isinstance(value, base)
+
+
+def expectation(kind: Any) -> str:
+    """Describe the expected value of a type for a message: ``a number``."""
+    base, extras = _parts(kind)
+    for extra in extras:
+        if isinstance(extra, Converted):
+            return expectation(extra.accepts)
+        if isinstance(extra, Constraint) and extra.whole:
+            return extra.expected
+    origin = typing.get_origin(base)
+    if origin in (typing.Union, UnionType):
+        return _listed([expectation(each) for each in typing.get_args(base) if each is not NoneType])
+    if origin is typing.Literal:
+        return _listed([str(each) for each in typing.get_args(base)])
+    if is_record(base):
+        return f"keys: {', '.join(flat_fields(base))}"
+    return _NOUNS.get(base) or ("a list" if origin is tuple or base is list else "keys and values")
+
+
+def _listed(texts: list[str]) -> str:
+    texts = list(dict.fromkeys(texts))
+    return " or ".join(filter(None, (", ".join(texts[:-1]), texts[-1])))
+
+
+def _by_name(kind: Any, value: object, extra: ByName, place: Place) -> tuple[Any, ...]:
+    if not isinstance(value, dict) or not value:
+        raise place.unexpected(value, "a mapping of names, at least one")
+    for name in value:
+        if not isinstance(name, str) or (extra.names and not extra.names.holds(name)):
+            expected = extra.names.expected if extra.names else "a text"
+            hint = "" if isinstance(name, str) else ": put it in quotes"
+            raise place.fault(f"found the name {shown(name)}, expected {expected}{hint}")
+    return tuple(_record(kind, each, place.below(name), {"name": name}) for name, each in value.items())
+
+
+def _record(kind: Any, document: object, place: Place, more: Mapping[str, Any]) -> Any:
+    if not isinstance(document, dict):
+        raise place.unexpected(document, expectation(kind))
+    known = flat_fields(kind)
+    for key in document:
+        if key not in known and settings_of(kind).unknown == "refuse":
+            raise place.fault(unknown_key(key, list(known)))
+    _check_rules(kind, document, place)
+    return _made(kind, document, place, more)
+
+
+def _check_rules(kind: Any, document: Mapping[str, Any], place: Place) -> None:
+    nulls = settings_of(kind).nulls
+    keys = [key for key, value in document.items() if value is not None or not nulls]
+    for rule in settings_of(kind).rules:
+        if (fault := rule.fault(keys)) is not None:
+            raise place.fault(fault)
+
+
+def _may_be_null(each: Declared) -> bool:
+    return not each.required or NoneType in typing.get_args(each.type)
+
+
+def _made(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[str, Any]) -> Any:
+    """Build the record from those keys of the document that are its own."""
+    values = dict(more)
+    nulls = settings_of(kind).nulls
+    for each in fields_of(kind):
+        if each.computed:
+            continue
+        if each.flat:
+            flat, converted = flat_record(each)
+            if each.default is None and not flat_fields(flat).keys() & document.keys():
+                continue
+            _check_rules(flat, document, place)
+            made = _made(flat, document, place, {})
+            values[each.name] = converted.make(made, place) if converted else made
+        elif each.key in document and not (nulls and document[each.key] is None and _may_be_null(each)):
+            values[each.name] = read_as(each.type, document[each.key], place.below(each.key))
+        elif each.key in document and NoneType in typing.get_args(each.type):
+            values[each.name] = None
+        elif each.implied is not MISSING:
+            values[each.name] = read_as(each.type, each.implied, place.below(each.key))
+        elif each.default is MISSING:
+            raise place.fault(f"missing key '{each.key}'")
+    try:
+        return kind(**values)
+    except Misfit as misfit:
+        raise place.misfit(misfit) from None

@@ -1,0 +1,49 @@
+"""Conversion of records to documents and to text."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from calibration.base.json_text import json_text
+from calibration.base.records.declaration import fields_of, is_record, settings_of
+
+_PLAIN = frozenset({str, int, float, bool, type(None)})
+
+
+def document_of(record: Any) -> dict[str, Any]:
+    """Return the document of a record: mappings, lists, texts, numbers.
+
+    None is omitted, or null in a record with ``nulls``.
+    """
+    kind: Any = type(record)
+    nulls = settings_of(kind).nulls
+    document: dict[str, Any] = {}
+    for each in fields_of(kind):
+        value = getattr(record, each.name)
+        if each.flat:
+            document |= {} if value is None else document_of(value)
+        elif value is not None or (nulls and not each.omitted):
+            document[each.key] = value_of(value)
+    return document
+
+
+def text_of(record: Any) -> str:
+    """Return a record's document as JSON text, indented by two."""
+    return json_text(document_of(record), sort_keys=False, allow_nan=False) + "\n"
+
+
+def value_of(value: Any) -> Any:
+    """Return the document value of a record's value; a number that is not finite, which JSON lacks, is null."""
+    kind = type(value)
+    if kind is float and not math.isfinite(value):
+        return None
+    if kind in _PLAIN:  # nearly all are
+        return value
+    if is_record(kind):
+        return document_of(value)
+    if isinstance(value, Mapping):
+        return {key: value_of(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [value_of(each) for each in value]
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,153 @@
+"""Copying of artifacts out of a job's containers: all of them, or none."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.text import shorten
+from calibration.ci.execution.extraction import Budget, Extraction, RefusedError, extract
+from calibration.ci.execution.globs import Glob
+from calibration.ci.execution.job import Artifact, Container
+from calibration.ci.execution.outcome import ArtifactFile
+
+
+class NothingThereError(Exception):
+    """The file or folder does not exist in the container."""
+
+
+@dataclass(frozen=True)
+class Archive:
+    """A file or folder of a container as a tar stream."""
+
+    chunks: Iterator[bytes]
+    link: str
+    """Target if it is a link, else empty."""
+
+
+Opener = Callable[[str], AbstractContextManager[Archive]]
+"""Opens an absolute path in a container; raises `NothingThereError` or InfrastructureError."""
+
+
+class ArtifactCopier:
+    """Copies artifacts of one container after the other."""
+
+    def __init__(self, folder: Path, budget: Budget, go_on: Callable[[], None]) -> None:
+        """Use an existing empty folder; ``go_on`` is called regularly, and may raise to abort."""
+        self.files: list[ArtifactFile] = []
+        self.left_out: list[str] = []
+        self.missing: list[str] = []
+        """A message for each missing required artifact."""
+        self._folder = folder
+        self._budget = budget
+        self._go_on = go_on
+
+    def copy(self, container: Container, opener: Opener) -> None:
+        """Copy the artifacts of a container.
+
+        Raises:
+            RefusedError: an artifact is unsafe or too large.
+            InputError: two artifacts have the same target.
+            InfrastructureError: it cannot be read, or a file cannot be written.
+        """
+        for artifact in container.artifacts:
+            try:
+                found = self._extract(container, opener, Glob(artifact.path))
+            except RefusedError as error:
+                raise RefusedError(f"container '{container.name}': {error}") from None
+            self.left_out += [f"container '{container.name}': {note}" for note in found.left_out]
+            self._add(container, found)
+            if artifact.required and not found.files:
+                self.missing.append(_missing(container, artifact, found))
+
+    def _extract(self, container: Container, opener: Opener, glob: Glob) -> Extraction:
+        # Extracted to a separate folder first, because equal files of other artifacts are no conflict.
+        with _fresh(self._folder) as fresh:
+            try:
+                found = self._read(opener, glob, fresh)
+            except NothingThereError:
+                return Extraction()
+            self._settle(fresh, found, container)
+            return found
+
+    def _read(self, opener: Opener, glob: Glob, fresh: Path) -> Extraction:
+        with opener(glob.source) as archive:
+            if not archive.link:
+                return extract(self._watched(archive.chunks), glob.landing, glob.source, fresh, self._budget)
+            link = archive.link
+        # the artifact itself may be a link, such as one to the latest folder
+        with opener(link) as archive:
+            return extract(self._watched(archive.chunks), glob.landing, link, fresh, self._budget)
+
+    def _watched(self, chunks: Iterator[bytes]) -> Iterator[bytes]:
+        for chunk in chunks:
+            self._go_on()
+            yield chunk
+
+    def _settle(self, fresh: Path, found: Extraction, container: Container) -> None:
+        """Move extracted files to the artifacts."""
+        there = {file.path: file for file in self.files}
+        for file in found.files:
+            before = there.get(file.path)
+            target = self._folder / file.path
+            if before is not None and before.sha256 == file.sha256:
+                continue
+            if before is not None or target.exists():
+                raise InputError(
+                    f"container '{container.name}': two artifacts of the job have the same target '{file.path}', with "
+                    "different content"
+                )
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+            except (FileExistsError, NotADirectoryError):
+                raise InputError(
+                    f"container '{container.name}': the artifact '{file.path}' is inside of a path that is a file of "
+                    "another artifact"
+                ) from None
+            (fresh / file.path).rename(target)
+
+    def _add(self, container: Container, found: Extraction) -> None:
+        known = {file.path for file in self.files}
+        self.files += [
+            ArtifactFile(file.path, container.name, file.size, file.sha256)
+            for file in found.files
+            if file.path not in known
+        ]
+
+
+@contextmanager
+def complete_or_not_at_all(folder: Path) -> Iterator[Path]:
+    """Yield a temporary folder, which becomes ``folder`` if the block succeeds, and is removed otherwise.
+
+    Raises:
+        InfrastructureError: it cannot be created.
+    """
+    temporary = folder.with_name(f".{folder.name}-{os.urandom(6).hex()}")
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+        temporary.rename(folder)
+    except OSError as error:
+        raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextmanager
+def _fresh(folder: Path) -> Iterator[Path]:
+    fresh = folder.with_name(f"{folder.name}-{os.urandom(6).hex()}")
+    try:
+        fresh.mkdir()
+        yield fresh
+    except OSError as error:
+        raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+
+
+def _missing(container: Container, artifact: Artifact, found: Extraction) -> str:
+    there = f"; beside it are {', '.join(found.seen)}" if found.seen else ""
+    return shorten(f"container '{container.name}' left no file for the artifact '{artifact.path}'{there}", 400)

@@ -1,0 +1,238 @@
+"""A job on the engine: started, supervised, stopped, its artifacts copied, and removed."""
+
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+from calibration.base.errors import CalibrationError, InfrastructureError
+from calibration.base.secret_forms import redact
+from calibration.base.text import one_line
+from calibration.ci.docker.engine import Engine, EngineLostError, engine_errors
+from calibration.ci.execution.copying_out import Opener
+from calibration.ci.execution.docker.container_run import GRACE, ContainerRun
+from calibration.ci.execution.docker.container_settings import DEFAULT_BRIDGE, container_settings
+from calibration.ci.execution.docker.copying import copy_in, open_output, opener_of
+from calibration.ci.execution.docker.labels import CONTAINER, JOB
+from calibration.ci.execution.docker.leftovers import Leftover, remove
+from calibration.ci.execution.docker.networks import Network, Networks
+from calibration.ci.execution.job import Job
+from calibration.ci.execution.job_check import start_order
+from calibration.ci.execution.job_folder import ARTIFACTS, LOGS, make_job_folder, write_manifest
+from calibration.ci.execution.log_file import LogFile
+from calibration.ci.execution.outcome import ContainerOutcome, End, JobOutcome
+from calibration.ci.execution.run_names import new_run
+from calibration.ci.execution.supervision import Supervisor
+from calibration.ci.workflow.streams import LogDisplay
+
+_SETTLING = GRACE + 15
+"""Seconds for a stopped container to end."""
+
+
+class Interrupted(Exception):  # noqa: N818 (no error)
+    """The run is being stopped, so the job's result is not needed."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """State shared by the jobs of a run."""
+
+    name: str
+    engine: Engine
+    labels: dict[str, str]
+    images: dict[str, str]
+    """Image ids by name."""
+    networks: Networks
+    alone: bool
+    """Whether the run has a single job."""
+    show: LogDisplay | None = None
+    stopping: threading.Event = field(default_factory=threading.Event)
+
+
+class JobRun(Supervisor[ContainerRun]):
+    """Supervisor of a job, in its own thread."""
+
+    def __init__(self, run: Run, job: Job, folder: Path) -> None:
+        super().__init__(job, self._clean)
+        self._run = run
+        self._folder = folder / job.name
+        self._secrets = [c.environment[name] for c in job.containers for name in c.secrets]
+        self._ends: SimpleQueue[ContainerRun] = SimpleQueue()
+        self._network: Network | None = None
+        self._volume: str | None = None
+        self._lost = False
+        """Whether the connection to the engine was lost."""
+
+    def run(self) -> JobOutcome:
+        """Run the job until it ends, and remove it; failures of the job are part of its outcome.
+
+        Raises:
+            Interrupted: the run is being stopped.
+            InfrastructureError: a file cannot be written.
+        """
+        make_job_folder(self._folder)
+        client = self._run.engine.client()
+        self._api = client.api
+        try:
+            with ExitStack() as logs:
+                self._prepare(logs)
+                try:
+                    self._to_its_end()
+                except EngineLostError as error:
+                    self._lost = True
+                    self.judge.fail(_with_advice(error, self._run), error.exit_code)
+                except CalibrationError as error:
+                    self.judge.fail(str(error), error.exit_code)
+                finally:
+                    self._remove()
+        finally:
+            client.close()
+        if self._run.stopping.is_set():
+            raise Interrupted
+        outcome = JobOutcome(
+            job=self.job.name,
+            folder=self._folder,
+            containers=tuple(container.outcome() for container in self.containers),
+            artifacts=tuple(self.artifacts),
+            left_out=tuple(self.left_out),
+            reasons=tuple(self.judge.reasons),
+            exit_code=self.judge.exit_code,
+            seconds=time.monotonic() - self.judge.began,
+        )
+        write_manifest(outcome, self._run.name)
+        return outcome
+
+    # --- from start to end
+
+    def _prepare(self, logs: ExitStack) -> None:
+        """Open the logs, in the order in which the containers start."""
+        for container in start_order(self.job):
+            show = None
+            if self._run.show is not None:
+                title = f"{self.job.name}/{container.name}"
+                stream = self._run.show.open(title, live=container.essential)
+                logs.callback(stream.close)
+                show = stream.line
+            pattern = container.readiness.log if container.readiness else None
+            path = self._folder / LOGS / f"{container.name}.log"
+            log = logs.enter_context(LogFile(path, self._secrets, show, pattern))
+            image = self._run.images[container.image]
+            self.containers.append(ContainerRun(container, self._run.engine, image, log))
+
+    def _to_its_end(self) -> None:
+        self._go_on()
+        with engine_errors():
+            self._volume = f"calibration-{self._run.name}-{new_run()}"
+            self._api.create_volume(self._volume, labels=self._labels())
+        self._network = self._choose_network()
+        self.supervise(self._folder / ARTIFACTS)
+
+    def _choose_network(self) -> Network | None:
+        """Create or choose the network; None for a network that the engine already has."""
+        internal = self.job.network == "internal"
+        if self._network_mode != DEFAULT_BRIDGE:
+            return None
+        if len(self.job.containers) > 1 or self.job.own_network:
+            return self._run.networks.take(self._api, internal)
+        if self._run.alone and not internal:
+            return None
+        return self._run.networks.shared(self._api, internal)
+
+    @property
+    def _network_mode(self) -> str:
+        """Network mode of the engine, if no network is created."""
+        return self.job.network if self.job.network in ("host", "none") else DEFAULT_BRIDGE
+
+    def _start(self, container: ContainerRun) -> None:
+        api, run = self._api, container
+        labels = {**self._labels(), CONTAINER: run.name}
+        binds = self._run.engine.local
+        with engine_errors(f"container '{run.name}'"):
+            network = self._network or self._network_mode
+            settings = container_settings(api, run.container, network, str(self._volume), labels, binds)
+            first = all(not other.id for other in self.containers)
+            identifier = run.create(api, self._prefix(run.name), settings)
+            if first:
+                open_output(api, identifier)
+            if not binds:
+                copy_in(api, identifier, run.container.mounts)
+            self._go_on()
+            run.start(api, self._ends, self.job.network == "host")
+
+    def _wait(self, seconds: float | None) -> None:
+        """Wait for the end of a container; afterwards the ends of all ended containers are known."""
+        with suppress(Empty):
+            self._ends.get(timeout=seconds)
+
+    # --- after the end
+
+    def _stop(self, running: Sequence[ContainerRun]) -> None:
+        """Stop running containers concurrently, and wait until they have ended."""
+        if self._run.stopping.is_set():
+            return  # removing the containers kills them
+        threads = [threading.Thread(target=self._stop_one, args=(c,), daemon=True) for c in running]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(_SETTLING)
+        for container in self.containers:
+            container.join(_SETTLING)
+
+    def _stop_one(self, container: ContainerRun) -> None:
+        client = self._run.engine.client(_SETTLING)
+        try:
+            with engine_errors():
+                client.api.stop(container.id, timeout=GRACE)
+        except CalibrationError:
+            pass  # a lost engine is reported when the container's end is read
+        finally:
+            client.close()
+
+    def _read_end(self, container: ContainerRun, ours: End | None) -> None:
+        container.read_end(self._api, ours)
+
+    def _opener(self, container: ContainerRun) -> Opener:
+        return opener_of(self._api, container.id, container.name)
+
+    def _remove(self) -> None:
+        """Remove all objects of the job; the run retries failed removals at its end."""
+        if self._lost:
+            return
+        with suppress(InfrastructureError):
+            remove(self._api, [Leftover.of("container", c.id) for c in self.containers if c.id])
+            for container in self.containers:
+                container.join(_SETTLING)
+            if self._network is not None:
+                self._run.networks.give_back(self._network)
+            if self._volume is not None:
+                remove(self._api, [Leftover.of("volume", self._volume)])
+
+    # --- helpers
+
+    def _go_on(self) -> None:
+        if self._run.stopping.is_set():
+            raise Interrupted
+
+    def _clean(self, reason: str) -> str:
+        return one_line(redact(reason, self._secrets))
+
+    def _labels(self) -> dict[str, str]:
+        return {**self._run.labels, JOB: self.job.name}
+
+    def _prefix(self, container: str) -> str:
+        safe = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "-" for c in self.job.name)
+        return f"calibration-{self._run.name}-{safe[:60]}-{container}"
+
+
+def lost_job(run: Run, job: Job, folder: Path, error: EngineLostError) -> JobOutcome:
+    """Return the outcome of a job that was given up because the engine is lost."""
+    containers = tuple(ContainerOutcome(container.name, End.LOST) for container in job.containers)
+    reasons = (_with_advice(error, run),)
+    return JobOutcome(job.name, folder / job.name, containers, reasons=reasons, exit_code=error.exit_code)
+
+
+def _with_advice(error: EngineLostError, run: Run) -> str:
+    return f"{error}; to remove what is left of this run: calibration cleanup --run {run.name}"

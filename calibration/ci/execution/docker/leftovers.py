@@ -1,0 +1,165 @@
+"""Objects that runs have created and not removed, found by their labels."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+import docker.errors
+
+from calibration.base.errors import InfrastructureError
+from calibration.ci.docker.engine import connect, engine_errors, engine_message
+from calibration.ci.execution.docker.labels import CONTAINER, JOB, RUN, Owner
+
+if TYPE_CHECKING:
+    from docker import APIClient
+
+Kind = Literal["container", "network", "volume"]
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """An object on the engine that a run has created."""
+
+    kind: Kind
+    id: str
+    name: str
+    run: str
+    job: str
+    """Empty for a network, which several jobs use."""
+    container: str
+    state: str
+    owner: Owner | None
+    """Owner by the labels; None if the labels do not contain one."""
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """Cells of a table's row."""
+        return (self.kind, self.name, self.run, self.job, self.state)
+
+    @classmethod
+    def of(cls, kind: Kind, identifier: str) -> Self:
+        """Return a leftover from an id known to its creator, without a search."""
+        return cls(kind, identifier, identifier, run="", job="", container="", state="", owner=None)
+
+
+def find_leftovers(api: "APIClient", run: str | None = None) -> list[Leftover]:
+    """Find objects of a run, or of all runs, on the engine, in an order in which they can be removed.
+
+    Raises:
+        InfrastructureError: the engine does not answer.
+    """
+    chosen = {"label": [RUN if run is None else f"{RUN}={run}"]}
+    with engine_errors():
+        containers = api.containers(all=True, filters=chosen)
+        networks = api.networks(filters=chosen)
+        volumes = api.volumes(filters=chosen)["Volumes"] or []
+    return [
+        *(_leftover("container", c["Id"], (c.get("Names") or [c["Id"][:12]])[0].lstrip("/"), c) for c in containers),
+        *(_leftover("network", n["Id"], n["Name"], n) for n in networks),
+        *(_leftover("volume", v["Name"], v["Name"], v) for v in volumes),
+    ]
+
+
+def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
+    """Remove objects, including running containers; those already gone are no error.
+
+    Returns:
+        Removed objects, including those removed by others meanwhile.
+
+    Raises:
+        InfrastructureError: an object cannot be removed (the others have been), or the engine does not answer.
+    """
+    removed, problems = [], []
+    for leftover in _in_order(leftovers):
+        with engine_errors():
+            try:
+                _remove(api, leftover)
+            except docker.errors.NotFound:
+                pass
+            except docker.errors.APIError as error:
+                if "is already in progress" not in str(error):
+                    problems.append(f"{leftover.kind} {leftover.name}: {engine_message(error)}")
+                    continue
+        removed.append(leftover)
+    if problems:
+        raise InfrastructureError(f"cannot be removed: {'; '.join(problems[:5])}")
+    return removed
+
+
+def remove_of_dead_runs(api: "APIClient") -> list[Leftover]:
+    """Remove what runs have left whose processes were killed since this machine was started.
+
+    Other machines may have its name and use the same engine: there a process of another start may be alive.
+
+    Raises:
+        InfrastructureError: an object cannot be removed (the others have been), or the engine does not answer.
+    """
+    boot = Owner.this_process().boot
+    owned = [(each, each.owner) for each in find_leftovers(api) if each.owner is not None]
+    return remove(api, [each for each, owner in owned if owner.boot == boot and owner.is_dead])
+
+
+def counts_of(leftovers: Iterable[Leftover]) -> str:
+    """Return the number of objects of each kind, in words; ``nothing`` for none."""
+    kinds = [leftover.kind for leftover in leftovers]
+    counts = [f"{kinds.count(kind)} {kind}{'s' * (kinds.count(kind) != 1)}" for kind in dict.fromkeys(kinds)]
+    return ", ".join(counts) or "nothing"
+
+
+def _in_order(leftovers: Iterable[Leftover]) -> list[Leftover]:
+    """Sort containers first: networks and volumes in use cannot be removed."""
+    return sorted(leftovers, key=lambda leftover: leftover.kind)
+
+
+def _remove(api: "APIClient", leftover: Leftover) -> None:
+    if leftover.kind == "container":
+        api.remove_container(leftover.id, force=True, v=True)
+    elif leftover.kind == "network":
+        api.remove_network(leftover.id)
+    else:
+        api.remove_volume(leftover.id)
+
+
+def _leftover(kind: Kind, identifier: str, name: str, record: Any) -> Leftover:
+    labels = record.get("Labels") or {}
+    return Leftover(
+        kind=kind,
+        id=identifier,
+        name=name,
+        run=labels.get(RUN, ""),
+        job=labels.get(JOB, ""),
+        container=labels.get(CONTAINER, ""),
+        state=record.get("State", "") if kind == "container" else "",
+        owner=Owner.from_labels(labels),
+    )
+
+
+class EngineLeftovers:
+    """Leftovers of runs on the Docker Engine of this machine."""
+
+    header = ("what", "name", "run", "job", "state")
+
+    def __enter__(self) -> Self:
+        """Connect to the engine.
+
+        Raises:
+            InfrastructureError: no engine answers.
+        """
+        self._client = connect()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the connection."""
+        self._client.close()
+
+    def find(self, run: str | None) -> list[Leftover]:
+        """Find leftovers of a run, or of all runs."""
+        return find_leftovers(self._client.api, run)
+
+    def remove(self, chosen: Sequence[Leftover]) -> None:
+        """Remove leftovers, including running containers."""
+        remove(self._client.api, chosen)
+
+    def summary(self, chosen: Sequence[Leftover], dry_run: bool) -> str:
+        """Return the number of removed objects of each kind, as a sentence."""
+        return f"{counts_of(chosen)} {'would be removed' if dry_run else 'removed'}"

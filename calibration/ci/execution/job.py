@@ -1,0 +1,227 @@
+"""A job: containers that run together, their artifacts, and the conditions of success.
+
+It is independent of the backend that runs it.
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from calibration.base.errors import InputError
+from calibration.base.frozen import frozen
+from calibration.base.records import (
+    UNIQUE,
+    Converted,
+    Place,
+    above,
+    at_least,
+    between,
+    field,
+    length,
+    matching,
+    one_of,
+    record,
+)
+from calibration.ci.execution.placeholders import split_command
+from calibration.ci.execution.sizes import Bytes, Seconds
+
+Network = Literal["private", "internal", "host", "none"]
+"""private: the job's containers find each other by name, isolated from other jobs. internal: the same without
+access to the outside. host: network of the machine (a relaxation). none: no network.
+
+A single container of a job has no peers: the Docker backend uses a network on which the engine isolates
+all containers, or, if it is the only one of a run, the engine's default network, as ``docker run``
+does."""
+
+NETWORK_HELP = "private: a network of the job. internal: without internet. host: the machine's. none: no network."
+OUTPUT = "/calibration/output"
+"""Volume of the job, writable and shared by its containers; removed with the job."""
+
+Text = Annotated[str, length(1)]
+Absolute = Annotated[str, matching("/.*", "an absolute path")]
+Variable = Annotated[str, matching("[A-Za-z_][A-Za-z0-9_]*", "the name of a variable")]
+ExitCode = Annotated[int, between(0, 255)]
+
+
+def _command(value: str | tuple[str, ...], place: Place) -> tuple[str, ...]:
+    return split_command(value, str(place))
+
+
+def _entrypoint(value: str | tuple[str, ...], place: Place) -> tuple[str, ...]:
+    return () if value == () else split_command(value, str(place))
+
+
+def _value(value: str | float, _: Place) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+Command = Annotated[tuple[str, ...], Converted(str | tuple[str, ...], _command)]
+Value = Annotated[str, Converted(str | int | float | bool, _value)]
+"""Numbers as written, booleans as ``true`` or ``false``."""
+
+
+@record
+class Mount:
+    """A folder or file of this machine, mounted in a container; read-only by default."""
+
+    source: Path = field("The folder or file.")
+    target: Absolute = field("Path in the container.")
+    writable: bool = field("Whether the container may write to it.", default=False)
+
+
+_MOUNT = matching("[^:]+:/[^:]*(:ro)?", "HERE:THERE with an absolute THERE, or keys: source, target, writable")
+
+
+def _mount(value: str | Mount, place: Place) -> Mount:
+    if isinstance(value, Mount):
+        return value
+    source, target = value.removesuffix(":ro").split(":")
+    return Mount(place.folder / source, target)
+
+
+@record
+class Limits:
+    """Limits of a container; None for no limit."""
+
+    memory: Bytes | None = field("Limit of memory, including swap: 2g, 512m.", default=None)
+    cpus: Annotated[float, above(0)] | None = field("Limit of cores: 1.5 of the machine's.", default=None)
+    processes: Annotated[int, at_least(1)] | None = field("Limit of concurrent processes.", default=4096)
+    seconds: Seconds | None = field(
+        "Time limit, after which it is stopped and has failed: 90s, 10m.", default=None, key="timeout"
+    )
+
+
+@record(rules=(one_of("port", "log", "file", "command", why="expected port, log, file or command"),))
+class Readiness:
+    """Readiness check of a container, on which others wait; all given conditions must be met."""
+
+    port: Annotated[int, between(1, 65535)] | None = field("It accepts connections on this TCP port.", default=None)
+    log: Text | None = field("This regular expression matches in a line of its log.", default=None)
+    file: Annotated[str, matching("[/{].*", "an absolute path")] | None = field("This file exists.", default=None)
+    command: Command = field("This command, run in the container, returns 0.", default=())
+    seconds: Seconds = field("Time limit, after which the job fails.", default=60.0, key="timeout")
+
+
+@record
+class Relaxations:
+    """Privileges of a container that are forbidden by default."""
+
+    new_privileges: bool = field("Programs such as sudo may gain privileges.", default=False)
+    capabilities: Annotated[
+        tuple[Annotated[str, matching("[A-Z_]+", "the name of a capability such as NET_RAW")], ...], UNIQUE
+    ] = field("Linux capabilities of the container: NET_RAW.", default=())
+    devices: Annotated[tuple[Annotated[str, matching("/dev/.*", "a device such as /dev/video0")], ...], UNIQUE] = field(
+        "Devices of the machine: /dev/video0.", default=()
+    )
+    gpus: bool = field("All GPUs of the machine.", default=False)
+    docker_socket: bool = field("Mount the engine's socket: equivalent to root on the machine.", default=False)
+    privileged: bool = field("All privileges of root on the machine.", default=False)
+
+
+@record
+class Artifact:
+    """Files to copy out of a container at the end of the job."""
+
+    path: Text = field("The path in the container, with *, ?, [...] and **.")
+    """Absolute, with shell wildcards. A folder includes all
+    its content. Targets are relative to the path's last folder without a wildcard: ``/out/a/*.csv`` to
+    ``x.csv``, ``/out/a`` to ``a/x.csv``. Links within the folder are skipped, with a note; other links and
+    special files are refused."""
+    required: bool = field("Whether the job fails if no file matches.", default=True)
+
+
+@record
+class Container:
+    """A container: its command, its limits and privileges, and its artifacts.
+
+    Everything that is not listed here is forbidden.
+    """
+
+    name: str = ""
+    """Unique in the job; host name on the job's network."""
+    image: str = field("The image, such as ghcr.io/team/robot:latest.", default="")
+    """Empty in calibration.yml for the image that the pipeline builds."""
+    command: Command = field(
+        "Arguments, run without a shell; a string is split as in a shell. By default the command of the image.",
+        default=(),
+    )
+    entrypoint: Annotated[tuple[str, ...], Converted(str | tuple[str, ...], _entrypoint)] | None = field(
+        "Entrypoint instead of the image's; an empty list for none.", default=None
+    )
+    environment: Mapping[Annotated[str, matching("[^=]+", "a name without =")], Value] = field(
+        "Variables and their values.", default_factory=dict, repr=False
+    )
+    """Including those of ``secrets``, after `with_secrets`."""
+    secrets: Annotated[
+        frozenset[str],
+        Converted(Annotated[tuple[Variable, ...], UNIQUE], lambda names, _: frozenset(names)),
+    ] = field(
+        "Names of environment variables of this machine to pass on; their values are masked in every log.",
+        default=frozenset(),
+    )
+    """Their values are redacted in every log, file and message."""
+    working_directory: Absolute | None = field("Absolute path in the container.", default=None)
+    user: Annotated[str, Converted(str | int, lambda user, _: str(user))] | None = field(
+        "User name or id in the image, optionally with a group (1000:1000).", default=None
+    )
+    mounts: tuple[Annotated[Mount, Converted(Annotated[str, _MOUNT] | Mount, _mount)], ...] = field(
+        "Folders and files of this machine, read-only by default; paths are relative to this file.",
+        default=(),
+    )
+    limits: Limits = field(flat=True, default_factory=Limits)
+    readiness: Readiness | None = field("Readiness check, on which other containers wait.", default=None, key="ready")
+    after: Annotated[tuple[Text, ...], UNIQUE] = field(
+        "Containers that must be ready (or started, without a readiness check) before this one starts.",
+        default=(),
+    )
+    essential: bool = field("Whether the job ends with this container.", default=True)
+    """Other containers are stopped then, and their ends do not affect the verdict."""
+    success: Annotated[
+        tuple[int, ...],
+        Converted(ExitCode | tuple[ExitCode, ...], lambda codes, _: codes if isinstance(codes, tuple) else (codes,)),
+    ] = field("Exit codes of success; an empty list if it must not end by itself.", default=(0,))
+    artifacts: tuple[
+        Annotated[Artifact, Converted(Text | Artifact, lambda v, _: Artifact(v) if isinstance(v, str) else v)], ...
+    ] = field("Files and folders to copy out of the container; a missing required one fails the job.", default=())
+    relaxations: Relaxations = field(flat=True, default_factory=Relaxations)
+
+
+@frozen
+class Job:
+    """Containers that run together."""
+
+    name: str
+    """Unique among the jobs of a run; also the name of its folder, so it may contain slashes, but no parts of dots."""
+    containers: tuple[Container, ...]
+    network: Network = "private"
+    seconds: float | None = 3600.0
+    """Time limit, after which the job is stopped and has failed."""
+    artifact_bytes: int = 2 * 1024**3
+    """Size limit of the artifacts."""
+    artifact_files: int = 20_000
+    own_network: bool = False
+    """Use a private network even for a single container of a run: for software that
+    finds its peers by multicast, as ROS 2 does."""
+
+
+def with_secrets(container: Container, where: str, environment: Mapping[str, str] | None = None) -> Container:
+    """Add the values of a container's ``secrets`` to its variables.
+
+    Args:
+        container: container as read.
+        where: prefix of messages.
+        environment: source of the values; by default the environment of this process.
+
+    Raises:
+        InputError: a secret is not set, or has a value in the file too.
+    """
+    environment = os.environ if environment is None else environment
+    for name in sorted(container.secrets):
+        if not environment.get(name):
+            raise InputError(f"{where}.secrets: the environment variable {name} is not set")
+        if name in container.environment:
+            raise InputError(f"{where}: {name} is in environment and in secrets: remove it from environment")
+    secrets = {name: environment[name] for name in container.secrets}
+    return replace(container, environment={**container.environment, **secrets})

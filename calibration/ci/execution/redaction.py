@@ -1,0 +1,54 @@
+"""Redaction of secrets in a stream of bytes, also across chunks."""
+
+import re
+from collections.abc import Iterable
+
+from calibration.base.secret_forms import derived_forms
+
+HIDDEN = b"***"
+
+
+class Redactor:
+    """Replaces secrets in a stream, in every form of :func:`calibration.base.secret_forms.derived_forms`.
+
+    Bytes that may be the beginning of a secret are delayed until this is known.
+    """
+
+    def __init__(self, secrets: Iterable[str]) -> None:
+        forms = {form.encode("utf-8", "surrogateescape") for secret in secrets for form in derived_forms(secret)}
+        self._forms = sorted(forms, key=len, reverse=True)
+        self._pattern = re.compile(b"|".join(map(re.escape, self._forms))) if self._forms else None
+        self._held = b""
+
+    def feed(self, data: bytes) -> bytes:
+        """Add bytes of the stream; return those that can be shown."""
+        if self._pattern is None:
+            return data
+        data, shown = self._held + data, bytearray()
+        position = 0
+        while True:
+            open_end = self._possible_beginning(data, position)
+            match = self._pattern.search(data, position)
+            if match is None or match.start() >= open_end:
+                shown += data[position:open_end]
+                self._held = data[open_end:]
+                return bytes(shown)
+            shown += data[position : match.start()] + HIDDEN
+            position = match.end()
+
+    def close(self) -> bytes:
+        """Return the delayed bytes at the end of the stream."""
+        held, self._held = self._held, b""
+        return held if self._pattern is None else self._pattern.sub(HIDDEN, held)
+
+    def _possible_beginning(self, data: bytes, start: int) -> int:
+        """Return the position where an incomplete secret may begin; the length of the data if there is none."""
+        earliest = len(data)
+        for form in self._forms:
+            position = data.find(form[:1], max(start, len(data) - len(form) + 1))
+            while 0 <= position < earliest:
+                if form.startswith(data[position:]):
+                    earliest = position
+                    break
+                position = data.find(form[:1], position + 1)
+        return earliest

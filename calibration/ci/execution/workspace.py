@@ -1,0 +1,117 @@
+"""Workspace of unfinished work: results of its tasks, until the whole output is written.
+
+It is the folder ``.unfinished`` inside the output, which may be a separate volume. It survives an interruption, and
+the same command continues from it.
+"""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Generic, TypeVar
+from urllib.parse import quote
+
+from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.files import write_atomically
+from calibration.ci.execution.folder_lock import locked
+from calibration.ci.execution.tasks import Task
+
+Result = TypeVar("Result")
+
+FOLDER = ".unfinished"
+_IDENTITY = "identity.txt"
+_ENDING = ".result.json"
+
+
+def identity(*parts: bytes) -> str:
+    """Return a fingerprint of the inputs of work."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(len(part).to_bytes(8, "little"))
+        digest.update(part)
+    return digest.hexdigest()
+
+
+class Workspace(Generic[Result]):
+    """Folder of an unfinished run, locked while it is used."""
+
+    def __init__(self, folder: Path, encode: Callable[[Result], str], decode: Callable[[bytes], Result]) -> None:
+        """Use a folder; ``encode`` and ``decode`` convert results to JSON and back."""
+        self.folder = folder
+        self._encode = encode
+        self._decode = decode
+
+    def find(self, name: str) -> Result | None:
+        """Return the result of a finished task; None if it is not finished, or cannot be read."""
+        with suppress(OSError, ValueError, TypeError, KeyError, AttributeError, InputError):
+            return self._decode(self._path(name).read_bytes())
+        return None
+
+    def keep(self, name: str, result: Result, files: Mapping[str, bytes] | None = None) -> Result:
+        """Write the files of a task, then its result, which marks the task as finished.
+
+        Raises:
+            InfrastructureError: a file cannot be written.
+        """
+        for file, content in (files or {}).items():
+            write_atomically(self.folder / file, content)
+        write_atomically(self._path(name), self._encode(result))
+        return result
+
+    def keeping(self, task: Task[Result]) -> Task[Result]:
+        """Return the task with its result saved as soon as it is available."""
+        return task.then(lambda result: self.keep(task.name, result))
+
+    def count(self) -> int:
+        """Return the number of finished tasks."""
+        return sum(1 for _ in self.folder.glob(f"*{_ENDING}"))
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{quote(name, safe=' ,')}{_ENDING}"
+
+
+@contextmanager
+def workspace(
+    output: Path, identity: str, encode: Callable[[Result], str], decode: Callable[[bytes], Result]
+) -> Iterator[Workspace[Result]]:
+    """Open the workspace inside an output folder; its content is kept only if it has the same identity.
+
+    If the block fails, the workspace is kept if it contains results; otherwise it is
+    removed, including folders that were created for it.
+
+    Args:
+        output: output folder.
+        identity: fingerprint of the inputs of the results.
+        encode: converts a result to JSON.
+        decode: converts JSON to a result; an exception means that the task is not finished.
+
+    Raises:
+        InputError: another run uses this folder.
+        InfrastructureError: the folder cannot be created or written.
+    """
+    folder = output / FOLDER
+    try:
+        with locked(output):
+            if not _is_of(folder, identity):
+                if folder.exists():
+                    shutil.rmtree(folder)
+                folder.mkdir()
+                write_atomically(folder / _IDENTITY, json.dumps(identity))
+            work, finished = Workspace(folder, encode, decode), False
+            try:
+                yield work
+                finished = True
+            finally:
+                if finished or not work.count():
+                    shutil.rmtree(folder, ignore_errors=True)
+    except OSError as error:
+        raise InfrastructureError(f"{output}: cannot be written: {error.strerror or error}") from error
+
+
+def _is_of(folder: Path, identity: str) -> bool:
+    try:
+        return bool(json.loads((folder / _IDENTITY).read_bytes()) == identity)
+    except (OSError, ValueError):
+        return False

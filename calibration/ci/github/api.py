@@ -1,0 +1,127 @@
+"""GitHub's REST API: JSON requests, paginated lists, and error messages for users.
+
+https://docs.github.com/en/rest
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlsplit
+
+from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.http import Answer, Http, is_loopback
+
+API_URL = "https://api.github.com"
+MOST_BYTES = 64 * 1024**2
+"""Maximum size of an answer: a page of the longest comments has about 25 MiB."""
+PAGE = 100
+MOST_PAGES = 100
+
+
+class MissingError(Exception):
+    """The requested object does not exist, or the token has no access to it."""
+
+
+@dataclass(frozen=True)
+class GitHubApi:
+    """Session with the API, authenticated by a token."""
+
+    token: str = field(repr=False)
+    url: str = API_URL
+    http: Http = field(repr=False, compare=False, kw_only=True)
+
+    @classmethod
+    def open(cls, token: str, url: str = API_URL, pause: Callable[[float], None] = time.sleep) -> "GitHubApi":
+        """Open a session.
+
+        Args:
+            token: token of a workflow job, a user or an app.
+            url: base URL of the API.
+            pause: sleeps for a number of seconds before a request is repeated.
+
+        Raises:
+            InputError: the URL is invalid, or not encrypted.
+        """
+        parts = urlsplit(url)
+        if not parts.netloc or parts.scheme not in ("https", "http" if is_loopback(parts.netloc) else "https"):
+            raise InputError(f"GITHUB_API_URL: found {url!r:.80}, expected an address such as {API_URL}")
+        http = Http([token], address="GITHUB_API_URL", explain=_message, most_bytes=MOST_BYTES, pause=pause)
+        return cls(token, url.rstrip("/"), http=http)
+
+    def request(self, method: str, path: str, body: object = None) -> Any:
+        """Send a request and return the JSON answer; None if the answer is empty.
+
+        Args:
+            method: HTTP method.
+            path: path below the base URL, starting with ``/``.
+            body: content, sent as JSON; None for an empty body.
+
+        Raises:
+            MissingError: status 404 or 410.
+            InputError: the token is refused, or lacks a permission.
+            InfrastructureError: GitHub is unreachable, limits the rate, or gives an unexpected answer.
+        """
+        headers = {
+            "Accept": "application/vnd.github+json",
+            "Authorization": f"Bearer {self.token}",
+            "X-GitHub-Api-Version": "2022-11-28",
+        }
+        content = None if body is None else json.dumps(body).encode()
+        answer = self.http.send(method, self.url + path, headers, content)
+        if 200 <= answer.status < 300:
+            return self._json(answer)
+        fault = f"{urlsplit(self.url).netloc}: answered {answer.status}{self.http.quote(answer.body)}"
+        if answer.status in (404, 410):
+            raise MissingError(fault)
+        if answer.status == 401:
+            raise InputError(f"{fault}: the token is wrong or has expired")
+        if answer.status == 403 and _has_had_too_many(answer):
+            raise InfrastructureError(f"{fault}: the rate limit of this token is exceeded: run it again later")
+        if answer.status == 403:
+            raise InputError(f"{fault}: the token lacks a permission: the job needs permissions: pull-requests: write")
+        raise InfrastructureError(f"{fault}: unexpected answer to {method} {path}")
+
+    def pages(self, path: str) -> Iterator[dict[str, Any]]:
+        """Yield the entries of a paginated list, whose path ends in its query (``?...&``) or in ``?``.
+
+        Raises:
+            InfrastructureError: as `request`, or the answer is not a list.
+        """
+        for page in range(1, MOST_PAGES + 1):
+            entries = self.request("GET", f"{path}per_page={PAGE}&page={page}")
+            if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+                raise InfrastructureError(f"{urlsplit(self.url).netloc}: {path}: expected a list of objects")
+            yield from entries
+            if len(entries) < PAGE:
+                return
+
+    def _json(self, answer: Answer) -> Any:
+        if not answer.body:
+            return None
+        try:
+            return json.loads(answer.body)
+        except (ValueError, RecursionError):
+            host = urlsplit(self.url).netloc
+            raise InfrastructureError(
+                f"{host}: the answer is not JSON: is GITHUB_API_URL the address of an API?"
+            ) from None
+
+
+def _has_had_too_many(answer: Answer) -> bool:
+    """Whether a 403 is a rate limit.
+
+    https://docs.github.com/en/rest/using-the-rest-api/rate-limits-for-the-rest-api
+    """
+    return answer.headers.get("X-RateLimit-Remaining") == "0" or "Retry-After" in answer.headers
+
+
+def _message(body: bytes) -> str:
+    """Return the error message in an answer of GitHub; empty if there is none."""
+    try:
+        document = json.loads(body)
+    except (ValueError, RecursionError):
+        return ""
+    message = document.get("message") if isinstance(document, dict) else None
+    return message if isinstance(message, str) else ""

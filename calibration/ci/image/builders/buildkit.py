@@ -1,0 +1,214 @@
+"""BuildKit through the ``docker`` command: keeps secrets out of layers, and builds for several platforms."""
+
+import base64
+import json
+import os
+import re
+import secrets
+import subprocess
+import tempfile
+from collections import defaultdict, deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import IO
+
+from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.temporary_folder import temporary_folder
+from calibration.ci.image.builders.build_log import LAST_LINES, BuildLog
+from calibration.ci.image.builders.failure import build_problem
+from calibration.ci.image.builders.programs import Program, docker_environment, lines_of
+from calibration.ci.image.builders.request import BuildRequest
+from calibration.ci.image.secret_values import secret_files
+from calibration.ci.registries.credentials import Credentials
+from calibration.ci.registries.reference import DOCKER_HUB
+
+
+def write_login(credentials: Credentials, folder: Path) -> dict[str, str]:
+    """Write docker's configuration with a login into a folder, readable only for this user.
+
+    Args:
+        credentials: credentials for one registry; if anonymous, the user's own configuration is used.
+        folder: private folder, which the caller removes.
+
+    Returns:
+        Environment variables that make ``docker`` use it, with its plugins.
+    """
+    if credentials.anonymous:
+        return {}
+    registry = "https://index.docker.io/v1/" if credentials.registry == DOCKER_HUB else credentials.registry
+    if credentials.identity_token:
+        login = {"identitytoken": credentials.identity_token}
+    else:
+        pair = f"{credentials.username}:{credentials.password}"
+        login = {"auth": base64.b64encode(pair.encode()).decode("ascii")}
+    home = folder / "docker"
+    home.mkdir(mode=0o700)
+    with os.fdopen(os.open(home / "config.json", os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        json.dump({"auths": {registry: login}}, file)
+    plugins = Path(os.environ.get("DOCKER_CONFIG") or Path("~/.docker").expanduser()) / "cli-plugins"
+    if plugins.is_dir():
+        (home / "cli-plugins").symlink_to(plugins)
+    return {"DOCKER_CONFIG": str(home)}
+
+
+_VERTEX = re.compile(r"^#(\d+) (.*)$")
+_STEP = re.compile(r"^\[(?:\S+ +)?(\d+)/(\d+)\] (.*)$")
+_OUTPUT = re.compile(r"^\d+\.\d+ ?(.*)$")
+_EXIT_CODE = re.compile(r"exit code: (\d+)")
+
+
+def build_by_buildkit(program: Program, request: BuildRequest, reference: str, log: BuildLog) -> None:
+    """Build an image on the engine, with a name. A stopped build leaves only BuildKit's cache.
+
+    Raises:
+        BuildFailedError: a step failed, or the Dockerfile is wrong.
+        InputError: SSH is requested and no agent runs.
+        InfrastructureError: the engine, its disk or the network failed.
+    """
+    start = ["buildx", "build", "--builder", "default", "--load"] if program.buildx else ["build"]
+    _run(program, [*start, "--tag", reference], docker_environment(os.environ), request, log)
+
+
+def build_and_push(
+    program: Program, request: BuildRequest, references: Sequence[str], credentials: Credentials, log: BuildLog
+) -> str:
+    """Build for several platforms and push, because the engine cannot store such an image; return its digest.
+
+    Raises:
+        BuildFailedError, InputError, InfrastructureError: as :func:`build_by_buildkit`.
+    """
+    with ExitStack() as stack:
+        folder = stack.enter_context(temporary_folder())
+        environment = docker_environment(os.environ) | write_login(credentials, folder)
+        name = stack.enter_context(_builder(program, environment, request.name))
+        metadata = folder / "metadata.json"
+        tags = [word for reference in references for word in ("--tag", reference)]
+        start = ["buildx", "build", "--builder", name, "--push", "--metadata-file", str(metadata), *tags]
+        _run(program, start, environment, request, log)
+        text = metadata.read_text() if metadata.exists() else ""
+    digest = re.search(r'"containerimage\.digest"\s*:\s*"(sha256:[0-9a-f]{64})"', text)
+    if digest is None:
+        raise InfrastructureError(f"image {request.name}: BuildKit ended without a digest")
+    return digest[1]
+
+
+def _run(
+    program: Program, start: Sequence[str], environment: Mapping[str, str], request: BuildRequest, log: BuildLog
+) -> None:
+    with ExitStack() as stack:
+        archive = stack.enter_context(tempfile.TemporaryFile())
+        request.context.write_tar(archive)
+        archive.seek(0)
+        files = stack.enter_context(secret_files(request.secrets))
+        command = [program.path, *start, "--progress", "plain", "--file", request.dockerfile]
+        command += [word for item in request.build_arguments.items() for word in ("--build-arg", "=".join(item))]
+        command += [word for item in request.labels.items() for word in ("--label", "=".join(item))]
+        command += ["--target", request.target] if request.target else []
+        command += ["--platform", ",".join(request.platforms)] if request.platforms else []
+        command += [word for name, path in files.items() for word in ("--secret", f"id={name},src={path}")]
+        command += ["--no-cache"] if request.no_cache else []
+        if request.ssh:
+            if not os.environ.get("SSH_AUTH_SOCK"):
+                raise InputError("ssh: no SSH agent runs here (SSH_AUTH_SOCK): start one and add the key to it")
+            command += ["--ssh", "default"]
+        _follow([*command, "-"], archive, environment, request, log)
+
+
+def _follow(
+    command: Sequence[str],
+    context: IO[bytes],
+    environment: Mapping[str, str],
+    request: BuildRequest,
+    log: BuildLog,
+) -> None:
+    """Run the program until it ends.
+
+    Raises:
+        BuildFailedError, InputError, InfrastructureError: the build failed.
+    """
+    reader = BuildKitOutput(log)
+    status = None
+    with closing(lines_of(command, context, environment)) as lines:
+        for line in lines:
+            if isinstance(line, int):
+                status = line
+            else:
+                reader.read(line)
+    if status:
+        raise build_problem(request.name, reader.failed_step, reader.problem or f"exit code {status}", log)
+
+
+class BuildKitOutput:
+    """Parser of BuildKit's output: ``#7 [2/4] RUN make``, ``#7 0.31 output``, ``#7 ERROR: ...``."""
+
+    def __init__(self, log: BuildLog) -> None:
+        self.failed_step = ""
+        self.problem = ""
+        self._log = log
+        self._steps: dict[str, str] = {}
+        self._lines: defaultdict[str, deque[str]] = defaultdict(lambda: deque(maxlen=LAST_LINES))
+        self._ended = False
+
+    def read(self, line: str) -> None:
+        """Parse a line."""
+        found = _VERTEX.match(line)
+        if found is None:
+            self._message(line)
+            return
+        vertex, text = found.groups()
+        if step := _STEP.match(text):
+            if vertex not in self._steps:
+                self._log.step(int(step[1]), int(step[2]), step[3])
+                self._steps[vertex] = self._log.step_name
+        elif text.startswith("ERROR: ") and not self._ended:
+            self._ended = True
+            self.failed_step = self._steps.get(vertex, "")
+            self.problem = _problem(text.removeprefix("ERROR: "))
+            self._log.remember(self._lines[vertex])
+        elif (output := _OUTPUT.match(text)) and not self._ended:
+            self._lines[vertex].append(output[1])
+            self._log.output(output[1] + "\n")
+
+    def _message(self, line: str) -> None:
+        """Parse a line outside of the steps: at the end, the reason of a failure."""
+        line = line.strip()
+        if not self._ended and line:
+            self._log.output(line + "\n")
+        if not self.problem and re.match(r"error|failed to solve|unknown flag", line, re.IGNORECASE):
+            self.problem = _problem(line)
+
+
+def _problem(text: str) -> str:
+    code = _EXIT_CODE.search(text)
+    return f"exit code {code[1]}" if code else text
+
+
+@contextmanager
+def _builder(program: Program, environment: Mapping[str, str], image: str) -> Iterator[str]:
+    """Create a temporary builder that supports several platforms."""
+    name = f"calibration-{secrets.token_hex(6)}"
+    try:
+        _administer(program, environment, image, "create", "--name", name, "--driver", "docker-container")
+        yield name
+    finally:
+        _administer(program, environment, image, "rm", "--force", name)
+
+
+def _administer(program: Program, environment: Mapping[str, str], image: str, *arguments: str) -> None:
+    command = [program.path, "buildx", *arguments]
+    try:
+        subprocess.run(
+            command,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            timeout=120,
+            check=True,
+        )
+    except subprocess.CalledProcessError as error:
+        stderr = " ".join(error.stderr.decode(errors="replace").split())[-200:]
+        raise InfrastructureError(f"image {image}: `docker buildx {arguments[0]}` failed: {stderr}") from None
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise InfrastructureError(f"image {image}: `docker buildx {arguments[0]}` failed: {error}") from None

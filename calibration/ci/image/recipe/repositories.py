@@ -1,0 +1,111 @@
+"""Reading of ``.repos`` and ``.rosinstall`` files, which list git repositories of a workspace."""
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any
+from urllib.parse import urlsplit
+
+from calibration.base.errors import InputError
+from calibration.base.frozen import frozen
+from calibration.base.text import shorten
+from calibration.base.yaml_file import read_yaml
+from calibration.ci.image.recipe.user_text import check_line
+
+_SCP_FORM = re.compile(r"[A-Za-z0-9_.-]+@[A-Za-z0-9.-]+:(?!:).+")
+"""git@github.com:team/robot.git"""
+_VERSION = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./+@-]*")
+
+
+@frozen
+class Repository:
+    """A git repository to clone."""
+
+    path: str
+    """Path relative to the workspace's sources."""
+    url: str
+    version: str | None = None
+    """Commit, tag or branch; None for the default branch."""
+
+    @property
+    def by_ssh(self) -> bool:
+        """Whether it is cloned over SSH."""
+        return urlsplit(self.url).scheme == "ssh" if "://" in self.url else True
+
+    @property
+    def pinned(self) -> bool:
+        """Whether the version is the hash of a commit."""
+        return re.fullmatch(r"[0-9a-f]{40}", self.version or "") is not None
+
+
+def read_repositories(path: Path) -> tuple[Repository, ...]:
+    """Read a file in the format of vcs (``repositories: {path: {type, url, version}}``) or rosinstall.
+
+    Raises:
+        InputError: the file does not exist, has another format, or a repository is not of git, has a
+            password in its URL, or would be cloned outside of the workspace; the message names it.
+    """
+    document = read_yaml(path, "a .repos or .rosinstall file")
+    if isinstance(document, Mapping) and isinstance(document.get("repositories"), Mapping):
+        entries = _of_repos(document["repositories"], path)
+    elif isinstance(document, list):
+        entries = _of_rosinstall(document, path)
+    else:
+        raise InputError(f"{path}: found neither the key 'repositories' (.repos) nor a list (.rosinstall)")
+    repositories = tuple(_checked(*entry, where=str(path)) for entry in entries)
+    paths = [repository.path for repository in repositories]
+    for name in paths:
+        if paths.count(name) > 1:
+            raise InputError(f"{path}: two repositories are cloned to {name}")
+    return repositories
+
+
+def _of_repos(entries: Mapping[Any, Any], path: Path) -> Iterator[tuple[object, object, object, object]]:
+    for name, entry in entries.items():
+        if not isinstance(entry, Mapping):
+            raise InputError(f"{path}: {name}: found {shorten(repr(entry))}, expected type, url and version")
+        yield name, entry.get("type"), entry.get("url"), entry.get("version")
+
+
+def _of_rosinstall(entries: list[Any], path: Path) -> Iterator[tuple[object, object, object, object]]:
+    for number, item in enumerate(entries, start=1):
+        if not isinstance(item, Mapping) or len(item) != 1 or not isinstance(next(iter(item.values())), Mapping):
+            raise InputError(f"{path}: entry {number}: found {shorten(repr(item))}, expected git: {{local-name, uri}}")
+        ((kind, entry),) = item.items()
+        yield entry.get("local-name"), kind, entry.get("uri"), entry.get("version")
+
+
+def _checked(name: object, kind: object, url: object, version: object, *, where: str) -> Repository:
+    where = f"{where}: {name}"
+    if kind != "git":
+        raise InputError(f"{where}: found the type {kind!r}, only git is cloned: get the others with commands")
+    if not isinstance(name, str) or not _inside(name):
+        raise InputError(f"{where}: found the folder {name!r}, a path inside the workspace was expected")
+    if not isinstance(url, str) or not _is_address(url):
+        raise InputError(
+            f"{where}: found the address {_without_password(url)!r}, expected https://, ssh:// or git@host:"
+        )
+    if "://" in url and urlsplit(url).password is not None:
+        raise InputError(f"{where}: the address has a password in it: use secrets with a host, or ssh")
+    if version is not None and (type(version) not in (str, int) or not _VERSION.fullmatch(str(version))):
+        raise InputError(f"{where}: found the version {version!r}, a commit, tag or branch was expected, as a text")
+    path = str(PurePosixPath(check_line(name, where)))
+    return Repository(path, check_line(url, where), None if version is None else str(version))
+
+
+def _inside(name: str) -> bool:
+    path = PurePosixPath(name)
+    return not path.is_absolute() and ".." not in path.parts and bool(path.parts)
+
+
+def _is_address(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+        host, _ = parts.hostname, parts.port
+    except ValueError:
+        return False
+    return bool(host) if parts.scheme in ("https", "http", "ssh") else _SCP_FORM.fullmatch(url) is not None
+
+
+def _without_password(url: object) -> str:
+    return re.sub(r"//[^@/]*@", "//***@", shorten(str(url)))

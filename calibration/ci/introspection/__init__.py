@@ -1,0 +1,1 @@
+"""Rule files, and the report of rules over tables."""

@@ -1,0 +1,56 @@
+"""Map over a camera's image: a grid of cells, stronger colour for larger values, with its scale."""
+
+import math
+from bisect import bisect_right
+
+import numpy as np
+
+from calibration.base.arrays import Array
+from calibration.ci.pages.html import Html, element
+from calibration.ci.pages.svg import drawing, text
+
+WIDTH = 560.0
+"""Width of the image in the figure, px."""
+SCALE, BELOW = 14.0, 22.0
+"""Height of the colour scale, and of its numbers, px."""
+STEPS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+"""px: values at which the colour becomes stronger."""
+
+
+def image_map(title: str, size: tuple[int, int], values: Array) -> Html:
+    """Return the figure.
+
+    Args:
+        title: title of the figure.
+        size: width and height of the image, px.
+        values: (R, C), of the cells, px; NaN where there is none.
+    """
+    rows, columns = values.shape
+    high = size[1] * WIDTH / size[0]
+    across, down = WIDTH / columns, high / rows
+    cells = []
+    for (r, c), value in np.ndenumerate(values):
+        if math.isfinite(value):
+            u, v = (c + 0.5) * size[0] / columns, (r + 0.5) * size[1] / rows
+            name = element("title", f"({u:.0f}, {v:.0f}): {value:.2g} px")
+            box = {"x": c * across, "y": r * down, "width": across + 0.3, "height": down + 0.3}
+            steps = bisect_right(STEPS, float(value))
+            cells.append(element("rect", name, **box, class_="heat", fill_opacity=_opacity(steps)))
+    frame = element("rect", x=0.5, y=0.5, width=WIDTH - 1, height=high - 1, class_="frame")
+    step = WIDTH / (len(STEPS) + 1)
+    scale = [
+        element("rect", x=i * step, y=high + 8, width=step, height=SCALE, class_="heat", fill_opacity=_opacity(i))
+        for i in range(len(STEPS) + 1)
+    ]
+    numbers = [
+        text((i + 1) * step, high + 8 + SCALE + 14, f"{edge:g}{' px' if i == len(STEPS) - 1 else ''}", class_="small")
+        for i, edge in enumerate(STEPS)
+    ]
+    finite = values[np.isfinite(values)]
+    most = f": at most {finite.max():.2g} px" if len(finite) else ""
+    return drawing(WIDTH, high + 8 + SCALE + BELOW, f"{title}{most}", *cells, frame, *scale, *numbers)
+
+
+def _opacity(steps: int) -> float:
+    """Return the opacity of the colour of values above this number of steps."""
+    return round(0.05 + 0.95 * steps / len(STEPS), 3)

@@ -1,0 +1,235 @@
+"""Client of a registry (OCI distribution API): manifests and tags.
+
+It is our own, because oras-py 0.2.43 returns parsed manifests, so that the bytes for the digest are lost; it does
+not verify digests, has no limits of size or time, does not retry after 429 or 503, and sends the
+password to any realm that the registry names. ``docker buildx imagetools`` is missing in some Docker Engines that
+we support, has no structured errors, and reads passwords only from a file.
+"""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Self
+from urllib.parse import quote
+
+from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.http import Answer, Http, Timeouts, is_loopback
+from calibration.base.text import one_line, shorten
+from calibration.ci.registries.challenge import basic, fetch_token, parse_challenge
+from calibration.ci.registries.credentials import Credentials
+from calibration.ci.registries.reference import DOCKER_HUB, Reference, is_digest, parse_reference
+
+MEDIA_TYPES = (
+    "application/vnd.oci.image.index.v1+json",
+    "application/vnd.docker.distribution.manifest.list.v2+json",
+    "application/vnd.oci.image.manifest.v1+json",
+    "application/vnd.docker.distribution.manifest.v2+json",
+)
+"""Manifests of images for one platform, and indexes of images for several platforms."""
+MAX_TAGS = 10_000
+_DENIED = (401, 403)
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """Manifest of an image: the list of its layers, or of its platforms."""
+
+    digest: str
+    media_type: str
+    content: bytes
+    """Original bytes, to which the digest applies."""
+
+
+class RegistryClient:
+    """Session with registries, as a context manager.
+
+    Credentials are sent only to the registry they belong to; other requests are anonymous.
+    """
+
+    def __init__(
+        self,
+        credentials: Credentials | None = None,
+        *,
+        pause: Callable[[float], None] = time.sleep,
+        timeouts: Timeouts | None = None,
+    ) -> None:
+        """Open a session; ``pause`` and ``timeouts`` are those of `Http`."""
+        secrets = credentials.secrets if credentials else ()
+        self._http = Http(secrets, address="the image's name", explain=_errors, pause=pause, timeouts=timeouts)
+        self._credentials = credentials
+        self._authorizations: dict[tuple[str, str, bool], str] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._http.close()
+
+    def find_manifest(self, reference: Reference | str) -> str | None:
+        """Return the digest of an image; None if it does not exist.
+
+        None also if the registry denies anonymous access, because it does not distinguish this from a missing image.
+
+        Raises:
+            InputError: the user has no access.
+            InfrastructureError: the registry cannot be reached, or gives an invalid answer.
+        """
+        reference = _parsed(reference)
+        answer = self._request(
+            "HEAD", reference, f"manifests/{_version(reference)}", {"Accept": ", ".join(MEDIA_TYPES)}
+        )
+        if self._is_missing(answer, reference):
+            return None
+        digest = answer.headers.get("Docker-Content-Digest", "").strip()
+        if not is_digest(digest):  # the header is optional
+            manifest = self.read_manifest(reference)
+            return None if manifest is None else manifest.digest
+        if reference.digest not in (None, digest):
+            raise InfrastructureError(f"{reference}: the registry answers with another image, {digest}")
+        return digest
+
+    def read_manifest(self, reference: Reference | str) -> Manifest | None:
+        """Return the manifest of an image; None as in :meth:`find_manifest`.
+
+        Raises:
+            InputError: the user has no access, or the manifest has an obsolete format.
+            InfrastructureError: the registry cannot be reached, or the manifest does not match its digest.
+        """
+        reference = _parsed(reference)
+        answer = self._request("GET", reference, f"manifests/{_version(reference)}", {"Accept": ", ".join(MEDIA_TYPES)})
+        if self._is_missing(answer, reference):
+            return None
+        media_type = answer.content_type
+        if media_type not in MEDIA_TYPES:
+            found = shorten(one_line(media_type)) or "nothing"
+            raise InputError(f"{reference}: the registry answers with {found}, an image's manifest was expected")
+        digest = f"sha256:{hashlib.sha256(answer.body).hexdigest()}"
+        for other in (reference.digest, answer.headers.get("Docker-Content-Digest")):
+            if other is not None and other.startswith("sha256:") and other.strip() != digest:
+                raise InfrastructureError(
+                    f"{reference}: the registry's answer has the digest {digest}, not {one_line(other)}"
+                )
+        return Manifest(reference.digest or digest, media_type, answer.body)
+
+    def put_manifest(self, reference: Reference | str, manifest: Manifest) -> None:
+        """Upload a manifest of the repository under the tag of the reference.
+
+        Raises:
+            InputError: access is denied, or the registry refuses the manifest.
+            InfrastructureError: the registry cannot be reached, or stores another digest.
+        """
+        reference = _parsed(reference)
+        headers = {"Content-Type": manifest.media_type}
+        answer = self._request("PUT", reference, f"manifests/{_version(reference)}", headers, manifest.content)
+        if answer.status in _DENIED:
+            raise self._denied(answer, reference)
+        if answer.status not in (200, 201):
+            message = f"{reference}: the registry refuses it: {answer.status}{self._http.quote(answer.body)}"
+            raise InputError(message) if 400 <= answer.status < 500 else InfrastructureError(message)
+        kept = answer.headers.get("Docker-Content-Digest", manifest.digest).strip()
+        if kept != manifest.digest:
+            raise InfrastructureError(f"{reference}: the registry keeps {one_line(kept)}, not {manifest.digest}")
+
+    def tags(self, reference: Reference | str) -> list[str]:
+        """Return the tags of a repository, in the registry's order; empty if the repository does not exist.
+
+        Raises:
+            InputError: the user has no access, or there are more than :data:`MAX_TAGS`.
+            InfrastructureError: the registry cannot be reached, or gives an invalid answer.
+        """
+        reference = replace(_parsed(reference), tag=None, digest=None)
+        found: list[str] = []
+        while len(found) <= MAX_TAGS:
+            last = f"&last={quote(found[-1], safe='')}" if found else ""
+            answer = self._request("GET", reference, f"tags/list?n=1000{last}", {"Accept": "application/json"})
+            if self._is_missing(answer, reference):
+                return found
+            try:
+                page = json.loads(answer.body)["tags"] or []
+            except (ValueError, TypeError, KeyError, RecursionError):
+                page = None
+            if not isinstance(page, list) or not all(isinstance(tag, str) for tag in page):
+                raise InfrastructureError(f"{reference}: the registry answers with something else than a list of tags")
+            found += page
+            if not page or 'rel="next"' not in answer.headers.get("Link", ""):
+                return found
+        raise InputError(f"{reference}: there are more than {MAX_TAGS} tags")
+
+    def _request(
+        self, method: str, reference: Reference, path: str, headers: dict[str, str], body: bytes | None = None
+    ) -> Answer:
+        """Send a request, and repeat it with credentials if the registry asks for them."""
+        host = "registry-1.docker.io" if reference.registry == DOCKER_HUB else reference.registry
+        own = self._credentials if self._credentials and self._credentials.registry == reference.registry else None
+        insecure = is_loopback(host) or (own is not None and own.insecure)
+        url = f"{'http' if insecure else 'https'}://{host}/v2/{reference.repository}/{path}"
+        credentials = None if own is None or own.anonymous else own
+        key = (reference.registry, reference.repository, method == "PUT")
+        known = self._authorizations.get(key)
+        answer = self._http.send(method, url, headers | ({"Authorization": known} if known else {}), body)
+        if answer.status != 401:
+            return answer
+        challenge = parse_challenge(answer.headers.get("WWW-Authenticate", ""))
+        if challenge is None:
+            return answer
+        if not challenge.bearer:
+            authorization = None if credentials is None else basic(credentials)
+        else:
+            scope = f"repository:{reference.repository}:pull{',push' if method == 'PUT' else ''}"
+            token = fetch_token(self._http, challenge, credentials, scope, reference.registry)
+            authorization = None if token is None else f"Bearer {token}"
+        if authorization is None:
+            return answer
+        self._authorizations[key] = authorization
+        return self._http.send(method, url, headers | {"Authorization": authorization}, body)
+
+    def _is_missing(self, answer: Answer, reference: Reference) -> bool:
+        """Return whether the image does not exist.
+
+        Raises:
+            InputError: the user has no access.
+            InfrastructureError: the status is unexpected.
+        """
+        if answer.status == 200:
+            return False
+        if answer.status == 404:
+            return True
+        if answer.status in _DENIED:
+            if self._is_nobody(reference):
+                return True
+            raise self._denied(answer, reference)
+        raise InfrastructureError(f"{reference}: the registry answers {answer.status}{self._http.quote(answer.body)}")
+
+    def _is_nobody(self, reference: Reference) -> bool:
+        own = self._credentials
+        return own is None or own.anonymous or own.registry != reference.registry
+
+    def _denied(self, answer: Answer, reference: Reference) -> InputError:
+        return denied(reference, self._credentials, f"{answer.status}{self._http.quote(answer.body)}")
+
+
+def denied(reference: Reference, credentials: Credentials | None, message: str) -> InputError:
+    """Return the error for denied access; ``message`` is the registry's message, without secrets."""
+    if credentials is None or credentials.anonymous or credentials.registry != reference.registry:
+        who = "not logged in: set registry.username and registry.password-variable, or run docker login"
+    else:
+        who = f"check the password of {credentials.username or 'the token'}, and what it may do to this name"
+    return InputError(f"{reference}: {reference.registry} denies access ({message}); {who}")
+
+
+def _errors(body: bytes) -> str:
+    """Return the error messages in a registry's answer; empty if it has another form."""
+    try:
+        return "; ".join(f"{error['code']}: {error.get('message') or ''}" for error in json.loads(body)["errors"][:3])
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return ""
+
+
+def _parsed(reference: Reference | str) -> Reference:
+    return parse_reference(reference) if isinstance(reference, str) else reference
+
+
+def _version(reference: Reference) -> str:
+    return reference.digest or reference.tag or "latest"

@@ -1,0 +1,51 @@
+"""Results of a command for people and programs, independent of calibration.
+
+A command describes its results in a :class:`Report`: its verdict, a :class:`Check` for each limit, an
+:class:`Outcome` for each unit of work, tables and notes. :func:`publish` writes and shows all of it.
+"""
+
+from calibration.base.check import Check, at_least, at_most, expectation
+from calibration.base.text import count_of
+from calibration.base.verdict import VERDICTS, Verdict, verdict_of, worst_verdict
+from calibration.ci.report.blocks import Block, Code, Lines, Text
+from calibration.ci.report.outcome import Outcome, outcome_of_check
+from calibration.ci.report.publishing import publish, remove_results, show
+from calibration.ci.report.report import FILES, Report
+from calibration.ci.report.results_json import (
+    RESULTS_FILE,
+    Head,
+    read_results_file,
+    reasons_in,
+    results_text,
+)
+from calibration.ci.report.table import Table, shown
+
+__all__ = [
+    "FILES",
+    "RESULTS_FILE",
+    "VERDICTS",
+    "Block",
+    "Check",
+    "Code",
+    "Head",
+    "Lines",
+    "Outcome",
+    "Report",
+    "Table",
+    "Text",
+    "Verdict",
+    "at_least",
+    "at_most",
+    "count_of",
+    "expectation",
+    "outcome_of_check",
+    "publish",
+    "read_results_file",
+    "reasons_in",
+    "remove_results",
+    "results_text",
+    "show",
+    "shown",
+    "verdict_of",
+    "worst_verdict",
+]

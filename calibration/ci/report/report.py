@@ -1,0 +1,148 @@
+"""Report: verdict, results, outputs, annotations and text of a command."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import field, replace
+from pathlib import Path
+from typing import Any
+
+from calibration.base.errors import ExitCode
+from calibration.base.files import write_atomically
+from calibration.base.frozen import frozen
+from calibration.base.text import one_line
+from calibration.base.verdict import Verdict
+from calibration.ci.report.blocks import MOST_LINES, Block, Lines, cut
+from calibration.ci.report.brief import BRIEF_FILE, Brief, BriefTable
+from calibration.ci.report.junit import junit_xml
+from calibration.ci.report.outcome import Outcome
+from calibration.ci.report.results_json import RESULTS_FILE, results_document, results_text
+from calibration.ci.report.table import Table
+from calibration.ci.workflow.annotations import Annotation, Level
+from calibration.ci.workflow.outputs import OutputValue
+from calibration.ci.workflow.summary import escape_markdown
+
+SUMMARY_FILE, JUNIT_FILE = "summary.md", "junit.xml"
+FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)
+"""Files of every report."""
+ROWS_IN_BRIEF = 50
+"""Limit of the rows of a table in the brief report."""
+
+
+@frozen(kw_only=True)
+class Report:
+    """Results of a command, complete and independent of where they are written."""
+
+    title: str
+    """Heading: ``introspect-csv``."""
+    verdict: Verdict
+    sentence: str
+    """Text after the verdict in the last line: ``2 violations in 4 checks of 1 table``."""
+    results: Any
+    """Content of results.json beside schema, verdict and reasons: a record, or a mapping."""
+    suites: Mapping[str, Sequence[Outcome]]
+    """Outcomes for JUnit, by suite."""
+    outputs: Mapping[str, OutputValue | None]
+    """Outputs of the step, beside the verdict and the paths of the files; None becomes an empty text."""
+    reasons: tuple[str, ...] = ()
+    """Reasons of a failure, one line each, worst first: listed first, and annotated as errors."""
+    undecided: tuple[str, ...] = ()
+    """Undecided limits, one line each: listed after the reasons, and annotated as warnings."""
+    about: str = ""
+    """What the results are of, in one line below the verdict: the commit and its date."""
+    error: ExitCode | None = None
+    """Exit code if it differs from that of the verdict: 0 for pass, else 1."""
+    warnings: tuple[str, ...] = ()
+    """Annotated as warnings."""
+    notes: tuple[str, ...] = ()
+    """Annotated as notices."""
+    places: Mapping[str, tuple[Path, int]] = field(default_factory=dict)
+    """File and line to which a reason refers, by the reason."""
+    annotations: tuple[Annotation, ...] = ()
+    """Further annotations, with a file and line or a title of their own."""
+    blocks: tuple[Block, ...] = ()
+    """Tables and lists, in order."""
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
+    """Content of further files by name, such as tables as CSV and figures."""
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """Exit code of the command."""
+        if self.error is not None:
+            return self.error
+        return ExitCode.PASS if self.verdict == "pass" else ExitCode.FAIL
+
+    @property
+    def all_reasons(self) -> tuple[str, ...]:
+        """Why the verdict is not pass, worst first."""
+        return (*self.reasons, *self.undecided)
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """Content of results.json."""
+        return results_document(self.verdict, self.results, self.all_reasons)
+
+    @property
+    def brief(self) -> Brief | None:
+        """Content of a comment on a pull request; None if the report has no tables for comments."""
+        tables = [block for block in self.blocks if isinstance(block, Table) and block.brief]
+        if not tables:
+            return None
+        return Brief(
+            verdict=self.verdict,
+            sentence=self.sentence,
+            about=self.about,
+            reasons=cut(self.all_reasons, MOST_LINES, RESULTS_FILE),
+            tables=tuple(BriefTable(table.columns, table.rows[:ROWS_IN_BRIEF]) for table in tables if table.rows),
+        )
+
+    @property
+    def line(self) -> str:
+        """The verdict in one line."""
+        return f"{self.verdict}: {self.sentence}"
+
+    def log(self) -> str:
+        """Return the text of the log above the verdict."""
+        return "\n\n".join(
+            f"{one_line(block.title)}\n{text}" if block.title else text
+            for block in self.blocks
+            if block.only != "summary" and (text := block.plain())
+        )
+
+    def markdown(self) -> str:
+        """Return the summary: the verdict, its reasons, then the blocks."""
+        parts = [f"## {escape_markdown(self.title)}: {escape_markdown(self.line)}\n"]
+        if self.about:
+            parts.append(f"{escape_markdown(self.about)}\n")
+        if self.all_reasons:
+            parts.append(Lines(self.all_reasons).markdown())
+        for block in self.blocks:
+            if block.only == "log" or not (text := block.markdown()):
+                continue
+            title = escape_markdown(block.title)
+            if block.folded:
+                text = f"<details><summary>{title}</summary>\n\n{text}\n</details>\n"
+            elif title:
+                text = f"### {title}\n\n{text}"
+            parts.append(text)
+        return "\n".join(parts)
+
+    def all_annotations(self) -> list[Annotation]:
+        """Return all annotations, failures first."""
+        warnings = (*self.undecided, *self.warnings)
+        listed = ((self.reasons, Level.ERROR), (warnings, Level.WARNING), (self.notes, Level.NOTICE))
+        own = [Annotation(line, level, *self.places.get(line, ())) for lines, level in listed for line in lines]
+        return [replace(each, title=each.title or self.title) for each in (*self.annotations, *own)]
+
+    def written(self) -> dict[str, str | bytes]:
+        """Return the content of all files by their names."""
+        texts = {
+            RESULTS_FILE: results_text(self.verdict, self.results, self.all_reasons),
+            JUNIT_FILE: junit_xml(self.suites),
+        }
+        if self.brief is not None:
+            texts[BRIEF_FILE] = self.brief.text
+        return {**self.files, **texts, SUMMARY_FILE: self.markdown()}
+
+    def write(self, folder: Path) -> None:
+        """Write all files into a folder; raises :class:`calibration.base.errors.InfrastructureError`."""
+        for name, content in self.written().items():
+            write_atomically(folder / name, content)

@@ -1,0 +1,68 @@
+"""results.json, which begins with the same keys for every command: schema, verdict and reasons."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from calibration.base.errors import CalibrationError, InputError
+from calibration.base.files import read_bytes
+from calibration.base.json_file import parse_json
+from calibration.base.json_text import json_text
+from calibration.base.records import field, read, result, value_of
+from calibration.base.verdict import Verdict
+
+_Record = TypeVar("_Record")
+RESULTS_FILE = "results.json"
+SCHEMA_NUMBER: Literal[1] = 1
+"""Version of the format of results.json. Keys may be added; renaming one requires a new number."""
+MOST_BYTES = 64 * 1024**2
+"""Size limit of a results file that is read."""
+
+
+@result
+class Head:
+    """Keys at the beginning of every results.json."""
+
+    schema: Literal[1] = field("Version of this format; keys may be added, renaming one requires a new version.")
+    verdict: Verdict = field("Whether all requirements are met; undecided if the data cannot tell.")
+    reasons: tuple[str, ...] = field("Why the verdict is not pass, one line each, worst first.", default=())
+
+
+def results_document(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the document of results, a record or a mapping, with the head; keys of the results take precedence."""
+    head, document = value_of(Head(SCHEMA_NUMBER, verdict, tuple(reasons))), value_of(results)
+    return {**{key: value for key, value in head.items() if key not in document}, **document}
+
+
+def results_text(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> str:
+    """Return the text of results.json; raises ``ValueError`` for a number that is not finite."""
+    return json_text(results_document(verdict, results, reasons), width=1, sort_keys=False, allow_nan=False) + "\n"
+
+
+def read_results_file(kind: type[_Record], path: Path, command: str) -> tuple[_Record, dict[str, Any]]:
+    """Read a results.json of this version or an older one: as a record, and as the parsed document.
+
+    Args:
+        kind: type of the record.
+        path: path of the file.
+        command: command that writes the file, for messages.
+
+    Raises:
+        InputError: it cannot be read, has another schema number, or a value has a wrong type.
+    """
+    try:
+        document = parse_json(read_bytes(path, MOST_BYTES, f"results of {command}"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: this is not a results file: {error}") from None
+    if isinstance(document, dict) and (found := document.get("schema", SCHEMA_NUMBER)) != SCHEMA_NUMBER:
+        expected = f"expected {SCHEMA_NUMBER}: another version has written it"
+        raise InputError(f"{path}: schema: found {found!r:.80}, {expected}")
+    return read(kind, document, str(path)), document
+
+
+def reasons_in(folder: Path) -> tuple[str, ...]:
+    """Return the reasons in the results of any command; empty if there are no valid results."""
+    try:
+        return read_results_file(Head, folder / RESULTS_FILE, "a command")[0].reasons
+    except CalibrationError:
+        return ()

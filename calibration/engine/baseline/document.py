@@ -1,0 +1,103 @@
+"""The file ``calibration-baseline.json``: the accepted calibration of each system, reviewed like a lock file."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from calibration.base.errors import InputError
+from calibration.base.files import read_bytes, write_atomically
+from calibration.base.json_file import parse_json
+from calibration.base.records import document_of, field, length, read, record
+from calibration.engine.baseline.snapshot import Snapshot
+
+VERSION: Literal[1] = 1
+LARGEST = 32_000_000
+"""Limit of a baseline's size in bytes: a thousand systems of many sensors."""
+CONFLICT = b"<<<<<<<"
+WIDTH = 100
+"""Maximum line length for short lists and mappings."""
+
+
+@record
+class Baseline:
+    """Accepted calibration of each system."""
+
+    version: Literal[1] = field("Version of this format.")
+    systems: Annotated[Mapping[str, Snapshot], length(0, 10_000)] = field("The systems by name.")
+
+
+def read_baseline(path: Path) -> Baseline | None:
+    """Read a baseline from a file; None if it does not exist.
+
+    Raises:
+        InputError: it is not a valid baseline; names file and key.
+    """
+    if path.is_symlink():
+        raise InputError(f"{path}: found a symbolic link, expected the baseline itself")
+    if not path.exists():
+        return None
+    return parse_baseline(read_bytes(path, LARGEST, "a baseline"), str(path))
+
+
+def parse_baseline(content: bytes, where: str) -> Baseline:
+    """Parse a baseline.
+
+    Raises:
+        InputError: it is not valid; the message begins with ``where``.
+    """
+    if len(content) > LARGEST:
+        raise InputError(f"{where}: found {len(content)} bytes, a baseline has at most {LARGEST}")
+    if CONFLICT in content:
+        raise InputError(
+            f"{where}: git left a merge conflict in it: take either side whole (git checkout --ours or --theirs), run "
+            f"the calibration, and accept its result (calibration accept)"
+        )
+    try:
+        document = parse_json(content, finite=True)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where}: this is not a baseline: {error}") from None
+    version = document.get("version") if isinstance(document, dict) else None
+    if isinstance(version, int) and version > VERSION:
+        raise InputError(
+            f"{where}: version: found {version}, this program knows {VERSION}: a newer one has written it; update"
+        )
+    return read(Baseline, document, where)
+
+
+def write_baseline(path: Path, baseline: Baseline) -> None:
+    """Write a baseline; an interruption leaves the old file.
+
+    Raises:
+        InputError: the path is not a regular file.
+        InfrastructureError: it cannot be written.
+    """
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise InputError(f"{path}: found no regular file, expected the baseline or nothing")
+    write_atomically(path, baseline_text(baseline))
+
+
+def baseline_text(baseline: Baseline) -> str:
+    """Format a baseline: systems sorted by name, short values on one line."""
+    document = document_of(baseline)
+    document["systems"] = {name: document["systems"][name] for name in sorted(document["systems"])}
+    return _text(document, "") + "\n"
+
+
+def _text(value: Any, indent: str) -> str:
+    line = json.dumps(value, ensure_ascii=False, allow_nan=False)
+    if not value or not isinstance(value, dict | list) or _fits(value, line):
+        return line
+    inner = indent + "  "
+    if isinstance(value, dict):
+        lines = [f"{json.dumps(key, ensure_ascii=False)}: {_text(each, inner)}" for key, each in value.items()]
+        return "{\n" + ",\n".join(inner + each for each in lines) + f"\n{indent}}}"
+    return "[\n" + ",\n".join(inner + _text(each, inner) for each in value) + f"\n{indent}]"
+
+
+def _fits(value: Any, line: str) -> bool:
+    """Whether a value is written on one line: flat lists of any length, nested lists and mappings if short."""
+    children = list(value.values()) if isinstance(value, dict) else value
+    if not any(isinstance(each, dict | list) for each in children):
+        return isinstance(value, list) or len(line) <= WIDTH
+    return isinstance(value, list) and len(line) <= WIDTH and not any(isinstance(each, dict) for each in children)

@@ -1,0 +1,153 @@
+"""Quality of a calibration against that of the accepted one: noise, RMS, error bars and rejected labels.
+
+On the same data a result is deterministic: what is worse by more than allowed is a failure. On other data it is a
+warning, because light, focus and distance change it and the robot stays what it is; whether the result is still good
+enough is decided by its error bars and the limits. There the chance of both recordings counts, family-wise over all
+measures, with views as the independent units, since the labels of a view err and fail together:
+
+- noise and RMS are standard deviations: the ratio of their squares is F-distributed, with 2 degrees of freedom a view;
+- rejected labels are a proportion: ``2 asin(sqrt(p))`` has the variance ``1 / n`` whatever p is (F. J. Anscombe, "The
+  transformation of Poisson, binomial and negative-binomial data", 1948);
+- an error bar falls with the root of the number of independent collections, and is compared at the same number.
+"""
+
+import math
+from collections.abc import Iterator
+
+from calibration.base.check import Check, at_most
+from calibration.base.frozen import frozen
+from calibration.base.tables.allowance import Allowance
+from calibration.base.tables.numbers import number_text
+from calibration.base.text import shorten
+from calibration.engine.baseline.comparison import Comparison
+from calibration.engine.baseline.settings import BaselineSettings
+from calibration.engine.baseline.snapshot import Snapshot
+from calibration.engine.diagnosis.finding import Finding, Severity
+from calibration.engine.estimation.covariance.significance import score_of_f, threshold
+
+QUALITY = "baseline-quality"
+ACCEPT = "accept it: calibration accept"
+MAX_RATIO_OF_EXTENTS = 1.25
+"""Noise and RMS in px are compared if the pattern is as large in the images but for this factor. A board at twice the
+distance has half the pixels along each edge, and its corners scatter more."""
+
+
+@frozen
+class _Measure:
+    """A measure of quality of both calibrations."""
+
+    what: str
+    before: float | None
+    now: float | None
+    allowance: Allowance
+    unit: str
+    significant: bool
+    """Whether the difference, beyond what is allowed, is more than chance; always on the same data."""
+
+
+def quality(comparison: Comparison, settings: BaselineSettings) -> Iterator[Finding]:
+    """Yield findings on measures of quality that are worse than the baseline's by more than allowed."""
+    severity: Severity = "red" if comparison.same_data else "warning"
+    if comparison.same_data:
+        yield from _error_bars_on_same_data(comparison, settings)
+    for each in _measures(comparison, settings):
+        if each.before is None or not each.significant:
+            continue
+        check = at_most(each.what, each.now, each.allowance.above(each.before), each.unit)
+        if not check.passed:
+            advice = (
+                "" if comparison.same_data else "; the limits decide whether it matters: look at light, focus, distance"
+            )
+            yield Finding(QUALITY, severity, f"{worse_than_baseline(check, each.before)}{advice}", value=each.now)
+
+
+def worse_than_baseline(check: Check, before: float) -> str:
+    """Describe a value that exceeds what the baseline allows."""
+    return f"worse than the baseline: {shorten(str(check), 200)} (baseline {number_text(round(before, 6))})"
+
+
+def largest_standard_deviations(before: Snapshot, now: Snapshot) -> tuple[float, float]:
+    """Return the largest standard deviation of a translation, mm, of each calibration, over the poses of both."""
+    common = {each.edge for each in before.poses} & {each.edge for each in now.poses}
+    first, second = (
+        max((each.norm_mm for each in one.poses if each.edge in common), default=0.0) for one in (before, now)
+    )
+    return first, second
+
+
+def _measures(comparison: Comparison, settings: BaselineSettings) -> list[_Measure]:
+    before, now, most = comparison.before, comparison.now, settings.max_increase
+    levels = now.noise.given()
+    pairs = [("RMS", before.rms_px, now.rms_px, most.rms, "px")]
+    pairs += [
+        (f"noise of the labels ({kind})", level, levels.get(kind), most.noise, "")
+        for kind, level in before.noise.given().items()
+    ]
+    same = comparison.same_data
+    score = 0.0 if same else threshold(len(pairs) + 1)
+    comparable = same or _are_as_large_in_the_images(before, now)
+    measures = [
+        _Measure(
+            what, old, new, allowance, unit,
+            same or (comparable and _score_of_deviations(old, new, allowance, before, now) > score),
+        )
+        for what, old, new, allowance, unit in pairs
+    ]  # fmt: skip
+    sigma, new_sigma = largest_standard_deviations(before, now)
+    fewer = 1.0 if same else _more_by_fewer_collections(before, now)
+    measures.append(_Measure("largest standard deviation", sigma * fewer, new_sigma, most.sigma, "mm", True))
+    rejected = [100 * each.rejected_labels / max(1, each.labels) for each in (before, now)]
+    worse = same or _score_of_proportions(before, now, most.rejected) > score
+    measures.append(_Measure("rejected labels", rejected[0], rejected[1], most.rejected, "%", worse))
+    return measures
+
+
+def _are_as_large_in_the_images(before: Snapshot, now: Snapshot) -> bool:
+    """Whether the patterns are about as large in the images of both recordings, and as far from LiDARs."""
+    ratios = [now.extents[name] / before.extents[name] for name in before.extents.keys() & now.extents.keys()]
+    return all(1 / MAX_RATIO_OF_EXTENTS <= each <= MAX_RATIO_OF_EXTENTS for each in ratios)
+
+
+def _more_by_fewer_collections(before: Snapshot, now: Snapshot) -> float:
+    """Return the factor by which a standard deviation is larger because there are fewer independent collections."""
+    counts = [each.effective_collections or each.collections for each in (before, now)]
+    return math.sqrt(max(1.0, counts[0] / max(counts[1], 1e-9)))
+
+
+def _score_of_deviations(
+    old: float | None, new: float | None, allowance: Allowance, before: Snapshot, now: Snapshot
+) -> float:
+    """Return the standard score of a larger standard deviation than the allowed one; infinite if one is unknown."""
+    if old is None or new is None or old <= 0:
+        return math.inf
+    first, second = (2 * _views_in_all(each) for each in (before, now))
+    return float(score_of_f((new / allowance.above(old)) ** 2, second, first))
+
+
+def _score_of_proportions(before: Snapshot, now: Snapshot, allowance: Allowance) -> float:
+    """Return the standard score of a larger share of rejected labels than the allowed one."""
+    shares = [each.rejected_labels / max(1, each.labels) for each in (before, now)]
+    allowed = min(1.0, allowance.above(100 * shares[0]) / 100)
+    difference = 2 * (math.asin(math.sqrt(shares[1])) - math.asin(math.sqrt(allowed)))
+    return difference / math.sqrt(sum(1 / _views_in_all(each) for each in (before, now)))
+
+
+def _views_in_all(snapshot: Snapshot) -> int:
+    return max(1, sum(snapshot.views.values()))
+
+
+def _error_bars_on_same_data(comparison: Comparison, settings: BaselineSettings) -> Iterator[Finding]:
+    """Yield findings on differing noise and standard deviations, which are deterministic too."""
+    before, now, share = comparison.before, comparison.now, settings.same_data.error_bars / 100
+    levels, new = before.noise.given(), now.noise.given()
+    rows = [(f"noise of the labels ({kind})", levels[kind], new[kind]) for kind in levels if kind in new]
+    poses = {each.edge: each for each in now.poses}
+    rows += [
+        (f"standard deviation of {each.name}", each.norm_mm, poses[each.edge].norm_mm)
+        for each in before.poses
+        if each.edge in poses
+    ]
+    for what, old, value in rows:
+        if abs(value - old) > share * max(old, value):
+            text = f"{what} differs on the same data: {value:.4g}, accepted was {old:.4g}: {ACCEPT}, if it is meant"
+            yield Finding(QUALITY, "red", text, value=value)

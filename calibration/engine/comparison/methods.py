@@ -1,0 +1,93 @@
+"""Registry of the comparison's methods."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from calibration.base.errors import InputError, solvable
+from calibration.base.frozen import frozen
+from calibration.base.text import did_you_mean
+from calibration.engine.comparison.arm import why_not_arm
+from calibration.engine.comparison.arm_methods import HAND_EYE, ROBOT_WORLD, by_arm, described
+from calibration.engine.comparison.icp import icp, icp_average, icp_best, why_not_icp
+from calibration.engine.comparison.opencv_stereo import (
+    opencv_stereo,
+    opencv_stereo_fixed,
+    opencv_version,
+    why_not_stereo,
+)
+from calibration.engine.comparison.sensor_pair import CAMERAS, RANGE_SENSORS, only_pair
+from calibration.engine.dataset.model import Dataset
+
+
+@frozen
+class Method:
+    """A calibration method other than the built-in engine."""
+
+    name: str
+    """Name in command lines and file names."""
+    title: str
+    """Name in tables."""
+    why_not: Callable[[Dataset], str | None]
+    """Reason why it does not apply to a dataset, in one line; None if it does."""
+    run: Callable[[Dataset], Dataset]
+    """Return the dataset with the method's transforms; `CalibrationError` if it does not apply or fails."""
+    describe: Callable[[Dataset], str]
+    """Implementation used on a dataset, with the chosen patterns if there is a choice."""
+    part: Callable[[Dataset], Dataset] = lambda dataset: dataset
+    """The dataset reduced to the sensors that the method calibrates, on which it is scored."""
+    from_start: bool = False
+    """Whether it starts from the dataset's transforms, so that its result depends on the initial guess."""
+
+    def calibrate(self, dataset: Dataset) -> Dataset:
+        """Calibrate a dataset and return the new one.
+
+        Raises:
+            CalibrationError: the method does not apply, or fails.
+        """
+        if dataset.joints:
+            raise InputError(f"{self.title} calibrates no joints, and the dataset asks for {', '.join(dataset.joints)}")
+        with solvable(dataset.path):
+            return self.run(dataset)
+
+
+def _stereo(name: str, title: str, run: Callable[[Dataset], Dataset]) -> Method:
+    return Method(name, title, why_not_stereo, run, opencv_version, partial(only_pair, modalities=CAMERAS))
+
+
+def _arm(name: str) -> Method:
+    return Method(name, name.capitalize(), why_not_arm, partial(by_arm, name), partial(described, name))
+
+
+def _icp(name: str, title: str, run: Callable[[Dataset], Dataset]) -> Method:
+    part = partial(only_pair, modalities=RANGE_SENSORS)
+    return Method(name, title, why_not_icp, run, lambda _: "built in", part, from_start=True)
+
+
+METHODS: Mapping[str, Method] = {
+    method.name: method
+    for method in (
+        _stereo("opencv-stereo", "OpenCV stereo", opencv_stereo),
+        _stereo("opencv-stereo-fixed", "OpenCV stereo, intrinsics fixed", opencv_stereo_fixed),
+        *map(_arm, (*ROBOT_WORLD, *HAND_EYE)),
+        _icp("icp", "ICP, all collections at once", icp),
+        _icp("icp-average", "ICP, average of the collections", icp_average),
+        _icp("icp-best", "ICP, best collection", icp_best),
+    )
+}
+"""All comparison methods, by name."""
+
+
+def method_of(name: str) -> Method:
+    """Return the method with this name.
+
+    Raises:
+        InputError: there is no such method.
+    """
+    if name not in METHODS:
+        raise InputError(f"there is no method '{name}'{did_you_mean(name, METHODS)} (known: {', '.join(METHODS)})")
+    return METHODS[name]
+
+
+def applicable(dataset: Dataset) -> list[Method]:
+    """Return the methods that apply to a dataset."""
+    return [] if dataset.joints else [method for method in METHODS.values() if method.why_not(dataset) is None]

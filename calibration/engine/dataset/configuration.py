@@ -1,0 +1,329 @@
+"""Calibration configuration: the sensors, patterns and transforms to calibrate.
+
+ATOM's config.yml and a dataset's ``calibration_config`` have the same content.
+"""
+
+from collections.abc import Mapping
+from dataclasses import field
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from calibration.base.errors import InputError
+from calibration.base.frozen import frozen
+from calibration.base.records import read
+from calibration.base.yaml_file import read_yaml
+from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.modalities import MODALITIES
+from calibration.engine.dataset.model import Edge
+from calibration.engine.dataset.pattern import (
+    CIRCLES,
+    MAX_MARKER,
+    MAX_SIZE,
+    MIN_SIZE,
+    Pattern,
+    PatternKind,
+    PlacedTag,
+    corner_origin,
+    grid,
+    outline,
+    staggered_grid,
+    tag_grid,
+    tag_outline,
+)
+
+MAX_CORNERS = 1000
+"""Limit of the number of corners along one side of a pattern."""
+TAGS, TAG_COUNT = "DICT_APRILTAG_36h11", 587
+"""ArUco dictionary of an aprilgrid's tags, and the number of tags in it."""
+MIN_SPACING, MAX_SPACING = 0.01, 1.0
+"""Limits of the gap between two tags, in sides of a tag."""
+FIRST_PATTERN = "pattern_1"
+"""Name of the only pattern of a version 2 configuration."""
+
+
+@frozen
+class SensorConfiguration:
+    """Configuration of a sensor: the frame of its data, and the transform parent_link -> child_link to calibrate."""
+
+    name: str
+    modality: str
+    """Name of the modality, as in the document: "rgb", "lidar3d", "depth" ..."""
+    link: str
+    parent_link: str
+    child_link: str
+    topic_name: str = ""
+    throttle: float | None = None
+
+    @property
+    def has_corners(self) -> bool:
+        """Whether its labels are corners in images; False for an unknown modality."""
+        return self.modality in MODALITIES and MODALITIES[self.modality].has_corners
+
+
+@frozen
+class PatternConfiguration:
+    """Configuration of a pattern: its print and its mounting. Metres."""
+
+    name: str
+    kind: PatternKind
+    link: str
+    parent_link: str
+    fixed: bool
+    dimension: tuple[int, int]
+    """Inner corners along x and y; of an aprilgrid, tags; circles of a row, and rows."""
+    size: float
+    """The side of a square, or of a tag; the spacing of circles."""
+    inner_size: float | None = None
+    """The side of a charuco board's markers; the diameter of circles."""
+    border_size: tuple[float, float] = (0.0, 0.0)
+    """Margin of the physical board around the print, along x and y."""
+    dictionary: str | None = None
+    """The ArUco dictionary of a charuco board; `TAGS` for an aprilgrid."""
+    mesh_file: str = ""
+    spacing: float = 0.0
+    """Aprilgrid only: the gap between two tags, in sides of a tag (Kalibr's ``tagSpacing``)."""
+    first_marker: int = 0
+    """The lowest id of the markers or tags; the others follow."""
+    inverted: bool = False
+    """Whether black and white are exchanged in the print."""
+
+    tags: tuple[PlacedTag, ...] = ()
+    """Of kind tags."""
+
+    def pattern(self, version: str = "3.0") -> Pattern:
+        """Return the geometry of the pattern in a dataset of this version."""
+        columns, rows = self.dimension
+        if self.kind == "tags":
+            corners = np.concatenate([tag.corners for tag in self.tags])
+            low, high = corners[:, :2].min(0) - self.border_size, corners[:, :2].max(0) + self.border_size
+            border = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+        elif self.kind == "aprilgrid":
+            corners = tag_grid(columns, rows, self.size, self.spacing)
+            border = tag_outline(columns, rows, self.size, self.spacing, self.border_size)
+        elif self.kind == "asymmetric-circles":
+            corners = staggered_grid(columns, rows, self.size)
+            border = outline(2 * columns, rows, self.size, self.border_size, (0.0, 0.0))
+        else:
+            origin = corner_origin(self.kind, version, self.size)
+            corners = grid(columns, rows, self.size, origin)
+            border = outline(columns, rows, self.size, self.border_size, origin)
+        return Pattern(self.name, self.kind, self.link, self.parent_link, self.fixed, corners, border)
+
+
+@frozen
+class Configuration:
+    """Configuration of a calibration."""
+
+    world_link: str
+    sensors: Mapping[str, SensorConfiguration]
+    patterns: Mapping[str, PatternConfiguration]
+    anchored_sensor: str | None = None
+    additional_tfs: Mapping[str, Edge] = field(default_factory=dict)
+    joints: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """The parameters to calibrate of each joint, such as ("origin_yaw",)."""
+    description_file: str = ""
+    bag_file: str = ""
+    package_name: str = ""
+    max_duration_between_msgs: float = 1000.0
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the ``calibration_config`` of a version 3 dataset."""
+        return {
+            "world_link": self.world_link,
+            "anchored_sensor": self.anchored_sensor,
+            "additional_tfs": {
+                name: {"parent_link": parent, "child_link": child}
+                for name, (parent, child) in self.additional_tfs.items()
+            }
+            or None,
+            "joints": {name: {"params_to_calibrate": list(each)} for name, each in self.joints.items()} or None,
+            "description_file": self.description_file,
+            "bag_file": self.bag_file,
+            "package_name": self.package_name,
+            "max_duration_between_msgs": self.max_duration_between_msgs,
+            "version": 3.0,
+            "sensors": {
+                sensor.name: {
+                    "link": sensor.link,
+                    "parent_link": sensor.parent_link,
+                    "child_link": sensor.child_link,
+                    "topic_name": sensor.topic_name,
+                    "modality": sensor.modality,
+                    "throttle": sensor.throttle,
+                }
+                for sensor in self.sensors.values()
+            },
+            "calibration_patterns": {
+                pattern.name: {
+                    "link": pattern.link,
+                    "parent_link": pattern.parent_link,
+                    "fixed": pattern.fixed,
+                    "pattern_type": pattern.kind,
+                    "dictionary": pattern.dictionary,
+                    "mesh_file": pattern.mesh_file,
+                    "border_size": {"x": pattern.border_size[0], "y": pattern.border_size[1]},
+                    "dimension": {"x": pattern.dimension[0], "y": pattern.dimension[1]},
+                    "size": pattern.size,
+                    "inner_size": pattern.inner_size,
+                    **({"spacing": pattern.spacing} if pattern.kind == "aprilgrid" else {}),
+                    **({"first_marker": pattern.first_marker} if pattern.first_marker else {}),
+                    **({"tags": [vars(tag) for tag in pattern.tags]} if pattern.tags else {}),
+                    **({"inverted": True} if pattern.inverted else {}),
+                }
+                for pattern in self.patterns.values()
+            },
+        }
+
+
+def read_configuration(path: Path | str) -> Configuration:
+    """Read a configuration in ATOM's YAML form; a single ``calibration_pattern`` (version 2) is accepted.
+
+    Raises:
+        InputError: the file cannot be read, or something in it is missing or wrong.
+    """
+    path = Path(path)
+    return parse_configuration(Node(path, (), read_yaml(path, "a calibration configuration")))
+
+
+def parse_configuration(node: Node) -> Configuration:
+    """Parse a configuration and check that it is consistent in itself.
+
+    Raises:
+        InputError: something in it is missing or wrong.
+    """
+    sensors = {name: _sensor(name, entry) for name, entry in node["sensors"].items()}
+    if not sensors:
+        raise node["sensors"].unexpected("at least one sensor")
+    if node.get("calibration_pattern") and not node.get("calibration_patterns"):
+        patterns = {FIRST_PATTERN: _pattern(FIRST_PATTERN, node["calibration_pattern"])}
+    else:
+        patterns = {name: _pattern(name, entry) for name, entry in node["calibration_patterns"].items()}
+        if not patterns:
+            raise node["calibration_patterns"].unexpected("at least one pattern")
+    anchored = node.get("anchored_sensor")
+    if anchored and anchored.text() and anchored.value not in sensors:
+        raise anchored.unexpected(f"a sensor ({', '.join(sensors)})")
+    additional, joints = node.get("additional_tfs"), node.get("joints")
+    return Configuration(
+        world_link=node["world_link"].name(),
+        sensors=sensors,
+        patterns=patterns,
+        anchored_sensor=(anchored and anchored.value) or None,
+        additional_tfs={name: _edge(entry) for name, entry in additional.items()} if additional else {},
+        joints={name: _parameters(entry) for name, entry in joints.items()} if joints else {},
+        description_file=_text(node, "description_file"),
+        bag_file=_text(node, "bag_file"),
+        package_name=_text(node, "package_name"),
+        max_duration_between_msgs=limit.number() if (limit := node.get("max_duration_between_msgs")) else 1000.0,
+    )
+
+
+def _sensor(name: str, node: Node) -> SensorConfiguration:
+    throttle = node.get("throttle")
+    parent, child = _edge(node)
+    return SensorConfiguration(
+        name=name,
+        modality=node["modality"].text(),
+        link=node["link"].name(),
+        parent_link=parent,
+        child_link=child,
+        topic_name=_text(node, "topic_name"),
+        throttle=throttle.number() if throttle else None,
+    )
+
+
+def _pattern(name: str, node: Node) -> PatternConfiguration:
+    kind = node["pattern_type"]
+    if kind.text() not in get_args(PatternKind):
+        raise kind.unexpected(f"one of {', '.join(get_args(PatternKind))}")
+    if kind.value == "tags":
+        return _tag_list(name, node)
+    dimension = node["dimension"]
+    size = node["size"].within(MIN_SIZE, MAX_SIZE)
+    circles = kind.value in CIRCLES
+    inner = node["inner_size"] if circles else node.get("inner_size")
+    if inner and kind.value == "chessboard" and inner.number() == 0:  # ATOM's value for a pattern without markers
+        inner = None
+    if inner and inner.within(MIN_SIZE, MAX_SIZE) >= size:
+        raise inner.unexpected(f"less than the {'spacing of circles' if circles else 'size of a square'}, {size:g}")
+    columns, rows = dimension["x"].whole(2, MAX_CORNERS), dimension["y"].whole(2, MAX_CORNERS)
+    tags = kind.value == "aprilgrid"
+    first = marker.whole(0, MAX_MARKER) if (marker := node.get("first_marker")) else 0
+    if tags:
+        check_tags(columns, rows, dimension, first)
+        if (dictionary := node.get("dictionary")) and dictionary.text() not in ("", TAGS):
+            raise dictionary.unexpected(f"{TAGS}, that of an aprilgrid")
+    return PatternConfiguration(
+        name=name,
+        kind=kind.value,
+        link=node["link"].name(),
+        parent_link=node["parent_link"].name(),
+        fixed=node["fixed"].flag(),
+        dimension=(columns, rows),
+        size=size,
+        inner_size=inner.number() if inner and not tags else None,
+        border_size=_border(node.get("border_size")),
+        dictionary=TAGS if tags else _text(node, "dictionary") or None,
+        mesh_file=_text(node, "mesh_file"),
+        spacing=node["spacing"].within(MIN_SPACING, MAX_SPACING) if tags else 0.0,
+        first_marker=first,
+        inverted=inverted.flag() if (inverted := node.get("inverted")) else False,
+    )
+
+
+def _tag_list(name: str, node: Node) -> PatternConfiguration:
+    listed = list(node["tags"].elements())
+    try:
+        tags = tuple(read(PlacedTag, each.value, f"tag {i}") for i, each in enumerate(listed))
+    except InputError as error:
+        raise node["tags"].fault(str(error)) from None
+    if not 0 < len(tags) <= MAX_CORNERS or len({tag.id for tag in tags}) < len(tags):
+        raise node["tags"].unexpected(f"1 to {MAX_CORNERS} tags, each id once")
+    return PatternConfiguration(
+        name=name,
+        kind="tags",
+        link=node["link"].name(),
+        parent_link=node["parent_link"].name(),
+        fixed=node["fixed"].flag(),
+        dimension=(len(tags), 1),
+        size=tags[0].size,
+        border_size=_border(node.get("border_size")),
+        dictionary=node["dictionary"].name(),
+        mesh_file=_text(node, "mesh_file"),
+        inverted=inverted.flag() if (inverted := node.get("inverted")) else False,
+        tags=tags,
+    )
+
+
+def check_tags(columns: int, rows: int, where: Node, first: int = 0) -> None:
+    """Refuse an aprilgrid with more tags than its dictionary has.
+
+    Raises:
+        InputError: there are too many.
+    """
+    if first + columns * rows > TAG_COUNT:
+        begin = f" from id {first}" if first else ""
+        raise where.fault(f"found {columns} x {rows} tags{begin}, expected {TAG_COUNT} at most, as {TAGS} has")
+
+
+def _border(node: Node | None) -> tuple[float, float]:
+    """Return the border's widths; one number is for all sides, else {x, y}; absent means 0."""
+    if node is None:
+        return (0.0, 0.0)
+    x, y = (node["x"], node["y"]) if isinstance(node.value, dict) else (node, node)
+    return (x.within(0.0, MAX_SIZE), y.within(0.0, MAX_SIZE))
+
+
+def _edge(node: Node) -> Edge:
+    return (node["parent_link"].name(), node["child_link"].name())
+
+
+def _parameters(node: Node) -> tuple[str, ...]:
+    return tuple(element.name() for element in node["params_to_calibrate"].elements())
+
+
+def _text(node: Node, key: str) -> str:
+    value = node.get(key)
+    return value.text() if value else ""

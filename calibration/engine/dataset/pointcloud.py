@@ -1,0 +1,253 @@
+"""Point clouds: PCD files (ASCII, binary, compressed) and ROS PointCloud2 messages."""
+
+import binascii
+import re
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.base.arrays import Array
+from calibration.base.errors import InputError
+from calibration.base.files import read_bytes, write_atomically
+from calibration.engine.dataset.document import MAX_BYTES, Node, shown
+
+Cloud = NDArray[np.floating[Any]]
+"""Points (N, 3) of a cloud in the sensor's frame (m), usually a view of a file's content."""
+
+MAX_DECOMPRESSED = 1 << 29
+"""Limit of the bytes of a compressed file's points."""
+LZF_RATIO = 100
+"""Limit of what LZF saves: three bytes are 264 at most."""
+HEADER_BYTES = 1 << 16
+"""Limit of the size of a PCD file's header."""
+_DATA = re.compile(rb"^DATA[ \t]+(\S+)[ \t]*\r?\n", re.MULTILINE)
+
+
+def read_points(path: Path | str) -> Cloud:
+    """Read the points (N, 3) of a PCD file, in the file's precision; NaN for points without a return.
+
+    Raises:
+        InputError: the file cannot be read, or is not a PCD file with floating-point x, y and z.
+    """
+    data = read_bytes(path, MAX_BYTES, "a point cloud")
+    try:
+        return decode_pcd(data)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def write_points(path: Path | str, points: Array) -> None:
+    """Write points (N, 3) as a binary PCD file of float32 x, y, z.
+
+    Raises:
+        InfrastructureError: the file cannot be written.
+    """
+    write_atomically(path, encode_pcd(points))
+
+
+def encode_pcd(points: Array) -> bytes:
+    """Encode points (N, 3) as a binary PCD file of float32 x, y, z."""
+    header = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+        f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA binary\n"
+    )
+    return header.encode() + np.asarray(points, "<f4").reshape(-1, 3).tobytes()
+
+
+def decode_pcd(data: bytes) -> Cloud:
+    """Decode the points of a PCD file.
+
+    Raises:
+        InputError: it is not a supported PCD file; the message does not name the file.
+    """
+    end = _DATA.search(data, 0, HEADER_BYTES)
+    if end is None:
+        raise InputError("found no line 'DATA ...', expected the header of a PCD file")
+    lines = data[: end.start()].decode("ascii", "replace").replace("\t", " ").splitlines()
+    header = {key: values for key, _, values in (line.partition(" ") for line in lines)}
+    layout = _pcd_layout(
+        header.get("FIELDS", ""), header.get("SIZE", ""), header.get("TYPE", ""), header.get("COUNT", "")
+    )
+    count = _pcd_count(header)
+    kind = end.group(1)
+    if kind == b"binary":
+        return layout.points(data, end.end(), count)
+    if kind == b"ascii":
+        return _decode_ascii(data[end.end() :], count, layout)
+    if kind == b"binary_compressed":
+        return layout.columns(_decompressed(data[end.end() :], count * layout.step), count)
+    found = shown(kind.decode("ascii", "replace"))
+    raise InputError(f"found DATA {found}, expected 'binary', 'binary_compressed' or 'ascii'")
+
+
+def _decompressed(data: bytes, expected: int) -> bytes:
+    """Decompress the points of ``binary_compressed``: two sizes (uint32), and LZF (liblzf, lzf_d.c)."""
+    if len(data) < 8:
+        raise InputError("found no compressed points; is it truncated?")
+    packed, size = np.frombuffer(data, "<u4", 2).tolist()
+    if size != expected or size > MAX_DECOMPRESSED or size > LZF_RATIO * packed:
+        raise InputError(f"found {packed} bytes for {size} bytes of points, expected {expected}")
+    if len(data) - 8 < packed:
+        raise InputError(f"found {len(data) - 8} bytes of compressed points, expected {packed}; is it truncated?")
+    at, end, found = 8, 8 + packed, bytearray()
+    try:
+        while at < end and len(found) <= size:
+            control = data[at]
+            at += 1
+            if control < 32:  # so many bytes and one more as they are
+                found += data[at : at + control + 1]
+                at += control + 1
+                continue
+            length = control >> 5
+            if length == 7:
+                length += data[at]
+                at += 1
+            start = len(found) - ((control & 31) << 8) - data[at] - 1
+            at += 1
+            if start < 0:
+                raise IndexError
+            length += 2
+            again = bytes(found[start : start + length])
+            found += (again * -(-length // len(again)))[:length]  # a copy may reach into itself
+    except IndexError:
+        raise InputError("found compressed points that are damaged") from None
+    if len(found) != size:
+        raise InputError(f"found {len(found)} bytes of points after decompression, expected {size}")
+    return bytes(found)
+
+
+class _Layout:
+    """Layout of x, y and z in the bytes of a point, or in the words of a line of ASCII."""
+
+    def __init__(self, step: int, offsets: list[int], types: list[str], width: int, words: list[int]) -> None:
+        self.step = step
+        self.offsets = offsets
+        self.types = types
+        self.width = width
+        self.words = words
+
+    def points(self, data: bytes, start: int, count: int) -> Cloud:
+        """Decode packed data: a view if x, y and z are evenly spaced, else a copy."""
+        if len(data) - start < count * self.step:
+            raise InputError(
+                f"found {len(data) - start} bytes of points, expected {count * self.step} for {count} points; "
+                "is it truncated?"
+            )
+        if not count:
+            return np.empty((0, 3))
+        (x, y, z), types = self.offsets, self.types
+        if y - x == z - y > 0 and types[0] == types[1] == types[2]:
+            return np.ndarray((count, 3), types[0], data, start + x, (self.step, y - x))
+        columns = [
+            np.ndarray((count,), type_, data, start + offset, (self.step,))
+            for type_, offset in zip(types, self.offsets, strict=True)
+        ]
+        return np.stack(columns, -1)
+
+    def columns(self, data: bytes, count: int) -> Cloud:
+        """Decode data in which each field's values of all points follow each other."""
+        return np.stack(
+            [
+                np.frombuffer(data, type_, count, offset * count)
+                for type_, offset in zip(self.types, self.offsets, strict=True)
+            ],
+            -1,
+        )
+
+
+@lru_cache(maxsize=16)
+def _pcd_layout(fields: str, size: str, type_: str, count: str) -> _Layout:
+    names, types = fields.split(), type_.split()
+    sizes = [_whole("SIZE", each) for each in size.split()]
+    counts = [_whole("COUNT", each) for each in count.split()] or [1] * len(names)
+    for key, values in (("SIZE", sizes), ("TYPE", types), ("COUNT", counts)):
+        if len(values) != len(names):
+            raise InputError(f"found {len(values)} values of {key} for {len(names)} FIELDS")
+    for axis in "xyz":
+        if names.count(axis) != 1:
+            raise InputError(f"found FIELDS {shown(fields)}, expected one each of x, y and z")
+    at = [names.index(axis) for axis in "xyz"]
+    for i in at:
+        if types[i] != "F" or sizes[i] not in (4, 8) or counts[i] != 1:
+            found = f"{counts[i]} {shown(types[i])} of {sizes[i]} bytes"
+            raise InputError(f"found '{names[i]}' as {found}, expected one 'F' of 4 or 8")
+    bytes_of = [size * count for size, count in zip(sizes, counts, strict=True)]
+    return _Layout(
+        step=sum(bytes_of),
+        offsets=[sum(bytes_of[:i]) for i in at],
+        types=[f"<f{sizes[i]}" for i in at],
+        width=sum(counts),
+        words=[sum(counts[:i]) for i in at],
+    )
+
+
+def _pcd_count(header: dict[str, str]) -> int:
+    """Return the number of points in the header."""
+    points, width, height = (
+        _whole(key, header[key].strip()) if key in header else None for key in ("POINTS", "WIDTH", "HEIGHT")
+    )
+    area = points if width is None else width * (1 if height is None else height)
+    if area is None:
+        raise InputError("found neither POINTS nor WIDTH, expected the header of a PCD file")
+    if points not in (None, area):
+        raise InputError(f"found POINTS {points}, expected WIDTH times HEIGHT, {area}")
+    return area
+
+
+def _whole(key: str, text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) <= 12):
+        raise InputError(f"found {key} {shown(text)}, expected a number")
+    return int(text)
+
+
+def _decode_ascii(data: bytes, count: int, layout: _Layout) -> Cloud:
+    words = data.split()
+    if len(words) != count * layout.width:
+        raise InputError(
+            f"found {len(words)} numbers, expected {count * layout.width} for {count} points; is it truncated?"
+        )
+    try:
+        return np.stack([np.array([float(word) for word in words[i :: layout.width]]) for i in layout.words], -1)
+    except ValueError as error:
+        raise InputError(f"found points that are no numbers: {error}") from None
+
+
+def decode_message(message: Node) -> Cloud:
+    """Decode a PointCloud2 message from a document; ``data`` is base64 text or a list of bytes.
+
+    Raises:
+        InputError: something in it is missing or wrong.
+    """
+    step = message["point_step"].whole(1, 1 << 20)
+    rows, columns = message["height"].whole(0, 1 << 30), message["width"].whole(0, 1 << 30)
+    row_step = message["row_step"].whole(columns * step, 1 << 50) if rows > 1 else columns * step
+    data = _message_bytes(message["data"])
+    if len(data) < rows * row_step:
+        raise message["data"].fault(f"found {len(data)} bytes, expected {rows} x {columns} points of {step} bytes")
+    if row_step > columns * step:  # rows with padding
+        data = b"".join(data[i * row_step : i * row_step + columns * step] for i in range(rows))
+    big = message.get("is_bigendian")
+    if big and big.value not in (0, 1):
+        raise big.unexpected("true or false")
+    order = ">" if big and big.value else "<"
+    fields = {field["name"].text(): field for field in message["fields"].elements()}
+    offsets, types = [], []
+    for axis in "xyz":
+        if axis not in fields:
+            raise message["fields"].fault(f"missing field '{axis}'")
+        size = 4 if fields[axis]["datatype"].whole(7, 8) == 7 else 8  # sensor_msgs/PointField: FLOAT32, FLOAT64
+        types.append(f"{order}f{size}")
+        offsets.append(fields[axis]["offset"].whole(0, max(0, step - size)))
+    return _Layout(step, offsets, types, 0, []).points(data, 0, rows * columns)
+
+
+def _message_bytes(node: Node) -> bytes:
+    try:
+        if isinstance(node.value, str):
+            return binascii.a2b_base64(node.value, strict_mode=True)
+        return bytes(node.sequence())
+    except (ValueError, TypeError):
+        raise node.fault("found no bytes, expected base64 text or a list of numbers from 0 to 255") from None

@@ -1,0 +1,172 @@
+"""Sensors of a dataset: frames, calibrated transforms and intrinsics, checked against the configuration."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from calibration.base.errors import InputError
+from calibration.engine.dataset.configuration import SensorConfiguration
+from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.lens_uncertainty import KEY as UNCERTAINTY
+from calibration.engine.dataset.lens_uncertainty import LensUncertainty, read_uncertainty
+from calibration.engine.dataset.modalities import MODALITIES
+from calibration.engine.dataset.model import Sensor
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import MODELS, SYNONYMS, Distortion, PlumbBob
+
+MAX_PIXELS = 1 << 20
+"""px: limit of the width or height of an image."""
+MAX_INTRINSIC = 1e7
+"""Limit of focal length, principal point (px) and distortion coefficients."""
+MAX_SKEW_PX = 0.05
+"""px: a skew that moves pixels by less does not matter, and is left out."""
+MAX_SKEWED_HEIGHT = 10_000
+"""px: height of the image where a file does not say it."""
+LAG = "lag"
+"""Key of a sensor: its lag, s."""
+MAX_LAG = 1.0
+"""s: limit of a lag; the velocity at a moment says nothing of what is farther away."""
+BINNING = ("binning_x", "binning_y")
+MAX_BINNING = 64
+_TWINS = {
+    "modality": "modality",
+    "parent": "link",
+    "calibration_parent": "parent_link",
+    "calibration_child": "child_link",
+}
+"""Keys of a sensor, and the keys of its configuration with the same meaning."""
+
+
+def read_sensors(node: Node, configuration: Mapping[str, SensorConfiguration]) -> dict[str, Sensor]:
+    """Parse the sensors of a dataset's ``sensors``.
+
+    Raises:
+        InputError: something in it is missing or wrong, or it differs from the configuration.
+    """
+    for name in configuration:
+        if name not in node.mapping():
+            raise node.fault(f"missing sensor '{name}' of calibration_config/sensors")
+    sensors = {}
+    for name, entry in node.items():
+        if name not in configuration:
+            raise entry.fault(f"sensor '{name}' is missing in calibration_config/sensors")
+        modality = MODALITIES.get(entry["modality"].text())
+        if modality is None:
+            raise entry["modality"].unexpected(f"a known modality of sensor '{name}': {', '.join(MODALITIES)}")
+        for key, twin in _TWINS.items():
+            if entry[key].name() != (expected := getattr(configuration[name], twin)):
+                raise entry[key].unexpected(f"'{expected}' as in calibration_config/sensors/{name}/{twin}")
+        sensors[name] = Sensor(
+            name=name,
+            modality=modality,
+            frame=entry["parent"].value,
+            calibration_parent=entry["calibration_parent"].value,
+            calibration_child=entry["calibration_child"].value,
+            camera=(camera := read_camera(entry["camera_info"]) if modality.has_intrinsics else None),
+            uncertainty=_read_uncertainty(entry["camera_info"], camera) if camera else None,
+            lag=lag.within(-MAX_LAG, MAX_LAG) if (lag := entry.get(LAG)) else 0.0,
+        )
+    return sensors
+
+
+def _read_uncertainty(info: Node, camera: Camera) -> LensUncertainty | None:
+    found = info.get(UNCERTAINTY)
+    return None if found is None else read_uncertainty(found, camera.parameters)
+
+
+def read_camera(info: Node) -> Camera:
+    """Parse the intrinsics of a sensor_msgs/CameraInfo: K, D and the size of the image.
+
+    K is that of the whole image sensor; of an image that is a part (``roi``) or a reduction (``binning``) of it, the
+    intrinsics are those of the image, as REP 104 has it.
+
+    Raises:
+        InputError: something in it is missing or wrong, or its distortion model is not known.
+    """
+    width, height = info["width"].whole(1, MAX_PIXELS), info["height"].whole(1, MAX_PIXELS)
+    fx, skew, cx, zero, fy, cy, *bottom = info["K"].numbers(9)
+    if max(fx, fy, abs(cx), abs(cy)) > MAX_INTRINSIC:
+        raise info["K"].fault(f"found {info['K'].value}, expected numbers of pixels up to {MAX_INTRINSIC:g}")
+    if not (fx > 0 and fy > 0 and zero == 0 and bottom == [0, 0, 1]):
+        raise info["K"].fault(f"found {info['K'].value}, expected [fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx, fy > 0")
+    if abs(skew) * min(height, MAX_SKEWED_HEIGHT) / (2 * fy) > MAX_SKEW_PX:
+        raise info["K"].fault(
+            f"found a skew of {skew:g}, which moves pixels by more than {MAX_SKEW_PX:g} px: no lens model here has "
+            "one; calibrate without it (OpenCV: CALIB_FIX_SKEW), or leave the intrinsics out of import.yml, and they "
+            "are calibrated"
+        )
+    camera = Camera(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height, distortion=_read_distortion(info))
+    return _of_image(camera, info)
+
+
+def _of_image(camera: Camera, info: Node) -> Camera:
+    """Return the camera of the part of the image sensor that is read, with the pixels that are added up (REP 104)."""
+    x, width = _extent(info, "x_offset", "width", camera.width)
+    y, height = _extent(info, "y_offset", "height", camera.height)
+    columns, rows = (max(1, each.whole(0, MAX_BINNING)) if (each := info.get(key)) else 1 for key in BINNING)
+    return replace(
+        camera,
+        fx=camera.fx / columns,
+        fy=camera.fy / rows,
+        cx=(camera.cx - x) / columns,
+        cy=(camera.cy - y) / rows,
+        width=width // columns,
+        height=height // rows,
+    )
+
+
+def _extent(info: Node, offset: str, length: str, whole: int) -> tuple[int, int]:
+    """Return the offset and the length of an image along one axis of the sensor; a length of 0 is the whole."""
+    roi = info.get("roi")
+    begin = each.whole(0, whole - 1) if roi and (each := roi.get(offset)) else 0
+    part = each if roi and (each := roi.get(length)) and each.number() != 0 else None
+    return begin, part.whole(1, whole - begin) if part else whole - begin
+
+
+def check_principal_point(camera: Camera, where: str) -> None:
+    """Refuse a principal point outside of the image: the intrinsics are those of another resolution.
+
+    Raises:
+        InputError: it is outside.
+    """
+    if not (0 <= camera.cx <= camera.width and 0 <= camera.cy <= camera.height):
+        raise InputError(
+            f"{where}: found the principal point ({camera.cx:g}, {camera.cy:g}) outside of the image of {camera.width} "
+            f"x {camera.height} pixels: is it of another resolution?"
+        )
+
+
+def camera_document(camera: Camera) -> dict[str, Any]:
+    """Return the CameraInfo fields that `read_camera` reads: size, model, D, K and P."""
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    return {
+        "height": camera.height,
+        "width": camera.width,
+        "distortion_model": camera.distortion.ros_name,
+        "D": camera.distortion.coefficients.tolist(),
+        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        "P": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+    }
+
+
+def _read_distortion(info: Node) -> Distortion:
+    name, D = info["distortion_model"], info["D"]
+    coefficients = [element.within(-MAX_INTRINSIC, MAX_INTRINSIC) for element in D.elements()]
+    if name.text() in ("", "none") and not any(coefficients):
+        return PlumbBob()
+    found = SYNONYMS.get(name.value, name.value)
+    if found not in MODELS:
+        raise name.unexpected(f"a known distortion model: {', '.join((*MODELS, *SYNONYMS))}")
+    model = MODELS[found]
+    count = len(model.names())
+    if len(coefficients) < model.min_coefficients:
+        raise D.unexpected(f"at least {model.min_coefficients} coefficients of {found}: {', '.join(model.names())}")
+    for coefficient, value in zip(model.names(), coefficients, strict=False):
+        low, high = model.limits.get(coefficient, (-MAX_INTRINSIC, MAX_INTRINSIC))
+        if not low <= value <= high:
+            raise D.unexpected(f"{coefficient} of {found} from {low:g} to {high:g}; D is {', '.join(model.names())}")
+    if any(coefficients[count:]):
+        longer = [each.ros_name for each in MODELS.values() if len(each.names()) >= len(coefficients)]
+        hint = f"; {longer[0]} has as many" if longer else ""
+        raise D.unexpected(f"{count} coefficients of {model.ros_name}: {', '.join(model.names())}{hint}")
+    return model(*coefficients[:count])

@@ -1,0 +1,90 @@
+"""How badly a dataset fits its best calibration, found fast: the linear start and a few steps."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.base.errors import CalibrationError
+from calibration.base.frozen import frozen
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.estimation.doubts.wrong_views import NOTICEABLE, median_residuals, noise_in_own_fits
+from calibration.engine.estimation.problem.blocks import Values
+from calibration.engine.estimation.solve.least_squares import Termination, minimise
+from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.solve.optimisation import HUBER
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.start.build import Setup, build
+from calibration.engine.estimation.start.guesses import Guesses
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+
+MOST = 0.8
+"""Share of a sensor's views that a misfit is of: of the others each may be wrong."""
+A_FEW_STEPS = Termination(decrease=0.1, iterations=15)
+
+
+@frozen(eq=False)
+class Misfit:
+    """Residuals that most views of the worst sensor do not exceed."""
+
+    noticed: float
+    """In multiples of what is noticeable (1 px, 1 cm); infinite if there is no start."""
+    text: str
+    """With its unit."""
+    above_noise: float = np.inf
+    """Largest one of a sensor, in multiples of the residuals from each view's own fit; infinite without such."""
+    setup: Setup | None = None
+    values: Values = ()
+
+    @property
+    def exists(self) -> bool:
+        """Whether there is a start at all."""
+        return bool(np.isfinite(self.noticed))
+
+
+NONE = Misfit(np.inf, "no result")
+
+
+def misfit(dataset: Dataset, options: Options, steps: bool = True) -> Misfit:
+    """Return the misfit of a dataset, after a few steps or at the linear start."""
+    with np.errstate(all="ignore"):
+        try:
+            setup = build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
+            values = Guesses(setup).linear(StartingNoise()).values
+            at_start = misfit_at(setup, values)
+            return misfit_at(setup, _nearer(setup, values)) if steps else at_start
+        except (CalibrationError, np.linalg.LinAlgError):
+            return NONE
+
+
+def improved(found: Misfit) -> Misfit:
+    """Return the misfit after a few steps from that of a linear start."""
+    if found.setup is None:
+        return found
+    with np.errstate(all="ignore"):
+        try:
+            return misfit_at(found.setup, _nearer(found.setup, found.values))
+        except (CalibrationError, np.linalg.LinAlgError):
+            return found
+
+
+def _nearer(setup: Setup, values: Values) -> Values:
+    """Return values nearer to the optimum, by the corners, the points on the plane, and where patterns are."""
+    groups = tuple(replace(group, terms=group.terms[:1]) for group in setup.problem.groups)
+    nearby = replace(setup.problem, groups=groups)
+    scales = {group.terms[0].kind: NOTICEABLE[group.terms[0].kind] / 2 for group in groups}
+    return minimise(nearby, values, Weighting(scales, HUBER), A_FEW_STEPS).values
+
+
+def misfit_at(setup: Setup, values: Values) -> Misfit:
+    """Return the misfit at some values of a problem's blocks."""
+    noticed, above_noise, text = 0.0, 0.0, "0 px"
+    for group in setup.problem.groups:
+        kind = group.terms[0].kind
+        miss = np.sort(median_residuals(setup.problem, group, values))
+        size = float(miss[int(np.ceil(MOST * len(miss))) - 1])
+        noise = noise_in_own_fits(group)
+        above_noise = max(above_noise, size / noise if noise > 0 else np.inf)
+        if not size / NOTICEABLE[kind] <= noticed:
+            noticed = size / NOTICEABLE[kind]
+            text = f"{size:.2g} px" if kind == "pixel" else f"{1e3 * size:.2g} mm"
+    return Misfit(noticed, text if np.isfinite(noticed) else "no result", above_noise, setup, values)

@@ -1,0 +1,23 @@
+"""Check for collections that repeat the poses of others."""
+
+import numpy as np
+
+from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.estimation.covariance.result import Calibration
+
+NAMED = 8
+
+
+def repeated(calibration: Calibration) -> tuple[Finding, ...]:
+    """Report the number of collections that repeat the poses of others."""
+    keys, clusters = calibration.solution.dataset.keys, calibration.solution.clusters
+    again = np.flatnonzero(clusters != np.arange(len(clusters))).tolist()
+    if not again:
+        return ()
+    pairs = [f"{keys[i]} = {keys[clusters[i]]}" for i in again]
+    listed = ", ".join(pairs[:NAMED]) + (f" and {len(pairs) - NAMED} more" if pairs[NAMED:] else "")
+    text = (
+        f"{len(again)} of {len(keys)} collections repeat the poses of others ({listed}); they tell noise, but "
+        f"nothing new about the robot: {len(keys) - len(again)} count"
+    )
+    return (Finding("repeated", "note", text, collections=tuple(keys[i] for i in again), value=float(len(again))),)

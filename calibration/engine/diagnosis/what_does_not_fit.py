@@ -1,0 +1,377 @@
+"""Suspects as findings: the parameter that does not fit, its deviation, its effect on the sensors, and advice."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from calibration.base.arrays import Array
+from calibration.engine.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
+from calibration.engine.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
+from calibration.engine.diagnosis.projection import projection_limit, shifts
+from calibration.engine.estimation.covariance.fixed_inputs import LAG, PLACE, Cause
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.covariance.significance import score_of_f, threshold
+from calibration.engine.estimation.doubts.suspects import (
+    CONTRADICTING,
+    EXACTLY,
+    LENS,
+    SIDE,
+    Disagreement,
+    Suspect,
+    explain,
+)
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import MODELS
+from calibration.engine.geometry.transforms import adjoint
+
+NOTHING = "nothing-suspicious"
+UNTESTED = "untested"
+GROSS: Mapping[str, tuple[float, str]] = {
+    "focal length": (0.025, "camera"),
+    "image scale": (0.025, "camera"),
+    "principal point": (15.0, "camera"),
+    "radial distortion": (0.01, "camera"),
+    "size": (0.01, "board"),
+    "scale of poses": (0.01, "board"),
+    "lengths": (0.01, "arm"),
+    "encoder gain": (0.02, "arm"),
+}
+"""Deviation (relative, px; of distortion, of the distance from the image's centre) that is a failure regardless of its
+effect: more than a good one of this kind errs, so that it belongs to another one."""
+ADVICE: Mapping[str, str] = {
+    "focal length": "calibrate the intrinsics, or take the camera_info that belongs to this lens and resolution",
+    LENS: "calibrate the intrinsics (add it to 'intrinsics'), or take the camera_info that belongs to this lens",
+    "aspect": "calibrate the intrinsics; were the images scaled?",
+    "principal point": "calibrate the intrinsics; were the images cropped?",
+    "pixel convention": "pixel (0, 0) is the centre of the first pixel here; shift cx and cy by half a pixel",
+    "image scale": "the labels are of another resolution than camera_info",
+    "skew": "calibrate the intrinsics",
+    "radial distortion": "calibrate the intrinsics with this lens model, or a richer one",
+    "tangential distortion": "calibrate the intrinsics with this lens model, or a richer one",
+    "lens model": f"calibrate the intrinsics with another lens model ({', '.join(MODELS)})",
+    "range bias": "correct the sensor's ranges, or hold it to a surveyed distance",
+    "range scale": "correct the sensor's ranges, or measure the pattern again",
+    "beam elevation": "look at the sensor's own calibration of its beams",
+    "motion during a sweep": "stop the robot for each collection, or compensate the motion in the sweeps",
+    "size": "measure the printed squares over many of them, and correct the pattern's size",
+    "stretch": "measure the squares along both sides: printers stretch one of them",
+    "stretch along x": "measure the squares along both sides: printers stretch one of them",
+    "stretch along y": "measure the squares along both sides: printers stretch one of them",
+    "bow": "put the pattern on a flat plate",
+    "twist": "put the pattern on a flat plate",
+    "border": "measure the board's border, and correct border_size",
+    "link": "look at the origin of the joint that follows it in the robot's description",
+    "lengths": "look at the units and the lengths of the robot's description",
+    "encoder offset": "look at this joint's zero, or calibrate its position_bias",
+    "encoder gain": "look at this joint's unit and gear ratio",
+    "backlash": "approach every pose from the same side",
+    "scale of poses": "measure the pattern by which the camera measured them, and calibrate the camera's intrinsics; "
+    "or let the arm tell the scale: scale: free",
+    LAG: "look at time stamps; stop the robot for each collection, or calibrate it: lag: free",
+    PLACE: "something was knocked; collect anew, or calibrate the collections before and after apart",
+}
+AT_STANDSTILL = "take all images of a collection at one moment, board and robot standing still"
+NAMED = 4
+"""Number of contradicting collections that are named, each at least half as bad as the worst one."""
+_UNITS = {"1": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "px": (1.0, "px")}
+
+
+def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
+    """Report suspects: a failure if one displaces a sensor by more than allowed, else a note.
+
+    Args:
+        calibration: a calibration that has converged.
+        limits: allowed errors of the sensors.
+    """
+    explanation = explain(calibration.solution.model)
+    if explanation is None:
+        count = len(calibration.solution.model.G)
+        text = f"{count} collections are too few to test fixed parameters (intrinsics, pattern, arm): take 8 or more"
+        return (Finding(UNTESTED, "note", text),)
+    findings = [_finding(calibration, limits, suspect) for suspect in explanation.suspects]
+    findings += _together(calibration, limits, explanation.suspects, findings)
+    findings.sort(key=lambda each: _limits_moved(calibration, limits, each), reverse=True)
+    findings += _contradictions(calibration, limits, explanation.disagreement)
+    return tuple(findings) or (_nothing(calibration),)
+
+
+def _limits_moved(calibration: Calibration, limits: Limits, finding: Finding) -> float:
+    """Return by how many of its limits a failure moves a sensor; 0 of all else, which stays in its order."""
+    if finding.severity != "red" or finding.moves_mm is None or finding.moves_deg is None:
+        return 0.0
+    each = [allowed(calibration, limits, name) for name in finding.sensors]
+    least = 1e-9  # a limit may be zero
+    mm = (finding.moves_mm / max(one.translation_mm, least) for one in each)
+    degrees = (finding.moves_deg / max(one.rotation_deg, least) for one in each)
+    return max(*mm, *degrees, 0.0, 0.0)
+
+
+def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
+    if calibration.of_cameras_alone:
+        return _finding_on_cameras(calibration, limits, suspect)
+    cause = suspect.cause
+    before, after = _moved(calibration, suspect.moves), _moved(calibration, _moves_after(calibration, suspect))
+    moved = {name: _larger(before[name], after[name]) for name in before}
+    mm_unsure, deg_unsure = _unsure_of_few_views(calibration, suspect, limits)
+    over = [
+        name
+        for name, (mm, degrees) in moved.items()
+        if allowed(calibration, limits, name).exceeded(mm + mm_unsure, degrees + deg_unsure)
+    ]
+    sensor = max(over or moved, key=lambda name: moved[name][0], default="")
+    mm, degrees = moved.get(sensor, (0.0, 0.0))
+    names = " or ".join(dict.fromkeys(_name(each) for each in (cause, *suspect.rivals)))
+    since = ""
+    collections: tuple[str, ...] = ()
+    if suspect.since is not None:
+        keys = _keys(calibration, suspect.since)
+        since, collections = f" from collection {keys[0]} on", keys
+    verb = "has moved" if cause.kind == PLACE else "does not fit"
+    either = ", the data cannot tell which" if suspect.rivals else ""
+    gross = _gross(calibration, suspect)
+    harm = f"it moves {sensor} by {_distance(mm, degrees)}" if sensor else "it moves no sensor"
+    if cause.kind == PLACE and sensor:
+        was, now = _distance(*before[sensor]), _distance(*after[sensor])
+        harm = f"the result is {was} from where {sensor} was before, {now} from where it is now"
+        if mm_unsure:
+            harm += f", known to {_distance(mm_unsure, deg_unsure)} as few views tell"
+    text = f"{names} {verb}{since}{either}: {_size(cause, suspect.value, suspect.sigma)}"
+    if over:
+        text += f"; {harm} (limit {allowed(calibration, limits, sensor)}): {ADVICE[cause.kind]}"
+    elif gross:
+        text += f", more than any {GROSS[cause.kind][1]} errs: {ADVICE[cause.kind]}"
+    elif not sensor or limits.any_set:
+        text += f"; harmless: {harm}"
+    else:
+        text += f"; {harm} (limit {allowed(calibration, limits, sensor)})"
+    one = cause.size == 1
+    return Finding(
+        SUSPECT,
+        "red" if over or gross else "note",
+        text,
+        sensors=tuple(over) if over else tuple(filter(None, [sensor])),
+        collections=collections,
+        value=float(suspect.value[0]) if one else None,
+        sigma=float(suspect.sigma[0]) if one else None,
+        unit=cause.unit if one else None,
+        moves_mm=round(mm, 4),
+        moves_deg=round(degrees, 5),
+    )
+
+
+def _finding_on_cameras(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
+    """Report what a cause does to the projection of cameras alone."""
+    moved = shifts(calibration, suspect.moves)
+    camera = max(moved, key=lambda name: moved[name])
+    model = calibration.dataset.sensors[camera].camera
+    limit = projection_limit(model, limits) if model else 0.0
+    red = moved[camera] > limit
+    names = " or ".join(dict.fromkeys(_name(each) for each in (suspect.cause, *suspect.rivals)))
+    text = (
+        f"{names} does not fit: {_size(suspect.cause, suspect.value, suspect.sigma)}; it shifts the projection of "
+        f"{camera} by {moved[camera]:.2g} px (limit {limit:.3g} px)"
+    )
+    text += f": {ADVICE.get(suspect.cause.kind, 'look at it')}" if red else ""
+    return Finding(SUSPECT, "red" if red else "note", text, (camera,), value=round(moved[camera], 4), unit="px")
+
+
+def _distance(mm: float, degrees: float) -> str:
+    return f"{mm:.3g} mm and {degrees:.2g} deg"
+
+
+def _unsure_of_few_views(calibration: Calibration, suspect: Suspect, limits: Limits) -> tuple[float, float]:
+    """Return the guard band of a displacement of which few views tell, mm and degrees; zeros of others.
+
+    That something has moved is certain then, and how far is not.
+    """
+    K = len(calibration.solution.model.G)
+    if suspect.since is None or min(suspect.since, K - suspect.since) >= SIDE:
+        return 0.0, 0.0
+    mm, degrees = sizes(suspect.sigma, TWIST)
+    return limits.guard * mm, limits.guard * degrees
+
+
+def _larger(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    return max(one[0], other[0]), max(one[1], other[1])
+
+
+def _gross(calibration: Calibration, suspect: Suspect) -> bool:
+    """Whether a cause is off by more than any camera, board or arm errs."""
+    kind, value = suspect.cause.kind, suspect.value
+    if kind not in GROSS:
+        return False
+    if kind == "radial distortion":
+        camera = calibration.dataset.sensors[suspect.cause.subject.split(" and ")[0]].camera
+        if camera is None:
+            return False
+        value = _stretched(camera, value)
+    return float(np.abs(value).max()) > GROSS[kind][0]
+
+
+def _stretched(camera: Camera, changes: Array) -> Array:
+    """Return by what part of itself the distance from the image's centre changes with the radial coefficients.
+
+    From the centre to the image's nearer border; NaN where the lens has no ray.
+    """
+    lens = camera.distortion
+    r = np.linspace(0, min(camera.width / camera.fx, camera.height / camera.fy) / 2, 20)[1:]
+    x, none = lens.undistort(r, np.zeros_like(r))
+    derivatives = dict(zip(lens.names(), lens.derivatives(x, none), strict=True))
+    part = sum(k * derivatives[name][0] for name, k in zip(lens.radial, changes.tolist(), strict=False)) / r
+    return np.asarray(np.nan_to_num(part))
+
+
+def _moves_after(calibration: Calibration, suspect: Suspect) -> Array:
+    """Return the changes (S,) of the calibrated parameters to where the sensors are at the end of the recording.
+
+    Those of a suspect are to where they were before it moved. A sensor that is held moves all others the other way.
+    """
+    dataset, setup, moves = calibration.dataset, calibration.solution.setup, suspect.moves.copy()
+    moved = dataset.sensors.get(suspect.cause.subject)
+    if suspect.cause.kind != PLACE or moved is None:
+        return moves
+    at = setup.problem.shared_parameters
+    if (block := setup.block(moved.edge)) in at:
+        moves[at[block]] += suspect.value
+        return moves
+    for sensor in dataset.sensors.values():
+        if (block := setup.block(sensor.edge)) in at:
+            T_sensor_moved = dataset.transform(sensor.frame, moved.frame)[-1]
+            moves[at[block]] -= adjoint(T_sensor_moved) @ suspect.value
+    return moves
+
+
+def _together(
+    calibration: Calibration, limits: Limits, suspects: Sequence[Suspect], findings: Sequence[Finding]
+) -> list[Finding]:
+    """Report a failure if no suspect exceeds the limits by itself, but all of them together do.
+
+    Each was tested with the previous ones free, so that their effects add up.
+    """
+    if len(suspects) < 2 or any(each.severity == "red" for each in findings):
+        return []
+    moved = _moved(calibration, np.sum([each.moves for each in suspects], axis=0))
+    for name, (mm, degrees) in moved.items():
+        limit = allowed(calibration, limits, name)
+        if limit.exceeded(mm, degrees):
+            causes = ", ".join(_name(each.cause) for each in suspects)
+            text = (
+                f"{causes} do not fit: together they move {name} by {mm:.3g} mm and {degrees:.2g} deg (limit {limit}): "
+            )
+            text += ADVICE[suspects[0].cause.kind]
+            return [Finding(SUSPECT, "red", text, (name,), moves_mm=round(mm, 4), moves_deg=round(degrees, 5))]
+    return []
+
+
+def _name(cause: Cause) -> str:
+    return cause.subject if cause.kind == PLACE else f"{cause.subject}'s {cause.kind}"
+
+
+def _size(cause: Cause, value: Array, sigma: Array) -> str:
+    """Describe the deviation of a cause, with its standard deviation, in the user's units."""
+    if cause.size == 6:  # a twist: translation and rotation
+        return (
+            f"{1e3 * np.linalg.norm(value[:3]):.3g} +- {1e3 * np.linalg.norm(sigma[:3]):.1g} mm, "
+            f"{np.degrees(np.linalg.norm(value[3:])):.3g} +- {np.degrees(np.linalg.norm(sigma[3:])):.1g} deg"
+        )
+    if cause.unit == "collections":
+        return f"{value[0]:+.3g} +- {sigma[0]:.1g} of the way to the next collection"
+    if cause.kind == LENS:
+        return "off in several parameters at once"
+    factor, unit = _UNITS.get(cause.unit, (1.0, cause.unit))
+    if cause.unit == "1":  # a relative change of d is extrapolated with an error of its square
+        sigma = np.hypot(sigma, value**2 / 2)
+    if "distortion" in cause.kind or cause.kind == "lens model":
+        factor, unit = 1.0, ""
+    numbers = ", ".join(f"{factor * v:+.3g} +- {factor * s:.1g}" for v, s in zip(value, sigma, strict=True))
+    return f"off by {numbers} {unit}".rstrip()
+
+
+def _moved(calibration: Calibration, moves: Array) -> dict[str, tuple[float, float]]:
+    """Return the displacements of each calibrated sensor and joint, mm and degrees."""
+    setup = calibration.solution.setup
+    at = setup.problem.shared_parameters
+    sensors = {sensor.name: setup.block(sensor.edge) for sensor in setup.dataset.sensors.values()}
+    moved = {name: sizes(moves[at[block]], TWIST) for name, block in sensors.items() if block in at}
+    for name, joint in calibration.joints.items():
+        moved[name] = sizes(moves[at[setup.block(setup.dataset.joints[name].edge)]], joint.units)
+    return moved
+
+
+def _keys(calibration: Calibration, since: int) -> tuple[str, ...]:
+    """Return the collections of the clusters from an index on."""
+    solution = calibration.solution
+    return tuple(
+        key for key, at in zip(solution.dataset.keys, solution.model.clusters.tolist(), strict=True) if at >= since
+    )
+
+
+def _contradictions(calibration: Calibration, limits: Limits, found: Disagreement) -> list[Finding]:
+    """Report sensors whose views contradict each other by more than noise and all that is assumed explain.
+
+    Each is tested by itself, so that good ones do not hide a bad one: red if its standard deviation exceeds the limit.
+    Where only the guard band reaches over it, that is undecided (`calibration.engine.diagnosis.precision`).
+    """
+    if calibration.of_cameras_alone:
+        return _contradiction_of_cameras(calibration, found)
+    setup = calibration.solution.setup
+    at = setup.problem.shared_parameters
+    edges = {sensor.name: sensor.edge for sensor in calibration.dataset.sensors.values()}
+    beyond = {name: found.beyond(at[block]) for name, edge in edges.items() if (block := setup.block(edge)) in at}
+    findings = []
+    for name, ratio in sorted(beyond.items(), key=lambda each: -each[1]):
+        freedom = found.freedom(at[setup.block(edges[name])])
+        if ratio <= CONTRADICTING or score_of_f(ratio, freedom, EXACTLY) <= threshold(len(beyond)):
+            continue
+        subject, keys = _worst(calibration, found, (name, *calibration.dataset.patterns))
+        mm, degrees = stated(calibration)[name]
+        limit = allowed(calibration, limits, name)
+        harmful = limit.exceeded(mm, degrees)
+        text = (
+            f"the views of {name} contradict each other: they scatter {ratio**0.5:.2g} times as far as noise and all "
+            f"that is assumed explain, most {subject} in {_collections(keys)}, and leave it uncertain by "
+            f"{_distance(mm, degrees)} (limit {limit}); no fixed parameter "
+            f"explains it: time stamps, or something that moved or gave way{f': {AT_STANDSTILL}' if harmful else ''}"
+        )
+        findings.append(Finding(CONTRADICTION, "red" if harmful else "note", text, (name,), keys, value=ratio))
+    return findings
+
+
+def _worst(calibration: Calibration, found: Disagreement, names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    """Return the sensor or pattern of these that disagrees most, and its worst collections, at most `NAMED`."""
+    of = {name: found.sizes[name] for name in names if name in found.sizes}
+    subject = max(of, key=lambda name: of[name].max())
+    sizes = of[subject]
+    worst = [i for i in np.argsort(-sizes)[:NAMED].tolist() if sizes[i] >= sizes.max() / 2]
+    return subject, tuple(_keys(calibration, i)[0] for i in worst)
+
+
+def _collections(keys: Sequence[str]) -> str:
+    return f"collection{'s' * (len(keys) > 1)} {', '.join(keys)}"
+
+
+def _contradiction_of_cameras(calibration: Calibration, found: Disagreement) -> list[Finding]:
+    """Report views of cameras alone that contradict each other, as a note: what it does is in their error bars."""
+    level = calibration.noise_levels.pixel
+    if not found.contradicts or not level:
+        return []
+    subject, keys = _worst(calibration, found, tuple(found.sizes))
+    text = (
+        f"the views contradict each other by {found.excess * level:.2g} px where {level:.2g} px is the noise, most "
+        f"{subject} in {_collections(keys)}, and no fixed parameter explains it: a board that bends, motion in the "
+        f"images, or a lens with more than its model"
+    )
+    return [Finding(CONTRADICTION, "note", text, (subject,), keys, value=found.ratio)]
+
+
+def _nothing(calibration: Calibration) -> Finding:
+    """Return the note for a calibration without suspects: the contributions to its standard deviations."""
+    text = "nothing suspicious"
+    bars = calibration.error_bars
+    worth = bars.worth if bars else {}
+    most = max(worth, key=lambda name: worth[name], default="")
+    if most and worth[most] > 0:
+        text += (
+            f"; the result hangs most on the {most}: the usual uncertainty of it is worth {1e3 * worth[most]:.2g} mm"
+        )
+    return Finding(NOTHING, "note", text)

@@ -1,0 +1,73 @@
+"""Report of rejected views that contradict the majority: image and pose from different moments."""
+
+from collections import Counter, defaultdict
+
+from calibration.engine.diagnosis.finding import Finding, Severity
+from calibration.engine.diagnosis.limits import Limits, allowed
+from calibration.engine.estimation.covariance.result import Calibration, DroppedView
+
+RED = 0.05
+"""Share of a sensor's views that is a failure: the majority is no longer reliable."""
+NAMED = 20
+"""Number of collections that a message names."""
+
+
+def wrong_views(calibration: Calibration, limits: Limits | None = None) -> tuple[Finding, ...]:
+    """Report the rejected views, by the sensors that contradict each other.
+
+    If two sensors contradict each other and no third one decides, both views are rejected and both are named. At an end
+    of the recording a few views that contradict the others may as well be those of a sensor that has moved, so that
+    they are a failure if they are off by more than it may.
+
+    Args:
+        calibration: the result.
+        limits: those that the user has set; None where there is no result that they are compared with.
+    """
+    views = Counter(sensor for c in calibration.dataset.collections for _, sensor in c.labels)
+    by_collection: dict[str, list[DroppedView]] = defaultdict(list)
+    for view in calibration.dropped_views:
+        by_collection[view.collection].append(view)
+    alike: dict[tuple[str, ...], list[DroppedView]] = defaultdict(list)
+    for dropped in by_collection.values():
+        alike[tuple(sorted({view.sensor for view in dropped}))] += dropped
+    return tuple(
+        _finding(sensors, dropped, views, limits is not None and _has_moved(calibration, limits, dropped))
+        for sensors, dropped in alike.items()
+    )
+
+
+def _has_moved(calibration: Calibration, limits: Limits, dropped: list[DroppedView]) -> bool:
+    """Whether the first or the last view of a sensor is wrong by more than it may be off."""
+    seen = {
+        sensor: [c.key for c in calibration.dataset.collections if sensor in {s for _, s in c.labels}]
+        for sensor in {v.sensor for v in dropped}
+    }
+    return any(
+        view.collection in (seen[view.sensor][0], seen[view.sensor][-1])
+        and allowed(calibration, limits, view.sensor).exceeded(view.mm, view.degrees)
+        for view in dropped
+    )
+
+
+def _finding(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counter[str], moved: bool) -> Finding:
+    collections = tuple(dict.fromkeys(view.collection for view in dropped))
+    share = max(len({v.collection for v in dropped if v.sensor == sensor}) / views[sensor] for sensor in sensors)
+    mm, degrees = (max(getattr(view, unit) for view in dropped) for unit in ("mm", "degrees"))
+    several = len(collections) > 1
+    more = f" and {len(collections) - NAMED} more" if collections[NAMED:] else ""
+    where = f"collection{'s' * several} {', '.join(collections[:NAMED])}{more}"
+    if len(sensors) > 1:
+        what = f"{', '.join(sensors[:-1])} and {sensors[-1]} contradict each other in {where}"
+    else:
+        what = (
+            f"{sensors[0]}: {'views' if several else 'the view'} of {where} contradict{'s' * (not several)} the others"
+        )
+    cause = "image and pose of different moments"
+    if moved:
+        cause = f"at an end of the recording: has it moved between them and the others? Or {cause}"
+    text = (
+        f"{what}, by up to {mm:.4g} mm and {degrees:.3g} deg, left out: {cause}? "
+        f"Record these collections again, at standstill"
+    )
+    severity: Severity = "red" if share > RED or moved else "warning"
+    return Finding("wrong-views", severity, text, sensors, collections, share, unit="1")

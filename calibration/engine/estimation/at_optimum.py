@@ -1,0 +1,142 @@
+"""Result of a calibration at an optimum: transforms, residuals, error bars."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration.base.errors import UndeterminedError
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.estimation.covariance.calibrated import (
+    calibrated_dataset,
+    calibrated_intrinsics,
+    calibrated_joints,
+    covariances_of_transforms,
+    rejected_labels,
+    transforms_of,
+    view_residuals,
+)
+from calibration.engine.estimation.covariance.error_bars import ErrorBars, error_bars
+from calibration.engine.estimation.covariance.result import CalibratedLag, Calibration, Solution
+from calibration.engine.estimation.problem.blocks import Pose
+from calibration.engine.estimation.problem.unknown_intrinsics import contradicted_priors
+from calibration.engine.estimation.solve.least_squares import Optimum
+from calibration.engine.estimation.solve.noise_levels import NoiseLevels
+from calibration.engine.estimation.solve.observability import WeakDirection, open_directions
+from calibration.engine.estimation.solve.optimisation import WeightedOptimum
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.start.build import Setup
+
+MORE_ROTATION = "add collections with other rotations of the pattern or the robot"
+"""Advice where a transform is not determined,"""
+MORE_TILT = "add views in which the pattern is near, and tilted by 30 to 45 degrees"
+"""and where intrinsics are not."""
+
+
+class OpenCoefficientsError(UndeterminedError):
+    """The labels do not determine some distortion coefficients, which can be fixed."""
+
+    def __init__(self, message: str, hold: Sequence[str]) -> None:
+        super().__init__(message)
+        self.hold = tuple(dict.fromkeys(hold))
+        """By their names, such as "intrinsics-left-k6"."""
+
+
+def calibration_at(
+    dataset: Dataset,
+    setup: Setup,
+    result: WeightedOptimum,
+    reason: str,
+    options: Options,
+    notes: Sequence[str],
+) -> Calibration:
+    """Return the result at an optimum, with its error bars unless there is a reason why it is not the calibration.
+
+    Args:
+        dataset: the calibrated dataset; that of the setup has only its used collections.
+        setup: the problem.
+        result: its optimum.
+        reason: why this is not the calibration; empty if it is.
+        options: options of the calibration.
+        notes: of the problem and the initial values, in words.
+
+    Raises:
+        OpenCoefficientsError: the labels do not determine some distortion coefficients.
+        UndeterminedError: they do not determine something else.
+    """
+    optimum, weighting, lags = result.optimum, result.weighting, options.free_lags_of(setup.dataset)
+    values = optimum.values
+    used = calibrated_dataset(setup, values, setup.dataset)
+    solution = Solution(setup, values, weighting, used, options.assume, options.scale == "free", lags)
+    weak = () if reason else _weak_directions(setup, optimum)
+    bars = None if reason else _error_bars(solution)
+    total, labels = (bars.total, bars.labels) if bars else ({}, {})
+    residuals = view_residuals(setup, values)
+    return Calibration(
+        dataset=solution.dataset if setup.dataset is dataset else calibrated_dataset(setup, values, dataset),
+        solution=solution,
+        transforms=transforms_of(setup, values),
+        covariances=covariances_of_transforms(setup, total),
+        label_covariances=covariances_of_transforms(setup, labels),
+        error_bars=bars,
+        converged=not reason,
+        reason=reason,
+        cost=optimum.cost,
+        degrees_of_freedom=setup.problem.residuals - round(sum(result.parameters.values())),
+        iterations=optimum.iterations,
+        noise_levels=NoiseLevels(**{str(kind): scale for kind, scale in weighting.scales.items()}),
+        residuals=residuals,
+        rejected=rejected_labels(setup.dataset, residuals, weighting),
+        weak_directions=weak,
+        warnings=() if reason else tuple(contradicted_priors(setup.problem.blocks, values)),
+        notes=tuple(notes),
+        gauge=setup.gauge,
+        joints=calibrated_joints(setup, values, total, labels),
+        intrinsics=calibrated_intrinsics(setup, values, total),
+        lags={
+            name: CalibratedLag(setup.dataset.sensors[name].lag, bars.lags.get(name, np.nan) if bars else np.nan)
+            for name in lags
+        },
+    )
+
+
+def _weak_directions(setup: Setup, optimum: Optimum) -> tuple[str, ...]:
+    """Return the directions that the data hardly determine, in words.
+
+    Raises:
+        UndeterminedError: the data do not determine some at all.
+    """
+    problem = setup.problem
+    names = [block.name for block in problem.blocks]
+    size = max(pattern.size for pattern in setup.dataset.patterns.values())
+    undetermined, weak = open_directions(problem, optimum.equations, size)
+    if undetermined:
+        named = "; ".join(direction.describe(names) for direction in undetermined[:3])
+        of_lenses = all(direction.kind == "ray" for direction in undetermined)
+        message = (
+            f"{setup.dataset.path}: the labels do not determine {named}; "
+            f"{MORE_TILT if of_lenses else MORE_ROTATION}{_to_hold(setup, undetermined, names)}"
+        )
+        coefficients = [
+            f"{names[each.block]}-{name}"
+            for each in undetermined
+            if (free := problem.blocks[each.block].intrinsics)
+            for name in each.coefficients_to_hold(free.camera.distortion)
+        ]
+        raise OpenCoefficientsError(message, coefficients) if coefficients else UndeterminedError(message)
+    return tuple(direction.describe(names) for direction in weak)
+
+
+def _to_hold(setup: Setup, undetermined: Sequence[WeakDirection], names: Sequence[str]) -> str:
+    """Return the advice to fix a parameter, for a message; empty if there is only one transform to calibrate."""
+    problem = setup.problem
+    if not setup.dataset.additional_transforms and not any(problem.blocks[i].parameters.free for i in problem.shared):
+        return ""
+    name = next((name for each in undetermined if (name := each.to_hold(names))), "")
+    return f", or hold one of them{f', such as {name!r}' if name else ''}"
+
+
+def _error_bars(solution: Solution) -> ErrorBars:
+    problem = solution.setup.problem
+    at = problem.shared_parameters
+    poses = [block for block in at if isinstance(problem.blocks[block].parameters, Pose)]
+    return error_bars(solution.model, at, poses)

@@ -1,0 +1,155 @@
+"""Total covariance of a calibration: noise of the labels, disagreement of collections, and errors of fixed parameters.
+
+The inverse of the information, C, is valid for independent noise of the labels alone. Two terms are added:
+
+- If collections disagree by more than that noise explains (an arm's repeatability, a base that sways), C is scaled
+  by one factor per block, ``phi = tr(C^-1 V) / k``, at least 1, with the covariance V of the collections as clusters:
+  ``V = sum_c d_c d_c^T`` with ``d_c = A^-1/2 (I - A^-1/2 G_c A^-1/2)^-1/2 A^-1/2 g_c``, which is unbiased if
+  there is that noise alone (CR2: R. M. Bell and D. F. McCaffrey, "Bias reduction in standard errors for linear
+  regression with multi-stage samples", 2002). Where neighbouring clusters are alike, the products of nearby ones are
+  added, with Bartlett's weights (W. Newey and K. West, "A simple, positive semi-definite, heteroskedasticity and
+  autocorrelation consistent covariance matrix", 1987), as far as D. Andrews' rule for a first-order autoregression
+  says ("Heteroskedasticity and autocorrelation consistent covariance matrix estimation", 1991). With this factor the
+  expected ``e^T (phi C)^-1 e`` is k for any shape of V. Where phi is large and told by few clusters, it is
+  multiplied by n / (n - 2), with the effective number n of clusters: the mean of an inverse chi-square variable.
+- Fixed parameters are known with a standard deviation s (`problem.assumptions`). Their error changes the
+  result by ``W = -A^-1 B`` times it, so ``W diag(s^2) W^T`` is added (consider analysis: S. F. Schmidt, 1966).
+
+A cause that is calibrated (the scale of poses, a lag) is one of the columns of A.
+"""
+
+from collections.abc import Collection, Mapping
+
+import numpy as np
+
+from calibration.base.arrays import Array, IntArray
+from calibration.base.frozen import frozen
+from calibration.engine.estimation.covariance.fixed_inputs import LAG
+from calibration.engine.estimation.covariance.linear_model import LinearModel
+
+SERIAL = 4.0
+"""Correlation of neighbouring clusters, in its standard deviations, from which they are taken to be alike."""
+LONGEST = 0.97
+"""Largest correlation of neighbours that is taken; their sum is known too little to tell larger ones."""
+CONTRADICTING = 3.0
+"""Factor above which clusters contradict each other; one that is estimated from few clusters is then corrected."""
+FEWEST_CLUSTERS = 4.0
+"""Minimum of the clusters that a factor is taken to come from."""
+DECISIVE = 1e-6
+"""Information left without a cluster, relative to the total, below which that cluster alone determines a direction."""
+
+
+@frozen(eq=False)
+class ErrorBars:
+    """Covariances of the shared parameters, by block."""
+
+    labels: Mapping[int, Array]
+    """(k, k): from the noise of the labels alone."""
+    expected: Mapping[int, Array]
+    """(k, k): from that and the errors of fixed parameters, for a robot whose collections agree."""
+    total: Mapping[int, Array]
+    """(k, k): total."""
+    effective_collections: float
+    """Number of independent collections of equal weight with the same information."""
+    decisive: float
+    """Largest share of one cluster of collections in the information on any direction."""
+    worth: Mapping[str, float]
+    """By cause, the displacement of a transform by one assumed (if 0, typical) standard deviation, m."""
+    held: Mapping[str, Array]
+    """(S, k): by cause, the changes of the parameters by an error of one assumed standard deviation."""
+    lags: Mapping[str, float]
+    """s: by sensor, total standard deviation of a calibrated lag."""
+
+
+def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collection[int]) -> ErrorBars:
+    """Compute the covariances at the optimum.
+
+    Args:
+        model: of the calibration.
+        blocks: the parameters of each shared block.
+        poses: the blocks that are transforms; others have no displacement.
+    """
+    S, T = model.shared, model.total
+    freed = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.free]
+    free = np.concatenate([np.arange(S), *(np.arange(at.start, at.stop) for _, at in freed)])
+    C = np.linalg.inv(T[np.ix_(free, free)])
+    C = 0.5 * (C + C.T)
+    clustered, effective, decisive = _clustered(model, C, free)
+    moves = -C @ T[free]  # by a unit of each column
+    squares = np.stack([(moves[blocks[block]][:3] ** 2).sum(0) for block in poses] or [np.zeros(len(T))])
+    worth, held, considered = {}, {}, np.zeros((len(free), len(free)))
+    for cause, at, typical in zip(model.causes, model.places, model.typical, strict=True):
+        if cause.counts and not cause.free:
+            usual = cause.assumed
+            if any(cause.assumed):
+                moved = moves[:, at] * np.array(cause.assumed)
+                held[cause.name] = moved[:S]
+                considered = considered + moved @ moved.T
+            else:
+                usual = typical
+            worth[cause.name] = float(np.sqrt((squares[:, at] @ np.square(usual)).max()))
+
+    def bars(at: slice) -> tuple[Array, Array]:
+        own = C[at, at]
+        factor = max(1.0, float(np.trace(np.linalg.solve(own, clustered[at, at]))) / len(own))
+        if factor > CONTRADICTING:
+            factor *= _for_few_clusters(model.G[:, free[:, None], free], C[at], own)
+        return own + considered[at, at], factor * own + considered[at, at]
+
+    labels, expected, total = {}, {}, {}
+    for block, at in blocks.items():
+        labels[block] = C[at, at]
+        expected[block], total[block] = bars(at)
+    ends = np.cumsum([S, *(cause.size for cause, _ in freed)]).tolist()
+    lags = {
+        cause.subject: float(np.sqrt(bars(slice(start, start + 1))[1][0, 0]))
+        for (cause, _), start in zip(freed, ends, strict=False)
+        if cause.kind == LAG
+    }
+    return ErrorBars(labels, expected, total, effective, decisive, worth, held, lags)
+
+
+def _for_few_clusters(G: Array, C: Array, own: Array) -> float:
+    """Return the factor ``n / (n - 2)`` by which a variance that n clusters tell is too small as a divisor.
+
+    Args:
+        G: (K, F, F), information of each cluster.
+        C: (k, F), rows of the covariance.
+        own: (k, k), of its own columns.
+    """
+    shares = np.einsum("kii->k", np.linalg.solve(own, C @ G @ C.T))
+    count = float(shares.sum() ** 2 / (shares**2).sum())
+    return max(count, FEWEST_CLUSTERS) / (max(count, FEWEST_CLUSTERS) - 2)
+
+
+def _clustered(model: LinearModel, C: Array, free: IntArray) -> tuple[Array, float, float]:
+    """Return the covariance (F, F) of the free columns with collections as clusters.
+
+    And the effective number of collections, and the largest share of one.
+    """
+    values, vectors = np.linalg.eigh(C)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))  # C = root root^T
+    share = root.T @ model.G[:, free[:, None], free] @ root  # (K, F, F): fraction of the total information
+    pull = model.g[:, free] @ root
+    w, U = np.linalg.eigh(np.eye(len(free)) - share)
+    left = np.maximum(w, DECISIVE)
+    change = (U @ ((pull[:, None] @ U)[:, 0] / np.sqrt(left))[..., None])[..., 0]
+    leverages = np.einsum("kii->k", share)
+    effective = float(leverages.sum() ** 2 / (leverages**2).sum())
+    V = root @ summed_products(change) @ root.T
+    return V, effective, float(1 - w.min())
+
+
+def summed_products(change: Array) -> Array:
+    """Return the covariance (S, S) of the sum of changes (K, S) of mean 0; neighbours may be alike."""
+    V: Array = change.T @ change
+    K = len(change)
+    alike = float((change[1:] * change[:-1]).sum() / np.trace(V)) if np.trace(V) > 0 else 0.0
+    if alike * np.sqrt(K) < SERIAL:
+        return V
+    alike = min(alike, LONGEST)
+    width = int(np.ceil(1.1447 * (4 * alike**2 / (1 - alike**2) ** 2 * K) ** (1 / 3)))
+    for lag in range(1, min(width, K // 2)):
+        between = (1 - lag / width) * change[lag:].T @ change[:-lag]
+        V = V + between + between.T
+    return V

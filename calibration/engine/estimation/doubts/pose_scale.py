@@ -1,0 +1,102 @@
+"""Unknown scale of measured poses, as a camera alone gives them: their translations are too long by a common factor.
+
+At the optimum for one factor, one Newton step in it beside all that is calibrated leads to the next::
+
+    step = -(B^T r) / (B^T B - B^T A (A^T A)^-1 A^T B)
+
+With the rotations, which no factor changes, the rest is linear in the factor and the translations; a wrong factor makes
+residuals of translations large, so that their estimated noise leaves the rotations to the rotations. The factor's own
+uncertainty is in the error bars (`calibration.engine.estimation.covariance.error_bars`).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.base.errors import UndeterminedError
+from calibration.engine.dataset.model import Dataset, Labels, PoseLabels
+from calibration.engine.estimation.covariance.calibrated import calibrated_dataset
+from calibration.engine.estimation.covariance.fixed_inputs import SCALE
+from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.doubts.suspects import DETERMINED
+from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.blocks import Values
+from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.start.build import Setup
+
+SAME = 1e-7
+"""Step, relative, after which the factor is found."""
+OTHER_SCALE = 0.05
+"""Logarithm of a factor from which poses have another scale than metres."""
+MOST_STEPS = 30
+LARGEST_STEP = 100.0
+"""Largest ratio of a factor to the one before."""
+ROUGH = Weighting({"pose_translation": 1.0, "pose_rotation": 1e-3}, None)
+"""Weights (m, rad) before anything is known of the noise: the rotations stay nearly as they start."""
+
+
+def rough_ratio(setup: Setup, values: Values) -> float | None:
+    """Return the factor by plain least squares from an initial guess; None if the poses do not determine it."""
+    dataset = calibrated_dataset(setup, values, setup.dataset)
+    return _ratio(linear_model(setup.problem, values, ROUGH, dataset, EXACT, free_scale=True))
+
+
+def next_ratio(calibration: Calibration) -> float | None:
+    """Return the ratio of the next factor to that of a calibration; None if the poses do not determine it.
+
+    Args:
+        calibration: at an optimum, of poses whose translations have been divided by the factor.
+    """
+    return _ratio(calibration.solution.model)
+
+
+def _ratio(model: LinearModel) -> float | None:
+    """Return 1 and the Newton step of the scale, beside that of all shared parameters."""
+    own = [at.start for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == SCALE]
+    if not own:
+        return None
+    S, total, g, (k, *_) = model.shared, model.total, model.g.sum(0), own
+    moves = np.linalg.solve(total[:S, :S], np.stack([total[:S, k], g[:S]], -1))
+    left = total[k, k] - total[k, :S] @ moves[:, 0]
+    if not left > DETERMINED * model.alone[k]:
+        return None
+    step = -float((g[k] - total[k, :S] @ moves[:, 1]) / left)
+    return float(np.clip(1 + step, 1 / LARGEST_STEP, LARGEST_STEP))
+
+
+def divided(dataset: Dataset, factor: float) -> Dataset:
+    """Return the dataset with the translations of all measured poses divided by a factor."""
+
+    def scaled(label: Labels) -> Labels:
+        if not isinstance(label, PoseLabels):
+            return label
+        T = label.T.copy()
+        T[:3, 3] /= factor
+        return PoseLabels(T)
+
+    collections = tuple(
+        replace(c, labels={key: scaled(label) for key, label in c.labels.items()}) for c in dataset.collections
+    )
+    return replace(dataset, collections=collections)
+
+
+def has_poses(dataset: Dataset) -> bool:
+    """Whether any label is a measured pose."""
+    return any(isinstance(label, PoseLabels) for c in dataset.collections for label in c.labels.values())
+
+
+def unknown_scale(dataset: Dataset, factor: float) -> UndeterminedError:
+    """Return the error of poses that fit with another scale."""
+    return UndeterminedError(
+        f"{dataset.path}: the scale of the measured poses is unknown: they fit the arm with translations {factor:.4g} "
+        f"times too long; give them in metres, or set 'scale: free' in calibration.yml"
+    )
+
+
+def undetermined_scale(dataset: Dataset) -> UndeterminedError:
+    """Return the error of poses that do not determine their scale."""
+    return UndeterminedError(
+        f"{dataset.path}: the poses do not determine their scale (scale: free); the arm must carry the sensor or the "
+        f"pattern along, not turn it alone"
+    )

@@ -1,0 +1,188 @@
+"""Free intrinsics of a camera: any subset, with or without a prior."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from calibration.base.arrays import Array, BoolArray
+from calibration.base.frozen import frozen
+from calibration.engine.estimation.problem.motion import Motion
+from calibration.engine.geometry.cameras import Camera
+
+ALL = "all"
+"""Name for all cameras."""
+PIXELS = ("fx", "fy", "cx", "cy")
+"""Parameters in pixels."""
+
+
+@frozen(eq=False)
+class CalibratedIntrinsics:
+    """Estimates of intrinsics with their covariance: calibrated, or given."""
+
+    model: str
+    """ROS's name of the distortion model."""
+    parameters: tuple[str, ...]
+    """Some of fx, fy, cx, cy and the distortion coefficients, in this order."""
+    values: Array
+    """(k,): px, and 1."""
+    covariance: Array
+    """(k, k); NaN if the calibration has not converged."""
+
+    @property
+    def units(self) -> tuple[Literal["px", "1"], ...]:
+        """Unit of each parameter."""
+        return tuple("px" if parameter in PIXELS else "1" for parameter in self.parameters)
+
+    @property
+    def sigmas(self) -> Array:
+        """(k,): standard deviation of each parameter."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
+
+@frozen(eq=False)
+class Prior:
+    """Gaussian prior of some parameters."""
+
+    at: tuple[int, ...]
+    """(u,): indices of these parameters among all of the camera, ascending."""
+    mean: Array
+    """(u,)."""
+    covariance: Array
+    """(u, u)."""
+
+    @cached_property
+    def information(self) -> Array:
+        """(u, u): inverse of the covariance, scaled first, as pixels and coefficients differ in magnitude."""
+        s = np.sqrt(np.diagonal(self.covariance))
+        inverse: Array = np.linalg.inv(self.covariance / s[:, None] / s) / s[:, None] / s
+        return 0.5 * (inverse + inverse.T)
+
+
+@frozen(eq=False)
+class FreeIntrinsics:
+    """Camera with some free intrinsics."""
+
+    sensor: str
+    """Name of the camera."""
+    camera: Camera
+    """With its nominal intrinsics."""
+    free: tuple[str, ...]
+    """Free parameters, in the order of `Camera.parameters`."""
+    rays: Array
+    """(2, n): its labels as coordinates in the lens's chart."""
+    prior: Prior | None = None
+
+    @property
+    def dimension(self) -> int:
+        """Number of free parameters."""
+        return len(self.free)
+
+    @cached_property
+    def at(self) -> list[int]:
+        """Indices of the free parameters among all."""
+        return [self.camera.parameters.index(parameter) for parameter in self.free]
+
+    def motions(self, size: float) -> list[Motion]:
+        """Return the effect of each free parameter on the labels' rays; ``size`` of the pattern is not used."""
+        units, extents = self.unit, self.unit * self.reach
+        parts = zip(self.free, units.tolist(), extents.tolist(), strict=True)
+        return [Motion("ray", 1, *part) for part in parts]
+
+    def with_free(self, parameters: Sequence[str]) -> "FreeIntrinsics":
+        """Return the camera with these parameters free, in any order."""
+        return replace(self, free=tuple(each for each in self.camera.parameters if each in parameters))
+
+    def without(self, parameter: str) -> "FreeIntrinsics":
+        """Return the camera with one parameter fewer free."""
+        return self.with_free([each for each in self.free if each != parameter])
+
+    def moved(self, value: Array, step: Array) -> Array:
+        """Return all parameters (4 + n,) after a step (k,) of the free ones."""
+        out = value.copy()
+        out[self.at] += step
+        return out
+
+    def possible(self, value: Array) -> bool:
+        """Whether the values are valid: positive focal lengths, no folding of the image at the labels."""
+        if not (np.isfinite(value).all() and value[0] > 0 and value[1] > 0):
+            return False
+        return bool(self._unfolded(self.camera.with_intrinsics(value))[self._sound].all())
+
+    @cached_property
+    def _probes(self) -> Array:
+        """Points (2, p) all over the circle that contains the labels, in the lens's chart."""
+        around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+        r = np.hypot(*self.rays).max(initial=0.0) * np.linspace(0, 1, 9)[1:, None]
+        return np.stack([(r * np.cos(around)).ravel(), (r * np.sin(around)).ravel()])
+
+    @cached_property
+    def _sound(self) -> BoolArray:
+        """Mask (p,) of the probes at which the nominal camera does not fold."""
+        return self._unfolded(self.camera)
+
+    def _unfolded(self, camera: Camera) -> BoolArray:
+        with np.errstate(all="ignore"):
+            _, ((a, b), (c, d)) = camera.distortion.distort_with_jacobian(self._probes)
+            unfolded: BoolArray = (a > 0) & (a * d - b * c > 0)
+        return unfolded
+
+    def pull(self, value: Array) -> tuple[float, Array, Array]:
+        """Return the prior's cost at all parameters (4 + n,), its gradient (k,) and Hessian (k, k) by the free ones."""
+        off = np.zeros(len(value))
+        if self.prior is not None:
+            off[list(self.prior.at)] = value[list(self.prior.at)] - self.prior.mean
+        gradient = self.information @ off
+        return float(off @ gradient), gradient[self.at], self.information[np.ix_(self.at, self.at)]
+
+    @cached_property
+    def information(self) -> Array:
+        """(4 + n, 4 + n): the prior's, of all parameters."""
+        n = len(self.camera.parameters)
+        information = np.zeros((n, n))
+        if self.prior is not None:
+            information[np.ix_(self.prior.at, self.prior.at)] = self.prior.information
+        return information
+
+    @cached_property
+    def reach(self) -> Array:
+        """Rotation (k,) of a ray per unit of each free parameter, rad; root mean square over the labels."""
+        return root_mean_square(self._turns(*self.rays))
+
+    @cached_property
+    def unit(self) -> Array:
+        """Unit (k,) of each free parameter, to compare directions.
+
+        The change that rotates the labels' rays by 1 rad; or ten standard deviations of the prior if that is less, so
+        that parameters with a prior neither count as undetermined nor dominate all others.
+        """
+        everything = np.full(len(self.camera.parameters), np.inf)
+        if self.prior is not None:
+            everything[list(self.prior.at)] = 10 * np.sqrt(np.diagonal(self.prior.covariance))
+        unit: Array = np.minimum(everything[self.at], 1 / np.maximum(self.reach, 1e-30))
+        return unit
+
+    @cached_property
+    def bends(self) -> Array:
+        """Rotation (k, 2, n) of the rays all over the image per unit of each free parameter, rad."""
+        camera = self.camera
+        u, v = np.meshgrid(np.linspace(0, camera.width - 1, 16), np.linspace(0, camera.height - 1, 12))
+        x, y = camera.from_pixels(u.ravel(), v.ravel())
+        return self._turns(x[np.isfinite(x)], y[np.isfinite(x)])
+
+    def _turns(self, x: Array, y: Array) -> Array:
+        """Rotation (k, 2, n) of rays, as coordinates (n,) in the chart, per unit of each free parameter.
+
+        In pixels over the focal length, which is close to the angle, and for a fisheye lens equal to it.
+        """
+        focal = np.array([[self.camera.fx], [self.camera.fy]])
+        turns: Array = self.camera.derivatives(x, y)[self.at] / focal
+        return turns
+
+
+def root_mean_square(turns: Array) -> Array:
+    """Root mean square (...) of vectors (..., 2, n)."""
+    mean: Array = np.sqrt((turns * turns).sum(-2).mean(-1))
+    return mean

@@ -1,0 +1,77 @@
+"""Border of a pattern in a LiDAR's rings: its position between two rays."""
+
+import numpy as np
+
+from calibration.base.arrays import Array, IntArray
+
+RING_GAP = 5e-4
+"""rad: points whose polar angles differ by more are on different rings."""
+
+
+def border_rays(points: Array, limits: IntArray, views: IntArray | None = None) -> Array:
+    """Return points on the rays to the border, one for each limit point, as accurately as the scan allows.
+
+    A limit point is the last one of its ring *on* the pattern: the border is somewhere between it
+    and the next ray, on average half a step of the scan farther out. So each limit point is rotated by
+    half its ring's step in azimuth, away from the ring's other points; the range is unchanged. Without this
+    a pattern would look smaller by one step of the scan, 6 mm at 2 m for a step of 0.2 degrees.
+
+    Args:
+        points: (N, 3), the points on the pattern in the sensor's frame, m.
+        limits: (L,), indices of those on the border.
+        views: (N,), the view of each point, from 0; None if all are of one.
+
+    Returns:
+        (L, 3); NaN for limit points alone on their ring, because the side of the pattern is unknown.
+    """
+    x, y, z = np.ascontiguousarray(points.T)
+    views = np.zeros(len(points), int) if views is None else views
+    ring, azimuth = _rings(np.arctan2(np.sqrt(x * x + y * y), z), views), _azimuth(x, y, views)
+    order = _sorted_within(ring, azimuth)
+    turns = np.empty(len(points))
+    turns[order] = _turns(azimuth[order], ring[order])
+    cos, sin = np.cos(turns[limits]), np.sin(turns[limits])
+    x, y, z = points[limits].T
+    return np.stack([cos * x - sin * y, sin * x + cos * y, np.where(np.isnan(cos), np.nan, z)], -1)
+
+
+def _azimuth(x: Array, y: Array, views: IntArray) -> Array:
+    """Return azimuths (N,) relative to the direction of their view's mean, contiguous for one across +-180 degrees."""
+    u, v = (np.bincount(views, each)[views] for each in (x, y))
+    azimuth: Array = np.arctan2(u * y - v * x, u * x + v * y)
+    return azimuth
+
+
+def _rings(polar: Array, views: IntArray) -> IntArray:
+    """Return the number of the ring (N,) of each point: equal view and polar angle."""
+    order = _sorted_within(views, polar)
+    rings = np.zeros(len(polar), int)
+    rings[order[1:]] = np.cumsum((np.diff(polar[order]) > RING_GAP) | (np.diff(views[order]) != 0))
+    return rings
+
+
+def _sorted_within(groups: IntArray, angles: Array) -> IntArray:
+    """Return the order (N,) by groups, and in a group by angles, rad; as `numpy.lexsort`, at half the cost."""
+    return np.argsort(angles + 8.0 * groups, kind="stable")
+
+
+def _turns(azimuth: Array, rings: IntArray) -> Array:
+    """Return the turns (N,) of points by half their ring's median step: of the ends of rings, outwards; 0 of others.
+
+    Args:
+        azimuth: (N,), ascending in each ring.
+        rings: (N,), numbers of the rings, ascending.
+    """
+    turns = np.zeros(len(azimuth))
+    first = np.flatnonzero(np.diff(rings, prepend=-1))
+    last = np.append(first[1:], len(rings))[: len(first)] - 1
+    inside = np.diff(rings) == 0
+    steps, of = np.diff(azimuth)[inside], rings[1:][inside]
+    ranked = steps[_sorted_within(of, steps)]
+    several = last > first
+    turns[first[~several]] = np.nan
+    before = (first - np.arange(len(first)))[several]  # number of steps of the rings before it
+    count = (last - first)[several]
+    half_step = 0.25 * (ranked[before + (count - 1) // 2] + ranked[before + count // 2])
+    turns[first[several]], turns[last[several]] = -half_step, half_step
+    return turns

@@ -1,0 +1,141 @@
+"""Boards without markers that look the same turned by 180 degrees: views numbered from the other end than most."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.base.arrays import Array, BoolArray, IntArray
+from calibration.base.errors import InputError
+from calibration.base.frozen import frozen
+from calibration.engine.dataset.model import CornerLabels, Dataset
+from calibration.engine.dataset.pattern import UNMARKED, Pattern
+from calibration.engine.estimation.start.agreeing_rotations import disagreement_of_each, rotations_that_agree
+from calibration.engine.estimation.start.single_views import corner_term
+
+FEWEST_VIEWS = 4
+"""Number of views below which none is turned."""
+MAX_MEDIAN_DISAGREEMENT, MAX_DISAGREEMENT = 0.1, 0.25
+"""Limits of the differences of two rotations' traces (`agreeing_rotations`), each the median over the other views: of
+the median of all views, and of each view that is turned."""
+MIN_GAIN = 0.25
+"""By how much the difference of the turned views is less than it was, on average: where many are turned, the median of
+some is small even so."""
+LEAST_CORNERS = 6
+"""Number of corners below which a view's rotation is not known."""
+HALF_A_TURN = np.diag([-1.0, -1.0, 1.0])
+LOOKS_THE_SAME = "this board looks the same turned by 180 degrees"
+View = tuple[str, str, str]
+"""Pattern, sensor and the collection's key."""
+
+
+@frozen(eq=False)
+class _Views:
+    """Rotations of a pattern by a camera's views, each by itself."""
+
+    sensor: str
+    pattern: str
+    at: IntArray
+    """(V,): collections."""
+    R: Array
+    """``R_sensor_pattern`` (V, 3, 3)."""
+
+
+def with_boards_turned_back(dataset: Dataset) -> tuple[Dataset, tuple[View, ...]]:
+    """Return the dataset with all views of a board numbered from one end, and the views that were from the other.
+
+    On an arm, ``R_sensor_pattern = X B Y`` in all collections, with the robot's rotation B; two cameras that see a
+    moving pattern have one rotation to each other. Where either end would do, as on an arm, the views are turned that
+    are fewer. Nothing changes unless half a turn makes them agree.
+    """
+    turned = tuple(_from_the_other_end(dataset))
+    for pattern, sensor, _ in dict.fromkeys((p, s, "") for p, s, _ in turned):
+        keys = {key for p, s, key in turned if (p, s) == (pattern, sensor)}
+        dataset = with_turned(dataset, pattern, sensor, keys)
+    return dataset, turned
+
+
+def _from_the_other_end(dataset: Dataset) -> Iterator[View]:
+    for pattern in dataset.patterns.values():
+        if pattern.kind not in UNMARKED:
+            continue
+        views = [each for sensor in dataset.sensors if (each := _views(dataset, pattern, sensor)) is not None]
+        if pattern.fixed:
+            for each in views:
+                yield from _turned_views(dataset, each, each.at, _by_the_robot(dataset, each, pattern), each.R)
+        elif len(views) > 1:
+            first, *others = sorted(views, key=lambda each: -len(each.at))
+            for each in others:
+                _, own, at = np.intersect1d(each.at, first.at, return_indices=True)
+                same = np.broadcast_to(np.eye(3), (len(own), 3, 3))
+                yield from _turned_views(dataset, each, each.at[own], same, each.R[own], np.swapaxes(first.R[at], 1, 2))
+
+
+def _views(dataset: Dataset, pattern: Pattern, sensor: str) -> _Views | None:
+    camera = dataset.sensors[sensor].camera
+    labels = [
+        (i, label)
+        for i, label in dataset.detections(pattern.name, sensor)
+        if isinstance(label, CornerLabels) and len(label.ids) >= LEAST_CORNERS
+    ]
+    if camera is None or len(labels) < FEWEST_VIEWS:
+        return None
+    with np.errstate(all="ignore"):
+        R = corner_term(camera, pattern, [label for _, label in labels]).linear_poses[:, :3, :3]
+    usable = np.isfinite(R).all((1, 2))
+    return _Views(sensor, pattern.name, np.array([i for i, _ in labels])[usable], R[usable])
+
+
+def _by_the_robot(dataset: Dataset, views: _Views, pattern: Pattern) -> Array:
+    """Return the rotations (V, 3, 3) of the pattern's parent in the sensor, as the dataset has them."""
+    try:
+        return dataset.transform(dataset.sensors[views.sensor].frame, pattern.parent_link, views.at)[:, :3, :3]
+    except InputError:  # a transform is missing: there is nothing to compare with
+        return np.full((len(views.at), 3, 3), np.nan)
+
+
+def _turned_views(
+    dataset: Dataset, views: _Views, at: IntArray, known: Array, R: Array, after: Array | None = None
+) -> Iterator[View]:
+    """Yield the views that half a turn makes agree: R (V, 3, 3), perhaps followed by others, with known rotations."""
+    if len(R) < FEWEST_VIEWS or not np.isfinite(known).all():
+        return
+    branches = np.stack([R, R @ HALF_A_TURN], 1) @ (np.eye(3) if after is None else after[:, None])
+    chosen, _ = rotations_that_agree(branches, known)
+    is_turned = np.abs(chosen - branches[:, 1]).max((1, 2)) < np.abs(chosen - branches[:, 0]).max((1, 2))
+    for some in sorted((is_turned, ~is_turned), key=np.count_nonzero):
+        if _agree_only_turned(branches, known, some):
+            yield from ((views.pattern, views.sensor, dataset.keys[at[i]]) for i in np.flatnonzero(some).tolist())
+            return
+
+
+def _agree_only_turned(branches: Array, known: Array, is_turned: BoolArray) -> bool:
+    """Whether views agree with known rotations, but only with some of them turned."""
+    every = np.arange(len(known))
+    off = disagreement_of_each(branches[every, is_turned.astype(int)], known)
+    gain = disagreement_of_each(branches[:, 0], known) - off
+    return bool(
+        is_turned.any()
+        and np.median(off) < MAX_MEDIAN_DISAGREEMENT
+        and off[is_turned].max() < MAX_DISAGREEMENT
+        and gain[is_turned].mean() > MIN_GAIN
+    )
+
+
+def turned(pattern_corners: int, label: CornerLabels) -> CornerLabels:
+    """Return the labels of a board with its corners numbered from its other end: turned by 180 degrees."""
+    return CornerLabels((pattern_corners - 1 - label.ids)[::-1].copy(), label.pixels[::-1].copy())
+
+
+def with_turned(dataset: Dataset, pattern: str, sensor: str, only: set[str] | None = None) -> Dataset:
+    """Return the dataset with a board numbered from its other end in a sensor's views, of some collections only."""
+    count = len(dataset.patterns[pattern].corners)
+    key = (pattern, sensor)
+    collections = []
+    for c in dataset.collections:
+        label = c.labels.get(key)
+        if isinstance(label, CornerLabels) and (only is None or c.key in only):
+            collections.append(replace(c, labels={**c.labels, key: turned(count, label)}))
+        else:
+            collections.append(c)
+    return replace(dataset, collections=tuple(collections))

@@ -1,0 +1,145 @@
+"""Evaluations specified by a short text, such as ``rgb-to-rgb:right_camera:left_camera``."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from calibration.base.errors import InputError
+from calibration.base.frozen import frozen
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.truth import Truth
+from calibration.engine.evaluation.annotation import Annotation, annotation_for
+from calibration.engine.evaluation.ground_truth import ground_truth_frame, ground_truth_transform
+from calibration.engine.evaluation.measured_poses import measured_poses
+from calibration.engine.evaluation.range_to_range import depth_to_depth, lidar_to_depth, lidar_to_lidar
+from calibration.engine.evaluation.range_to_rgb import (
+    depth_to_rgb,
+    inter_collection_depth_to_rgb,
+    inter_collection_lidar_to_rgb,
+    lidar_to_rgb,
+)
+from calibration.engine.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
+from calibration.engine.evaluation.selection import pattern_of
+from calibration.engine.evaluation.single_rgb import single_rgb
+from calibration.engine.evaluation.table import Table
+
+Names = tuple[str, ...]
+
+
+@frozen
+class Kind:
+    """Kind of table: the names in its text, and the function that computes it."""
+
+    needs: Names
+    """Names required in the text."""
+    may: Names
+    """Optional names after them."""
+    run: Callable[[Dataset, Truth | None, Names], Table]
+    """Function of the dataset, the truth if there is one, and the names."""
+
+    def sensors(self, names: Names) -> Names:
+        """Return the names that must be sensors."""
+        return tuple(name for name, what in zip(names, self.needs + self.may, strict=False) if what in _SENSORS)
+
+
+_SENSORS = ("SOURCE", "TARGET", "CAMERA", "LIDAR", "DEPTH", "SENSOR")
+Pair = Callable[[Dataset, str, str, str | None], Table]
+ToImage = Callable[[Dataset, str, str, Annotation, str | None], Table]
+
+
+def _pair(table: Pair) -> Callable[[Dataset, Truth | None, Names], Table]:
+    return lambda dataset, _, names: table(dataset, names[0], names[1], _nth(names, 2))
+
+
+def _to_image(table: ToImage) -> Callable[[Dataset, Truth | None, Names], Table]:
+    def run(dataset: Dataset, truth: Truth | None, names: Names) -> Table:
+        pattern = _nth(names, 2)
+        annotation = annotation_for(dataset, names[1], pattern_of(dataset, pattern), truth)
+        return table(dataset, names[0], names[1], annotation, pattern)
+
+    return run
+
+
+def _nth(names: Names, n: int) -> str | None:
+    return names[n] if len(names) > n else None
+
+
+_PATTERN = ("PATTERN",)
+KINDS: Mapping[str, Kind] = {
+    "rgb-to-rgb": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(rgb_to_rgb)),
+    "inter-collection-rgb-to-rgb": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(inter_collection_rgb_to_rgb)),
+    "single-rgb": Kind(
+        (), ("CAMERA", "PATTERN"), lambda dataset, _, names: single_rgb(dataset, _nth(names, 0), _nth(names, 1))
+    ),
+    "measured-poses": Kind(
+        ("SENSOR",), _PATTERN, lambda dataset, _, names: measured_poses(dataset, names[0], _nth(names, 1))
+    ),
+    "lidar-to-rgb": Kind(("LIDAR", "CAMERA"), _PATTERN, _to_image(lidar_to_rgb)),
+    "inter-collection-lidar-to-rgb": Kind(("LIDAR", "CAMERA"), _PATTERN, _to_image(inter_collection_lidar_to_rgb)),
+    "depth-to-rgb": Kind(("DEPTH", "CAMERA"), _PATTERN, _to_image(depth_to_rgb)),
+    "inter-collection-depth-to-rgb": Kind(("DEPTH", "CAMERA"), _PATTERN, _to_image(inter_collection_depth_to_rgb)),
+    "lidar-to-lidar": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(lidar_to_lidar)),
+    "inter-collection-lidar-to-lidar": Kind(
+        ("SOURCE", "TARGET"), _PATTERN, _pair(partial(lidar_to_lidar, between=True))
+    ),
+    "lidar-to-depth": Kind(("LIDAR", "DEPTH"), _PATTERN, _pair(lidar_to_depth)),
+    "inter-collection-lidar-to-depth": Kind(("LIDAR", "DEPTH"), _PATTERN, _pair(partial(lidar_to_depth, between=True))),
+    "depth-to-depth": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(depth_to_depth)),
+    "inter-collection-depth-to-depth": Kind(
+        ("SOURCE", "TARGET"), _PATTERN, _pair(partial(depth_to_depth, between=True))
+    ),
+    "ground-truth-transform": Kind(
+        ("PARENT", "CHILD"), (), lambda dataset, truth, names: ground_truth_transform(dataset, truth, *names)
+    ),
+    "ground-truth-frame": Kind(
+        ("FRAME",), ("SENSOR",), lambda dataset, truth, names: ground_truth_frame(dataset, truth, *names)
+    ),
+}
+"""Kinds of tables: ATOM's, by the name of its script, and the one of measured poses, which ATOM lacks."""
+
+
+@frozen
+class Evaluation:
+    """Table to compute: its kind, and the names of sensors, frames and patterns."""
+
+    kind: str
+    """Kind of the table, a key of `KINDS`."""
+    names: Names
+    """Names of sensors, frames and patterns, as its kind requires."""
+
+    def __str__(self) -> str:
+        """Return the text that `parse_evaluation` reads."""
+        return ":".join((self.kind, *self.names))
+
+    @property
+    def sensors(self) -> Names:
+        """Names that must be sensors of the dataset."""
+        return KINDS[self.kind].sensors(self.names)
+
+    def run(self, dataset: Dataset, truth: Truth | None = None) -> Table:
+        """Return the table of a dataset with its current transforms.
+
+        Args:
+            dataset: the transforms to evaluate.
+            truth: the reference of the tables ``ground-truth-*``, and possibly the source of image annotations;
+                see `annotation_for`.
+
+        Raises:
+            InputError: the dataset lacks a sensor, a frame or a pattern, or contains nothing to compare.
+        """
+        return KINDS[self.kind].run(dataset, truth, self.names)
+
+
+def parse_evaluation(text: str) -> Evaluation:
+    """Parse a kind and its names, ``KIND:SOURCE:TARGET`` or ``KIND:SOURCE:TARGET:PATTERN``.
+
+    Raises:
+        InputError: there is no such kind, or it requires other names.
+    """
+    name, *names = (part.strip() for part in text.split(":"))
+    if name not in KINDS:
+        raise InputError(f"evaluation '{text}': there is no table '{name}' (tables: {', '.join(KINDS)})")
+    kind = KINDS[name]
+    if not len(kind.needs) <= len(names) <= len(kind.needs) + len(kind.may) or not all(names):
+        form = ":".join((name, *kind.needs)) + "".join(f"[:{each}]" for each in kind.may)
+        raise InputError(f"evaluation '{text}': expected {form}")
+    return Evaluation(name, tuple(names))

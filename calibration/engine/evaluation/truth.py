@@ -1,0 +1,151 @@
+"""Errors of calibrated transforms against the true ones, if these are known."""
+
+import math
+from collections.abc import Iterator
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from calibration.base.arrays import Array
+from calibration.base.errors import InputError
+from calibration.base.frozen import frozen
+from calibration.engine.dataset.model import Dataset, Joint, Sensor
+from calibration.engine.dataset.truth import Truth
+from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
+from calibration.engine.geometry.transforms import distance, inverse
+
+
+@frozen
+class PoseError:
+    """Error of one pose against the true one."""
+
+    name: str
+    """A sensor, or two: ``left_camera/right_camera``."""
+    translation_mm: float
+    """Norm of the difference in position."""
+    rotation_deg: float
+    """Angle between the orientations."""
+
+
+@frozen
+class JointError:
+    """Error of one parameter of a joint against the true one."""
+
+    joint: str
+    parameter: JointParameter
+    error: float
+    """Absolute difference, rad or m."""
+    unit: Literal["m", "rad"]
+
+
+@frozen
+class TruthError:
+    """Errors of a calibration: of each calibrated sensor, or of each pair if only relative poses are observable."""
+
+    poses: tuple[PoseError, ...]
+    joints: tuple[JointError, ...] = ()
+    """Error of each calibrated parameter of a joint."""
+
+    @property
+    def translation_mm(self) -> float:
+        """Maximum of all."""
+        return max(pose.translation_mm for pose in self.poses)
+
+    @property
+    def rotation_deg(self) -> float:
+        """Maximum of all, not necessarily of the same pose."""
+        return max(pose.rotation_deg for pose in self.poses)
+
+    @property
+    def joint_mm(self) -> float | None:
+        """Maximum of the joint parameters that are lengths; None without any."""
+        return max((1000 * each.error for each in self.joints if each.unit == "m"), default=None)
+
+    @property
+    def joint_deg(self) -> float | None:
+        """Maximum of the joint parameters that are angles; None without any."""
+        return max((float(np.degrees(each.error)) for each in self.joints if each.unit == "rad"), default=None)
+
+
+def truth_error(dataset: Dataset, truth: Truth) -> TruthError:
+    """Return the errors of the calibrated transforms, up to the gauge of the calibration.
+
+    If none of two or more sensors is anchored, a common motion of all is unobservable: the relative pose of the
+    data frames of every pair is compared, from either side, and the larger error counts. Otherwise
+    each sensor's calibrated transform is compared, except the anchored one unless it is the only one and joints are
+    calibrated. Of the collections with labels the largest error counts, should a chain differ between them.
+
+    Raises:
+        InputError: the truth lacks a sensor or a joint, something is missing or not finite, or nothing is calibrated.
+    """
+    sensors = list(dataset.sensors.values())
+    missing = [s for s in sensors if s.edge not in truth.transforms]
+    if missing:
+        raise InputError(f"{truth.path}: sensor '{missing[0].name}': no true transform '{'-'.join(missing[0].edge)}'")
+    labelled = [i for i, c in enumerate(dataset.collections) if c.labels]
+    if not labelled:
+        raise InputError(f"{dataset.path}: no collection has labels: nothing is calibrated")
+    found = dataset.with_collections(labelled)
+    joints = {name: _true_values(joint, truth) for name, joint in found.joints.items()}
+    true = found.with_transforms({s.edge: truth.transforms[s.edge] for s in sensors}).with_joints(joints)
+    return error_against(found, true, relative=dataset.anchored is None)
+
+
+def error_against(found: Dataset, true: Dataset, relative: bool) -> TruthError:
+    """Return the errors of a dataset's sensors and joints against those of another one with the same collections.
+
+    Args:
+        found: the dataset to judge.
+        true: the reference.
+        relative: compare the relative pose of the data frames of every two sensors, if there are two.
+
+    Raises:
+        InputError: something is missing or not finite, or nothing is calibrated.
+    """
+    sensors = list(found.sensors.values())
+    of_joints = tuple(
+        error for name in true.joints for error in _of_joint(found.joints[name], true.joints[name].values)
+    )
+    if relative and len(sensors) > 1:
+        return TruthError(tuple(_between(a, b, found, true) for a, b in combinations(sensors, 2)), of_joints)
+    calibrated = [s for s in sensors if s.name != found.anchored] or (sensors if of_joints else [])
+    if not calibrated:
+        raise InputError(f"{found.path}: only sensor '{found.anchored}', and it is anchored: nothing is calibrated")
+    poses = tuple(_worst(s.name, true.transform(*s.edge), found.transform(*s.edge)) for s in calibrated)
+    return TruthError(poses, of_joints)
+
+
+def _true_values(joint: Joint, truth: Truth) -> Array:
+    """Return all parameters (7,) of a joint, with the true values of the calibrated ones."""
+    values, true = joint.values.copy(), truth.joints.get(joint.name, {})
+    for parameter in joint.parameters:
+        if parameter not in true:
+            raise InputError(f"{truth.path}: joint '{joint.name}': no true '{parameter}'")
+        values[JOINT_PARAMETERS.index(parameter)] = true[parameter]
+    return values
+
+
+def _of_joint(joint: Joint, true: Array) -> Iterator[JointError]:
+    """Return the errors of the calibrated parameters, given all true ones (7,)."""
+    for parameter in joint.parameters:
+        at, unit = JOINT_PARAMETERS.index(parameter), joint.model.unit(parameter)
+        difference = float(joint.values[at] - true[at])
+        error = abs(difference if unit == "m" else math.remainder(difference, math.tau))
+        if not math.isfinite(error):
+            raise InputError(f"'{parameter}' of joint '{joint.name}' is not finite: its error is undefined")
+        yield JointError(joint.name, parameter, error, unit)
+
+
+def _between(a: Sensor, b: Sensor, found: Dataset, true: Dataset) -> PoseError:
+    """Return the larger error of the relative pose of two data frames, seen from either."""
+    T_true, T_found = (dataset.transform(a.frame, b.frame) for dataset in (true, found))
+    both = np.concatenate([T_true, inverse(T_true)]), np.concatenate([T_found, inverse(T_found)])
+    return _worst(f"{a.name}/{b.name}", *both)
+
+
+def _worst(name: str, T_true: Array, T_found: Array) -> PoseError:
+    if not (np.isfinite(T_true).all() and np.isfinite(T_found).all()):
+        raise InputError(f"a transform of {name} is not finite: its error is undefined")
+    translation, angle = distance(T_true, T_found)
+    return PoseError(name, float(1000 * translation.max()), float(np.degrees(angle.max())))

@@ -1,0 +1,265 @@
+"""History of accepted calibrations in a repository: level changes and drift, with the commits that introduced them."""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.base.arrays import Array
+from calibration.base.errors import InputError
+from calibration.base.json_file import parse_json
+from calibration.base.records import computed, field, result
+from calibration.ci.git.repository import Commit, Repository
+from calibration.engine.baseline.change_points import change_points, creeps, noise_of
+from calibration.engine.baseline.comparison import covariance_of_difference
+from calibration.engine.baseline.document import LARGEST, VERSION, parse_baseline
+from calibration.engine.baseline.snapshot import Pose, Snapshot
+from calibration.engine.geometry.transforms import local
+
+LEAST = np.array([1e-6] * 3 + [1e-6] * 3)
+"""Lower limit of the noise: a micrometre, a microradian."""
+
+
+@dataclass(frozen=True)
+class Revision:
+    """Accepted calibrations of one commit."""
+
+    commit: Commit
+    systems: Mapping[str, Snapshot]
+
+
+@result(kw_only=True)
+class Point:
+    """Pose in one commit, relative to the first one."""
+
+    commit: str = field("Hash of the commit.")
+    date: str = field("Of the commit.")
+    subject: str = field("First line of its message.")
+    translation_mm: tuple[float, ...] = field("Translation from the first pose, in its child frame.", unit="mm")
+    rotation_deg: tuple[float, ...] = field("Rotation from the first pose, as a rotation vector.", unit="degrees")
+    sigma_mm: float = field("Standard deviation of the translation, the norm of three axes.", unit="mm")
+    rms_px: float | None = field("Of the system.", unit="px")
+
+
+@result(kw_only=True)
+class Step:
+    """Commit at which the level of a series changes."""
+
+    commit: str = field("Hash of the commit.")
+    date: str = field("Of the commit.")
+    subject: str = field("First line of its message.")
+    mm: float = field("Difference of the translation from the previous level.", unit="mm", default=0.0)
+    deg: float = field("Difference of the rotation from the previous level.", unit="degrees", default=0.0)
+    rms_px: float | None = field("Difference of an RMS from the previous level.", unit="px", default=None)
+
+
+@result(kw_only=True)
+class Trend:
+    """Series of a pose, or of the RMS of a system, through the history."""
+
+    system: str = field("The system.")
+    name: str = field("The sensor or the transform; RMS.")
+    points: tuple[Point, ...] = field("A point for each commit that changed the file, the earliest first.")
+    steps: tuple[Step, ...] = field("Changes of its level; none if it drifts.")
+    crept_mm: float | None = field(
+        "Distance that it has drifted in one direction; null if it has not.", unit="mm", default=None
+    )
+
+
+@result(kw_only=True)
+class History:
+    """Accepted calibrations of a repository, over its commits."""
+
+    file: str = field("The file, relative to the repository.")
+    commits: int = field("Commits that changed it.")
+    unreadable: tuple[str, ...] = field("Commits in which the file is no baseline.", default=())
+    trends: tuple[Trend, ...] = field("A trend for each pose and each system.")
+
+    @property
+    @computed()
+    def changes(self) -> int:
+        """Number of changes in all trends."""
+        return sum(len(trend.steps) for trend in self.trends)
+
+
+def read_history(repository: Repository, path: str, commits: Sequence[Commit]) -> tuple[list[Revision], list[str]]:
+    """Return the accepted calibrations of each commit, oldest first, and the commits with an unreadable file.
+
+    Args:
+        repository: a checkout.
+        path: of the file, in the checkout.
+        commits: those that changed the file, newest first.
+    """
+    found: list[Revision] = []
+    unreadable: list[str] = []
+    known: dict[str, tuple[Any, Snapshot]] = {}
+    by_hash = {each.hash: each for each in commits}
+    for commit, content in repository.contents([each.hash for each in commits], path, LARGEST):
+        if content is None:
+            continue
+        try:
+            systems = _read(content, f"{commit[:12]}:{path}", known)
+        except InputError:
+            unreadable.append(commit)
+            continue
+        found.append(Revision(by_hash[commit], systems))
+    return found[::-1], unreadable
+
+
+def _read(content: bytes, where: str, known: dict[str, tuple[Any, Snapshot]]) -> dict[str, Snapshot]:
+    """Parse the systems of a file; unchanged ones are taken from the previous revision."""
+    try:
+        document = parse_json(content)
+        entries = document["systems"] if document["version"] == VERSION else {}
+        stayed = {name: known[name][1] for name, entry in entries.items() if name in known and known[name][0] == entry}
+        new = {name: entry for name, entry in entries.items() if name not in stayed}
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return dict(parse_baseline(content, where).systems)  # raises with the full message
+    read: Mapping[str, Snapshot] = {}
+    if new or not entries:
+        read = parse_baseline(json.dumps({**document, "systems": new}).encode(), where).systems
+    for name, snapshot in read.items():
+        known[name] = (new[name], snapshot)
+    return {name: {**stayed, **read}[name] for name in entries}
+
+
+def history_of(file: Path, systems: Sequence[str], since: str | None, most: int) -> History:
+    """Return the history of a file of accepted calibrations.
+
+    Args:
+        file: the file, in a checkout.
+        systems: restrict to these; empty for all.
+        since: restrict to commits after this one.
+        most: restrict to this number of newest commits.
+
+    Raises:
+        InputError: the file is not in a repository, or in no commit.
+        InfrastructureError: git fails.
+    """
+    repository = Repository.around(file.resolve().parent)
+    inside = repository.path(file)
+    if inside is None:
+        raise InputError(f"{file}: expected a file in the repository {repository.root}")
+    commits = repository.changes_of(inside, since, most)
+    accepted, unreadable = read_history(repository, inside, commits)
+    if not accepted:
+        after = f" after {since}" if since else ""
+        raise InputError(f"{inside}: no commit{after} has accepted anything: calibration accept, then commit the file")
+    return history(inside, accepted, unreadable, systems)
+
+
+def history(file: str, accepted: Sequence[Revision], unreadable: Iterable[str], systems: Sequence[str]) -> History:
+    """Return the trends of systems; of all if none is named.
+
+    Raises:
+        InputError: a named system has never been accepted.
+    """
+    known = dict.fromkeys(name for each in accepted for name in each.systems)
+    for name in systems:
+        if name not in known:
+            raise InputError(f"{file}: no commit has accepted '{name}' (accepted: {', '.join(known) or 'nothing'})")
+    trends = [trend for name in systems or known for trend in _trends(name, accepted)]
+    return History(file=file, commits=len(accepted), unreadable=tuple(unreadable), trends=tuple(trends))
+
+
+def _trends(system: str, accepted: Sequence[Revision]) -> Iterator[Trend]:
+    having = [(each.commit, each.systems[system]) for each in accepted if system in each.systems]
+    poses: dict[str, list[tuple[Commit, Snapshot, Pose]]] = {}
+    for commit, snapshot in having:
+        for pose in snapshot.poses:
+            poses.setdefault(pose.name, []).append((commit, snapshot, pose))
+    for name, entries in poses.items():
+        if any(pose.sigma_mm for _, _, pose in entries):  # poses that were always fixed carry no information
+            yield _of_pose(system, name, entries)
+    yield _of_rms(system, [(commit, snapshot) for commit, snapshot in having if snapshot.rms_px is not None])
+
+
+def _of_pose(system: str, name: str, entries: Sequence[tuple[Commit, Snapshot, Pose]]) -> Trend:
+    first = entries[0][2].matrix
+    moved = local(first, np.stack([pose.matrix for _, _, pose in entries]))
+    noise = np.maximum(noise_of(moved, _stated([pose for _, _, pose in entries])), LEAST)
+    at = change_points(moved, noise)
+    crept = None
+    if creeps(moved, noise, at):
+        at, crept = [], round(1e3 * float(np.linalg.norm(moved[-1, :3] - moved[0, :3])), 4)
+    levels = np.split(moved, at)
+    steps = tuple(
+        Step(
+            commit=entries[i][0].hash,
+            date=entries[i][0].date,
+            subject=entries[i][0].subject,
+            mm=round(1e3 * float(np.linalg.norm(_step(levels, k)[:3])), 6),
+            deg=round(float(np.degrees(np.linalg.norm(_step(levels, k)[3:]))), 8),
+        )
+        for k, i in enumerate(at)
+    )
+    return Trend(
+        system=system,
+        name=name,
+        points=tuple(_point(*entry, twist) for entry, twist in zip(entries, moved, strict=True)),
+        steps=steps,
+        crept_mm=crept,
+    )
+
+
+def _stated(poses: Sequence[Pose]) -> Array:
+    """Standard deviation (6,) of a pose by its reported covariances, among recordings of the same robot."""
+    found = [covariance_of_difference(*pair) for pair in pairwise(poses)]
+    sigmas = [np.sqrt(np.maximum(np.diagonal(C), 0.0) / 2) for C in found if C is not None]
+    return np.maximum(np.median(sigmas, axis=0), LEAST) if sigmas else LEAST
+
+
+def _step(levels: Sequence[Array], k: int) -> Array:
+    step: Array = levels[k + 1].mean(axis=0) - levels[k].mean(axis=0)
+    return step
+
+
+def _point(commit: Commit, snapshot: Snapshot, pose: Pose, twist: Array) -> Point:
+    return Point(
+        commit=commit.hash,
+        date=commit.date,
+        subject=commit.subject,
+        translation_mm=tuple(round(1e3 * float(v), 6) for v in twist[:3]),
+        rotation_deg=tuple(round(float(np.degrees(v)), 8) for v in twist[3:]),
+        sigma_mm=pose.norm_mm,
+        rms_px=snapshot.rms_px,
+    )
+
+
+def _of_rms(system: str, entries: Sequence[tuple[Commit, Snapshot]]) -> Trend:
+    values = np.array([[snapshot.rms_px or 0.0] for _, snapshot in entries]).reshape(-1, 1)
+    typical = max(float(np.median(values)), 1e-6) if len(values) else 1.0
+    # A standard deviation estimated from n views has a relative one of 1 / sqrt(4 n): two coordinates each.
+    views = [max(1, sum(snapshot.views.values())) for _, snapshot in entries] or [1]
+    noise = noise_of(values, np.array([typical / np.sqrt(4 * float(np.median(views)))]))
+    at = change_points(values, noise)
+    levels = np.split(values, at)
+    return Trend(
+        system=system,
+        name="RMS",
+        points=tuple(
+            Point(
+                commit=commit.hash,
+                date=commit.date,
+                subject=commit.subject,
+                translation_mm=(),
+                rotation_deg=(),
+                sigma_mm=0.0,
+                rms_px=snapshot.rms_px,
+            )
+            for commit, snapshot in entries
+        ),
+        steps=tuple(
+            Step(
+                commit=entries[i][0].hash,
+                date=entries[i][0].date,
+                subject=entries[i][0].subject,
+                rms_px=round(float(_step(levels, k)[0]), 6),
+            )
+            for k, i in enumerate(at)
+        ),
+    )

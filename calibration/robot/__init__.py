@@ -1,0 +1,10 @@
+"""Robot and its recordings: what becomes a dataset, and what a calibration is written to.
+
+It imports `calibration.base`, `calibration.engine` and, for tasks and reports, `calibration.ci`.
+
+- ``robot_description``, ``expansion``: URDF and xacro, read safely;
+- ``labelling``: patterns found in images, point clouds and depth images, real or simulated;
+- ``exports``: a calibrated dataset as URDF, launch files, camera parameters;
+- ``simulation``: robots, motions, what sensors would see, and datasets collected from it;
+- ``importing``: recordings of a team (bags, images, poses, intrinsics of other tools) made a dataset.
+"""

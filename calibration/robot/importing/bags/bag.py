@@ -1,0 +1,273 @@
+"""Bags of ROS 1 and ROS 2, read without ROS by the library rosbags.
+
+Messages are decoded by the library's own definitions, never by those in a bag, because the library generates
+program code from definitions.
+"""
+
+import errno
+import heapq
+import json
+import os
+import re
+import struct
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base.files import read_bytes
+from calibration.base.optional import optional
+from calibration.base.temporary_folder import temporary_folder
+from calibration.base.yaml_file import read_yaml
+from calibration.engine.dataset.document import Node
+from calibration.robot.importing.bags.unpacking import (
+    MAX_CHUNK,
+    UnpackingError,
+    begin_pass,
+    bound_library,
+    unpack_files,
+)
+
+if TYPE_CHECKING:
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+    from rosbags.typesys.store import Typestore
+
+ENDINGS = (".bag", ".db3", ".mcap")
+"""Endings of single files; a ROS 2 folder has a metadata.yaml."""
+SECOND = 10**9
+MAX_METADATA_BYTES = 1 << 22
+"""Limit of the size of a metadata.yaml."""
+_WHOLE_FILES = re.compile(rb"^[ '\"]*compression_mode['\"]?\s*:\s*['\"]?file\b", re.IGNORECASE | re.MULTILINE)
+_SQLITE_LIMIT_LENGTH = 0
+"""SQLite's number of the limit of a value's length (https://www.sqlite.org/c3ref/c_limit_attached.html)."""
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+FOXGLOVE_VIDEO = "foxglove_msgs/msg/CompressedVideo"
+VIDEO_TYPES = {
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": "std_msgs/Header header\nint32 width\nint32 height\n"
+    "string encoding\nuint64 pts\nuint8 flags\nbool is_bigendian\nuint8[] data",
+    FOXGLOVE_VIDEO: "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format",
+}
+"""Definitions of messages that hold a packet of a video; Foxglove's has no header, but begins with a stamp."""
+MORE_TYPES = dict.fromkeys(TF, "geometry_msgs/TransformStamped[] transforms") | VIDEO_TYPES
+"""Definitions of messages that the library lacks for some versions of ROS."""
+
+
+@dataclass(frozen=True)
+class RawMessage:
+    """Undecoded message of a bag."""
+
+    topic: str
+    recorded: int
+    """Recording time, ns."""
+    data: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """File of a bag, or folder of ROS 2."""
+
+    path: Path
+    unpacked: Path
+    """The path, or a temporary folder with the same if its files are compressed as a whole."""
+    reader: "Reader1 | Reader2"
+
+
+class Bag:
+    """Open bag, of one file or of several consecutive ones; a forked process opens it once more, where it reads it."""
+
+    def __init__(self, parts: Sequence[_Part], ros: int) -> None:
+        self._parts = parts
+        self._inherited: Sequence[_Part] = ()
+        self._process = os.getpid()
+        self._ros = ros
+
+    @property
+    def path(self) -> Path:
+        """First file, for messages."""
+        return self._parts[0].path
+
+    @cached_property
+    def topics(self) -> Mapping[str, str]:
+        """Type of every topic, such as "sensor_msgs/msg/Image"."""
+        found = {}
+        for part in self._parts:
+            with _readable(part.path):
+                found.update({each.topic: each.msgtype for each in part.reader.connections})
+        if wrong := [each for pair in found.items() for each in pair if not isinstance(each, str)]:
+            raise InputError(f"{self.path}: found {wrong[0]!r} as a topic or its type, expected a name: is it damaged?")
+        return dict(sorted(found.items()))
+
+    def of_type(self, *types: str) -> list[str]:
+        """Return the topics of some types, such as "sensor_msgs/msg/Image"."""
+        return [topic for topic, kind in self.topics.items() if kind in types]
+
+    def messages(
+        self, topics: Collection[str], start: int | None = None, stop: int | None = None
+    ) -> Iterator[RawMessage]:
+        """Iterate over the messages of some topics in recording order; from ``start`` to before ``stop``, ns.
+
+        Raises:
+            InputError: the bag is damaged.
+        """
+        begin_pass()
+        self._open_in_this_process()
+        streams = [self._of_part(part, topics, start, stop) for part in self._parts]
+        yield from streams[0] if len(streams) == 1 else heapq.merge(*streams, key=lambda message: message.recorded)
+
+    def _open_in_this_process(self) -> None:
+        """Open the files anew in a forked process: with those of its parent it would share the place in them."""
+        if self._process != os.getpid():
+            self._inherited = self._parts  # SQLite allows no other process to close them
+            self._parts = [_opened_part(part.path, part.unpacked, self._ros) for part in self._parts]
+            self._process = os.getpid()
+
+    @staticmethod
+    def _of_part(part: _Part, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[RawMessage]:
+        with _readable(part.path):
+            wanted = [each for each in part.reader.connections if each.topic in topics]
+            if not wanted:
+                return
+            for connection, recorded, data in part.reader.messages(wanted, start, stop):
+                yield RawMessage(connection.topic, recorded, bytes(data))
+
+    def decode(self, message: RawMessage) -> Any:
+        """Decode a message of one of ROS's own types.
+
+        Raises:
+            InputError: it is invalid or truncated.
+        """
+        kind = self.topics[message.topic]
+        with _readable(self.path, f"{message.topic}: a message of {kind} cannot be decoded"):
+            if self._ros == 1:
+                return typestore(self._ros).deserialize_ros1(message.data, kind)
+            return typestore(self._ros).deserialize_cdr(message.data, kind)
+
+    def stamp(self, message: RawMessage) -> int:
+        """Return the time in a message's header, ns, without decoding the rest; the recording time if it is 0.
+
+        Raises:
+            InputError: it is truncated.
+        """
+        try:
+            if self._ros == 1:
+                begin = 0 if self.topics[message.topic] == FOXGLOVE_VIDEO else 4  # no number before it
+                seconds, rest = struct.unpack_from("<II", message.data, begin)
+            else:
+                order = "<" if message.data[1] & 1 else ">"
+                seconds, rest = struct.unpack_from(f"{order}iI", message.data, 4)
+        except (struct.error, IndexError):
+            raise InputError(f"{self.path}: {message.topic}: found a message of {len(message.data)} bytes") from None
+        return seconds * SECOND + rest or message.recorded
+
+    def without_stamp(self, message: RawMessage) -> bytes:
+        """Return the bytes of a message that begins with a header, without its number and stamp."""
+        return message.data[12:]
+
+
+@cache
+def typestore(ros: int) -> "Typestore":
+    """Return the definitions of messages of a version of ROS, once: its decoders are generated."""
+    types = optional("rosbags.typesys", "reading bags")
+    store: Typestore = types.get_typestore(types.Stores.ROS1_NOETIC if ros == 1 else types.Stores.ROS2_HUMBLE)
+    for kind, definition in MORE_TYPES.items():
+        if kind not in store.fielddefs:
+            store.register(types.get_types_from_msg(definition, kind))
+    return store
+
+
+@contextmanager
+def open_bag(paths: Sequence[Path]) -> Iterator[Bag]:
+    """Open a bag for reading: consecutive files of ROS 1, or files or folders of ROS 2.
+
+    Raises:
+        InputError: a file does not exist, is not a bag, is damaged or encrypted, or files of both kinds are mixed.
+        InfrastructureError: rosbags is not installed.
+    """
+    kinds = {_ros_of(path) for path in paths}
+    if len(kinds) != 1:
+        raise InputError(f"{paths[0]}: found bags of ROS 1 and of ROS 2, expected one kind")
+    ros = kinds.pop()
+    bound_library()
+    begin_pass()
+    with ExitStack() as stack:
+        parts = []
+        for path in paths:
+            with _readable(path):
+                part = _opened_part(path, _unpacked(path, stack) if path.is_dir() else path, ros)
+            stack.callback(part.reader.close)
+            parts.append(part)
+        yield Bag(parts, ros)
+
+
+def _opened_part(path: Path, unpacked: Path, ros: int) -> _Part:
+    with _readable(path):
+        reader = optional(f"rosbags.rosbag{ros}", "reading bags").Reader(unpacked)
+        reader.open()
+        _bound_messages(reader)
+    return _Part(path, unpacked, reader)
+
+
+def _unpacked(folder: Path, stack: ExitStack) -> Path:
+    """Return the folder of a ROS 2 bag, or a temporary one with its files if they are compressed as a whole."""
+    metadata = folder / "metadata.yaml"
+    data = read_bytes(metadata, MAX_METADATA_BYTES, "a bag's metadata")
+    if not _WHOLE_FILES.search(data):
+        return folder
+    bag = Node(metadata, (), read_yaml(metadata, "a bag's metadata"))["rosbag2_bagfile_information"]
+    files = [folder / Path(each.text()).name for each in bag["relative_file_paths"].elements()]
+    unpacked = stack.enter_context(temporary_folder(prefix="calibration-bag-"))
+    names = [file.name for file in unpack_files(files, unpacked)]
+    document = {**bag.mapping(), "compression_mode": "", "compression_format": "", "relative_file_paths": names}
+    (unpacked / metadata.name).write_text(json.dumps({"rosbag2_bagfile_information": document}))
+    return unpacked
+
+
+def _bound_messages(reader: "Reader1 | Reader2") -> None:
+    """Bound the size of a message of an SQLite database, which can claim more than the file has."""
+    storage = getattr(reader, "storage", None)
+    for each in getattr(storage, "storages", [storage]):
+        if (database := getattr(each, "dbconn", None)) is not None:
+            database.limit(_SQLITE_LIMIT_LENGTH, MAX_CHUNK)
+
+
+def _ros_of(path: Path) -> int:
+    """Return the version of ROS, 1 or 2."""
+    if not path.exists():
+        raise InputError(f"{path}: found no such file, expected a bag")
+    if path.is_dir():
+        if not (path / "metadata.yaml").is_file():
+            raise InputError(f"{path}: found no metadata.yaml in it, expected a ROS 2 bag, or a file {_endings()}")
+        if strange := [each.name for each in path.iterdir() if not each.is_file() and not each.is_dir()]:
+            raise InputError(f"{path / strange[0]}: this is no regular file, expected a file of a bag")
+        return 2
+    if path.suffix not in ENDINGS:
+        raise InputError(f"{path}: expected a bag: a file {_endings()}, or a folder with metadata.yaml")
+    if not path.stat().st_size:
+        raise InputError(f"{path}: this bag is empty: found 0 bytes")
+    if not path.is_file():
+        raise InputError(f"{path}: this is no regular file, a bag was expected")
+    return 1 if path.suffix == ".bag" else 2
+
+
+def _endings() -> str:
+    return f"that ends in {', '.join(ENDINGS)}"
+
+
+@contextmanager
+def _readable(path: Path, what: str = "this bag cannot be read") -> Iterator[None]:
+    """Convert any exception of the library to an InputError; MemoryError too, which damaged lengths cause."""
+    try:
+        yield
+    except CalibrationError:
+        raise
+    except UnpackingError as error:
+        raise InputError(f"{path}: {what}: {error}") from None
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+            raise InfrastructureError(f"{path}: there is no space to unpack it: {error.filename}") from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: {what}: {reason}; is it truncated, unindexed or encrypted?") from None

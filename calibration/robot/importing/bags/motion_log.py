@@ -1,0 +1,226 @@
+"""Motion of frames and joints in a recording, over time."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from calibration.base.arrays import Array
+from calibration.base.errors import InputError
+from calibration.engine.dataset.model import Edge
+from calibration.engine.geometry.frames import FrameTree
+from calibration.engine.geometry.rotations import exp, log
+from calibration.engine.geometry.transforms import distance, local, transform
+from calibration.robot.importing.left_out import LeftOutCounts
+from calibration.robot.simulation.robot import Joint, Robot, parse_robot
+
+NEAR = 0.5
+"""s: limit of the time between a pose's record and a moment that uses it."""
+AROUND = 0.15
+"""s: time before and after a moment at standstill in which nothing moves more than `STILL_M` or `STILL_RAD`."""
+STILL_M, STILL_RAD = 1e-3, 2e-3
+"""m and rad: largest motion at standstill."""
+VELOCITY_OVER = 0.06
+"""s: time over which a velocity is taken: several records of an arm, and hardly any acceleration."""
+SECOND = 1e9
+
+
+@dataclass
+class Track:
+    """Values over time; of equal consecutive values the first and the last are kept."""
+
+    times: list[int] = field(default_factory=list)
+    """ns, ascending."""
+    values: list[Array] = field(default_factory=list)
+
+    def add(self, time: int, value: Array) -> None:
+        """Add a value; one that is older than the last is ignored."""
+        if self.times and time <= self.times[-1]:
+            return
+        if len(self.values) > 1 and np.array_equal(value, self.values[-1]) and np.array_equal(value, self.values[-2]):
+            self.times[-1] = time
+            return
+        self.times.append(time)
+        self.values.append(value)
+
+    def at(self, time: float) -> Array | None:
+        """Return the value at a time, ns: interpolated between two records that are near each other.
+
+        Else that of the nearest record; None if none is near and it has changed since.
+        """
+        after = int(np.searchsorted(self.times, time))
+        before = max(after - 1, 0)
+        after = min(after, len(self.times) - 1)
+        nearest = min(before, after, key=lambda i: abs(self.times[i] - time))
+        between = self.times[before] <= time <= self.times[after]
+        near = abs(self.times[nearest] - time) <= NEAR * SECOND
+        unchanged = np.array_equal(self.values[before], self.values[after])
+        if not near and not (between and unchanged):
+            return None
+        apart = self.times[after] - self.times[before]
+        if not between or unchanged or apart > 2 * NEAR * SECOND:
+            return self.values[nearest]
+        return _interpolated(self.values[before], self.values[after], (time - self.times[before]) / apart)
+
+
+def _interpolated(one: Array, other: Array, share: float) -> Array:
+    """Return what lies between two transforms (4, 4) or two joint positions (1,).
+
+    A position moves in a straight line, an orientation about a fixed axis at constant speed (Shoemake 1985).
+    """
+    if one.shape != (4, 4):
+        return np.asarray(one + share * _shortest_way(other - one), float)
+    R = one[:3, :3] @ exp(share * log(one[:3, :3].T @ other[:3, :3]))
+    return transform(R, (1 - share) * one[:3, 3] + share * other[:3, 3])
+
+
+def _shortest_way(step: Array) -> Array:
+    """Return the step of a joint's position without whole turns, which drivers leave out of continuous joints."""
+    return np.where(abs(step) > np.pi, step - 2 * np.pi * np.round(step / (2 * np.pi)), step)
+
+
+def frames_of(edge: Edge) -> str:
+    """Return the name of an edge in the table of what is left out."""
+    return f"{edge[0]} -> {edge[1]}"
+
+
+@dataclass
+class MotionLog:
+    """Transforms and joints of a recording."""
+
+    static: dict[Edge, Array] = field(default_factory=dict)
+    """``T_parent_child`` (4, 4)."""
+    moving: dict[Edge, Track] = field(default_factory=dict)
+    joints: dict[str, Track] = field(default_factory=dict)
+    """Positions, rad or m, by the joint's name."""
+    robot: Robot | None = None
+    robot_fault: str = ""
+    """Why the recorded robot description cannot be read."""
+    left_out: LeftOutCounts = field(default_factory=LeftOutCounts)
+
+    def add_transform(self, edge: Edge, time: int, T: Array) -> None:
+        """Add ``T_parent_child`` (4, 4) at a time, ns."""
+        self.moving.setdefault(edge, Track()).add(time, T)
+
+    def add_joint_position(self, name: str, time: int, position: float) -> None:
+        """Add a joint's position at a time, ns."""
+        self.joints.setdefault(name, Track()).add(time, np.array([position]))
+
+    def add_robot(self, urdf: bytes, path: Path) -> None:
+        """Add a robot's links; transforms of the recording take precedence.
+
+        Raises:
+            InputError: it is not a URDF.
+        """
+        self.robot = parse_robot(urdf, path)
+
+    @property
+    def _driven(self) -> Mapping[Edge, Joint]:
+        """The robot's joints whose child has no transform in the recording."""
+        if self.robot is None:
+            return {}
+        known = {child for _, child in (*self.static, *self.moving)}
+        return {joint.edge: joint for joint in self.robot.joints if joint.child not in known}
+
+    @property
+    def edges(self) -> list[Edge]:
+        """All known edges; a frame may have several parents."""
+        return list(dict.fromkeys([*self.static, *self.moving, *self._driven]))
+
+    def tree_edges(self, parents: Mapping[str, str]) -> tuple[list[Edge], Mapping[str, list[str]]]:
+        """Return the edges of a tree, and the frames with several parents, of which nobody has chosen one.
+
+        Args:
+            parents: the chosen parent of such frames.
+
+        Raises:
+            InputError: a chosen parent was not recorded, or the frames form a loop.
+        """
+        recorded: dict[str, list[str]] = {}
+        for parent, child in self.edges:
+            recorded.setdefault(child, []).append(parent)
+        for child, parent in parents.items():
+            if parent not in recorded.get(child, []):
+                known = ", ".join(f"'{each}'" for each in recorded.get(child, [])) or "none"
+                raise InputError(f"parents: found '{parent}' of '{child}', expected one that was recorded: {known}")
+        chosen = [(parents.get(child, above[0]), child) for child, above in recorded.items()]
+        FrameTree(chosen)
+        several = {child: above for child, above in recorded.items() if len(above) > 1 and child not in parents}
+        return chosen, several
+
+    def moves(self, edge: Edge) -> bool:
+        """Whether an edge may differ between moments."""
+        if (joint := self._driven.get(edge)) is not None:
+            return joint.kind != "fixed"
+        return edge in self.moving
+
+    def transform(self, edge: Edge, time: float) -> Array:
+        """Return ``T_parent_child`` (4, 4) at a time, ns.
+
+        Raises:
+            InputError: there is no record near that time.
+        """
+        if edge in self.static:
+            return self.static[edge]
+        T: Array | None
+        if edge in self.moving:
+            T = self.moving[edge].at(time)
+            what = f"no transform from '{edge[0]}' to '{edge[1]}'"
+        else:
+            joint = self._driven[edge]
+            if joint.kind == "fixed":
+                return joint.T_parent_joint
+            if joint.is_free:
+                raise InputError(
+                    f"the {joint.kind} joint '{joint.name}' needs a transform from '{edge[0]}' to '{edge[1]}' in /tf, "
+                    f"and none was recorded{self._why_not(edge)}"
+                )
+            position = self._position(joint, time)
+            T = None if position is None else joint.transform(position)[0]
+            what = f"no position of joint '{joint.driver}' and no transform from '{edge[0]}' to '{edge[1]}'"
+        if T is None:
+            raise InputError(f"{what} was recorded within {NEAR:g} s of {time / SECOND:.3f}{self._why_not(edge)}")
+        return T
+
+    def velocity(self, edge: Edge, time: float) -> Array:
+        """Return the velocity (6,) of the child at a time, ns, as a twist in its own frame, m/s and rad/s.
+
+        Zero where it stands still, or nothing was recorded around that time.
+        """
+        if not self.moves(edge):
+            return np.zeros(6)
+        try:
+            before, now, after = (self.transform(edge, time + each * VELOCITY_OVER / 2 * SECOND) for each in (-1, 0, 1))
+        except InputError:
+            return np.zeros(6)
+        twist = (local(now, after) - local(now, before)) / VELOCITY_OVER
+        speed, turning = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
+        stands = speed < STILL_M / AROUND and turning < STILL_RAD / AROUND
+        return np.zeros(6) if stands else twist
+
+    def _position(self, joint: Joint, time: float) -> Array | None:
+        """Return the position (1,) of a joint at a time, ns; of one that follows another, from that one's."""
+        own = self.joints.get(joint.name)
+        if own is not None or joint.mimic is None:
+            return None if own is None else own.at(time)
+        followed = self.joints.get(joint.mimic.joint)
+        position = None if followed is None else followed.at(time)
+        return None if position is None else joint.mimic.positions(position)
+
+    def _why_not(self, edge: Edge) -> str:
+        """Return what of an edge was recorded and left out, to be appended to an error."""
+        joint = self._driven.get(edge)
+        left_out = [*self.left_out.of(frames_of(edge)), *(self.left_out.of(joint.name) if joint else ())]
+        return f" ({'; '.join(left_out)})" if left_out else ""
+
+    def is_still(self, edges: list[Edge], time: float) -> bool:
+        """Whether none of the edges moves around a time, ns."""
+        for edge in edges:
+            if self.moves(edge):
+                T = [self.transform(edge, time + offset * SECOND) for offset in (-AROUND, 0.0, AROUND)]
+                for other in (T[0], T[2]):
+                    m, rad = distance(T[1], other)
+                    if m > STILL_M or rad > STILL_RAD:
+                        return False
+        return True

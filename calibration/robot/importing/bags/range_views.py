@@ -1,0 +1,148 @@
+"""Data of LiDARs and depth cameras at one moment: from the message of a bag, and with a detector of patterns.
+
+`RANGE_MODALITIES` has one entry for each modality.
+"""
+
+import base64
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from calibration.base.arrays import Array
+from calibration.base.errors import InputError
+from calibration.base.files import write_atomically
+from calibration.base.frozen import frozen
+from calibration.engine.dataset.depth_image import read_depth_image
+from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.laser_scan import read_scan
+from calibration.engine.dataset.modalities import DEPTH, LIDAR2D, LIDAR3D
+from calibration.engine.dataset.pattern import Pattern
+from calibration.engine.dataset.pointcloud import decode_message, read_points, write_points
+from calibration.engine.geometry.cameras import Camera
+from calibration.robot.importing.bags.messages import depth_of
+from calibration.robot.importing.bags.survey import SensorTopic
+from calibration.robot.importing.patterns.png import encoded
+from calibration.robot.labelling.depth import label_depth
+from calibration.robot.labelling.detection import NotDetected
+from calibration.robot.labelling.points import PatternPoints, label_points
+from calibration.robot.labelling.scan_line import label_scan_line
+
+MAX_POINTS = 20_000_000
+"""Limit of the points of one cloud."""
+
+
+@dataclass(frozen=True, eq=False)
+class RangeView:
+    """Data of a LiDAR or a depth camera at one moment."""
+
+    message: Mapping[str, Any]
+    """ROS message in the dataset's form, without the name of its file."""
+    file: Path | None
+    """File of a cloud or a depth image; the ranges of a scan are in the message."""
+
+    @property
+    def points(self) -> Array:
+        """(N, 3): in the sensor's frame, m; NaN without a return."""
+        if self.file is not None:
+            return np.asarray(read_points(self.file), float)
+        return read_scan(Node(Path("LaserScan"), (), dict(self.message)))
+
+
+Detector: TypeAlias = Callable[[Pattern, Array], PatternPoints | NotDetected]
+"""Function that finds a pattern in a sensor's data, from its geometry and its expected ``T_sensor_pattern`` (4, 4)."""
+
+
+@frozen
+class RangeModality:
+    """Import of the data of one modality."""
+
+    view: Callable[[Any, str, SensorTopic, Path], RangeView]
+    """Function that converts a message and writes its file, if it needs one. Its arguments: the message, its place for
+    error messages, the topic, and the path of the file without its ending."""
+    detector: Callable[[RangeView, Camera | None], Detector]
+    """Function that returns the detector for a view; its second argument is the intrinsics."""
+
+
+def _cloud_view(message: Any, where: str, _: SensorTopic, stem: Path) -> RangeView:
+    points, file = cloud_of(message, where), stem.with_name(f"{stem.name}.pcd")
+    write_points(file, points)
+    return RangeView(cloud_message(points), file)
+
+
+def _scan_view(message: Any, where: str, _: SensorTopic, __: Path) -> RangeView:
+    return RangeView(scan_message(message, where), None)
+
+
+def _depth_view(message: Any, where: str, topic: SensorTopic, stem: Path) -> RangeView:
+    depth, file = depth_of(message, where), stem.with_name(f"{stem.name}.png")
+    height, width = depth.shape
+    if (known := topic.camera) is not None and (known.width, known.height) != (width, height):
+        raise InputError(
+            f"{where}: found a depth image of {width} x {height} pixels, expected {known.width} x {known.height} as "
+            f"camera_info has for '{topic.described.name}'"
+        )
+    write_atomically(file, encoded(depth))
+    size = {"height": height, "width": width, "step": 2 * width}
+    return RangeView({**size, "encoding": "16UC1", "is_bigendian": 0}, file)
+
+
+def _depth_detector(view: RangeView, camera: Camera | None) -> Detector:
+    if camera is None or view.file is None:
+        raise AssertionError("a depth camera has intrinsics, and its images are files")
+    return partial(label_depth, read_depth_image(view.file, camera).depth, camera)
+
+
+RANGE_MODALITIES: Mapping[str, RangeModality] = {
+    LIDAR3D.name: RangeModality(_cloud_view, lambda view, _: partial(label_points, view.points)),
+    LIDAR2D.name: RangeModality(_scan_view, lambda view, _: partial(label_scan_line, view.points)),
+    DEPTH.name: RangeModality(_depth_view, _depth_detector),
+}
+"""By the name of the modality."""
+
+
+def cloud_of(message: Any, where: str) -> Array:
+    """Convert a PointCloud2 to points (N, 3), in the order of its rows.
+
+    Raises:
+        InputError: it has no floating-point x, y, z, or its data are truncated.
+    """
+    if message.width * message.height > MAX_POINTS:
+        raise InputError(f"{where}: found {message.width} x {message.height} points, expected {MAX_POINTS} at most")
+    document = {key: int(getattr(message, key)) for key in ("point_step", "row_step", "height", "width")}
+    fields = [{key: getattr(field, key) for key in ("name", "offset", "datatype")} for field in message.fields]
+    data = base64.b64encode(bytes(message.data)).decode()
+    whole = {**document, "fields": fields, "data": data, "is_bigendian": bool(message.is_bigendian)}
+    return np.asarray(decode_message(Node(Path(where), (), whole)), float)
+
+
+def cloud_message(points: Array) -> dict[str, Any]:
+    """Return a dataset's message of a cloud (N, 3) in a separate file."""
+    return {
+        "fields": [{"name": axis, "offset": 4 * i, "datatype": 7, "count": 1} for i, axis in enumerate("xyz")],
+        "height": 1,
+        "is_bigendian": False,
+        "is_dense": bool(np.isfinite(points).all()),
+        "point_step": 12,
+        "row_step": 12 * len(points),
+        "width": len(points),
+    }
+
+
+def scan_message(message: Any, where: str) -> dict[str, Any]:
+    """Convert a LaserScan to the dataset's form.
+
+    Raises:
+        InputError: it is invalid.
+    """
+    angles = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
+    values = {key: float(getattr(message, key)) for key in angles}
+    document: dict[str, Any] = {key: value for key, value in values.items() if math.isfinite(value)}
+    document["ranges"] = [float(r) if math.isfinite(r) else None for r in message.ranges.tolist()]
+    document["intensities"] = []
+    read_scan(Node(Path(where), (), document))
+    return document

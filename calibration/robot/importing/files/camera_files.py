@@ -1,0 +1,393 @@
+"""Intrinsics in the files of other tools: ROS, Kalibr, OpenCV, aslam, anipose, MetriCal, ViSP, our own calibrations."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.base.arrays import Array
+from calibration.base.errors import InputError
+from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.lens_uncertainty import LensUncertainty
+from calibration.engine.dataset.sensors import MAX_INTRINSIC, MAX_PIXELS, read_camera
+from calibration.engine.estimation.problem.intrinsics_file import read_calibrated
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import MODELS, SYNONYMS
+from calibration.engine.geometry.transforms import inverse, transform
+from calibration.robot.importing.files.structured_files import read_structured
+
+KALIBR_MODELS = {
+    (model.kalibr.camera_model, distortion): model
+    for model in reversed(MODELS.values())  # the simplest one counts: a pinhole without distortion is plumb_bob
+    if model.kalibr
+    for distortion in dict.fromkeys((model.kalibr.distortion_model, "none"))
+}
+"""Lens models by Kalibr's camera_model and distortion_model; other ones (fov) have no equivalent."""
+BASELINE = "T_cn_cnm1"
+"""Kalibr's key of a camera: the pose of the one before in its frame."""
+MAX_BASELINE = 1e4
+"""Limit of a baseline, m."""
+ROUNDED = 1e-2
+"""Limit of how far an element of a rotation in a file is off."""
+_KEYS = {
+    "width": ("image_width", "width", "image_Width", "imageWidth", "img_width"),
+    "height": ("image_height", "height", "image_Height", "imageHeight", "img_height"),
+    "K": (
+        *("camera_matrix", "K", "k", "Camera_Matrix", "cameraMatrix", "intrinsic_matrix", "mtx", "matrix", "cam_mat"),
+        *("intrinsics", "camera_intrinsics"),
+    ),
+    "D": (
+        *("distortion_coefficients", "D", "d", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "distortion"),
+        *("dist", "distortions"),
+    ),
+}
+"""Keys of ROS, of OpenCV's samples, and of those who save what OpenCV returns."""
+_SIZES = ("cameraResolution", "size", "image_size", "img_size", "resolution")
+"""Keys of width and height: of OpenCV's interactive-calibration, of anipose and multical."""
+_MODELS = ("distortion_model", "camera_model")
+"""Keys of the lens model: of camera_info, and of the files of camera_calibration."""
+_FISHEYE = ("fisheye", "fisheye_model", "use_fisheye")
+"""Keys that are true for a fisheye: of anipose, of OpenCV's sample."""
+ALIASES = {
+    **SYNONYMS,
+    "opencv_fisheye": "equidistant",
+    "radial-tangential": "plumb_bob",
+    "opencv_radtan": "plumb_bob",
+    "standard": "plumb_bob",
+    "pinhole": "",
+    "none": "plumb_bob",
+}
+"""ROS's names of others' lens models; '' where it tells nothing of the distortion."""
+AMBIGUOUS = 4
+"""Number of coefficients that plumb_bob (k1, k2, p1, p2) and a fisheye of cv2.fisheye (k1 to k4) both have."""
+_DEVIATIONS = (
+    (("stdDeviationsIntrinsics", "std_deviations_intrinsics", "standard_deviations", "stdDeviations"), slice(0, None)),
+    (("cameraMatrix_std_dev", "camera_matrix_std_dev"), slice(0, 4)),
+    (("dist_coeffs_std_dev", "distCoeffs_std_dev", "distortion_coefficients_std_dev"), slice(4, None)),
+)
+"""Keys of OpenCV's standard deviations, and which of fx, fy, cx, cy and the coefficients, in this order, they are of.
+
+As programs write what calibrateCameraExtended returns, and in two parts as interactive-calibration does."""
+
+
+@dataclass(frozen=True)
+class KnownLens:
+    """Intrinsics from a file."""
+
+    path: Path
+    camera: Camera
+    has_size: bool
+    """Whether the file has the size of the images; else the camera's size must not be used."""
+    T_chain_camera: Array | None = None
+    """(4, 4): the camera's pose in the frame of cam0, where a camchain has its baselines."""
+    uncertainty: LensUncertainty | None = None
+    """How well the intrinsics are known, where the file says so."""
+
+
+def read_lens(path: Path, name: str | None = None, model: str | None = None) -> KnownLens:
+    """Read the intrinsics from a file, whose format is recognised by its keys.
+
+    Args:
+        path: path of the file.
+        name: of the camera, in a file of several.
+        model: lens model, whatever the file says of it.
+
+    Raises:
+        InputError: the file cannot be read, has an unknown format, has several cameras or none of this name, or
+            something in it is missing or wrong.
+    """
+    found = _lens(read_structured(path, "a file of intrinsics"), name, _known_model(path, model))
+    camera = found.camera
+    if found.has_size and not (0 <= camera.cx <= camera.width and 0 <= camera.cy <= camera.height):
+        raise InputError(
+            f"{path}: found the principal point ({camera.cx:g}, {camera.cy:g}) px outside of an image of "
+            f"{camera.width} x {camera.height}, expected one inside: were they calibrated at another resolution? "
+            "Correct the size, or leave out 'intrinsics' and let them be calibrated"
+        )
+    return found
+
+
+def _known_model(path: Path, model: str | None) -> str | None:
+    if model is None or (known := ALIASES.get(model, model)) in MODELS:
+        return model and known
+    raise InputError(f"{path}: found the lens model '{model}' in import.yml, expected one of {', '.join(MODELS)}")
+
+
+def _lens(root: Node, name: str | None, model: str | None) -> KnownLens:
+    if isinstance(root.value, list):
+        root = Node(root.file, (), {"K": root.value})  # a matrix alone, as numpy.save writes it
+    document = root.mapping()
+    if "components" in document:
+        root, name = _component(root["components"], name), None
+    elif "camera" in document and isinstance(document["camera"], dict) and "model" in document["camera"]:
+        root = _visp(root["camera"])
+    elif cameras := _several(root):
+        chosen = _chosen(root, list(cameras), name)
+        node, name = cameras[chosen], None
+        if "camera_info" in node.value:
+            return _of_our_calibration(node)
+        if "camera_model" in node.value and "camera_matrix" not in node.value:
+            return replace(_kalibr(node), T_chain_camera=_pose_in_chain(root, chosen))
+        root = node
+    elif numbered := [key[len("name_") :] for key in document if isinstance(key, str) and key.startswith("name_")]:
+        return _of_our_storage(root, numbered, name)
+    if name is not None:
+        raise root.fault(f"has one camera without a name, expected '{name}': leave out 'camera'")
+    if isinstance(root.value.get("intrinsics"), dict) and "fx" in root.value["intrinsics"]:
+        return _robot_cal_tools(root["intrinsics"])
+    if "intrinsics" in root.value and isinstance(root.value.get("distortion"), dict) and "type" in root.value:
+        root = _aslam(root)
+    return _camera_info(root, model)
+
+
+def _several(root: Node) -> dict[str, Node]:
+    """Return the cameras of a file of several by their names: Kalibr's, aslam's, anipose's, caliscope's, our own."""
+    listed = root.get("cameras") or root
+    if isinstance(listed.value, list):
+        nodes = [each.get("camera") or each for each in listed.elements()]
+        return {each["label"].text() if each.get("label") else str(i): each for i, each in enumerate(nodes)}
+    found = {}
+    for key, node in listed.items():
+        if not isinstance(node.value, dict) or {"rows", "cols", "data"} <= set(node.value):
+            continue
+        if {"camera_info", "camera_model"} & set(node.value) or _first(node, _KEYS["K"]):
+            found[node["name"].text() if node.get("name") else key] = node
+    return found
+
+
+def _component(components: Node, name: str | None) -> Node:
+    """Return a camera of MetriCal's plex, whose pixels begin at the corner of the first one, as camera_info."""
+    cameras = {
+        node["camera"]["name"].text(): node["camera"]["intrinsics"]
+        for node in components.elements()
+        if isinstance(node.value, dict) and "camera" in node.value
+    }
+    if not cameras:
+        raise components.fault("found no camera among the components, expected one")
+    node = cameras[_chosen(components, list(cameras), name)]
+    pinhole = node["projection"]["pinhole"]
+    f, cx, cy = (pinhole[key].number() for key in ("f", "cx", "cy"))
+    affinity = node.get("affinity")
+    a1 = affinity["a1"] if affinity and affinity.get("a1") else None
+    if a1 is not None and a1.number() != 0:
+        raise a1.unexpected("0: of the same focal length in x and y")
+    K = [f, 0.0, cx - 0.5, 0.0, f, cy - 0.5, 0.0, 0.0, 1.0]
+    info: dict[str, Any] = {"width": node["width"].value, "height": node["height"].value, "K": K, "D": []}
+    for kind, coefficients in distortion.items() if (distortion := node.get("distortion")) else ():
+        names = {"opencv_radtan": ("k1", "k2", "p1", "p2", "k3"), "opencv_fisheye": ("k1", "k2", "k3", "k4")}.get(kind)
+        values = [each.number() for _, each in coefficients.items()]
+        if names is None and any(values):
+            raise coefficients.fault(f"found the lens model '{kind}', expected opencv_radtan or opencv_fisheye")
+        if names is not None:
+            info |= {"D": [coefficients[each].number() for each in names], "distortion_model": ALIASES[kind]}
+    return Node(node.file, node.keys, info)
+
+
+def _visp(node: Node) -> Node:
+    """Return the camera of ViSP's vpXmlParserCamera as camera_info; its ``kud`` is k1 of plumb_bob."""
+    model = node["model"]
+    fx, cx, fy, cy = (model[key].number() for key in ("px", "u0", "py", "v0"))
+    k1 = model["kud"].number() if model.get("kud") else 0.0
+    info = {
+        "width": node["image_width"].value,
+        "height": node["image_height"].value,
+        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        "D": [k1, 0.0, 0.0, 0.0, 0.0],
+        "distortion_model": "plumb_bob",
+    }
+    return Node(node.file, node.keys, info)
+
+
+def _aslam(root: Node) -> Node:
+    """Return a camera of aslam's YAML as camera_info."""
+    if (projection := root["type"]).text() != "pinhole":
+        raise projection.unexpected("pinhole")
+    flat = Node(root.file, (*root.keys, "intrinsics"), _numbers(root["intrinsics"]))
+    fx, fy, cx, cy = flat.numbers(4)
+    distortion = root["distortion"]
+    parameters = distortion.get("parameters")
+    info = {
+        "width": root["image_width"].value,
+        "height": root["image_height"].value,
+        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        "D": _numbers(parameters) if parameters else [],
+        "distortion_model": distortion["type"].text(),
+    }
+    return Node(root.file, root.keys, info)
+
+
+def _of_our_calibration(node: Node) -> KnownLens:
+    """Parse a camera in the ``intrinsics.json`` of a calibration, with its covariance."""
+    camera, found = read_camera(node["camera_info"]), read_calibrated(node)
+    uncertainty = LensUncertainty(found.parameters, found.sigmas, found.covariance)
+    return KnownLens(node.file, camera, has_size=True, uncertainty=uncertainty)
+
+
+def _of_our_storage(root: Node, numbered: list[str], name: str | None) -> KnownLens:
+    """Parse a camera in the FileStorage of ``export``: ``name_0``, ``size_0``, ``model_0``, ``K_0``, ``D_0``."""
+    names = {root[f"name_{number}"].text(): number for number in numbered}
+    number = names[_chosen(root, list(names), name)]
+    width, height = Node(root.file, (f"size_{number}",), _numbers(root[f"size_{number}"])).numbers(2)
+    info = {
+        "width": width,
+        "height": height,
+        "K": _numbers(root[f"K_{number}"]),
+        "D": _numbers(root[f"D_{number}"]),
+        "distortion_model": root[f"model_{number}"].text(),
+    }
+    return KnownLens(root.file, read_camera(Node(root.file, root.keys, info)), has_size=True)
+
+
+def _chosen(root: Node, cameras: list[str], name: str | None) -> str:
+    if name is None and len(cameras) > 1:
+        raise root.fault(f"has several cameras: add 'camera' with one of {', '.join(map(str, cameras))}")
+    if name is not None and name not in cameras:
+        raise root.fault(f"found the cameras {', '.join(map(str, cameras))}, expected '{name}'")
+    return name or cameras[0]
+
+
+def _kalibr(node: Node) -> KnownLens:
+    camera, name = node["camera_model"], node.get("distortion_model")
+    distortions = [distortion for known, distortion in KALIBR_MODELS if known == camera.text()]
+    if not distortions:
+        raise camera.unexpected(f"one of {', '.join(dict.fromkeys(known for known, _ in KALIBR_MODELS))}")
+    if name and name.text() not in distortions:
+        raise name.unexpected(f"a distortion of {camera.value}: {', '.join(distortions)}")
+    model = KALIBR_MODELS[camera.value, name.value if name else "none"]
+    coefficients = node.get("distortion_coeffs")
+    before = model.kalibr.intrinsics if model.kalibr else 0
+    *first, fx, fy, cx, cy = node["intrinsics"].numbers(before + 4)
+    width, height = node["resolution"].numbers(2)
+    info = {
+        "width": width,
+        "height": height,
+        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        "D": [*first, *(coefficients.sequence() if coefficients else [])],
+        "distortion_model": model.ros_name,
+    }
+    return KnownLens(node.file, read_camera(Node(node.file, node.keys, info)), has_size=True)
+
+
+def _pose_in_chain(root: Node, name: str) -> Array | None:
+    """Return the pose of a camera in the frame of cam0, from the baselines between them; None if one is missing."""
+    numbered = re.fullmatch(r"cam([0-9]{1,3})", name)
+    if numbered is None:
+        return None
+    pose = np.eye(4)
+    for i in range(1, int(numbered[1]) + 1):
+        camera = root.get(f"cam{i}")
+        baseline = camera.get(BASELINE) if camera else None
+        if baseline is None:
+            return None
+        pose = pose @ inverse(_rigid(baseline))
+    return pose
+
+
+def _rigid(node: Node) -> Array:
+    """Parse a transform of four rows (4, 4); its rotation may be rounded."""
+    rows = [row.numbers(4) for row in node.elements()]
+    T = np.array(rows) if len(rows) == 4 else np.zeros((4, 4))
+    R = rotations.nearest(np.clip(T[:3, :3], -2, 2))
+    if abs(T[:3, :3] - R).max() > ROUNDED or (T[3] != [0, 0, 0, 1]).any() or abs(T[:3, 3]).max() > MAX_BASELINE:
+        raise node.fault("is no transform, expected four rows of four numbers: a rotation, a translation, 0 0 0 1")
+    return transform(R, T[:3, 3])
+
+
+def _robot_cal_tools(node: Node) -> KnownLens:
+    fx, fy, cx, cy = (node[key].number() for key in ("fx", "fy", "cx", "cy"))
+    K = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    return _without_size(node, {"K": K, "D": [], "distortion_model": "plumb_bob"})
+
+
+def _camera_info(root: Node, model: str | None) -> KnownLens:
+    found = {what: node for what, keys in _KEYS.items() if (node := _first(root, keys)) is not None}
+    if "K" not in found:
+        raise root.fault(
+            "found no camera in it, expected ROS's camera_info (camera_matrix), Kalibr's camchain (cam0) or "
+            "OpenCV's FileStorage (camera_matrix or K)"
+        )
+    D = found.get("D")
+    coefficients = _numbers(D) if D else []
+    stated = model or _stated_model(root)
+    if not stated and len(coefficients) == AMBIGUOUS and any(coefficients) and D:
+        raise D.fault(
+            "found 4 coefficients and no lens model, which may be plumb_bob (k1, k2, p1, p2) or a fisheye of "
+            "cv2.fisheye (k1 to k4): add 'model: plumb_bob' or 'model: equidistant' to the sensor in import.yml"
+        )
+    stated = stated or ("rational_polynomial" if len(coefficients) > 5 else "plumb_bob")
+    info: dict[str, Any] = {
+        "K": _numbers(found["K"]),
+        "D": _of_the_model(D, coefficients, stated) if D else [],
+        "distortion_model": stated,
+    }
+    if (size := _first(root, _SIZES)) is not None:
+        info["width"], info["height"] = Node(size.file, size.keys, _numbers(size)).numbers(2)
+    elif "width" in found and "height" in found:
+        info |= {"width": found["width"].value, "height": found["height"].value}
+    else:
+        return replace(_without_size(root, info), uncertainty=_deviations(root, info))
+    camera = read_camera(Node(root.file, root.keys, info))
+    return KnownLens(root.file, camera, has_size=True, uncertainty=_deviations(root, info))
+
+
+def _stated_model(root: Node) -> str:
+    """Return ROS's name of the lens model that a file states; '' if it states none."""
+    fisheye = _first(root, _FISHEYE)
+    if fisheye is not None and fisheye.value not in (False, 0, "0", "false"):
+        return "equidistant"
+    for node in (root.get(key) for key in _MODELS):
+        if node is not None and (name := ALIASES.get(node.text(), node.text())):
+            if name not in MODELS:
+                raise node.unexpected(f"a known distortion model: {', '.join(MODELS)}, or 'fisheye'")
+            return name
+    return ""
+
+
+def _of_the_model(D: Node, coefficients: list[float], model: str) -> list[float]:
+    """Return the coefficients without the zeros beyond the model's."""
+    names = MODELS[model].names()
+    kept, beyond = coefficients[: len(names)], coefficients[len(names) :]
+    if any(beyond):
+        is_rational = model == "plumb_bob" and not any(coefficients[8:])
+        hint = "; if they are k4 to k6, write 'model: rational_polynomial' at the sensor in import.yml"
+        raise D.fault(
+            f"found {len(coefficients)} coefficients, expected the {len(names)} of {model} ({', '.join(names)}) and "
+            f"zeros after them{hint if is_rational else ''}"
+        )
+    return kept
+
+
+def _deviations(root: Node, info: Mapping[str, Any]) -> LensUncertainty | None:
+    """Return OpenCV's standard deviations, if the file has any; 0 stands for what was not calibrated."""
+    names = ("fx", "fy", "cx", "cy", *MODELS[info["distortion_model"] or "plumb_bob"].names())
+    found: dict[str, float] = {}
+    for keys, of in _DEVIATIONS:
+        if (node := _first(root, keys)) is not None:
+            flat = Node(root.file, node.keys, _numbers(node))
+            values = [each.within(0, MAX_INTRINSIC) for each in flat.elements()]
+            found |= {name: value for name, value in zip(names[of], values, strict=False) if value > 0}
+    parameters = tuple(name for name in names if name in found)
+    return LensUncertainty(parameters, np.array([found[name] for name in parameters])) if found else None
+
+
+def _without_size(node: Node, info: Mapping[str, Any]) -> KnownLens:
+    sized = {**info, "width": MAX_PIXELS, "height": MAX_PIXELS}
+    return KnownLens(node.file, read_camera(Node(node.file, node.keys, sized)), has_size=False)
+
+
+def _first(root: Node, keys: tuple[str, ...]) -> Node | None:
+    return next((node for key in keys if (node := root.get(key))), None)
+
+
+def _numbers(node: Node) -> list[Any]:
+    """Return a matrix as a flat list: from a flat list, from rows, or from ROS's and OpenCV's form with its size."""
+    if isinstance(node.value, dict):
+        node = node["data"]
+    rows = list(node.elements())
+    if rows and all(isinstance(row.value, list) for row in rows):
+        return [number.number() for row in rows for number in row.elements()]
+    return [number.number() for number in rows]

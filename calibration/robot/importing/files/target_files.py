@@ -1,0 +1,136 @@
+"""Descriptions of printed patterns: from import.yml, Kalibr's target YAML and robot_cal_tools' target."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from calibration.base.yaml_file import read_yaml
+from calibration.engine.dataset.configuration import (
+    MAX_CORNERS,
+    MAX_SPACING,
+    MIN_SPACING,
+    TAGS,
+    PatternConfiguration,
+    check_tags,
+)
+from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.pattern import CIRCLES, MAX_SIZE, MIN_SIZE
+from calibration.robot.importing.description import PatternDescription
+
+NOMINAL = {"kind": "chessboard", "dimension": (2, 2), "size": 0.1}
+"""Placeholder geometry of a pattern that is never detected in images: only its frame is used."""
+EVEN = 1e-6
+"""Relative tolerance of the two sides of a square: only squares are supported."""
+
+
+def pattern_configuration(described: PatternDescription, world: str, root: str | None = None) -> PatternConfiguration:
+    """Return the pattern of an entry of import.yml, described there or in its ``target`` file.
+
+    Args:
+        described: the entry.
+        world: the world frame by import.yml; a pattern with another parent is fixed there.
+        root: the root of the recorded frames, on which a pattern without a parent moves; None for the world.
+
+    Raises:
+        InputError: the file cannot be read, or describes an unknown pattern.
+    """
+    parent = described.parent or root or world
+    printed = _printed(described.target) if described.target else _described(described)
+    if not described.is_printed:
+        printed = NOMINAL
+    return PatternConfiguration(
+        name=described.name,
+        link=described.frame or f"{described.name}_link",
+        parent_link=parent,
+        fixed=(described.parent or world) != world if described.fixed is None else described.fixed,
+        border_size=(described.border, described.border),
+        first_marker=described.first or 0,
+        inverted=described.inverted,
+        **printed,
+    )
+
+
+def _described(pattern: PatternDescription) -> dict[str, Any]:
+    if pattern.tags:
+        keys = {"size": pattern.tags[0].size, "dictionary": pattern.dictionary, "tags": pattern.tags}
+        return {"kind": "tags", "dimension": (len(pattern.tags), 1)} | keys
+    if pattern.type in CIRCLES:
+        size, diameter = pattern.spacing, pattern.diameter
+        return {
+            "kind": pattern.type,
+            "dimension": (pattern.columns, pattern.rows),
+            "size": size,
+            "inner_size": diameter,
+        }
+    return {
+        "kind": pattern.type,
+        "dimension": (pattern.columns, pattern.rows),
+        "size": pattern.tag if pattern.type == "aprilgrid" else pattern.square,
+        "inner_size": pattern.marker if pattern.type == "charuco" else None,
+        "dictionary": TAGS if pattern.type == "aprilgrid" else pattern.dictionary,
+        "spacing": pattern.spacing or 0.0,
+    }
+
+
+def _printed(path: Path) -> dict[str, Any]:
+    root = Node(path, (), read_yaml(path, "the description of a pattern"))
+    if finder := root.get("target_finder"):
+        return _by_type(finder, "type", ROBOT_CAL_TOOLS)
+    return _by_type(root, "target_type", KALIBR)
+
+
+def _by_type(node: Node, key: str, kinds: Mapping[str, Callable[[Node], dict[str, Any]]]) -> dict[str, Any]:
+    kind = node[key]
+    if kind.text() not in kinds:
+        raise kind.unexpected(f"one of {', '.join(kinds)}")
+    return kinds[kind.value](node)
+
+
+def _count(node: Node, key: str, less: int = 0) -> int:
+    return node[key].whole(2 + less, MAX_CORNERS) - less
+
+
+def _size(node: Node, key: str) -> float:
+    return node[key].within(MIN_SIZE, MAX_SIZE)
+
+
+def _kalibr_chessboard(node: Node) -> dict[str, Any]:
+    width, height = _size(node, "colSpacingMeters"), _size(node, "rowSpacingMeters")
+    if abs(width - height) > EVEN * width:
+        raise node["rowSpacingMeters"].unexpected(f"{width:g} as colSpacingMeters: squares")
+    columns, rows = _count(node, "targetCols"), _count(node, "targetRows")
+    return {"kind": "chessboard", "dimension": (columns, rows), "size": width}
+
+
+def _kalibr_aprilgrid(node: Node) -> dict[str, Any]:
+    columns, rows = _count(node, "tagCols"), _count(node, "tagRows")
+    check_tags(columns, rows, node)
+    return {
+        "kind": "aprilgrid",
+        "dimension": (columns, rows),
+        "size": _size(node, "tagSize"),
+        "dictionary": TAGS,
+        "spacing": node["tagSpacing"].within(MIN_SPACING, MAX_SPACING),
+    }
+
+
+def _charuco(node: Node) -> dict[str, Any]:
+    number = node["dictionary"].whole(0, len(DICTIONARIES) - 1)
+    size, marker = _size(node, "chessboard_dim"), node["aruco_marker_dim"]
+    if marker.within(MIN_SIZE, MAX_SIZE) >= size:
+        raise marker.unexpected(f"less than chessboard_dim, {size:g}")
+    return {
+        "kind": "charuco",
+        "dimension": (_count(node, "cols", 1), _count(node, "rows", 1)),  # counts of squares
+        "size": size,
+        "inner_size": marker.number(),
+        "dictionary": DICTIONARIES[number],
+    }
+
+
+DICTIONARIES = tuple(f"DICT_{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
+"""Dictionaries by OpenCV's numbers."""
+KALIBR = {"aprilgrid": _kalibr_aprilgrid, "checkerboard": _kalibr_chessboard}
+"""Kalibr's types of targets; ``targetCols`` and ``targetRows`` are inner corners, ``tagCols`` and ``tagRows`` tags."""
+ROBOT_CAL_TOOLS = dict.fromkeys(("rct_ros_tools::CharucoGridTargetFinderPlugin", "CharucoGridTargetFinder"), _charuco)
+"""Target finders of robot_cal_tools, and of industrial_calibration, which it has become."""

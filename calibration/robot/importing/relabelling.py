@@ -1,0 +1,180 @@
+"""Labelling of a dataset's images by our detectors: those without labels, or all."""
+
+import copy
+import json
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from calibration import __version__
+from calibration.base.errors import InputError
+from calibration.base.files import link_or_copy, write_atomically
+from calibration.base.records import read, text_of
+from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.ci.execution.workspace import identity, workspace
+from calibration.engine.dataset.configuration import PatternConfiguration, parse_configuration
+from calibration.engine.dataset.document import Node, read_json
+from calibration.engine.dataset.payload import locate
+from calibration.engine.dataset.reading import FILE_NAME, read_dataset
+from calibration.engine.dataset.writing import write_document
+from calibration.robot.importing.document import label_document
+from calibration.robot.importing.patterns.contact_sheet import FILE as SHEET
+from calibration.robot.importing.patterns.contact_sheet import contact_sheet
+from calibration.robot.importing.patterns.image_views import LabelledMoment, read_image, view_of_file
+from calibration.robot.importing.patterns.near_miss import never_seen
+from calibration.robot.importing.results import LabelledSensor, LabelResults, RejectedView
+from calibration.robot.labelling.corner_detector import corner_detector
+from calibration.robot.labelling.detection import Image
+from calibration.robot.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
+from calibration.robot.simulation.collection.poses import single_threaded_opencv
+
+Done = Callable[[int, int, LabelledMoment], None]
+
+
+def label_dataset(
+    path: Path,
+    output: Path,
+    again: bool = False,
+    overwrite: bool = False,
+    jobs: int | None = None,
+    done: Done = lambda *_: None,
+) -> LabelResults:
+    """Label the images of every camera of a dataset into another folder; labels of other sensors are unchanged.
+
+    Args:
+        path: the dataset's folder.
+        output: the folder of the labelled dataset.
+        again: whether images with labels are labelled again.
+        overwrite: whether an existing dataset in the output is replaced.
+        jobs: number of processes; None for one per core.
+        done: called after each collection.
+
+    Raises:
+        InputError: the dataset or an image is wrong, there is nothing to label, or a camera never sees a pattern.
+        InfrastructureError: a file cannot be written, or a process died.
+    """
+    refuse_existing(output, overwrite)
+    if output.resolve() == path.resolve():
+        raise InputError(f"{output}: is the dataset itself; write into another folder, an input is never changed")
+    root = read_json(path / FILE_NAME, what="a dataset")
+    configuration = parse_configuration(root["calibration_config"])
+    patterns = configuration.patterns
+    cameras = [name for name, sensor in configuration.sensors.items() if sensor.has_corners]
+    if not cameras:
+        names = ", ".join(configuration.sensors)
+        raise InputError(f"{path}: found no camera among the sensors ({names}), expected one with images to label")
+    single = next(iter(patterns)) if str(root["_metadata"]["version"].value).startswith("2") else None
+    files = {key: _files(node, cameras, patterns, single, again) for key, node in root["collections"].items()}
+    if not any(files.values()):
+        raise InputError(f"{path}: found labels for all images of {', '.join(cameras)}; add --again")
+    detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
+
+    def label(own: Mapping[str, Path]) -> LabelledMoment:
+        return LabelledMoment({name: view_of_file(file, detectors) for name, file in own.items()})
+
+    stats = [(str(file), file.stat().st_mtime_ns) for own in files.values() for file in own.values()]
+    depends_on = identity(f"{__version__} {np.__version__} {cv2.__version__} {patterns} {stats}".encode())
+    with workspace(output, depends_on, text_of, _decoded) as work, single_threaded_opencv():
+        tasks = [work.keeping(Task.call(key, partial(label, own))) for key, own in files.items() if own]
+        moments = run_tasks(tasks, workers=jobs, find=work.find, done=done)
+        _check_seen(root, moments, cameras, patterns)
+        document = copy.deepcopy(root.value)
+        for key, moment in moments.items():
+            _set_labels(document["collections"][key], moment, single)
+        with replacing_dataset(output, overwrite) as new:
+            _copy_files(root, new)
+            views = [(f"{key} {name}", view) for key, each in moments.items() for name, view in each.views.items()]
+            write_atomically(new / SHEET, contact_sheet(views, patterns))
+            write_document(document, new / FILE_NAME)
+            read_dataset(new)
+    return _results(files, moments, cameras)
+
+
+def _decoded(text: bytes) -> LabelledMoment:
+    return read(LabelledMoment, json.loads(text), "a finished collection")
+
+
+def _labels(labels: Node, pattern: str, single: str | None) -> Node | None:
+    """Return the labels of a pattern by sensor; ``single`` is that of a version 2 dataset, which names none."""
+    return labels if single is not None else labels.get(pattern)
+
+
+def _files(
+    collection: Node,
+    cameras: Sequence[str],
+    patterns: Mapping[str, PatternConfiguration],
+    single: str | None,
+    again: bool,
+) -> dict[str, Path]:
+    """Return the images of a collection to label, by camera; ``single`` as for `_labels`."""
+    data, labels, found = collection.get("data"), collection.get("labels"), {}
+    for camera in cameras:
+        message = data.get(camera) if data else None
+        name = message.get("data_file") if message else None
+        if name is None:
+            continue
+        own = [_labels(labels, pattern, single) for pattern in patterns] if labels else []
+        known = [entry for by_sensor in own if by_sensor and (entry := by_sensor.get(camera))]
+        if again or not any(entry.mapping().get("detected") for entry in known):
+            found[camera] = Path(locate(name))
+            if not found[camera].is_file():
+                raise name.unexpected("the image beside the dataset")
+    return found
+
+
+def _check_seen(
+    root: Node,
+    moments: Mapping[str, LabelledMoment],
+    cameras: Sequence[str],
+    patterns: Mapping[str, PatternConfiguration],
+) -> None:
+    for camera in cameras:
+        views = [moment.views[camera] for moment in moments.values() if camera in moment.views]
+        whole = len(views) == len(root["collections"].mapping())
+        if views and whole and not any(view.labelled for view in views):
+            files = [Path(view.file) for view in views]
+            raise never_seen(camera, next(iter(patterns.values())), views, partial(_image, files))
+
+
+def _image(files: Sequence[Path], number: int) -> Image:
+    return read_image(files[number])
+
+
+def _set_labels(collection: dict[str, Any], moment: LabelledMoment, single: str | None) -> None:
+    labels = collection.get("labels") or {}
+    for name, view in moment.views.items():
+        for pattern, found in view.found.items():
+            by_sensor = labels if single is not None else labels.setdefault(pattern, {})
+            by_sensor[name] = label_document(found)
+    collection["labels"] = labels
+
+
+def _copy_files(root: Node, new: Path) -> None:
+    """Link or copy every file that the collections name to the new dataset."""
+    for key in root["collections"].mapping():
+        collection = root["collections"][key]
+        data = collection.get("data")
+        for _, message in data.items() if data else ():
+            if name := message.get("data_file"):
+                source = Path(locate(name))
+                if source.is_file():
+                    link_or_copy(source, new / name.text())
+
+
+def _results(
+    files: Mapping[str, Mapping[str, Path]], moments: Mapping[str, LabelledMoment], cameras: Sequence[str]
+) -> LabelResults:
+    sensors = {}
+    for camera in cameras:
+        views = [moment.views[camera] for moment in moments.values() if camera in moment.views]
+        rejected = [
+            RejectedView(view.file, "; ".join(dict.fromkeys(found.reason for found in view.found.values())))
+            for view in views
+            if not view.labelled
+        ]
+        sensors[camera] = LabelledSensor(len(views), len(views) - len(rejected), tuple(rejected))
+    return LabelResults(len(files), sensors)

@@ -1,0 +1,130 @@
+"""Detection of a pattern in a 2D LiDAR's scan: the rays on the pattern, and the ends of its scan line."""
+
+import numpy as np
+
+from calibration.base.arrays import Array, BoolArray, IntArray
+from calibration.engine.dataset.pattern import Pattern
+from calibration.engine.estimation.residuals.median import median
+from calibration.engine.geometry.transforms import apply
+from calibration.robot.labelling.board_plane import CLEAR, INLIER, LEAST_SIGMA, SEE_THROUGH
+from calibration.robot.labelling.detection import NotDetected
+from calibration.robot.labelling.points import TOLERANCE, PatternPoints
+
+
+def scan_line_ends(pattern: Pattern, T_sensor_pattern: Array) -> Array:
+    """Return the ends (..., 2, 2), x and y, of a pattern's scan line: its intersection with the sensor's plane z = 0.
+
+    Args:
+        pattern: its outline is intersected.
+        T_sensor_pattern: (..., 4, 4).
+
+    Returns:
+        NaN if they do not intersect.
+    """
+    corners = apply(T_sensor_pattern, np.append(pattern.outline, np.zeros((4, 1)), -1))  # (..., 4, 3)
+    following = np.roll(corners, -1, axis=-2)
+    z0, z1 = corners[..., 2], following[..., 2]
+    crosses = (z0 < 0) != (z1 < 0)  # a convex outline is crossed at no side or at two
+    with np.errstate(divide="ignore", invalid="ignore"):
+        places = corners + (z0 / (z0 - z1))[..., None] * (following - corners)
+    order = np.argsort(~crosses, axis=-1, kind="stable")[..., :2]
+    ends = np.take_along_axis(places[..., :2], order[..., None], axis=-2)
+    cut: Array = np.where(crosses.any(-1)[..., None, None], ends, np.nan)
+    return cut
+
+
+LEAST_POINTS = 5
+"""Minimum of points on a pattern."""
+LEAST_LENGTH = 0.1
+"""m: minimum length of a scan line: a shorter one may not exist at the pattern's true pose."""
+GAP = 3
+"""The points on a pattern are one run of rays with fewer missing ones in a row than this."""
+
+
+def label_scan_line(
+    points: Array, pattern: Pattern, T_sensor_pattern: Array, tolerance: float = TOLERANCE
+) -> PatternPoints | NotDetected:
+    """Find the rays of a scan on a pattern, by a search for its line.
+
+    The first and the last of them are the ends of the scan line, unless the scan ends there, a nearer object occludes
+    what is beyond, or the line continues.
+
+    Args:
+        points: (N, 3) in the sensor's frame, m, in the order of the rays; NaN without a return.
+        pattern: its geometry.
+        T_sensor_pattern: (4, 4), expected pose of the pattern.
+        tolerance: limit of the distance of any point of the pattern from its expected position, m.
+    """
+    ends = scan_line_ends(pattern, T_sensor_pattern)
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    if not length > LEAST_LENGTH:
+        return NotDetected("the scan does not cross the pattern at its expected pose")
+    along = (ends[1] - ends[0]) / length
+    away = np.array([-along[1], along[0]])
+    away *= -1.0 if away @ ends[0] < 0 else 1.0
+    place, height = (points[:, :2] - ends.mean(0)) @ along, (points[:, :2] - ends.mean(0)) @ away
+    with np.errstate(invalid="ignore"):
+        near = (np.abs(place) < length / 2 + tolerance) & (np.abs(height) < tolerance)
+    if near.sum() < LEAST_POINTS:
+        return NotDetected(f"{near.sum()} points where the pattern is expected, at least {LEAST_POINTS} are needed")
+    offset, slope, sigma = _line(place[near], height[near], length, tolerance)
+    behind = (height - offset - slope * place) / np.hypot(1.0, slope)
+    with np.errstate(invalid="ignore"):
+        on = (np.abs(behind) <= INLIER * sigma) & (np.abs(place) < length / 2 + tolerance)
+        past = ~(behind <= CLEAR + INLIER * sigma)  # a ray without a return has passed the pattern
+        inner = np.abs(_crossing(points, ends.mean(0), along, away, offset, slope)) < length / 2 - tolerance
+    run = _longest_run(on)
+    if len(run) < LEAST_POINTS:
+        return NotDetected(f"{len(run)} points on a line, at least {LEAST_POINTS} are needed")
+    if (past & inner).sum() > SEE_THROUGH * inner.sum():
+        return NotDetected("what is seen where the pattern is expected is no board of its size: rays go past it")
+    limits = [
+        end for end, beyond in ((run[0], run[0] - 1), (run[-1], run[-1] + 1)) if 0 <= beyond < len(on) and past[beyond]
+    ]
+    return PatternPoints(run, np.unique(np.array(limits, np.int64)))
+
+
+def _line(place: Array, height: Array, length: float, tolerance: float) -> tuple[float, float, float]:
+    """Fit the line ``height = offset + slope * place`` with most points, and their standard deviation about it.
+
+    Iterated weighted least squares with Tukey's weights of decreasing width, from several initial heights.
+    """
+    scale = length / 2
+    basis = np.stack([np.ones_like(place), place / scale], -1)
+    products = (basis[:, :, None] * basis[:, None]).reshape(-1, 4)
+    lines = np.zeros((9, 2))
+    lines[:, 0] = np.linspace(-0.8, 0.8, 9) * tolerance
+    width = tolerance / 2
+    for _ in range(12):
+        residual = height - lines @ basis.T
+        weight = np.clip(1 - (residual / width) ** 2, 0, None) ** 2
+        moments = (weight @ products).reshape(9, 2, 2) + np.diag([1e-9, 1e-3])
+        lines = lines + np.linalg.solve(moments, ((weight * residual) @ basis)[..., None])[..., 0]
+        width = max(0.8 * width, tolerance / 6)
+    agreeing = (np.clip(1 - ((height - lines @ basis.T) / width) ** 2, 0, None) ** 2).sum(-1)
+    line = lines[agreeing.argmax()]
+    sigma = width / INLIER
+    for _ in range(5):
+        residual = height - basis @ line
+        on = np.abs(residual) <= INLIER * sigma
+        if on.sum() < LEAST_POINTS:
+            break
+        sigma = min(max(1.4826 * median(np.abs(residual[on])), LEAST_SIGMA), tolerance / INLIER)
+        line = line + np.linalg.lstsq(basis[on], residual[on], rcond=None)[0]
+    return float(line[0]), float(line[1] / scale), sigma
+
+
+def _crossing(points: Array, middle: Array, along: Array, away: Array, offset: float, slope: float) -> Array:
+    """Return the intersections (N,) of the rays with a line, along it; NaN without a return or an intersection."""
+    x, y = points[:, :2] @ along, points[:, :2] @ away
+    x0, y0 = -middle @ along, -middle @ away  # origin of the sensor
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = (offset + slope * x0 - y0) / (y - slope * x)
+        crossing: Array = np.where(reach > 0, x0 + reach * x, np.nan)
+    return crossing
+
+
+def _longest_run(on: BoolArray) -> IntArray:
+    """Return the set indices of the run that has most of them; see `GAP`."""
+    index = np.flatnonzero(on)
+    return max(np.split(index, np.flatnonzero(np.diff(index) > GAP) + 1), key=len)

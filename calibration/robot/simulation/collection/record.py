@@ -1,0 +1,280 @@
+"""Record of a pose: its part of the dataset, or the reasons for its rejection, and the quality of its labels.
+
+A record is plain JSON, so that an interrupted collection can be continued from the records on disk.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from calibration.base.arrays import Array
+from calibration.engine.dataset.model import CornerLabels, Edge
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.transforms import apply, inverse
+from calibration.robot.labelling.points import PatternPoints
+from calibration.robot.simulation.collection.capture import Capture
+from calibration.robot.simulation.joints import joint_values
+from calibration.robot.simulation.placement import Play
+from calibration.robot.simulation.robot import Joint, compose
+from calibration.robot.simulation.sensors.sensor import Found, SimulatedSensor
+
+ESTIMATE_DECIMALS = 5
+"""Decimals of estimated poses: 10 micrometres and microradians."""
+
+
+@dataclass(frozen=True)
+class CornerErrors:
+    """Errors of detected corners against the true projections, for one camera at one pose, px."""
+
+    count: int
+    mean: tuple[float, float]
+    rms: float
+    """Root mean square of the distances."""
+    largest: float
+
+
+@dataclass(frozen=True)
+class Record:
+    """Result of one pose. It is kept if there is no reason to reject it."""
+
+    number: int
+    """Index of the pose, from 0."""
+    lost: tuple[str, ...]
+    """Reasons why it is not part of the dataset; empty if it is."""
+    labels: Mapping[str, int]
+    """Number of corners or points that each sensor labelled, on all patterns together; 0 without a detection."""
+    complete: Mapping[str, bool]
+    """Whether a camera that detects a pattern sees all its corners, by camera."""
+    errors: Mapping[str, CornerErrors]
+    """Errors of the detected corners, by camera."""
+    cells: Mapping[str, tuple[int, ...]]
+    """Cells with a corner of a grid over the image (`COLUMNS` x `ROWS`, row by row), by camera."""
+    collection: Mapping[str, Any]
+    """The entry of ``collections`` in the dataset."""
+    initial: Mapping[str, Mapping[str, Any]]
+    """Entry of ``transforms_initial`` of each pattern."""
+    truth: tuple[Mapping[str, Any], ...]
+    """True poses of the patterns in the world, and the transforms that differ between collections."""
+    named: str | None = None
+    """Key of the collection, if it was not numbered by this program."""
+
+    @property
+    def key(self) -> str:
+        """Key of the collection: the index of its pose, so a rejected one leaves a gap."""
+        return collection_key(self.number) if self.named is None else self.named
+
+    @property
+    def kept(self) -> bool:
+        """Whether it is part of the dataset."""
+        return not self.lost
+
+    def to_json(self) -> str:
+        """Format the record as JSON."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> "Record":
+        """Parse the record from JSON.
+
+        Raises:
+            ValueError, TypeError, KeyError: it is not a record.
+        """
+        fields = json.loads(text)
+        return cls(
+            **{
+                **fields,
+                "lost": tuple(fields["lost"]),
+                "truth": tuple(fields["truth"]),
+                "cells": {name: tuple(cells) for name, cells in fields["cells"].items()},
+                "errors": {
+                    name: CornerErrors(**{**error, "mean": tuple(error["mean"])})
+                    for name, error in fields["errors"].items()
+                },
+            }
+        )
+
+
+COLUMNS, ROWS = 4, 3
+"""Size of the grid over an image for its coverage."""
+
+
+def collection_key(number: int) -> str:
+    """Return the key of a collection, such as "000"."""
+    return f"{number:03d}"
+
+
+def record(play: Play, capture: Capture, lost: tuple[str, ...]) -> Record:
+    """Return the record of a capture."""
+    system, number = play.system, capture.number
+    return Record(
+        number=number,
+        lost=lost,
+        labels={name: sum(map(_count, capture.found_by(name).values())) for name in system.sensors},
+        complete={name: _sees_all(play, capture, name) for name in system.cameras},
+        errors={name: error for name in system.cameras if (error := _corner_errors(play, capture, name))},
+        cells={
+            name: image_cells(sensor.camera.width, sensor.camera.height, capture.corners(name).values())
+            for name, sensor in system.cameras.items()
+        },
+        collection=_collection(play, capture),
+        initial={name: _initial(play, capture, name) for name in system.patterns},
+        truth=_truth(play, number),
+    )
+
+
+def _truth(play: Play, number: int) -> tuple[Mapping[str, Any], ...]:
+    system = play.system
+    patterns = {
+        (system.configuration.world_link, pattern.link): play.true.patterns[name]
+        for name, pattern in system.patterns.items()
+    }
+    moving = {edge: play.true.transforms[edge] for edge in sorted(system.unknown_motions)}
+    return tuple(pose_document(edge, T[number]) for edge, T in {**patterns, **moving}.items())
+
+
+def _count(found: Found) -> int:
+    match found:
+        case CornerLabels():
+            return len(found.ids)
+        case PatternPoints():
+            return len(found.on_pattern)
+    return 0
+
+
+def _sees_all(play: Play, capture: Capture, camera: str) -> bool:
+    return any(
+        len(found.ids) == len(play.system.patterns[pattern].corners)
+        for pattern, found in capture.corners(camera).items()
+    )
+
+
+def _corner_errors(play: Play, capture: Capture, camera: str) -> CornerErrors | None:
+    """Compare labels with the true corners as this camera saw them: of a pattern that may sway and be bowed."""
+    T_camera_world = inverse(play.true.sensors[camera][capture.number])
+    boards = {board.pattern.name: board for board in capture.boards[camera]}
+    differences = []
+    for pattern, found in capture.corners(camera).items():
+        board = boards[pattern]
+        corners = board.surface(board.pattern.corners[found.ids, :2])
+        true = play.system.cameras[camera].camera.project(apply(T_camera_world @ board.T_world_pattern, corners))
+        differences.append(found.pixels - true)
+    if not differences:
+        return None
+    error = np.concatenate(differences)
+    distance = np.linalg.norm(error, axis=-1)
+    x, y = error.mean(axis=0)
+    return CornerErrors(
+        count=len(error),
+        mean=(round(float(x), 6), round(float(y), 6)),
+        rms=round(float(np.sqrt((distance**2).mean())), 6),
+        largest=round(float(distance.max()), 6),
+    )
+
+
+def image_cells(width: int, height: int, detected: Iterable[CornerLabels]) -> tuple[int, ...]:
+    """Return the cells of the grid over an image (px) with a corner."""
+    size = np.array([width / COLUMNS, height / ROWS])
+    found = set()
+    for labels in detected:
+        column, row = np.clip((labels.pixels + 0.5) // size, 0, [COLUMNS - 1, ROWS - 1]).astype(int).T
+        found.update((row * COLUMNS + column).tolist())
+    return tuple(sorted(found))
+
+
+def _collection(play: Play, capture: Capture) -> dict[str, Any]:
+    system, number = play.system, capture.number
+    return {
+        "additional_data": {},
+        "data": {name: _message(play, capture, name) for name in system.sensors},
+        "joints": _joints(play, number),
+        "labels": {
+            pattern: {name: sensor.label_document(capture.labels[pattern, name]) for name, sensor in system.by_modality}
+            for pattern in system.patterns
+        },
+        "transforms": {
+            f"{parent}-{child}": pose_document((parent, child), T[number])
+            for (parent, child), T in play.nominal.transforms.items()
+        },
+    }
+
+
+def _joints(play: Play, number: int) -> dict[str, Any]:
+    """Return the calibrated joints of the nominal robot."""
+    joints = {name: play.system.nominal.movable[name] for name in play.system.configuration.joints}
+    return {name: joint_document(joint, float(play.nominal.joints[name][number])) for name, joint in joints.items()}
+
+
+def _message(play: Play, capture: Capture, name: str) -> dict[str, Any]:
+    """Return the ROS message of a sensor; its data are in a separate file or in the message itself."""
+    sensor = play.system.sensors[name]
+    header = message_header(play.system.configuration.sensors[name].link, capture.number)
+    file = {"data_file": data_file(name, sensor, capture.number)} if sensor.file_ending else {}
+    return {**file, "header": header, **sensor.message(capture.data[name])}
+
+
+def data_file(name: str, sensor: SimulatedSensor, number: int) -> str:
+    """Return the name of the file with a sensor's data in a collection."""
+    return f"{name}_{collection_key(number)}.{sensor.file_ending}"
+
+
+def _initial(play: Play, capture: Capture, pattern: str) -> dict[str, Any]:
+    """Return the pose of a pattern by the labels of the first camera that detects it.
+
+    It is estimated by the nominal robot, as ATOM does when it collects.
+    """
+    geometry = play.system.patterns[pattern]
+    for camera in play.system.cameras:
+        T_camera_pattern = capture.estimates.get((pattern, camera))
+        if T_camera_pattern is not None and np.isfinite(T_camera_pattern).all():
+            edge: Edge = (geometry.parent_link, geometry.link)
+            T_parent_camera = _nominal(play, geometry.parent_link, camera, capture.number)
+            pose = pose_document(edge, T_parent_camera @ T_camera_pattern, ESTIMATE_DECIMALS)
+            return {"detected": True, "sensor": camera, **pose}
+    return {"detected": False}
+
+
+def _nominal(play: Play, frame: str, camera: str, number: int) -> Array:
+    """Return the nominal ``T_frame_camera`` (4, 4)."""
+    transforms = {edge: T[number : number + 1] for edge, T in play.nominal.transforms.items()}
+    link = play.system.configuration.sensors[camera].link
+    T: Array = compose(play.system.nominal.tree, transforms, frame, link)[0]
+    return T
+
+
+POSE_DECIMALS = 9
+"""Decimals of exact poses: a nanometre and a nanoradian, so that rounding errors of the arithmetic have no effect."""
+
+
+def pose_document(edge: Edge, T: Array, decimals: int = POSE_DECIMALS) -> dict[str, Any]:
+    """Return the document of a transform (4, 4); its quaternion is the one with a positive last component."""
+    quaternion = np.round(rotations.to_quaternion(T[:3, :3]), decimals)
+    last = quaternion[np.flatnonzero(quaternion)[-1]]
+    return {
+        "parent": edge[0],
+        "child": edge[1],
+        "trans": (np.round(T[:3, 3], decimals) + 0.0).tolist(),
+        "quat": (quaternion * np.sign(last) + 0.0).tolist(),
+    }
+
+
+def joint_document(joint: Joint, position: float) -> dict[str, Any]:
+    """Return a joint's entry in a collection: the description's parameters, and the encoder's position in rad or m."""
+    values = dict(zip(JOINT_PARAMETERS[:6], joint_values(joint).tolist(), strict=False))
+    return {
+        "transform_key": f"{joint.parent}-{joint.child}",
+        "position": position,
+        **{parameter: round(value, POSE_DECIMALS) + 0.0 for parameter, value in values.items()},
+        **{f"axis_{axis}": value for axis, value in zip("xyz", joint.axis.tolist(), strict=True)},
+        "parent_link": joint.parent,
+        "child_link": joint.child,
+        "joint_type": joint.kind,
+    }
+
+
+def message_header(frame: str, number: int) -> dict[str, Any]:
+    """Return the header of a ROS message: poses are ten seconds apart."""
+    return {"frame_id": frame, "seq": number, "stamp": {"secs": 10 * number, "nsecs": 0}}

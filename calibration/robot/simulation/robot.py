@@ -1,0 +1,341 @@
+"""Robots from URDF descriptions, with forward kinematics.
+
+URDF: a tree of links, each connected to its parent by a joint. Floating and planar joints have no position here, and
+stay at their origin. A description is untrusted input: entities are refused, the size is bounded.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, get_args
+from xml.etree.ElementTree import Element, ParseError
+
+import defusedxml.ElementTree
+import numpy as np
+from defusedxml.common import DefusedXmlException
+
+from calibration.base.arrays import Array
+from calibration.base.errors import InputError
+from calibration.engine.dataset.model import Edge
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.frames import FrameTree
+from calibration.engine.geometry.transforms import from_xyz_rpy, inverse, transform, translation
+from calibration.robot.robot_description import NO_INPUTS, XacroInputs, read_robot_description
+
+JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "floating", "planar"]
+JOINT_KINDS: tuple[JointKind, ...] = get_args(JointKind)
+AXIS_KINDS: frozenset[JointKind] = frozenset(("revolute", "continuous", "prismatic"))
+"""Kinds that move along or about one axis."""
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """Position of a joint that follows another one: ``multiplier * position + offset``."""
+
+    joint: str
+    """The followed joint, which follows none itself."""
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+    def positions(self, followed: Array) -> Array:
+        """Return the positions (N,) from those of the followed joint (N,)."""
+        return self.multiplier * np.asarray(followed, float) + self.offset
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """Joint between a link and its parent. Its frame is the child link's at position 0."""
+
+    name: str
+    kind: JointKind
+    parent: str
+    child: str
+    T_parent_joint: Array
+    """(4, 4): the origin."""
+    axis: Array
+    """(3,): unit vector in the joint's frame; unused for a fixed joint."""
+    lower: float = -math.inf
+    """Lower limit of the position, rad or m."""
+    upper: float = math.inf
+    mimic: Mimic | None = None
+    """What it follows; None for a joint with a position of its own."""
+
+    @property
+    def edge(self) -> Edge:
+        """(parent link, child link)."""
+        return (self.parent, self.child)
+
+    @property
+    def is_movable(self) -> bool:
+        """Whether the joint has a position, its own or that of a joint that it follows."""
+        return self.kind in AXIS_KINDS
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the joint is floating or planar: its transform is not known from one position."""
+        return self.kind in ("floating", "planar")
+
+    @property
+    def driver(self) -> str:
+        """Name of the joint whose position moves it: its own, or that of the joint that it follows."""
+        return self.name if self.mimic is None else self.mimic.joint
+
+    @property
+    def twist(self) -> Array:
+        """Twist (6,) of the child in its own frame per unit of the position."""
+        zero = np.zeros(3)
+        return np.concatenate([self.axis, zero] if self.kind == "prismatic" else [zero, self.axis])
+
+    @property
+    def rest(self) -> float:
+        """Default position: 0, or the limit closest to it."""
+        return min(max(0.0, self.lower), self.upper)
+
+    def transform(self, positions: Array) -> Array:
+        """Return ``T_parent_child`` (N, 4, 4) at each of the positions (N,)."""
+        steps = np.asarray(positions, float)[..., None] * self.axis
+        if self.kind == "prismatic":
+            return self.T_parent_joint @ translation(steps)
+        if self.is_movable:
+            return self.T_parent_joint @ transform(rotations.exp(steps), np.zeros(3))
+        return np.broadcast_to(self.T_parent_joint, (*steps.shape[:-1], 4, 4))
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """Tree of links and joints."""
+
+    path: Path
+    """File that it was read from."""
+    name: str
+    joints: tuple[Joint, ...]
+    """Joints in the order of the file."""
+
+    @cached_property
+    def tree(self) -> FrameTree:
+        """Tree of the links' frames."""
+        return FrameTree(joint.edge for joint in self.joints)
+
+    @cached_property
+    def movable(self) -> Mapping[str, Joint]:
+        """The joints with a position of their own, by name."""
+        return {joint.name: joint for joint in self.joints if joint.is_movable and joint.mimic is None}
+
+    def transforms(self, joint_positions: Mapping[str, Array], count: int = 1) -> dict[Edge, Array]:
+        """Forward kinematics: ``T_parent_child`` of every joint, (N, 4, 4), by (parent, child).
+
+        Args:
+            joint_positions: by joint name, (N,) each, rad or m. Other joints are at their default position.
+            count: N if no joint is given.
+
+        Raises:
+            InputError: a joint is unknown or not movable, or a position is outside its limits.
+        """
+        for name, positions in joint_positions.items():
+            self._check(name, np.asarray(positions, float))
+        shape = np.broadcast_shapes(*(np.shape(p) for p in joint_positions.values())) if joint_positions else (count,)
+        rest = {name: np.array(joint.rest) for name, joint in self.movable.items()}
+        own = {name: np.broadcast_to(joint_positions.get(name, at), shape) for name, at in rest.items()}
+        unmoved = np.zeros(shape)
+        return {
+            joint.edge: joint.transform(
+                own.get(joint.name, unmoved) if joint.mimic is None else joint.mimic.positions(own[joint.mimic.joint])
+            )
+            for joint in self.joints
+        }
+
+    def _check(self, name: str, positions: Array) -> None:
+        joint = self.movable.get(name)
+        if joint is None:
+            follows = any(joint.name == name and joint.mimic is not None for joint in self.joints)
+            known_one = any(joint.name == name for joint in self.joints)
+            problem = "is fixed and has no position" if known_one else "is not in the robot"
+            problem = "follows another joint and has no position of its own" if follows else problem
+            known = ", ".join(self.movable) or "none"
+            raise _fault(f"{self.path}: joint '{name}' {problem} (joints that move: {known})")
+        outside = ~((positions >= joint.lower) & (positions <= joint.upper))  # also true for NaN
+        if outside.any():
+            pose = int(outside.argmax())
+            raise _fault(
+                f"{self.path}: joint '{name}' at {positions.flat[pose]:g} in pose {pose + 1} "
+                f"is outside its limits {joint.lower:g} to {joint.upper:g}"
+            )
+
+
+def compose(tree: FrameTree, transforms: Mapping[Edge, Array], start: str, end: str) -> Array:
+    """Return ``T_start_end`` (N, 4, 4) along the tree, from the transforms of its edges.
+
+    Raises:
+        InputError: a frame is not in the tree.
+    """
+    count = len(next(iter(transforms.values())))
+    T = np.broadcast_to(np.eye(4), (count, 4, 4))
+    for step in tree.path(start, end):
+        edge = transforms[step.parent, step.child]
+        T = T @ (inverse(edge) if step.inverted else edge)
+    return T
+
+
+def read_robot(path: Path, inputs: XacroInputs = NO_INPUTS) -> Robot:
+    """Read a robot from a URDF file, or from a xacro.
+
+    Raises:
+        InputError: in one line, with file and joint: not XML, not URDF, a type that
+            is not supported, a missing or unknown link, two parents, a loop, a bad number; a xacro that
+            cannot be expanded.
+        InfrastructureError: xacrodoc is needed and not installed.
+    """
+    return parse_robot(read_robot_description(path, inputs), path)
+
+
+def parse_robot(urdf: bytes, path: Path) -> Robot:
+    """Parse the content of a URDF file like `read_robot`."""
+    try:
+        root: Element = defusedxml.ElementTree.fromstring(urdf, forbid_dtd=True)
+    except ParseError as error:
+        raise _fault(f"{path}: is not XML: {error}") from None
+    except DefusedXmlException:
+        raise _fault(f"{path}: has a DTD or entities; a robot description needs none") from None
+    except (ValueError, LookupError) as error:  # an encoding that does not exist or does not match
+        raise _fault(f"{path}: is not XML: {error}") from None
+    if root.tag != "robot":
+        raise _fault(f"{path}: the root element is <{root.tag}>, not <robot>")
+    if any("xacro" in str(element.tag) for element in root.iter()):
+        raise _fault(f"{path}: is a xacro; name it robot.urdf.xacro and it is expanded")
+    return Robot(path, root.get("name", ""), _read_joints(root, path))
+
+
+def _fault(message: str) -> InputError:
+    """Return an error with its message on one line, also with unusual names."""
+    return InputError(message)
+
+
+def _read_joints(root: Element, path: Path) -> tuple[Joint, ...]:
+    links = {link.get("name") for link in root.findall("link")}
+    joints: dict[str, Joint] = {}
+    parents: dict[str, Joint] = {}
+    for element in root.findall("joint"):
+        name = element.get("name")
+        if not name:
+            raise _fault(f"{path}: a joint has no name")
+        where = f"{path}: joint '{name}'"
+        joint = _read_joint(element, name, where)
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                raise _fault(f"{where}: the {role} link '{link}' is not in the robot")
+        if name in joints:
+            raise _fault(f"{where}: two joints have this name")
+        other = parents.setdefault(joint.child, joint)
+        if other is not joint:
+            raise _fault(
+                f"{where}: link '{joint.child}' has two parents, '{other.parent}' by joint '{other.name}' "
+                f"and '{joint.parent}'"
+            )
+        joints[name] = joint
+    if not joints:
+        raise _fault(f"{path}: there is no joint")
+    try:
+        FrameTree(joint.edge for joint in joints.values())
+    except InputError as error:
+        raise _fault(f"{path}: {error}") from None
+    roots = sorted({joint.parent for joint in joints.values()} - parents.keys())
+    if len(roots) > 1:
+        raise _fault(f"{path}: the links are not one tree: {', '.join(map(repr, roots))} have no parent")
+    return tuple(_with_followed(joint, joints, path) for joint in joints.values())
+
+
+def _with_followed(joint: Joint, joints: Mapping[str, Joint], path: Path) -> Joint:
+    """Return a joint whose mimic names the joint at the end of the chain that it follows."""
+    mimic, passed = joint.mimic, [joint.name]
+    while mimic is not None:
+        followed = joints.get(mimic.joint)
+        if followed is None or not followed.is_movable:
+            raise _fault(
+                f"{path}: joint '{passed[-1]}': follows '{mimic.joint}' by <mimic>, expected a joint that moves along "
+                "or about one axis"
+            )
+        if followed.name in passed:
+            raise _fault(f"{path}: joint '{joint.name}': follows itself by <mimic>: {', '.join(passed)}")
+        if followed.mimic is None:
+            break
+        passed.append(followed.name)
+        multiplier, offset = followed.mimic.multiplier, followed.mimic.offset
+        mimic = Mimic(followed.mimic.joint, mimic.multiplier * multiplier, mimic.multiplier * offset + mimic.offset)
+    if mimic is not None and not (math.isfinite(mimic.multiplier) and math.isfinite(mimic.offset)):
+        raise _fault(f"{path}: joint '{joint.name}': its multiplier or offset is infinite, along {', '.join(passed)}")
+    return replace(joint, mimic=mimic)
+
+
+def _read_joint(element: Element, name: str, where: str) -> Joint:
+    kind = element.get("type", "")
+    if kind not in JOINT_KINDS:
+        raise _fault(f"{where}: type '{kind}' is not supported (supported: {', '.join(JOINT_KINDS)})")
+    links: dict[str, str] = {}
+    for role in ("parent", "child"):
+        child = element.find(role)
+        link = "" if child is None else child.get("link", "")
+        if not link:
+            raise _fault(f"{where}: has no {role} link")
+        links[role] = link
+    origin = element.find("origin")
+    T_parent_joint = from_xyz_rpy(
+        _numbers(origin, "xyz", (0.0, 0.0, 0.0), f"{where}: origin"),
+        _numbers(origin, "rpy", (0.0, 0.0, 0.0), f"{where}: origin"),
+    )
+    axis = np.array(_numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"{where}: axis"))
+    length = float(np.linalg.norm(axis))
+    if kind in AXIS_KINDS and length < 1e-9:
+        raise _fault(f"{where}: axis xyz has length 0")
+    lower, upper = _limits(element, kind, where)
+    return Joint(
+        name=name,
+        kind=kind,
+        parent=links["parent"],
+        child=links["child"],
+        T_parent_joint=T_parent_joint,
+        axis=axis / max(length, 1e-9),
+        lower=lower,
+        upper=upper,
+        mimic=_read_mimic(element, where) if kind in AXIS_KINDS else None,
+    )
+
+
+def _read_mimic(element: Element, where: str) -> Mimic | None:
+    mimic = element.find("mimic")
+    if mimic is None:
+        return None
+    if not (followed := mimic.get("joint", "")):
+        raise _fault(f"{where}: mimic has no joint")
+    (multiplier,) = _numbers(mimic, "multiplier", (1.0,), f"{where}: mimic")
+    (offset,) = _numbers(mimic, "offset", (0.0,), f"{where}: mimic")
+    return Mimic(followed, multiplier, offset)
+
+
+def _limits(element: Element, kind: str, where: str) -> tuple[float, float]:
+    if kind not in ("revolute", "prismatic"):
+        return -math.inf, math.inf
+    limit = element.find("limit")
+    if limit is None:
+        return -math.inf, math.inf
+    (lower,) = _numbers(limit, "lower", (0.0,), f"{where}: limit")
+    (upper,) = _numbers(limit, "upper", (0.0,), f"{where}: limit")
+    if lower > upper:
+        raise _fault(f"{where}: limit lower {lower:g} is above upper {upper:g}")
+    return lower, upper
+
+
+def _numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> tuple[float, ...]:
+    """Return the finite numbers of an attribute, as many as in the default; the default if it is absent."""
+    text = None if element is None else element.get(key)
+    if text is None:
+        return default
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != len(default) or not all(map(math.isfinite, values)):
+        expected = "a finite number" if len(default) == 1 else f"{len(default)} finite numbers"
+        raise _fault(f"{where}: {key} is '{text[:80]}', expected {expected}")
+    return values

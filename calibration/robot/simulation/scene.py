@@ -1,0 +1,188 @@
+"""Scene around the robot: ground, boxes and light, with ray casting.
+
+A wall is a thin box. The distance along a ray is in lengths of the ray's direction,
+which need not be 1: with ``direction = target - origin`` a hit below 1 occludes the target.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import Annotated
+
+import numpy as np
+
+from calibration.base.arrays import Array, BoolArray, IntArray
+from calibration.base.records import Converted, between, field, record
+from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse
+from calibration.robot.simulation.description import Radians, Vector, array, listed
+
+NOTHING, GROUND = -2, -1
+"""Indices of surfaces that are not boxes; boxes count from 0."""
+MAX_LIGHT = 10.0
+
+
+def turned(T_parent_child: Array, directions: Array) -> Array:
+    """Rotate directions (3, ...) from the child frame to the parent frame, with coordinates on the first axis.
+
+    Written out, as a matrix product is rounded differently on different processors.
+    """
+    x, y, z = directions
+    found, term = np.empty(directions.shape), np.empty(directions.shape[1:])
+    for number, row in enumerate(T_parent_child[:3, :3]):
+        part = found[number, ...]
+        np.multiply(row[0], x, out=part)
+        part += np.multiply(row[1], y, out=term)
+        part += np.multiply(row[2], z, out=term)
+    return found
+
+
+_LENGTHS = listed(3, "three lengths above 0", lambda lengths: min(lengths) > 0)
+_COLOUR = listed(
+    3, "three numbers from 0 to 255: red, green, blue", lambda colour: min(colour) >= 0 and max(colour) <= 255
+)
+_DIRECTION = listed(3, "a direction [x, y, z] towards the light", any)
+
+
+@record(case="snake", nulls=True)
+class BoxPose:
+    """Pose of a box in the world."""
+
+    centre: Vector = field("Its centre, m.")
+    rpy: Radians = field("Roll, pitch, yaw, rad.", default=(0.0, 0.0, 0.0))
+
+
+@record(case="snake", nulls=True, eq=False)
+class Box:
+    """Cuboid around its own centre."""
+
+    T_world_box: Annotated[Array, Converted(BoxPose, lambda pose, _: from_xyz_rpy(pose.centre, pose.rpy))] = field(
+        flat=True
+    )
+    """(4, 4)."""
+    size: Annotated[Array, array(_LENGTHS)] = field("Lengths of its edges, m.")
+    """(3,)."""
+    colour: Annotated[tuple[float, float, float], _COLOUR] = field(
+        "Red, green and blue, 0 to 255, under a light of 1.", default=(168.0, 164.0, 156.0)
+    )
+
+
+def _from_above() -> Array:
+    return np.array([-0.5, 0.4, 1.0])
+
+
+@record(case="snake", nulls=True, eq=False)
+class Light:
+    """Ambient light, and directional light from far away; without shadows."""
+
+    ambient: Annotated[float, between(0, MAX_LIGHT)] = field("Light from everywhere.", default=0.75)
+    intensity: Annotated[float, between(0, MAX_LIGHT)] = field(
+        "Light from one direction, on a surface square to it.", default=0.35
+    )
+    direction: Annotated[Array, array(_DIRECTION)] = field(
+        "Direction towards the light, in the world frame, of any length but 0.", default_factory=_from_above
+    )
+    """(3,)."""
+
+    def on(self, normals: Array) -> Array:
+        """Return the light (...) on surfaces with unit normals (..., 3) towards the viewer, by Lambert's law."""
+        x, y, z = self.direction / math.hypot(*self.direction)
+        towards = normals[..., 0] * x + normals[..., 1] * y + normals[..., 2] * z
+        light: Array = self.ambient + self.intensity * np.maximum(towards, 0.0)
+        return light
+
+
+@record(case="snake", nulls=True, eq=False)
+class Scene:
+    """Ground, a plane z = height in the world frame, and boxes; absent parts occlude nothing."""
+
+    ground: float | None = field(
+        "Height of the ground, m; without it there is no ground.", default=None, key="ground_m"
+    )
+    boxes: tuple[Box, ...] = field("Boxes: walls, furniture.", default=())
+    light: Light = field("Light on all of it.", default_factory=Light)
+
+    def cast(self, origin: Array, directions: Array) -> Array:
+        """Return the distances (...) along rays to the nearest surface in front; infinite if there is none.
+
+        Args:
+            origin: (..., 3) in the world frame; broadcasts against the directions' batch axes.
+            directions: (..., 3), of any length but 0.
+        """
+        origins = np.moveaxis(np.asarray(origin, float), -1, 0)
+        rays = np.ascontiguousarray(np.moveaxis(directions, -1, 0))
+        nearest = np.full(directions.shape[:-1], np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for distance in self._distances(origins, rays):
+                nearest = np.fmin(nearest, distance)
+        return nearest
+
+    def hit(self, origin: Array, rays: Array) -> tuple[Array, IntArray]:
+        """Intersect rays (3, ...) from one point (3,) in the world frame.
+
+        Returns:
+            The distances (...) as in `cast`, and the surface (...): the index of a box, `GROUND` or `NOTHING`.
+        """
+        nearest = np.full(rays.shape[1:], np.inf)
+        surface = np.full(rays.shape[1:], NOTHING)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self.ground is not None:
+                distance = cast_at_ground(self.ground, origin, rays)
+                np.copyto(surface, GROUND, where=distance < nearest)
+                np.fmin(nearest, distance, out=nearest)
+            for index, box in enumerate(self.boxes):
+                distance = _cast_at_box(box, origin, rays)
+                np.copyto(surface, index, where=distance < nearest)
+                np.fmin(nearest, distance, out=nearest)
+        return nearest, surface
+
+    def _distances(self, origins: Array, rays: Array) -> Iterator[Array]:
+        """Yield the distances to the ground, if there is one, and to every box; coordinates are on the first axis."""
+        if self.ground is not None:
+            yield cast_at_ground(self.ground, origins, rays)
+        for box in self.boxes:
+            yield _cast_at_box(box, origins, rays)
+
+    def hides(self, origin: Array, points: Array) -> BoolArray:
+        """Return a mask (..., K) of the points (..., K, 3) that are occluded from the origins (..., 3)."""
+        start = np.asarray(origin, float)[..., None, :]
+        hidden: BoolArray = self.cast(start, points - start) < 1 - 1e-9
+        return hidden
+
+    def contains(self, points: Array, clearance: float = 0.0) -> BoolArray:
+        """Return a mask of the points (..., 3) in a box or under the ground, or closer to them than the clearance."""
+        inside = np.zeros(points.shape[:-1], bool)
+        if self.ground is not None:
+            inside |= points[..., 2] < self.ground + clearance
+        for box in self.boxes:
+            local = apply(inverse(box.T_world_box), points)
+            inside |= (np.abs(local) < box.size / 2 + clearance).all(-1)
+        return inside
+
+
+def cast_at_ground(height: float, origins: Array, rays: Array) -> Array:
+    """Return the distances to the ground, infinite for rays that miss it; coordinates are on the first axis."""
+    t = (height - origins[2]) / rays[2]
+    return np.where(t > 0, t, np.inf)
+
+
+def _cast_at_box(box: Box, origins: Array, rays: Array) -> Array:
+    """Return the distances to one box, infinite for rays that miss it; coordinates are on the first axis.
+
+    The slab method: a ray is inside the box while it is between all three pairs of faces (T. Kay
+    and J. Kajiya, "Ray tracing complex scenes", 1986). From inside the box it sees the far face.
+    """
+    enter: Array | float = -np.inf
+    leave: Array | float = np.inf
+    for axis in range(3):
+        first, second = between_faces(box, axis, origins, rays)
+        enter, leave = np.maximum(enter, first), np.minimum(leave, second)
+    hit: Array = np.where((enter <= leave) & (leave > 0), np.where(enter > 0, enter, leave), np.inf)
+    return hit
+
+
+def between_faces(box: Box, axis: int, origins: Array, rays: Array) -> tuple[Array, Array]:
+    """Return the distances to the planes of two opposite faces of a box, the nearer first; coordinates as above."""
+    (x, y, z), centre, half = box.T_world_box[:3, axis], box.T_world_box[:3, 3], box.size[axis] / 2
+    o = x * (origins[0] - centre[0]) + y * (origins[1] - centre[1]) + z * (origins[2] - centre[2])
+    slope = 1 / (x * rays[0] + y * rays[1] + z * rays[2])
+    a, b = (-half - o) * slope, (half - o) * slope
+    return np.minimum(a, b), np.maximum(a, b)

@@ -1,0 +1,55 @@
+"""Small pictures of sensor data: points and labelled corners, drawn with a resolution of 1/16 px."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+
+from calibration.base.arrays import Array
+from calibration.robot.labelling.detection import Image
+
+HEIGHT = 160
+"""Height of one picture, px."""
+DARK = (45, 40, 35)
+"""Colour without a measurement."""
+ON_PATTERN, ON_BORDER = (90, 200, 90), (60, 120, 255)
+"""Colours of labelled points."""
+_POINT = (150, 140, 130)
+_SHIFT = 4  # drawing in sixteenths of a pixel
+_DOT = 24  # radius of a corner's mark, in sixteenths of a pixel
+_COLOURS = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_JET)[:, 0]
+
+
+def blank(width: int, colour: tuple[int, int, int] = (128, 128, 128)) -> Image:
+    """Return a picture of one colour; grey by default."""
+    return np.full((HEIGHT, width, 3), colour, np.uint8)
+
+
+def draw_points(picture: Image, place: Array, shown: Iterable[int], labels: Sequence[Mapping[str, Any]]) -> None:
+    """Draw points of a cloud or scan into a picture.
+
+    Args:
+        picture: (H, W, 3).
+        place: (N, 2), position of each point in it.
+        shown: the indices of the points that are drawn, labelled or not.
+        labels: of each pattern, with ``idxs`` and ``idxs_limit_points``.
+    """
+    groups = [(list(shown), _POINT, 1)]
+    for label in labels:
+        groups += [(label["idxs"], ON_PATTERN, 1), (label["idxs_limit_points"], ON_BORDER, 2)]
+    for indices, colour, radius in groups:
+        for at in place[indices]:
+            cv2.circle(picture, _fine(at), radius << _SHIFT, colour, -1, cv2.LINE_AA, _SHIFT)
+
+
+def draw_corner(picture: Image, at: Array, share: float) -> None:
+    """Draw a corner at a position (2,) in a colour between red (share 0) over green to blue (share 1)."""
+    blue, green, red = _COLOURS[round(255 * (1 - share))]
+    cv2.circle(picture, _fine(at), _DOT, (int(blue), int(green), int(red)), -1, cv2.LINE_AA, _SHIFT)
+
+
+def _fine(at: Array) -> tuple[int, int]:
+    """Convert a position to sixteenths of a pixel."""
+    x, y = np.floor(at * (1 << _SHIFT) + 0.5 + 1e-6).astype(int)  # so that ties are rounded equally on all machines
+    return int(x), int(y)

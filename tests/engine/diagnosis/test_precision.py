@@ -1,0 +1,43 @@
+"""A limit must hold with the error bar; what would narrow the bar is said."""
+
+import numpy as np
+import pytest
+
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.diagnosis.precision import false_accept, precision, worst_false_accept
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.problem.assumptions import EXACT
+from tests.engine.estimation import systems
+
+
+def test_a_limit_below_the_guard_band_is_undecided_with_a_remedy() -> None:
+    dataset = systems.stereo(20, seed=1, pixel_noise=0.3).dataset(1)
+    exact, assumed = (calibrate(dataset, options) for options in (Options(assume=EXACT), Options()))
+    edge = next(iter(exact.covariances))
+    between = 1.5 * exact.sigma_mm(edge)
+    [found] = precision(exact, Limits(translation_mm=between))
+    assert (found.kind, found.severity) == ("precision", "undecided")
+    assert "take about 40 collections like these 20" in found.text
+    assert precision(exact, Limits(translation_mm=between, guard_band=1)) == ()
+    assert precision(exact, Limits(translation_mm=3 * exact.sigma_mm(edge))) == ()
+    [wider] = precision(assumed, Limits(translation_mm=3 * exact.sigma_mm(edge)))
+    assert "times as well (calibrate it with more views" in wider.text
+    assert precision(exact, Limits()) == ()
+
+
+def test_the_limits_of_a_joint_hold_with_its_error_bar() -> None:
+    calibration = calibrate(systems.jointed_arm(20, seed=1, pixel_noise=0.3).dataset(1), Options(assume=EXACT))
+    sigma = float(np.degrees(calibration.joints["j3"].sigmas[0]))
+    [red] = precision(calibration, Limits(joint_deg=1.5 * sigma, translation_mm=1e3))
+    assert red.sensors == ("j3",)
+    assert "'j3' is not determined well enough" in red.text
+    assert precision(calibration, Limits(joint_deg=2.5 * sigma, joint_mm=1e-6)) == ()
+    assert worst_false_accept(calibration, Limits(joint_deg=sigma)) == pytest.approx(false_accept(1, 1), abs=1e-6)
+
+
+def test_the_probability_of_a_false_accept_matches_random_draws() -> None:
+    draws = np.linalg.norm(np.random.default_rng(1).normal(size=(200_000, 3)), axis=1)
+    for limit in (0.5, 1.0, 2.0, 3.5):
+        assert false_accept(np.sqrt(3), limit) == pytest.approx(np.mean(draws > limit), abs=0.005)
+    assert false_accept(0.0, 1.0) == 0.0
+    assert false_accept(1e-9, 1.0) == 0.0

@@ -1,0 +1,258 @@
+"""Parameters that do not fit are named with their deviation; those within their assumed error are not."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.base.arrays import Array
+from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
+from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.covariance.fixed_inputs import PLACE
+from calibration.engine.estimation.doubts.suspects import Disagreement, Suspect, explain
+from calibration.engine.estimation.problem.assumptions import EXACT, Assumptions
+from calibration.engine.geometry.transforms import retract
+from tests.engine.estimation import systems
+from tests.engine.estimation.scenes import relabelled
+
+NOISE = 0.1
+
+
+def stereo(seed: int = 1) -> Dataset:
+    return systems.stereo(24, seed=seed, pixel_noise=NOISE).dataset(seed)
+
+
+def eye_to_hand(seed: int = 1) -> Dataset:
+    return systems.eye_to_hand(24, seed=seed, pixel_noise=NOISE).dataset(seed)
+
+
+def with_intrinsics(dataset: Dataset, sensor: str, change: Callable[[Array], None]) -> Dataset:
+    """The dataset with another camera_info than the one that its images were made with."""
+    camera = dataset.sensors[sensor].camera
+    assert camera is not None
+    values = camera.intrinsics
+    change(values)
+    return dataset.with_cameras({sensor: camera.with_intrinsics(values)})
+
+
+def found(dataset: Dataset, assume: Assumptions = EXACT) -> tuple[Suspect, ...]:
+    explanation = explain(calibrate(dataset, Options(assume=assume)).solution.model)
+    assert explanation is not None
+    return explanation.suspects
+
+
+def findings(dataset: Dataset, limits: Limits | None = None, assume: Assumptions = EXACT) -> tuple[Finding, ...]:
+    return what_does_not_fit(calibrate(dataset, Options(assume=assume)), limits or Limits())
+
+
+@pytest.mark.parametrize("make", [stereo, eye_to_hand])
+@pytest.mark.parametrize("assume", [EXACT, Assumptions()])
+def test_nothing_is_suspicious_of_a_good_robot(make: Callable[[int], Dataset], assume: Assumptions) -> None:
+    for seed in range(3):
+        [finding] = findings(make(seed), assume=assume)
+        assert (finding.kind, finding.severity) == ("nothing-suspicious", "note")
+        assert "hangs most on the" in finding.text
+
+
+def test_the_cause_that_moves_a_sensor_by_most_of_its_limits_is_said_first() -> None:
+    def distorted(values: Array) -> None:
+        values[4] += 0.08
+
+    def longer(values: Array) -> None:
+        values[:2] *= 1.01
+
+    left, right = list((dataset := stereo()).sensors)
+    wrong = with_intrinsics(with_intrinsics(dataset, left, distorted), right, longer)
+    limits = Limits(translation_mm=0.05, rotation_deg=0.005)
+    red = [each for each in findings(wrong, limits) if each.kind == "suspect" and each.severity == "red"]
+    harm = [max((each.moves_mm or 0) / 0.05, (each.moves_deg or 0) / 0.005) for each in red]
+    assert len(red) > 1
+    assert harm == sorted(harm, reverse=True)
+
+
+def test_a_focal_length_is_named_with_its_size_and_what_it_moves() -> None:
+    def longer(values: Array) -> None:
+        values[:2] *= 1.01
+
+    dataset = stereo()
+    name = list(dataset.sensors)[1]
+    wrong = with_intrinsics(dataset, name, longer)
+    suspect = found(wrong)[0]
+    assert (suspect.cause.kind, suspect.cause.subject) == ("focal length", name)
+    assert suspect.value[0] == pytest.approx(1 / 1.01 - 1, abs=5 * suspect.sigma[0] + 2e-4)
+    finding = findings(wrong)[0]
+    assert finding.severity == "red"
+    assert finding.sensors == (name,)
+    right, off = calibrate(dataset), calibrate(wrong)
+    edge = dataset.sensors[name].edge
+    moved = 1e3 * np.linalg.norm(right.transforms[edge][:3, 3] - off.transforms[edge][:3, 3])
+    assert finding.moves_mm == pytest.approx(moved, rel=0.1)
+    assert f"{name}'s focal length does not fit: off by -0.9" in finding.text
+
+
+def test_what_moves_no_sensor_by_more_than_the_limit_is_a_note() -> None:
+    def aside(values: Array) -> None:
+        values[2] += 2
+
+    dataset = stereo()
+    name = list(dataset.sensors)[1]
+    wrong = with_intrinsics(dataset, name, aside)
+    [red, *_] = findings(wrong, Limits(translation_mm=0.1, rotation_deg=0.01))
+    [note, *_] = findings(wrong, Limits(translation_mm=100, rotation_deg=10))
+    assert (red.severity, note.severity) == ("red", "note")
+    assert "principal point" in red.text
+    assert "harmless" in note.text
+
+
+def test_a_camera_info_of_another_camera_is_red_whatever_it_moves() -> None:
+    def other(values: Array) -> None:
+        values[:2] *= 1.05
+
+    wrong = stereo()
+    for name in wrong.sensors:
+        wrong = with_intrinsics(wrong, name, other)
+    [red, *_] = findings(wrong, Limits(translation_mm=1e4, rotation_deg=180))
+    assert red.severity == "red"
+    assert red.value == pytest.approx(1 / 1.05 - 1, abs=0.004)
+    assert "left and right's focal length does not fit" in red.text
+    assert "more than any camera errs" in red.text
+
+
+def test_what_is_as_good_as_it_is_known_is_no_suspect() -> None:
+    def slightly(values: Array) -> None:
+        values[:2] *= 1.005
+
+    dataset = stereo()
+    wrong = with_intrinsics(dataset, list(dataset.sensors)[1], slightly)
+    assert found(wrong, EXACT)
+    assert not found(wrong, Assumptions(focal_length=0.004))
+
+
+def test_a_wrong_pattern_size_is_named_if_an_arm_determines_it() -> None:
+    dataset = eye_to_hand()
+    (name,) = dataset.patterns
+    pattern = dataset.patterns[name]
+    larger = replace(dataset, patterns={name: replace(pattern, corners=pattern.corners * 1.01)})
+    suspect = found(larger)[0]
+    assert (suspect.cause.kind, suspect.cause.subject) == ("size", name)
+    assert suspect.value[0] == pytest.approx(-0.0099, abs=0.001)
+
+
+def test_two_causes_have_two_names() -> None:
+    dataset = eye_to_hand()
+    (name,) = dataset.patterns
+    pattern = dataset.patterns[name]
+    wrong = replace(dataset, patterns={name: replace(pattern, corners=pattern.corners * [1.02, 1.0, 1.0])})
+
+    def longer(values: Array) -> None:
+        values[:2] *= 1.02
+
+    wrong = with_intrinsics(wrong, next(iter(dataset.sensors)), longer)
+    assert {each.cause.kind for each in found(wrong)} == {"stretch along x", "focal length"}
+
+
+def test_one_side_that_is_stretched_is_one_cause() -> None:
+    dataset = eye_to_hand()
+    (name,) = dataset.patterns
+    pattern = dataset.patterns[name]
+    wrong = replace(dataset, patterns={name: replace(pattern, corners=pattern.corners * [1.0, 1.01, 1.0])})
+    [suspect] = found(wrong)
+    assert (suspect.cause.kind, suspect.cause.subject) == ("stretch along y", name)
+    assert suspect.value[0] == pytest.approx(-0.0099, abs=0.001)
+
+
+def knocked(since: int, twist: tuple[float, ...]) -> Dataset:
+    """An arm before a camera whose own frame is shifted and turned from a collection on."""
+    dataset = eye_to_hand()
+    (sensor,) = dataset.sensors.values()
+    camera, pattern = sensor.camera, next(iter(dataset.patterns.values()))
+    assert camera is not None
+    collections = list(dataset.collections)
+    T = dataset.transform(sensor.frame, pattern.link)
+    for i in range(since, 24):
+        after = np.linalg.inv(retract(np.eye(4), np.array(twist))) @ T[i]
+        labels = {
+            key: CornerLabels(label.ids, camera.project(pattern.corners[label.ids] @ after[:3, :3].T + after[:3, 3]))
+            for key, label in collections[i].labels.items()
+            if isinstance(label, CornerLabels)
+        }
+        collections[i] = replace(collections[i], labels=labels)
+    return replace(dataset, collections=tuple(collections))
+
+
+def test_a_sensor_that_has_moved_is_named_with_the_collection() -> None:
+    dataset = knocked(12, (0.01, 0.0, 0.005, 0.0, 0.01, 0.0))
+    [red, *_] = [f for f in findings(dataset) if f.severity == "red"]
+    assert "has moved from collection" in red.text
+    assert dataset.keys[12] in red.collections
+
+
+def test_what_has_moved_late_is_as_far_off_as_it_stands_now() -> None:
+    """The result is near to where it was; the robot as it is now is 5 mm from there."""
+    limits = Limits(translation_mm=3, rotation_deg=1)
+    red = next(each for each in findings(knocked(20, (0.005, 0, 0, 0, 0, 0)), limits) if each.kind == "suspect")
+    assert red.severity == "red"
+    assert red.moves_mm == pytest.approx(4.5, abs=0.8)
+    assert "from where it is now (limit 3 mm, 1 deg)" in red.text
+
+
+def test_too_few_collections_are_reported_as_untested() -> None:
+    few = systems.stereo(4, seed=1, pixel_noise=NOISE).dataset(1)
+    [finding] = findings(few)
+    assert (finding.kind, finding.severity) == ("untested", "note")
+    assert "4 collections are too few" in finding.text
+
+
+def test_what_moves_a_joint_by_more_than_its_limit_is_red() -> None:
+    dataset = with_intrinsics(
+        systems.jointed_arm(24, seed=1, pixel_noise=NOISE).dataset(1), "cam", lambda values: values.__imul__(1.003)
+    )
+    wide = {"translation_mm": 1e3, "rotation_deg": 10.0, "joint_mm": 1e3}
+    [red, *_] = findings(dataset, Limits(**wide, joint_deg=1e-6))
+    assert red.severity == "red"
+    assert red.sensors == ("j3",)
+    assert "it moves j3 by 0 mm" in red.text
+    assert all(each.severity == "note" for each in findings(dataset, Limits(**wide, joint_deg=10.0)))
+
+
+def test_a_lens_that_its_model_cannot_draw_is_named() -> None:
+    dataset = stereo()
+    name = list(dataset.sensors)[1]
+    camera = dataset.sensors[name].camera
+    assert camera is not None
+    centre, focal = np.array([camera.cx, camera.cy]), np.array([camera.fx, camera.fy])
+
+    def drawn(_: int, sensor: str, label: Labels) -> Labels:
+        if sensor != name or not isinstance(label, CornerLabels):
+            return label
+        x, y = ((label.pixels - centre) / focal).T
+        return replace(label, pixels=label.pixels + 0.05 * focal * np.stack([x * x + y * y, 0 * y], -1))
+
+    explanation = explain(calibrate(relabelled(dataset, drawn), Options(intrinsics=(name,))).solution.model)
+    assert explanation is not None
+    suspect = explanation.suspects[0]
+    assert (suspect.cause.kind, suspect.cause.subject) == ("lens model", name)
+
+
+@pytest.mark.parametrize("first", [1, 2, 22, 23])
+def test_a_move_at_an_end_is_found_though_few_views_tell(first: int) -> None:
+    """By less than what makes a view wrong by itself: 1 px."""
+    suspect, *_ = found(knocked(first, (0.001, 0, 0, 0, 0, 0)))
+    assert suspect.cause.kind == PLACE
+    assert suspect.since in range(first - 1, first + 2)
+
+
+def test_freedom_is_that_of_the_few_errors_that_contribute() -> None:
+    few, many = (
+        Disagreement(1.0, 1.0, 0.0, {}, np.eye(6), np.eye(6), np.eye(6), 100 * common, 100 * each).freedom(slice(0, 6))
+        for common, each in (
+            (np.ones((20, 6, 1)), np.zeros((20, 6, 0))),
+            (np.zeros((20, 6, 1)), np.broadcast_to(np.eye(6), (20, 6, 6))),
+        )
+    )
+    assert few == pytest.approx(1, abs=0.01)
+    assert many == pytest.approx(120, rel=0.01)

@@ -1,0 +1,390 @@
+"""Intrinsics in the files of other tools, and what they lack."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+import calibration.engine.estimation.covariance.nominal_lens as nominal_lens_module
+from calibration.base.errors import InputError
+from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.lens_uncertainty import read_uncertainty, uncertainty_document
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.problem.intrinsics_file import write_intrinsics
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import (
+    MODELS,
+    SYNONYMS,
+    Distortion,
+    DoubleSphere,
+    Equidistant,
+    Eucm,
+    Omni,
+    PlumbBob,
+)
+from calibration.engine.geometry.transforms import apply, inverse
+from calibration.robot.exports.calibrated import calibrated
+from calibration.robot.exports.cameras import kalibr_camchain
+from calibration.robot.exports.formats import FILES
+from calibration.robot.importing.files.camera_files import read_lens
+from tests.engine.estimation.systems import covering
+from tests.robot.importing.conftest import DATASETS, camera_info
+
+
+@pytest.mark.parametrize("kind", ["camera-info", "kalibr", "opencv"])
+def test_what_export_writes_is_read(tmp_path: Path, kind: str) -> None:
+    dataset = read_dataset(DATASETS / "t2rgb")
+    ((_, text),) = list(FILES[kind](calibrated(dataset)).items())[:1]
+    (tmp_path / "file.yaml").write_text(text)
+    names = {"kalibr": "cam0", "opencv": next(iter(dataset.sensors))}
+    lens = read_lens(tmp_path / "file.yaml", names.get(kind))
+    assert lens.has_size
+    camera = next(iter(dataset.sensors.values())).camera
+    assert camera is not None
+    assert lens.camera.intrinsics[:4].tolist() == pytest.approx(camera.intrinsics[:4].tolist())
+    assert (lens.camera.width, lens.camera.height) == (camera.width, camera.height)
+
+
+def test_opencv_samples_files_are_read(tmp_path: Path) -> None:
+    (tmp_path / "file.yml").write_text(
+        "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n"
+        "camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n"
+        "   data: [500., 0., 320., 0., 501., 240., 0., 0., 1.]\n"
+        "distortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n"
+        "   data: [ -0.1, 0.2, 0., 0., 0. ]\n"
+    )
+    camera = read_lens(tmp_path / "file.yml").camera
+    assert camera.intrinsics.tolist() == [500, 501, 320, 240, -0.1, 0.2, 0, 0, 0]
+
+
+K_AND_D = {"cameraMatrix": [[500, 0, 320], [0, 501, 240], [0, 0, 1]], "distCoeffs": [[-0.1, 0.2, 0, 0, 0.01]]}
+STATED = [0.5, 0.6, 0.4, 0.3, 0.002, 0.01, 0.0, 0.0, 0.02]
+
+
+@pytest.mark.parametrize(
+    "deviations",
+    [
+        {"stdDeviationsIntrinsics": [[each] for each in [*STATED, *[0.0] * 9]]},
+        {"std_deviations_intrinsics": STATED},
+        {"standard_deviations": STATED},
+        {"cameraMatrix_std_dev": STATED[:4], "dist_coeffs_std_dev": STATED[4:]},
+    ],
+)
+def test_standard_deviations_of_opencv_are_read(tmp_path: Path, deviations: dict[str, object]) -> None:
+    """Those of what was held while it calibrated, and of a model that has no such coefficient, are 0."""
+    (tmp_path / "file.yaml").write_text(yaml.safe_dump({**K_AND_D, "cameraResolution": [640, 480], **deviations}))
+    lens = read_lens(tmp_path / "file.yaml")
+    assert (lens.has_size, lens.camera.width, lens.camera.height) == (True, 640, 480)
+    assert lens.uncertainty is not None
+    assert lens.uncertainty.parameters == ("fx", "fy", "cx", "cy", "k1", "k2", "k3")
+    assert lens.uncertainty.sigmas.tolist() == [each for each in STATED if each]
+    assert lens.uncertainty.covariance is None
+
+
+@pytest.mark.parametrize("deviations", [{"stdDeviationsIntrinsics": STATED}, {"cameraMatrix_std_dev": [0, 0, 0, 0]}])
+def test_no_deviation_is_none(tmp_path: Path, deviations: dict[str, object]) -> None:
+    (tmp_path / "file.yaml").write_text(yaml.safe_dump({**K_AND_D, **deviations}))
+    lens = read_lens(tmp_path / "file.yaml")
+    assert not lens.has_size
+    assert (lens.uncertainty is None) == ("cameraMatrix_std_dev" in deviations)
+
+
+@pytest.mark.parametrize(
+    ("deviations", "said"),
+    [
+        ([-1.0], "stdDeviationsIntrinsics/0: found -1.0, expected a number from 0 to"),
+        ([float("nan")], "stdDeviationsIntrinsics/0: found nan"),
+        (["much"], "stdDeviationsIntrinsics/0: found 'much'"),
+        (3, "stdDeviationsIntrinsics: found 3, expected a list"),
+    ],
+)
+def test_a_deviation_that_is_none_is_named(tmp_path: Path, deviations: object, said: str) -> None:
+    (tmp_path / "file.yaml").write_text(yaml.safe_dump({**K_AND_D, "stdDeviationsIntrinsics": deviations}))
+    with pytest.raises(InputError, match=said):
+        read_lens(tmp_path / "file.yaml")
+
+
+def test_deviations_of_opencv_are_those_of_the_nominal_calibration_for_its_views() -> None:
+    """The noise of corners in the nominal views: what OpenCV says of them, and what a bent board does to it."""
+    camera = Camera(550.0, 560.0, 322.0, 238.0, 640, 480, PlumbBob(-0.1, 0.05, 0.001, -0.001, 0.01))
+    board, T = nominal_lens_module.board(), nominal_lens_module.views(camera)
+    x, half = board.corners[:, 0] - board.centre[0], np.ptp(board.outline[:, 0]) / 2
+    heights = nominal_lens_module.FLAT * (1 - (x / half) ** 2)
+    bent = board.corners - board.centre + np.stack([0 * x, 0 * x, heights], -1)
+    nominal = nominal_lens_module.nominal_lens(camera)
+    rng = np.random.default_rng(1)
+    found = []
+    for places, noise in ((board.corners - board.centre, nominal_lens_module.NOISE), (bent, 0.0)):
+        pixels = camera.project(apply(T, places))
+        inside = camera.contains(pixels)
+        noisy = pixels + noise * rng.normal(size=pixels.shape)
+        labels = [each[own].astype(np.float32) for each, own in zip(noisy, inside, strict=True)]
+        flat = [(board.corners - board.centre)[own].astype(np.float32) for own in inside]
+        _, K, D, _, _, deviations, _, _ = cv2.calibrateCameraExtended(flat, labels, (640, 480), None, None)
+        values = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D.ravel()[:5]])
+        found.append((values - camera.intrinsics, deviations.ravel()[:9]))
+    (_, deviations), (by_bow, _) = found
+    np.testing.assert_allclose(np.linalg.norm(nominal.by_noise, axis=1), deviations, rtol=0.1)
+    np.testing.assert_allclose(by_bow[:4], nominal.by_flatness[:4, 0], rtol=0.05)
+
+
+def test_an_intrinsic_calibration_hands_its_covariance_on(tmp_path: Path) -> None:
+    """From intrinsics.json into a dataset, and from there into the error bars."""
+    found = calibrate(covering(20, pixel_noise=0.3).dataset(), Options(intrinsics=("all",)))
+    cameras = {name: sensor.camera for name, sensor in found.dataset.sensors.items() if sensor.camera}
+    write_intrinsics(tmp_path / "intrinsics.json", found.intrinsics, cameras)
+    lens = read_lens(tmp_path / "intrinsics.json", "c1")
+    assert lens.has_size
+    assert lens.camera == cameras["c1"]
+    assert lens.uncertainty is not None
+    again = read_uncertainty(Node(tmp_path, (), uncertainty_document(lens.uncertainty)), lens.camera.parameters)
+    assert again.covariance is not None
+    np.testing.assert_allclose(again.covariance, found.intrinsics["c1"].covariance, rtol=1e-9)
+    with pytest.raises(InputError, match="has several cameras: add 'camera' with one of c0, c1"):
+        read_lens(tmp_path / "intrinsics.json")
+
+
+def test_a_fisheye_of_kalibr(tmp_path: Path) -> None:
+    cam = {
+        "camera_model": "pinhole",
+        "intrinsics": [300, 301, 320, 240],
+        "distortion_model": "equidistant",
+        "distortion_coeffs": [0.1, 0.01, 0, 0],
+        "resolution": [640, 480],
+    }
+    (tmp_path / "chain.yaml").write_text(yaml.safe_dump({"cam0": cam, "cam1": cam}))
+    lens = read_lens(tmp_path / "chain.yaml", "cam1")
+    assert isinstance(lens.camera.distortion, MODELS["equidistant"])
+    with pytest.raises(InputError, match="has several cameras: add 'camera' with one of cam0, cam1"):
+        read_lens(tmp_path / "chain.yaml")
+    with pytest.raises(InputError, match="expected 'cam2'"):
+        read_lens(tmp_path / "chain.yaml", "cam2")
+
+
+def test_baselines_of_a_camchain_are_poses_in_its_first_camera(tmp_path: Path) -> None:
+    dataset = read_dataset(DATASETS / "t2rgb")
+    of = calibrated(dataset)
+    (text,) = FILES["kalibr"](of).values()
+    chain = yaml.safe_load(text)
+    chain["cam2"], chain["cam10"] = chain["cam1"], chain["cam0"]
+    (tmp_path / "chain.yaml").write_text(yaml.safe_dump(chain))
+    first, second = (of.poses[name] for name in list(of.cameras)[:2])
+    expected = inverse(first) @ second
+    poses = {name: read_lens(tmp_path / "chain.yaml", name).T_chain_camera for name in chain}
+    np.testing.assert_allclose(poses["cam0"], np.eye(4))
+    np.testing.assert_allclose(poses["cam1"], expected, atol=1e-9)
+    np.testing.assert_allclose(poses["cam2"], expected @ expected, atol=1e-9)
+    assert poses["cam10"] is None
+
+
+@pytest.mark.parametrize(
+    "baseline", [[], 1, [[1, 0, 0, 0]], [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], [[0] * 4] * 4]
+)
+def test_a_baseline_that_is_none_is_named(tmp_path: Path, baseline: object) -> None:
+    (text,) = FILES["kalibr"](calibrated(read_dataset(DATASETS / "t2rgb"))).values()
+    chain = yaml.safe_load(text)
+    chain["cam1"]["T_cn_cnm1"] = baseline
+    (tmp_path / "chain.yaml").write_text(yaml.safe_dump(chain))
+    with pytest.raises(InputError, match=r"chain\.yaml: cam1/T_cn_cnm1: ") as error:
+        read_lens(tmp_path / "chain.yaml", "cam1")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "found null, expected an object"),
+        ("a: 1", "found no camera in it, expected ROS's camera_info"),
+        (yaml.safe_dump({**camera_info(), "image_width": 0}), "width: found 0"),
+        (yaml.safe_dump(camera_info(focal=-1)), "fx, fy > 0"),
+        (yaml.safe_dump({**camera_info(), "distortion_model": "fov"}), "a known distortion model"),
+        ("%YAML:1.0\n---\nK: [", "this is not valid YAML"),
+        ("%YAML:1.0\n---\nK: &a [*a]\n", "its aliases expand to more than"),
+        ("%YAML:1.0\n---\nK: " + "[" * 400_000, "nested too deeply"),
+        ("cam0: {camera_model: fov}", "camera_model: found 'fov', expected one of omni, pinhole, ds, eucm"),
+        ("cam0: {camera_model: ds, intrinsics: [1, 2], resolution: [9, 9]}", "intrinsics"),
+        ("cam0: {camera_model: ds, distortion_model: radtan}", "found 'radtan', expected a distortion of ds: none"),
+        (
+            "cam0: {camera_model: ds, intrinsics: [0, 2, 9, 9, 4, 4], resolution: [9, 9]}",
+            "expected alpha of double_sphere from 0 to 1",
+        ),
+        ("intrinsics: {fx: 1}", "missing key 'fy'"),
+    ],
+)
+def test_what_is_no_camera_is_one_line(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "file.yaml").write_text(text)
+    with pytest.raises(InputError, match=r"file\.yaml") as error:
+        read_lens(tmp_path / "file.yaml")
+    assert message in str(error.value)
+
+
+K4 = [[500.0, 0.0, 320.0], [0.0, 501.0, 240.0], [0.0, 0.0, 1.0]]
+D4 = [0.1, 0.01, -0.002, 0.001]
+SIZED = {"image_width": 640, "image_height": 480, "camera_matrix": K4}
+INI = """# oST version 5.0 parameters
+[image]
+width
+640
+height
+480
+[narrow_stereo]
+camera matrix
+500 0 320
+0 501 240
+0 0 1
+distortion
+0.1 0.01 -0.002 0.001 0
+"""
+ASLAM = {
+    "type": "pinhole",
+    "label": "cam0",
+    "image_width": 640,
+    "image_height": 480,
+    "intrinsics": {"rows": 4, "cols": 1, "data": [500, 501, 320, 240]},
+    "distortion": {"type": "radial-tangential", "parameters": {"rows": 4, "cols": 1, "data": D4}},
+}
+VISP = (
+    "<root><!-- c --><camera><name>Camera</name><image_width>640</image_width><image_height>480</image_height><model>"
+    "<type>perspectiveProjWithDistortion</type><px>500</px><py>501</py><u0>320</u0><v0>240</v0><kud>0.1</kud>"
+    "<kdu>-0.1</kdu></model></camera></root>"
+)
+PLEX = {
+    "components": [
+        {
+            "camera": {
+                "name": "left",
+                "intrinsics": {
+                    "projection": {"pinhole": {"f": 500.0, "cx": 320.5, "cy": 240.5}},
+                    "distortion": {"opencv_fisheye": dict(zip(("k1", "k2", "k3", "k4"), D4, strict=True))},
+                    "width": 640,
+                    "height": 480,
+                },
+            }
+        }
+    ]
+}
+
+
+def anipose(fisheye: str) -> str:
+    camera = f'[cam_0]\nname = "A"\nsize = [640, 480]\nmatrix = {K4}\ndistortions = {D4}\nfisheye = {fisheye}\n'
+    return f"{camera}[metadata]\nadjusted = false\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "model"),
+    [
+        ("ost.txt", INI, "plumb_bob"),
+        ("cam.ini", INI, "plumb_bob"),
+        ("cam.yaml", yaml.safe_dump(ASLAM), "plumb_bob"),
+        ("rig.yaml", yaml.safe_dump({"label": "rig", "cameras": [{"camera": ASLAM, "T_B_C": {}}]}), "plumb_bob"),
+        ("cam.toml", anipose("true"), "equidistant"),
+        ("cam.json", json.dumps(PLEX), "equidistant"),
+        ("cam.yaml", yaml.safe_dump({**SIZED, "camera_model": "fisheye", "D": D4}), "equidistant"),
+        ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "fisheye", "D": D4}), "equidistant"),
+        ("cam.yml", yaml.safe_dump({**SIZED, "fisheye_model": 1, "D": D4}), "equidistant"),
+        ("cam.yaml", yaml.safe_dump({**SIZED, "distortion_model": "plumb_bob", "D": [*D4, *[0.0] * 9]}), "plumb_bob"),
+    ],
+)
+def test_a_camera_of_another_tool(tmp_path: Path, name: str, text: str, model: str) -> None:
+    (tmp_path / name).write_text(text)
+    lens = read_lens(tmp_path / name)
+    assert lens.has_size
+    assert (lens.camera.width, lens.camera.height) == (640, 480)
+    assert isinstance(lens.camera.distortion, MODELS[model])
+    fy = 500.0 if "components" in text else 501.0
+    assert lens.camera.intrinsics[:8].tolist() == [500.0, fy, 320.0, 240.0, *D4]
+
+
+@pytest.mark.parametrize(("word", "D"), [("ds", [-0.2, 0.59]), ("mei", [1.5, -0.1, 0.0, 0.0, 0.0])])
+def test_a_wide_lens_by_the_names_of_others(tmp_path: Path, word: str, D: list[float]) -> None:
+    (tmp_path / "cam.yaml").write_text(yaml.safe_dump({**SIZED, "distortion_model": word, "D": D}))
+    (tmp_path / "unnamed.yaml").write_text(yaml.safe_dump({**SIZED, "D": D}))
+    for lens in (read_lens(tmp_path / "cam.yaml"), read_lens(tmp_path / "unnamed.yaml", model=word)):
+        assert isinstance(lens.camera.distortion, MODELS[SYNONYMS[word]])
+        assert lens.camera.distortion.coefficients.tolist() == D
+
+
+def test_a_camera_of_visp_and_of_numpy(tmp_path: Path) -> None:
+    (tmp_path / "cam.xml").write_text(VISP)
+    assert read_lens(tmp_path / "cam.xml").camera.intrinsics.tolist() == [500, 501, 320, 240, 0.1, 0, 0, 0, 0]
+    np.savez(tmp_path / "cam.npz", mtx=np.array(K4), dist=np.array([[*D4, 0.5]]))
+    found = read_lens(tmp_path / "cam.npz")
+    assert not found.has_size
+    assert found.camera.intrinsics.tolist() == [500, 501, 320, 240, *D4, 0.5]
+
+
+@pytest.mark.parametrize("kind", ["yml", "xml", "json"])
+def test_four_coefficients_without_a_model_are_asked_for(tmp_path: Path, kind: str) -> None:
+    """As cv2.fisheye's result stands in OpenCV's own storage."""
+    storage = cv2.FileStorage(str(tmp_path / f"cam.{kind}"), cv2.FILE_STORAGE_WRITE)
+    storage.write("K", np.array(K4))
+    storage.write("D", np.array(D4)[:, None])
+    storage.release()
+    with pytest.raises(InputError, match=r"D: found 4 coefficients and no lens model.*'model: equidistant'"):
+        read_lens(tmp_path / f"cam.{kind}")
+    for model in ("equidistant", "fisheye", "plumb_bob"):
+        found = read_lens(tmp_path / f"cam.{kind}", model=model).camera
+        assert isinstance(found.distortion, MODELS["equidistant" if model == "fisheye" else model])
+        assert found.intrinsics[:8].tolist() == [500, 501, 320, 240, *D4]
+
+
+@pytest.mark.parametrize(
+    ("change", "model", "said"),
+    [
+        ({"image_width": 300}, None, r"principal point \(320, 240\) px outside of an image of 300 x 480"),
+        ({"D": [0.1] * 8}, "plumb_bob", r"D: found 8 coefficients, expected the 5 of plumb_bob.*'model: rational_poly"),
+        ({"D": [0.1] * 12}, None, r"D: found 12 coefficients, expected the 8 of rational_polynomial"),
+        ({}, "fov", "found the lens model 'fov' in import.yml, expected one of plumb_bob"),
+    ],
+)
+def test_what_does_not_go_together_is_named(
+    tmp_path: Path, change: dict[str, object], model: str | None, said: str
+) -> None:
+    (tmp_path / "cam.yaml").write_text(yaml.safe_dump({**SIZED, **change}))
+    with pytest.raises(InputError, match=said) as caught:
+        read_lens(tmp_path / "cam.yaml", model=model)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("camera_model", "distortion_model", "intrinsics", "coefficients", "lens"),
+    [
+        ("ds", "none", [-0.2, 0.59, 310.0, 311.5, 640.25, 479.5], [], DoubleSphere(-0.2, 0.59)),
+        ("eucm", "none", [0.6, 1.1, 310.0, 311.5, 640.25, 479.5], [], Eucm(0.6, 1.1)),
+        ("omni", "radtan", [1.5, 310.0, 311.5, 640.25, 479.5], [0.1, 0.2, 0.3, 0.4], Omni(1.5, 0.1, 0.2, 0.3, 0.4)),
+        (
+            "pinhole",
+            "equidistant",
+            [310.0, 311.5, 640.25, 479.5],
+            [0.1, 0.2, 0.3, 0.4],
+            Equidistant(0.1, 0.2, 0.3, 0.4),
+        ),
+        ("pinhole", "radtan", [310.0, 311.5, 640.25, 479.5], [0.1, 0.2, 0.3, 0.4], PlumbBob(0.1, 0.2, 0.3, 0.4)),
+    ],
+)
+def test_a_camchain_is_written_back_as_it_was(
+    tmp_path: Path,
+    camera_model: str,
+    distortion_model: str,
+    intrinsics: list[float],
+    coefficients: list[float],
+    lens: Distortion,
+) -> None:
+    camera = {
+        "camera_model": camera_model,
+        "intrinsics": intrinsics,
+        "distortion_model": distortion_model,
+        "distortion_coeffs": coefficients,
+        "resolution": [1280, 960],
+        "rostopic": "/left/image_raw",
+    }
+    (tmp_path / "chain.yaml").write_text(yaml.safe_dump({"cam0": camera}))
+    found = read_lens(tmp_path / "chain.yaml").camera
+    assert found.distortion == lens
+    again = yaml.safe_load(kalibr_camchain(SimpleNamespace(cameras={"left": found}, poses={})))  # type: ignore[arg-type]
+    assert again == {"cam0": camera}
