@@ -1,7 +1,7 @@
 """``introspect-csv``: check tables against rules."""
 
 import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,6 @@ import click
 
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.file_patterns import matching
-from calibration.base.frozen import frozen
 from calibration.base.records import flat_fields, read
 from calibration.base.tables.rule_set import RuleEntry, RuleSet, checked
 from calibration.base.tables.table import parse_delimiter, read_table
@@ -22,7 +21,7 @@ from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.commands.record_options import record_options
 
 
-@frozen
+@dataclass(frozen=True)
 class IntrospectionSettings:
     """Inputs of ``introspect-csv``."""
 

@@ -1,14 +1,13 @@
 """``run``: run the whole pipeline of ``calibration.yml``, with one verdict."""
 
 import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from calibration.base.errors import ExitCode
-from calibration.base.frozen import frozen
 from calibration.ci.image.specification import ImageSpecification
 from calibration.ci.workflow import Runner, set_outputs
 from calibration.commands.parameters import TEXT_LIST, boolean_option, count, path
@@ -17,7 +16,7 @@ from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.stages import STAGES, Run, run_stages
 
 
-@frozen
+@dataclass(frozen=True)
 class RunSettings:
     """Inputs of ``run``."""
 

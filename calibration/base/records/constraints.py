@@ -2,14 +2,13 @@
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
-from calibration.base.frozen import frozen
 from calibration.base.records.place import Place
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Constraint:
     """Condition on a value of the right type."""
 
@@ -24,7 +23,7 @@ class Constraint:
     """Whether a wrong value may be a secret and must not be repeated in a message."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Converted:
     """Value whose form in the document differs from that in the record.
 
@@ -37,7 +36,7 @@ class Converted:
     """Additional keywords of the schema, beyond ``accepts``."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class ByName:
     """Tuple of records that is a mapping in the document, whose keys are their field ``name``."""
 

@@ -3,11 +3,10 @@
 import dataclasses
 import typing
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import MISSING
+from dataclasses import MISSING, dataclass
 from functools import cache, cached_property
 from typing import Any, Literal, TypeVar, dataclass_transform
 
-from calibration.base.frozen import frozen
 from calibration.base.records.constraints import Converted
 from calibration.base.text import did_you_mean, shorten
 
@@ -17,7 +16,7 @@ _SETTINGS = "__record__"
 _DECLARED = "record"
 
 
-@frozen
+@dataclass(frozen=True)
 class Rule:
     """Condition on the keys of a document."""
 
@@ -27,7 +26,7 @@ class Rule:
     """The condition as keywords of JSON Schema."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Settings:
     """Properties of a record as a whole."""
 
@@ -38,7 +37,7 @@ class Settings:
     rules: tuple[Rule, ...] = ()
 
 
-@frozen
+@dataclass(frozen=True)
 class Declared:
     """Field of a record that is part of its document."""
 
@@ -133,13 +132,13 @@ def record(cls: Any = None, /, **settings: Any) -> Any:
 
     Args:
         cls: the class; its docstring describes the document.
-        settings: see `Settings`; all others are those of `frozen`.
+        settings: see `Settings`; all others are those of `dataclasses.dataclass`.
     """
 
     def declare(cls: Any) -> Any:
         own = {name: settings[name] for name in Settings.__dataclass_fields__.keys() & settings.keys()}
         others = {name: value for name, value in settings.items() if name not in own}
-        made = frozen(**others)(cls)
+        made = dataclass(frozen=True, **others)(cls)
         setattr(made, _SETTINGS, Settings(**own))
         return made
 
@@ -156,7 +155,7 @@ def result(cls: Any = None, /, **options: Any) -> Any:
 
     Args:
         cls: the class; its docstring describes the document.
-        options: those of `frozen`.
+        options: those of `dataclasses.dataclass`.
     """
     declare = record(case="snake", nulls=True, unknown="ignore", **options)
     return declare if cls is None else declare(cls)

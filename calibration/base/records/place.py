@@ -1,11 +1,10 @@
 """Position in a document that is read, and the errors there."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calibration.base.errors import CalibrationError, InputError
-from calibration.base.frozen import frozen
 from calibration.base.text import shorten
 
 _FEW = 3
@@ -20,7 +19,7 @@ class Misfit(ValueError):  # noqa: N818 (it becomes an error for users where the
         self.key = key
 
 
-@frozen
+@dataclass(frozen=True)
 class Place:
     """Position in a document, for messages, with the context of reading."""
 

@@ -1,13 +1,13 @@
 """Allowed deviations of a number from a baseline."""
 
+from dataclasses import dataclass
 from decimal import Decimal
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.base.tables.numbers import number_text, parse_number
 
 
-@frozen
+@dataclass(frozen=True)
 class Allowance:
     """Allowed deviation from the baseline, in one direction."""
 

@@ -1,15 +1,15 @@
 """Rules for the cells of a column."""
 
 import re
+from dataclasses import dataclass
 from typing import TypeAlias
 
-from calibration.base.frozen import frozen
 from calibration.base.tables.allowance import Allowance
 from calibration.base.tables.numbers import number_text
 from calibration.base.tables.selection import Target
 
 
-@frozen
+@dataclass(frozen=True)
 class Limits:
     """Interval of numbers; None means unbounded."""
 
@@ -39,7 +39,7 @@ class Limits:
         return " and ".join(parts)
 
 
-@frozen
+@dataclass(frozen=True)
 class LimitRule:
     """Numbers of a column must be within limits."""
 
@@ -51,7 +51,7 @@ class LimitRule:
         return str(self.limits)
 
 
-@frozen
+@dataclass(frozen=True)
 class TextRule:
     """Texts of a column must contain, not contain, or fully match a text; None means no condition."""
 
@@ -82,7 +82,7 @@ class TextRule:
         return " and ".join(parts)
 
 
-@frozen
+@dataclass(frozen=True)
 class ChangeRule:
     """Numbers of a column must not deviate from the baseline by more than allowed; None means any deviation."""
 

@@ -2,12 +2,12 @@
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 from functools import cached_property
 from typing import TypeAlias
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.base.tables.table import Row, Table
 from calibration.base.text import did_you_mean
 
@@ -15,7 +15,7 @@ KEY_COLUMNS = ("Collection #", "Collection")
 """Columns of row labels in ATOM's tables; the default is the first column."""
 
 
-@frozen
+@dataclass(frozen=True)
 class EveryRow:
     """Selection of every row, individually."""
 
@@ -23,7 +23,7 @@ class EveryRow:
         return "every row"
 
 
-@frozen
+@dataclass(frozen=True)
 class LabelledRow:
     """The row with a label in the key column."""
 
@@ -33,7 +33,7 @@ class LabelledRow:
         return f"row {self.label}"
 
 
-@frozen
+@dataclass(frozen=True)
 class IndexedRow:
     """A row by its index: 0 is the first, -1 the last."""
 
@@ -43,7 +43,7 @@ class IndexedRow:
         return {0: "first row", -1: "last row"}.get(self.index, f"row index:{self.index}")
 
 
-@frozen
+@dataclass(frozen=True)
 class Aggregate:
     """Aggregate of every row: max, min, mean, median or a percentile."""
 
@@ -110,7 +110,7 @@ _AGGREGATES: dict[str, Callable[[Sequence[Decimal]], Decimal]] = {
 }
 
 
-@frozen
+@dataclass(frozen=True)
 class KeyedTable:
     """A table whose rows have labels."""
 

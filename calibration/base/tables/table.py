@@ -5,12 +5,12 @@ import csv
 import io
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
-from calibration.base.frozen import frozen
 from calibration.base.text import did_you_mean
 
 MAX_BYTES = 64 * 1024 * 1024
@@ -30,7 +30,7 @@ _BYTE_ORDER_MARKS = (
 _BINARY = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
 
 
-@frozen(slots=True)
+@dataclass(frozen=True, slots=True)
 class Row:
     """Row of a table: as many cells as the header, without surrounding white space."""
 
@@ -39,7 +39,7 @@ class Row:
     cells: tuple[str, ...]
 
 
-@frozen(slots=True)
+@dataclass(frozen=True, slots=True)
 class Table:
     """A header and rows of the same length."""
 

@@ -1,11 +1,11 @@
 """Evaluation of rules on a table."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 from typing import TypeAlias
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.base.tables.numbers import number_text, parse_number
 from calibration.base.tables.result import MOST_LISTED, RuleResult, TableResult, Violation
 from calibration.base.tables.rule_set import RuleSet
@@ -40,7 +40,7 @@ def judge(table: Table, rules: RuleSet, baseline: Table | None = None) -> TableR
     return TableResult(table.name, len(table.rows), keyed.key_column, tuple(checks))
 
 
-@frozen(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Cell:
     """A value to judge and its position."""
 

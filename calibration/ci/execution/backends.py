@@ -6,6 +6,7 @@ of killed runs.
 
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from importlib import import_module
 from pathlib import Path
@@ -13,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.base.records import field, flat_fields, read, record
 from calibration.base.text import did_you_mean
 from calibration.base.variables import with_variables
@@ -84,7 +84,7 @@ class Backend(Protocol[Work, Outcome]):
 JobBackend = Backend[Job, JobOutcome]
 
 
-@frozen
+@dataclass(frozen=True)
 class BackendKind:
     """Registration of a backend for jobs; its modules are imported when it is opened."""
 
@@ -142,7 +142,7 @@ def check_backend(name: str, known: tuple[str, ...] = BACKENDS) -> None:
         raise InputError(f"backend: found '{name}', expected {expected}{did_you_mean(name, known)}")
 
 
-@frozen
+@dataclass(frozen=True)
 class ExecutionTarget:
     """Backend, settings and run to execute jobs of containers."""
 

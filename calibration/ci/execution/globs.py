@@ -2,15 +2,14 @@
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from fnmatch import translate
 from functools import cached_property
-
-from calibration.base.frozen import frozen
 
 _WILDCARD = r"[*?\[]"
 
 
-@frozen
+@dataclass(frozen=True)
 class Glob:
     """A path in a container that may contain wildcards."""
 

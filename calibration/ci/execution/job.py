@@ -5,12 +5,11 @@ It is independent of the backend that runs it.
 
 import os
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.base.records import (
     UNIQUE,
     Converted,
@@ -188,7 +187,7 @@ class Container:
     relaxations: Relaxations = field(flat=True, default_factory=Relaxations)
 
 
-@frozen
+@dataclass(frozen=True)
 class Job:
     """Containers that run together."""
 

@@ -1,11 +1,11 @@
 """Outcome of a job, the same for all backends."""
 
 import enum
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from calibration.base.errors import ExitCode
-from calibration.base.frozen import frozen
 
 
 class End(enum.StrEnum):
@@ -28,7 +28,7 @@ class End(enum.StrEnum):
     """Unknown, because the connection to the engine was lost."""
 
 
-@frozen
+@dataclass(frozen=True)
 class ContainerOutcome:
     """Outcome of one container: its end, exit code, duration and log."""
 
@@ -44,7 +44,7 @@ class ContainerOutcome:
     """Id of its image, if the backend knows it."""
 
 
-@frozen
+@dataclass(frozen=True)
 class ArtifactFile:
     """A file copied out of a container."""
 
@@ -56,7 +56,7 @@ class ArtifactFile:
     sha256: str
 
 
-@frozen
+@dataclass(frozen=True)
 class JobOutcome:
     """Outcome of a job."""
 

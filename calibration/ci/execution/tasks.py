@@ -7,10 +7,10 @@ interrupted or a result demands it. A `calibration.ci.execution.workspace.Worksp
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar
 
-from calibration.base.frozen import frozen
 from calibration.ci.execution.backends import Backend, ExecutionTarget
 from calibration.ci.execution.embedded import Embedded
 from calibration.ci.execution.job import Job
@@ -20,7 +20,7 @@ Result = TypeVar("Result")
 Other = TypeVar("Other")
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Task(Generic[Result]):
     """Named work: a function or a job of containers, and the function that judges its outcome."""
 

@@ -4,11 +4,11 @@ import itertools
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.ci.pages.html import Html, element, join
 from calibration.ci.pages.svg import drawing, path
 
@@ -19,7 +19,7 @@ TURN, TILT = math.radians(-35), math.radians(28)
 """Initial direction of view."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Line:
     """A polyline with a style."""
 
@@ -77,7 +77,7 @@ def scene(lines: Sequence[Line], title: str) -> Html:
     )
 
 
-@frozen
+@dataclass(frozen=True)
 class _Place:
     """Place of a label beside the box around its line."""
 

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.base.frozen import frozen
 from calibration.ci.pages.html import Html, element
 
 
@@ -33,7 +33,7 @@ def ticks(low: float, high: float, most: int = 6) -> list[float]:
     return [float(f"{i * step:.10g}") for i in range(first, last + 1)]
 
 
-@frozen
+@dataclass(frozen=True)
 class Axis:
     """Linear scale from values to positions along a side of a figure."""
 

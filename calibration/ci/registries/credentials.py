@@ -1,10 +1,9 @@
 """Credentials of a registry, and the settings that refer to them."""
 
 import base64
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from calibration.base.frozen import frozen
 from calibration.base.records import field as declared
 from calibration.base.records import length, matching, needs, record
 
@@ -27,7 +26,7 @@ class RegistrySettings:
     insecure: bool = declared("HTTP without TLS; the default for a registry on this machine.", default=False)
 
 
-@frozen
+@dataclass(frozen=True)
 class Credentials:
     """User and password, or a token, valid for one registry only."""
 

@@ -1,10 +1,9 @@
 """Image names: ``host:port/name:tag@digest``, and the short forms of Docker Hub."""
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.base.text import shorten
 
 DOCKER_HUB = "docker.io"
@@ -20,7 +19,7 @@ _TAG = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
 _DIGEST = re.compile(r"sha256:[0-9a-f]{64}|sha512:[0-9a-f]{128}")
 
 
-@frozen
+@dataclass(frozen=True)
 class Reference:
     """Name of an image: registry, repository, tag and digest."""
 
@@ -119,7 +118,7 @@ _ECR_HOST = re.compile(
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class EcrHost:
     """Account and region in the host name of a private registry of AWS."""
 

@@ -2,9 +2,9 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
-from calibration.base.frozen import frozen
 from calibration.base.text import one_line
 from calibration.ci.workflow.summary import code_block, escape_markdown
 
@@ -17,7 +17,7 @@ def cut(lines: Sequence[str], most: int, rest: str) -> tuple[str, ...]:
     return tuple(lines) if len(lines) <= most else (*lines[:most], f"and {len(lines) - most} more, see {rest}")
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Block(ABC):
     """Part of a report, shown in the log, the summary, or both."""
 
@@ -38,7 +38,7 @@ class Block(ABC):
         """Return it as Markdown, without the title; empty if there is nothing to show."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Text(Block):
     """A paragraph."""
 
@@ -53,7 +53,7 @@ class Text(Block):
         return f"{escape_markdown(self.text)}\n" if self.text else ""
 
 
-@frozen
+@dataclass(frozen=True)
 class Lines(Block):
     """A list of lines."""
 
@@ -72,7 +72,7 @@ class Lines(Block):
         return "".join(f"- {escape_markdown(line)}\n" for line in cut(self.lines, self.most, self.rest))
 
 
-@frozen
+@dataclass(frozen=True)
 class Code(Block):
     """Output of a program, or commands to copy."""
 

@@ -1,10 +1,10 @@
 """Result of one unit of work: a calibration, a collected dataset, a scenario, a rule over a table."""
 
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from calibration.base.check import Check
 from calibration.base.errors import ExitCode
-from calibration.base.frozen import frozen
 from calibration.base.records import Converted
 from calibration.base.verdict import Verdict, verdict_of
 
@@ -12,7 +12,7 @@ ErrorCode = Annotated[ExitCode, Converted(Literal[2, 3], lambda code, _place: Ex
 """Exit code of work that failed because of bad input (2) or infrastructure (3), in results.json."""
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Outcome:
     """Result of one unit of work, as JUnit shows it."""
 

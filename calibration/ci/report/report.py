@@ -1,13 +1,12 @@
 """Report: verdict, results, outputs, annotations and text of a command."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from calibration.base.errors import ExitCode
 from calibration.base.files import write_atomically
-from calibration.base.frozen import frozen
 from calibration.base.text import one_line
 from calibration.base.verdict import Verdict
 from calibration.ci.report.blocks import MOST_LINES, Block, Lines, cut
@@ -27,7 +26,7 @@ ROWS_IN_BRIEF = 50
 """Limit of the rows of a table in the brief report."""
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Report:
     """Results of a command, complete and independent of where they are written."""
 

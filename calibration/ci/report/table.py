@@ -3,14 +3,14 @@
 import csv
 import io
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
-from calibration.base.frozen import frozen
 from calibration.base.text import aligned
 from calibration.ci.report.blocks import MOST_LINES, Block, cut
 from calibration.ci.workflow.summary import markdown_table
 
 
-@frozen
+@dataclass(frozen=True)
 class Table(Block):
     """A table of strings with a header."""
 

@@ -3,10 +3,10 @@
 import enum
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.base.errors import InfrastructureError, brief
-from calibration.base.frozen import frozen
 from calibration.base.text import one_line, visible
 from calibration.ci.workflow.commands import workflow_command
 from calibration.ci.workflow.outputs import set_outputs
@@ -26,7 +26,7 @@ class Level(enum.StrEnum):
     NOTICE = "notice"
 
 
-@frozen
+@dataclass(frozen=True)
 class Annotation:
     """Message of an annotation, with its file and line if it has them."""
 

@@ -3,14 +3,12 @@
 import os
 import sys
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self, TextIO
 
-from calibration.base.frozen import frozen
 
-
-@frozen
+@dataclass(frozen=True)
 class Runner:
     """Runner of a step: its environment variables, and its output streams."""
 

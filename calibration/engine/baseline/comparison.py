@@ -10,12 +10,12 @@ ratio", 1931). On the same data the result is deterministic, so every difference
 
 import math
 from collections.abc import Callable, Iterator, Set
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.base.records import field, result
 from calibration.engine.baseline.snapshot import POSITIONS, Parameter, Pose, Snapshot
 from calibration.engine.estimation.covariance.significance import FAMILY_WISE, score_of_f
@@ -55,7 +55,7 @@ class Change:
     )
 
 
-@frozen
+@dataclass(frozen=True)
 class Comparison:
     """Comparison of two calibrations of one system."""
 

@@ -13,9 +13,9 @@ measures, with views as the independent units, since the labels of a view err an
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from calibration.base.check import Check, at_most
-from calibration.base.frozen import frozen
 from calibration.base.tables.allowance import Allowance
 from calibration.base.tables.numbers import number_text
 from calibration.base.text import shorten
@@ -32,7 +32,7 @@ MAX_RATIO_OF_EXTENTS = 1.25
 distance has half the pixels along each edge, and its corners scatter more."""
 
 
-@frozen
+@dataclass(frozen=True)
 class _Measure:
     """A measure of quality of both calibrations."""
 

@@ -1,11 +1,11 @@
 """Verdict on the differences from the accepted calibration: failure, note, or nothing."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.base.check import at_most
-from calibration.base.frozen import frozen
 from calibration.engine.baseline.comparison import Change, Comparison, compare
 from calibration.engine.baseline.quality import (
     ACCEPT,
@@ -28,7 +28,7 @@ NEGLIGIBLE = 0.1
 """Tolerance for the distance of other software from the optimum, as a fraction of the standard deviation."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Accepted:
     """Accepted calibration that a system's cells are compared with."""
 

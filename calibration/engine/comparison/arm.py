@@ -9,10 +9,10 @@ with enough rotation of the arm; the other fixed ones follow as the mean over th
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError, UndeterminedError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset, Edge, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.start.linear_start import SINGLE_AXIS
@@ -28,7 +28,7 @@ MINIMUM_VIEWS = 3
 """Minimum of relative motions with rotations about two axes."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class ArmViews:
     """A camera's n views of a pattern: ``arm = X @ seen @ Y``.
 

@@ -6,11 +6,12 @@ collections, or the one with the best fit. A third variant uses all collections 
 along a single board.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError, UndeterminedError
-from calibration.base.frozen import frozen
 from calibration.engine.comparison.sensor_pair import RANGE_SENSORS, pair_of, why_not_pair, with_pair
 from calibration.engine.dataset.model import Dataset, PointLabels
 from calibration.engine.geometry import rotations
@@ -31,7 +32,7 @@ Clouds = tuple[Array, Array]
 """Points on the pattern of the first sensor (N, 3) and of the second (M, 3), each in its own frame."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Alignment:
     """Result of ICP."""
 

@@ -1,10 +1,10 @@
 """Registry of the comparison's methods."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 
 from calibration.base.errors import InputError, solvable
-from calibration.base.frozen import frozen
 from calibration.base.text import did_you_mean
 from calibration.engine.comparison.arm import why_not_arm
 from calibration.engine.comparison.arm_methods import HAND_EYE, ROBOT_WORLD, by_arm, described
@@ -19,7 +19,7 @@ from calibration.engine.comparison.sensor_pair import CAMERAS, RANGE_SENSORS, on
 from calibration.engine.dataset.model import Dataset
 
 
-@frozen
+@dataclass(frozen=True)
 class Method:
     """A calibration method other than the built-in engine."""
 

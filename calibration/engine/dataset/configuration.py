@@ -4,14 +4,13 @@ ATOM's config.yml and a dataset's ``calibration_config`` have the same content.
 """
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.base.records import read
 from calibration.base.yaml_file import read_yaml
 from calibration.engine.dataset.document import Node
@@ -43,7 +42,7 @@ FIRST_PATTERN = "pattern_1"
 """Name of the only pattern of a version 2 configuration."""
 
 
-@frozen
+@dataclass(frozen=True)
 class SensorConfiguration:
     """Configuration of a sensor: the frame of its data, and the transform parent_link -> child_link to calibrate."""
 
@@ -62,7 +61,7 @@ class SensorConfiguration:
         return self.modality in MODALITIES and MODALITIES[self.modality].has_corners
 
 
-@frozen
+@dataclass(frozen=True)
 class PatternConfiguration:
     """Configuration of a pattern: its print and its mounting. Metres."""
 
@@ -112,7 +111,7 @@ class PatternConfiguration:
         return Pattern(self.name, self.kind, self.link, self.parent_link, self.fixed, corners, border)
 
 
-@frozen
+@dataclass(frozen=True)
 class Configuration:
     """Configuration of a calibration."""
 

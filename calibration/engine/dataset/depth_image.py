@@ -1,6 +1,7 @@
 """Depth images: 16-bit PNG files of depth along the optical axis, in tenths of a millimetre."""
 
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,6 @@ from numpy.typing import NDArray
 from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
-from calibration.base.frozen import frozen
 from calibration.base.optional import optional
 from calibration.engine.dataset.document import shown
 from calibration.engine.geometry.cameras import Camera
@@ -26,7 +26,7 @@ _FIRST_CHUNK = b"\0\0\0\rIHDR"  # its length and its name
 _HEADER_BYTES = 26  # up to bit depth and colour type
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class DepthImage:
     """Depth image of a camera."""
 

@@ -4,12 +4,12 @@
 fy, cx and cy. Standard deviations alone are those of OpenCV: by the noise of the corners.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.document import Node
 
 KEY = "uncertainty"
@@ -21,7 +21,7 @@ DEFINITE = 1e-13
 """Lower limit of the correlations' smallest eigenvalue, due to rounding."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class LensUncertainty:
     """Covariance, or only standard deviations, of some intrinsics."""
 

@@ -5,6 +5,7 @@ simulation of each modality is in `calibration.robot.simulation.sensors`.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 
 from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset import pointcloud
 from calibration.engine.dataset.depth_image import read_depth_image
 from calibration.engine.dataset.document import Node
@@ -50,7 +50,7 @@ class IndexedPoints(Protocol):
         """
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Points:
     """The points of a cloud or a scan."""
 
@@ -64,7 +64,7 @@ class _Points:
         return np.asarray(self.points.take(index, axis=0), float)
 
 
-@frozen
+@dataclass(frozen=True)
 class PointData:
     """Access to the data of a sensor that measures points, and to labels that index them."""
 
@@ -84,7 +84,7 @@ class PointData:
     """Possible keys of its limit points."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Modality:
     """Modality of a sensor."""
 

@@ -4,7 +4,7 @@ A `Dataset` is immutable; `Dataset.with_transforms` returns a new one.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.lens_uncertainty import LensUncertainty
 from calibration.engine.dataset.modalities import Modality
 from calibration.engine.dataset.pattern import Pattern
@@ -29,7 +28,7 @@ Edge = tuple[str, str]
 """(parent, child); in a file it is the key ``parent-child``."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Sensor:
     """Sensor with the transform that calibrates it."""
 
@@ -52,7 +51,7 @@ class Sensor:
         return (self.calibration_parent, self.calibration_child)
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Joint:
     """Joint of the robot with calibrated parameters."""
 
@@ -74,7 +73,7 @@ class Joint:
         return T
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class CornerLabels:
     """Corners that a camera detected in one collection."""
 
@@ -84,7 +83,7 @@ class CornerLabels:
     """(K, 2)."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class PointLabels:
     """Points of a LiDAR or a depth camera on the pattern in one collection."""
 
@@ -94,7 +93,7 @@ class PointLabels:
     """(L,): indices of the `points` on the pattern's physical border: of a 2D LiDAR the ends of the scan line."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class PoseLabels:
     """Measured pose of a pattern in one collection."""
 
@@ -127,7 +126,7 @@ def label_count(label: Labels) -> int:
             return 1
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Collection:
     """Labels of all sensors at one moment. Sensors without a detection are absent."""
 
@@ -136,7 +135,7 @@ class Collection:
     """Labels by (pattern, sensor)."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Dataset:
     """Calibration dataset.
 

@@ -5,14 +5,13 @@ that sees it), all corners at z = 0. Metres.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.base.frozen import frozen
 from calibration.base.records import between, field, record
 from calibration.engine.dataset.corners import read_corners
 from calibration.engine.dataset.document import Node
@@ -48,7 +47,7 @@ class PlacedTag:
         return np.pad(plane, ((0, 0), (0, 1)))
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Pattern:
     """Calibration pattern: its geometry, and its frame in the tree."""
 

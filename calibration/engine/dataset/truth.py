@@ -1,14 +1,13 @@
 """Ground truth of a dataset: the values that a calibration should find."""
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.document import Node, read_json
 from calibration.engine.dataset.edges import read_transform, transform_documents
 from calibration.engine.dataset.model import Dataset, Edge
@@ -19,7 +18,7 @@ FILE_NAME = "ground_truth.json"
 _KEYS = ("sensors", "pattern", "patterns", "transforms", "joints")
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Truth:
     """True transforms, each ``T_parent_child`` (4, 4)."""
 

@@ -12,13 +12,12 @@ same errors agree to a small fraction of a standard deviation. The distance is r
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from calibration.base.errors import CalibrationError, UndeterminedError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
@@ -43,7 +42,7 @@ NAMED = 3
 """Number of sensors that a message names."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class OurOptimum:
     """Optimum of a dataset, the reference for other calibrations."""
 

@@ -1,12 +1,12 @@
 """Limits of the errors of a result, with or without ground truth."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.base.records import at_least, between, field, one_of, record
 from calibration.engine.estimation.covariance.result import Calibration
 
@@ -75,7 +75,7 @@ def _or(limit: float | None, least: float) -> float:
     return least if limit is None else limit
 
 
-@frozen
+@dataclass(frozen=True)
 class Allowed:
     """Allowed displacement and rotation of a sensor or a joint; infinite where nothing is asked."""
 

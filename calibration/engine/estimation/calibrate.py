@@ -1,14 +1,13 @@
 """Calibrate a dataset: from its labels to transforms, their covariances, and warnings."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import is_
 
 import numpy as np
 
 from calibration.base.errors import InputError, UndeterminedError, solvable
-from calibration.base.frozen import frozen
 from calibration.base.latest import Latest
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
@@ -199,7 +198,7 @@ class Calibrator:
         return replace(found, dropped_views=rest.dropped)
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Rest:
     """Problem without the views that contradict the others, and these views."""
 

@@ -1,18 +1,18 @@
 """Pairs of views of two sensors, of the same collection or of different ones."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.geometry.transforms import inverse
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Pairs:
     """P pairs of views, by the indices of their collections."""
 

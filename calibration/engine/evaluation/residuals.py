@@ -1,17 +1,17 @@
 """Residuals of a calibrated dataset for each label, for figures; tables contain only averages."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels, PoseLabels, Sensor
 from calibration.engine.geometry.transforms import apply, inverse
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Residuals:
     """Residuals of a sensor's n labels."""
 

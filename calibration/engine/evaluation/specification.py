@@ -1,10 +1,10 @@
 """Evaluations specified by a short text, such as ``rgb-to-rgb:right_camera:left_camera``."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.truth import Truth
 from calibration.engine.evaluation.annotation import Annotation, annotation_for
@@ -25,7 +25,7 @@ from calibration.engine.evaluation.table import Table
 Names = tuple[str, ...]
 
 
-@frozen
+@dataclass(frozen=True)
 class Kind:
     """Kind of table: the names in its text, and the function that computes it."""
 
@@ -97,7 +97,7 @@ KINDS: Mapping[str, Kind] = {
 """Kinds of tables: ATOM's, by the name of its script, and the one of measured poses, which ATOM lacks."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Evaluation:
     """Table to compute: its kind, and the names of sensors, frames and patterns."""
 

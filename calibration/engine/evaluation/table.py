@@ -2,14 +2,13 @@
 
 import csv
 import io
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
 from calibration.base.files import write_atomically
-from calibration.base.frozen import frozen
 
 AVERAGES = "Averages"
 """The label of the last row."""
@@ -23,7 +22,7 @@ MISSING = "---"
 """Text of a missing value."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Table:
     """Table with one row of numbers for each collection, or pair of collections.
 

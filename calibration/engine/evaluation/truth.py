@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
 
@@ -9,14 +10,13 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset, Joint, Sensor
 from calibration.engine.dataset.truth import Truth
 from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.engine.geometry.transforms import distance, inverse
 
 
-@frozen
+@dataclass(frozen=True)
 class PoseError:
     """Error of one pose against the true one."""
 
@@ -28,7 +28,7 @@ class PoseError:
     """Angle between the orientations."""
 
 
-@frozen
+@dataclass(frozen=True)
 class JointError:
     """Error of one parameter of a joint against the true one."""
 
@@ -39,7 +39,7 @@ class JointError:
     unit: Literal["m", "rad"]
 
 
-@frozen
+@dataclass(frozen=True)
 class TruthError:
     """Errors of a calibration: of each calibrated sensor, or of each pair if only relative poses are observable."""
 

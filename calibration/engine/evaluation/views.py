@@ -1,11 +1,11 @@
 """Views of a pattern by a camera, over all collections, and the pose estimated from each view alone."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, PoseLabels
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.start.single_views import corner_term, fitted_poses
@@ -14,7 +14,7 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import inverse, translation
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class CornerViews:
     """V views of a pattern with K corners by a camera. Unseen corners are zero."""
 
@@ -43,7 +43,7 @@ class CornerViews:
         )
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class MeasuredViews:
     """V measured poses of a pattern."""
 

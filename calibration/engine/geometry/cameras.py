@@ -6,16 +6,15 @@ The camera frame is the optical one: x right, y down, z forward. Pixel (0, 0) is
 top-left pixel.
 """
 
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.frozen import frozen
 from calibration.engine.geometry.lenses import Distortion, PlumbBob
 
 
-@frozen
+@dataclass(frozen=True)
 class Camera:
     """A camera with its lens. Focal lengths and principal point are in pixels."""
 

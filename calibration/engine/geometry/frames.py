@@ -1,12 +1,12 @@
 """Kinematic trees: the path between any two frames."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class Step:
     """Edge of a path: the transform ``T_parent_child``, or its inverse if ``inverted``."""
 

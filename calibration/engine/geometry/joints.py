@@ -1,12 +1,12 @@
 """Joints of a robot: the transform from parent to child and its derivatives with respect to the parameters."""
 
+from dataclasses import dataclass
 from math import cos, sin
 from typing import Literal, get_args
 
 import numpy as np
 
 from calibration.base.arrays import Array, ArrayLike
-from calibration.base.frozen import frozen
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import adjoint, inverse, transform, translation
 
@@ -16,7 +16,7 @@ JointParameter = Literal[
 JOINT_PARAMETERS: tuple[JointParameter, ...] = get_args(JointParameter)
 
 
-@frozen
+@dataclass(frozen=True)
 class JointModel:
     """A revolute or prismatic joint, ``T_parent_child = origin * motion(position + bias)``, as URDF has it.
 

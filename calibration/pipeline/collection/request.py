@@ -1,10 +1,10 @@
 """Requests of a collection: a dataset, or many, by our own simulation or by the team's applications."""
 
 import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from calibration.base.frozen import frozen
 from calibration.base.records import at_least, between, field, record
 from calibration.pipeline.collection.applications import SECONDS, Applications
 
@@ -29,7 +29,7 @@ class CollectionChecks:
     """Likewise for rotations and angles."""
 
 
-@frozen
+@dataclass(frozen=True)
 class ScenarioOfSet:
     """Scenario of a scenario set."""
 
@@ -37,7 +37,7 @@ class ScenarioOfSet:
     id: str
 
 
-@frozen
+@dataclass(frozen=True)
 class CollectionRequest:
     """Request of a collection by our own simulation."""
 
@@ -58,7 +58,7 @@ class CollectionRequest:
     """Scenario that changes the system; None for the system as described."""
 
 
-@frozen
+@dataclass(frozen=True)
 class ContainerRequest:
     """Request of a collection by the team's applications."""
 
@@ -78,7 +78,7 @@ class ContainerRequest:
     """Number of the collection among those of the seed."""
 
 
-@frozen
+@dataclass(frozen=True)
 class ScenarioImage:
     """Image with this package, for scenarios of our own simulation."""
 
@@ -87,7 +87,7 @@ class ScenarioImage:
     """Time limit of a scenario."""
 
 
-@frozen
+@dataclass(frozen=True)
 class ScenarioRequest:
     """Request of many datasets."""
 

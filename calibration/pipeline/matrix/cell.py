@@ -1,6 +1,7 @@
 """Cell of the matrix: one system from one noisy initial guess; and a comparison method on the same data."""
 
-from calibration.base.frozen import frozen
+from dataclasses import dataclass
+
 from calibration.base.tables.numbers import number_text
 from calibration.engine.estimation.solve.options import Loss, Start
 from calibration.engine.estimation.start.starting_noise import StartingNoise
@@ -9,7 +10,7 @@ REPROJECTION = "reprojection.csv"
 """Default table, of a system that names none."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Cell:
     """System and initial guess of a cell."""
 
@@ -28,7 +29,7 @@ class Cell:
         return f"{self.system}, {noise_text(n.translation, n.rotation)}, seed {n.seed}"
 
 
-@frozen
+@dataclass(frozen=True)
 class Comparison:
     """Comparison method on a system's data."""
 

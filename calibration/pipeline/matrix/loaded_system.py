@@ -1,13 +1,13 @@
 """System with its data in memory, shared by all of its cells."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.base.latest import Latest
 from calibration.engine.baseline.snapshot import Snapshot, Snapshots
 from calibration.engine.baseline.verdict import Accepted
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from calibration.pipeline.system import Datasets
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class LoadedSystem:
     """System with its data in memory."""
 

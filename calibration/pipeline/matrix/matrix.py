@@ -7,13 +7,12 @@ got worse".
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.base.text import did_you_mean
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.tasks import Task, run_tasks
@@ -41,7 +40,7 @@ Done = Callable[[int, int, CellResult], None]
 """Callback after each task: number of finished tasks, number of all tasks, result."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Matrix:
     """Systems, noise and methods of a matrix."""
 
@@ -82,7 +81,7 @@ class Matrix:
         return [StartingNoise(t, r, seed) for t in n.translations for r in n.rotations for seed in n.seeds]
 
 
-@frozen
+@dataclass(frozen=True)
 class MatrixResults:
     """Results of a matrix; cells that did not run, because another one failed, are missing."""
 
@@ -134,7 +133,7 @@ def run_matrix(
     return MatrixResults(results(tasks.cells), comparisons, tasks.datasets)
 
 
-@frozen
+@dataclass(frozen=True)
 class MatrixTasks:
     """Tasks of a matrix, each kind in the matrix's order."""
 

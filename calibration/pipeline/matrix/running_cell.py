@@ -2,14 +2,13 @@
 
 import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from calibration.base.errors import CalibrationError
 from calibration.base.files import write_atomically
-from calibration.base.frozen import frozen
 from calibration.engine.baseline.verdict import against_baseline
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME
@@ -39,7 +38,7 @@ from calibration.pipeline.matrix.other_method import other_method
 NO_FINITE_RMS = "corners lie behind a camera, or where its lens model has no inverse; is the lens model the right one?"
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Evaluated:
     """Result of a calibrated dataset, and the texts of its files, before they are written."""
 

@@ -5,13 +5,12 @@ function in a module of its own, and a line in `STAGES`.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.addons.analysis.settings import AnalysisSettings
 from calibration.base.errors import CalibrationError, InputError
-from calibration.base.frozen import frozen
 from calibration.base.text import did_you_mean
 from calibration.base.yaml_file import line_of
 from calibration.ci.execution.backends import ExecutionTarget, imported
@@ -34,7 +33,7 @@ COLLECTED = "collected"
 """Folder of collected datasets, in a pipeline's output folder."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Run:
     """Options of a run of the pipeline, and the results of its stages so far."""
 
@@ -74,7 +73,7 @@ class Run:
         return not all(container.image for container in (*software, *theirs))
 
 
-@frozen
+@dataclass(frozen=True)
 class Stage:
     """Entry of a stage in `STAGES`: its function, and when it applies."""
 

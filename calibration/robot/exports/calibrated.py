@@ -1,13 +1,12 @@
 """Calibrated part of a robot: the transforms, joints and cameras of a dataset that are exported."""
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import distance
@@ -16,7 +15,7 @@ SAME = 1e-9
 """m, rad: tolerance for a calibrated transform to be the same in all collections."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Calibrated:
     """Calibrated transforms, joints and cameras of a robot."""
 

@@ -2,12 +2,12 @@
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import urlsplit
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.base.text import shorten
 from calibration.base.yaml_file import read_yaml
 from calibration.ci.image.recipe.user_text import check_line
@@ -17,7 +17,7 @@ _SCP_FORM = re.compile(r"[A-Za-z0-9_.-]+@[A-Za-z0-9.-]+:(?!:).+")
 _VERSION = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./+@-]*")
 
 
-@frozen
+@dataclass(frozen=True)
 class Repository:
     """A git repository to clone."""
 

@@ -1,13 +1,13 @@
 """Hypothesis: a convention that a recording may have been made by, other than the one it was read by."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.conventions.misfit import Misfit
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Hypothesis:
     """Other convention, with the dataset as it would be, and what to change in the recording."""
 

@@ -1,11 +1,10 @@
 """How badly a dataset fits its best calibration, found fast: the linear start and a few steps."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calibration.base.errors import CalibrationError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.doubts.wrong_views import NOTICEABLE, median_residuals, noise_in_own_fits
 from calibration.engine.estimation.problem.blocks import Values
@@ -22,7 +21,7 @@ MOST = 0.8
 A_FEW_STEPS = Termination(decrease=0.1, iterations=15)
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Misfit:
     """Residuals that most views of the worst sensor do not exceed."""
 

@@ -1,11 +1,11 @@
 """What the hypotheses of conventions need of a dataset: the arm's transforms, and what its sensors saw."""
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import CornerLabels, Dataset, Edge, PoseLabels
 from calibration.engine.estimation.problem.gauge import RIGID
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
@@ -13,7 +13,7 @@ from calibration.engine.estimation.start.single_views import corner_term
 from calibration.engine.geometry.transforms import inverse, translation
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class ArmView:
     """A sensor's views of a fixed pattern, and the poses of the arm between them."""
 
@@ -25,7 +25,7 @@ class ArmView:
     """``T_sensor_pattern`` (V, 4, 4), by each view alone, or as it was measured."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Recording:
     """A dataset, with what its hypotheses have in common."""
 

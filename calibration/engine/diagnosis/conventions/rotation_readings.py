@@ -5,13 +5,13 @@ the numbers can be had back, up to turns that the wrong reading has lost (`Readi
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from itertools import permutations
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.geometry import rotations
 
 TURNED_TWICE = np.pi + 1e-6
@@ -26,7 +26,7 @@ QUATERNIONS = (("wxyz", "xyzw"), ("xyzw", "wxyz"))
 """Orders as they may be written, and as they are read then."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Reading:
     """A convention for the numbers of a rotation."""
 
@@ -41,7 +41,7 @@ class Reading:
     fewer."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Rereading:
     """Rotations that were written by one convention and read by another."""
 

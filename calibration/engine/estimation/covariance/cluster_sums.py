@@ -1,13 +1,13 @@
 """Sums of products of columns over clusters of collections, with the local parameters of each collection eliminated."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Self
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.estimation.covariance.fixed_inputs import SeenGroup
 from calibration.engine.estimation.problem.batches import Columns, index_of
 from calibration.engine.estimation.residuals.one_thread import sum_of_products
@@ -16,7 +16,7 @@ from calibration.engine.estimation.solve.label_columns import POSE, products
 from calibration.engine.estimation.solve.normal_equations import Weighting, fill_unobserved
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class GroupColumns:
     """Columns of the V views of a group: a that move the poses, then combinations of the E columns of labels."""
 
@@ -32,7 +32,7 @@ class GroupColumns:
     """(V, 6, p): twists of the poses by the local columns."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class ClusterSums:
     """Sums of products of B columns, of which the last are the residuals, and of P local ones; `add` adds to them."""
 

@@ -19,11 +19,11 @@ A cause that is calibrated (the scale of poses, a lag) is one of the columns of 
 """
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.estimation.covariance.fixed_inputs import LAG
 from calibration.engine.estimation.covariance.linear_model import LinearModel
 
@@ -39,7 +39,7 @@ DECISIVE = 1e-6
 """Information left without a cluster, relative to the total, below which that cluster alone determines a direction."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class ErrorBars:
     """Covariances of the shared parameters, by block."""
 

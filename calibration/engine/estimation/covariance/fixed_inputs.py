@@ -5,13 +5,13 @@ Each is a *cause*: a few parameters with a common error, the derivatives of the 
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset, Edge, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.covariance.lens_errors import LensErrors, LensSource
@@ -48,7 +48,7 @@ CROOKED = 1e-4
 """Limit of the motion off the axis, relative to that about or along it, for a joint with one axis."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class SeenGroup:
     """Views of one sensor and one pattern at the optimum."""
 
@@ -94,7 +94,7 @@ Twists = Callable[[SeenGroup], Array | None]
 """Function of a group's views that returns twists of the pose (V, 6, k); None for no effect."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Cause:
     """Fixed parameters with a possible common error."""
 

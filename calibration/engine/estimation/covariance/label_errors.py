@@ -1,17 +1,17 @@
 """Residual of each label at the optimum, with its position, for checks of their distribution."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.estimation.covariance.result import Solution
 from calibration.engine.estimation.residuals.residuals import chunks
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class LabelErrors:
     """Residuals of one kind, of one sensor and one pattern."""
 

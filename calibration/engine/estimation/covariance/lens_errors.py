@@ -1,11 +1,11 @@
 """Errors of a held camera's intrinsics: as given with them, else as of a nominal calibration, as `assume` scales it."""
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.lens_uncertainty import LensUncertainty
 from calibration.engine.estimation.covariance.nominal_lens import nominal_lens
 from calibration.engine.estimation.problem.assumptions import EXACT, OF_INTRINSICS, Assumptions
@@ -15,7 +15,7 @@ from calibration.engine.geometry.cameras import Camera
 LensSource = Literal["nominal", "assume", "covariance", "standard-deviations"]
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class LensErrors:
     """Independent errors of standard deviation 1, and what each does to the intrinsics."""
 

@@ -12,12 +12,12 @@ parameters are answered from these, without another pass over the labels.
 """
 
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.covariance.cluster_sums import ClusterSums, GroupColumns
 from calibration.engine.estimation.covariance.fixed_inputs import (
@@ -45,7 +45,7 @@ MOST_CLUSTERS = 100
 """Limit of the number of clusters; more give no better estimate of the collections' disagreement."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class LinearModel:
     """Information and gradient of the shared parameters and of causes, by cluster."""
 

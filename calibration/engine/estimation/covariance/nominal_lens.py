@@ -12,12 +12,12 @@ of focal length, principal point and coefficients nearly cancel in the image, wh
 first term is what OpenCV's ``stdDeviationsIntrinsics`` are the roots of.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.pattern import Pattern, grid
 from calibration.engine.estimation.problem.intrinsics import PIXELS
 from calibration.engine.estimation.residuals.corner_residuals import LENS, CornerTerm
@@ -44,7 +44,7 @@ RIDGE = 1e-10
 """Information on each parameter, in proportion to what is known of it alone, so that degenerate ones stay finite."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class NominalLens:
     """Errors of a camera's intrinsics, as independent ones of standard deviation 1 and what each does, (n, k)."""
 

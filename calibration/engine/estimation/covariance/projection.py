@@ -7,12 +7,12 @@ what remains of it once the camera has moved to where its corners fit best: the 
 it is largest at infinity or very near, and smallest where the patterns were.
 """
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.problem.intrinsics import FreeIntrinsics
@@ -25,7 +25,7 @@ MOST = 0.9
 """Part of the image with corners in which an error stays below what is judged; single corners at its border are out."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Projection:
     """Projection of a calibrated camera over a grid of R rows and C columns, and how the intrinsics change it."""
 

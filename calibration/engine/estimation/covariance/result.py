@@ -1,7 +1,7 @@
 """Result of a calibration: transforms, covariances, residuals."""
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from calibration.base import records
 from calibration.base.arrays import Array, IntArray
-from calibration.base.frozen import frozen
 from calibration.base.records import record
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.dataset.model import Dataset, Edge
@@ -26,7 +25,7 @@ from calibration.engine.estimation.start.build import Setup
 from calibration.engine.geometry.joints import JointParameter
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class ViewResiduals:
     """Residuals of one sensor and one pattern."""
 
@@ -65,7 +64,7 @@ class DroppedView:
     degrees: float = records.field("How far it is turned.", unit="degrees")
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class CalibratedJoint:
     """Joint with calibrated parameters."""
 
@@ -91,7 +90,7 @@ class CalibratedJoint:
         return np.asarray(np.sqrt(np.diagonal(self.label_covariance)))
 
 
-@frozen
+@dataclass(frozen=True)
 class CalibratedLag:
     """Lag of a sensor: how much later it saw than its collections' transforms say."""
 
@@ -100,7 +99,7 @@ class CalibratedLag:
     """s: total standard deviation; NaN if the calibration has not converged."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Solution:
     """Solved problem and its optimum, for checks that linearise it again."""
 
@@ -140,7 +139,7 @@ class Solution:
         return repeated_collections(self.dataset, self.weighting.scales.get("pixel"))
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """Result of a calibration."""
 

@@ -23,12 +23,11 @@ errors are independent of the others'.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.estimation.covariance.error_bars import DECISIVE
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE, Cause
 from calibration.engine.estimation.covariance.linear_model import LinearModel
@@ -60,7 +59,7 @@ HALF_PIXEL = (0.35, 0.65)
 """Deviation of the principal point that indicates the other convention of pixel centres."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Suspect:
     """Cause that does not fit, with its estimate."""
 
@@ -81,7 +80,7 @@ class Suspect:
     """Other causes that explain nearly as much."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Candidates:
     """Causes of the same size, tested together: n causes with k parameters each."""
 
@@ -93,7 +92,7 @@ class _Candidates:
     """(n, K): mask of the clusters that they concern."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Disagreement:
     """Disagreement of collections, or of sensors in them, beyond the noise inside their views."""
 
@@ -140,7 +139,7 @@ class Disagreement:
         return float(expected**2 / ((common**2).sum() + (each**2).sum() + k / K))
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Explanation:
     """Suspects, best explanation first, and the remaining disagreement."""
 
@@ -309,7 +308,7 @@ def _candidates(model: LinearModel, fewest_moved: int) -> Iterator[_Candidates]:
         yield _Candidates([cause for cause, _, _ in each], [since for _, since, _ in each], columns, masks)
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class _State:
     """Linear model with the causes that have been set free among the free parameters."""
 
@@ -416,7 +415,7 @@ def _whitening(G: Array, alone: Array) -> Array:
     return whitening
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Step:
     """Newton step that frees a cause."""
 

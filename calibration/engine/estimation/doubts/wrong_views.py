@@ -12,14 +12,13 @@ Fischler and R. C. Bolles, "Random sample consensus", 1981), then that of all co
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.base.errors import InputError, UndeterminedError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.covariance.fixed_inputs import ARM_ACCURACY, STILL
@@ -192,7 +191,7 @@ def _is_on_an_arm(dataset: Dataset, group: ViewGroup) -> bool:
 # ----------------------------------------------------------------------------------------------
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Verdict:
     """Result of a test."""
 

@@ -6,13 +6,13 @@ are in one table, and a link refers to one of its rows in each view.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.estimation.problem.blocks import Block, FreeJoint, Pose, Values
 from calibration.engine.estimation.problem.intrinsics import FreeIntrinsics
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm, side_by_side
@@ -29,7 +29,7 @@ Columns = slice | IntArray
 _HERE = np.eye(4)
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Part:
     """Views of one group in a batch, with the parameters of the columns of the batch's Jacobian."""
 
@@ -85,7 +85,7 @@ class Part:
         return index_of(self.at, self.local_at)
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Step:
     """A link at the same position in the chains of all views of a batch."""
 
@@ -104,7 +104,7 @@ class _Step:
     """Whether its parameters are the twist of the view's pose itself, as a moving pattern's are."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Batch:
     """V views of one or more groups."""
 

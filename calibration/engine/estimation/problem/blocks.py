@@ -1,10 +1,10 @@
 """Blocks of unknowns: a pose, a joint or a camera's intrinsics, each with its parametrisation."""
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Edge
 from calibration.engine.estimation.problem.intrinsics import FreeIntrinsics
 from calibration.engine.estimation.problem.motion import Motion
@@ -12,7 +12,7 @@ from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointModel, Joi
 from calibration.engine.geometry.transforms import inverse_adjoint, retract, twists_in_child
 
 
-@frozen
+@dataclass(frozen=True)
 class Pose:
     """Transform ``T_parent_child`` (4, 4), moved by a twist in its child frame: translation, rotation (m, rad)."""
 
@@ -33,7 +33,7 @@ class Pose:
         return [Motion("translation", 3, unit=size, extent=size), Motion("rotation", 3)]
 
 
-@frozen
+@dataclass(frozen=True)
 class FreeJoint:
     """Joint with some unknown parameters; its value is the array of all parameters, (7,)."""
 
@@ -74,7 +74,7 @@ class FreeJoint:
         ]
 
 
-@frozen
+@dataclass(frozen=True)
 class Block:
     """Unknown, with its parametrisation."""
 

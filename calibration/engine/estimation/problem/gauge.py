@@ -7,12 +7,12 @@ free per collection is degenerate with any such motion.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.base.arrays import BoolArray
 from calibration.base.errors import UndeterminedError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.estimation.problem.blocks import Block
 from calibration.engine.estimation.residuals.views import ViewGroup
@@ -21,7 +21,7 @@ RIGID = 1e-9
 """Tolerance (m, and elements of rotations) of transforms that are the same in all collections."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Gauge:
     """Fixed transforms, if the data determine only relative poses."""
 

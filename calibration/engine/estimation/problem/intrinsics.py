@@ -1,14 +1,13 @@
 """Free intrinsics of a camera: any subset, with or without a prior."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.frozen import frozen
 from calibration.engine.estimation.problem.motion import Motion
 from calibration.engine.geometry.cameras import Camera
 
@@ -18,7 +17,7 @@ PIXELS = ("fx", "fy", "cx", "cy")
 """Parameters in pixels."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class CalibratedIntrinsics:
     """Estimates of intrinsics with their covariance: calibrated, or given."""
 
@@ -42,7 +41,7 @@ class CalibratedIntrinsics:
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Prior:
     """Gaussian prior of some parameters."""
 
@@ -61,7 +60,7 @@ class Prior:
         return 0.5 * (inverse + inverse.T)
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class FreeIntrinsics:
     """Camera with some free intrinsics."""
 

@@ -1,11 +1,10 @@
 """Motion of a block by its parameters: the directions in which uncertainty is reported."""
 
+from dataclasses import dataclass
 from typing import Literal
 
-from calibration.base.frozen import frozen
 
-
-@frozen
+@dataclass(frozen=True)
 class Motion:
     """Translation or rotation of a pose, or the effect of one parameter of a joint or a camera."""
 

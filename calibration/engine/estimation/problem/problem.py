@@ -1,20 +1,19 @@
 """Least-squares problem: blocks of unknowns, and groups of views over N collections."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.estimation.problem.batches import Batch, batches
 from calibration.engine.estimation.problem.blocks import Block, Pose, Values
 from calibration.engine.estimation.residuals.views import Term, ViewGroup
 from calibration.engine.geometry.transforms import retract
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Problem:
     """Blocks and groups of views over N collections."""
 

@@ -16,13 +16,12 @@ of a row would be computed for each corner.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.estimation.residuals.one_thread import product
 from calibration.engine.estimation.residuals.planar_pose import planar_poses
@@ -44,7 +43,7 @@ ROUGH_STEP = 1e-3
 """Termination of `Distortion.undistort` for an initial guess: accurate to 1e-6."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class CornerTerm:
     """Corners of a pattern in a camera's images: reprojection errors in pixels."""
 
@@ -273,7 +272,7 @@ class CornerTerm:
 _NONE = np.zeros(1)
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Projected:
     """Corners of v views, projected, with derivatives; K corners, 2 axes of the image."""
 

@@ -5,10 +5,11 @@ and y, K corners (`calibration.engine.geometry.cameras.Camera.normalise` gives t
 that a view has not seen have no effect, not even NaN. A view whose seen corners cannot give a pose gets NaN.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from calibration.base.arrays import Array, ArrayLike, BoolArray
-from calibration.base.frozen import frozen
 from calibration.engine.estimation.residuals.median import median
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, transform
@@ -56,7 +57,7 @@ def determines_pose(corners: Array, seen: BoolArray) -> BoolArray:
         return _basis(corners, seen).usable
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Basis:
     """Orthogonal functions 1, q1 and q2 of the seen corners, each of norm sqrt(count); V is 1 if all views see all."""
 

@@ -1,20 +1,19 @@
 """Residuals of measured poses of a pattern."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, Literal, Self
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.estimation.residuals.residuals import Linearised, robust, spread, squeezed
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class PoseTerm:
     """Measured poses of a pattern: difference of position, or of orientation, along the sensor's axes.
 

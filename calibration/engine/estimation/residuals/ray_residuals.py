@@ -13,14 +13,13 @@ A twist (dt, dw) of the pose in the pattern's frame changes, with the measured p
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.estimation.residuals.residuals import Linearised, chunks, robust, spread, squeezed
 from calibration.engine.geometry.cameras import Camera
@@ -29,7 +28,7 @@ GRAZING = 0.05
 """Cosine of incidence below which the intersection of a ray and a plane is unreliable (3 degrees)."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Rays:
     """Rays to points on a pattern, one residual each."""
 
@@ -82,7 +81,7 @@ class _Rays:
         return self
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class RangeTerm(_Rays):
     """Points of a LiDAR or a depth camera on a pattern's plane: measured range minus that of the ray's intersection.
 
@@ -149,7 +148,7 @@ class RangeTerm(_Rays):
         return cost, rows, squared
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class BorderTerm(_Rays):
     """Rays to a pattern's border: distance of their intersections with the plane from the nearest border line.
 

@@ -11,19 +11,18 @@ the centre rotates the pattern without moving it, which decouples rotation and t
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import inverse
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Link:
     """Block in a chain, and the constant that follows it."""
 
@@ -33,7 +32,7 @@ class Link:
     """(4, 4), or (V, 4, 4) if it differs between collections; None for the identity."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Chain:
     """``T_sensor_pattern`` as ``before * link * link ...``, each link a block and a constant; no block occurs twice."""
 
@@ -125,7 +124,7 @@ class Term(Protocol):
         """Norm (V, L) of each label's residual in px, m or rad; NaN without a label."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class ViewGroup:
     """Views of one sensor and one pattern."""
 

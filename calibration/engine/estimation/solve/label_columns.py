@@ -8,12 +8,12 @@ equivalent to moving the pattern along it). Intrinsics of a camera have rows of 
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.residuals.corner_residuals import LENS, CornerTerm
 from calibration.engine.estimation.residuals.one_thread import MULTIPLICATIONS
@@ -40,7 +40,7 @@ LABELS = 2 * CHUNK
 """Labels per pass: more than `CHUNK`, as their rows do not fit into the second-level cache anyway."""
 
 
-@frozen
+@dataclass(frozen=True)
 class ColumnNames:
     """Columns of the views of one sensor and one pattern."""
 

@@ -1,11 +1,11 @@
 """Levenberg-Marquardt minimisation over poses, joints and intrinsics."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.frozen import frozen
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.residuals import total_loss
@@ -15,7 +15,7 @@ STALLED = 20
 """Number of steps without a noticeable decrease after which a minimisation has stalled."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Termination:
     """Termination criteria."""
 
@@ -30,7 +30,7 @@ class Termination:
     iterations: int = 500
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Optimum:
     """Result of a minimisation."""
 
@@ -49,7 +49,7 @@ class Optimum:
         return self.equations.total
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Evaluation:
     """Normal equations at some values, with their residuals."""
 

@@ -24,13 +24,12 @@ rows and columns follow those of t. With ``A = dt/d(x, y)`` (6, C) of the C para
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.estimation.problem.batches import Batch, Part, index_of, table_of
 from calibration.engine.estimation.problem.blocks import Values
@@ -39,7 +38,7 @@ from calibration.engine.estimation.residuals.one_thread import sum_of_products
 from calibration.engine.estimation.residuals.views import Term
 
 
-@frozen
+@dataclass(frozen=True)
 class Weighting:
     """Weights of the residuals."""
 
@@ -49,7 +48,7 @@ class Weighting:
     """Threshold of Huber's loss in standard deviations; None for plain least squares."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class NormalEquations:
     """Normal equations ``H step = -g``: S parameters of shared blocks, P of local ones per collection; see above."""
 

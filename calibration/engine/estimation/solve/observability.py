@@ -2,12 +2,11 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.estimation.problem.batches import table_of
 from calibration.engine.estimation.problem.blocks import Values
@@ -29,7 +28,7 @@ WEAK = 0.005
 """Standard deviation (m or rad) above which a direction is reported as weak."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class WeakDirection:
     """Common motion of the shared blocks that the data hardly determine."""
 

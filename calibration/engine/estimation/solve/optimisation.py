@@ -1,11 +1,10 @@
 """Optimisation from an initial guess: with noise levels that match the residuals."""
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem
@@ -30,7 +29,7 @@ FEW = 100
 """Least number of collections, if there are as many, from which the first standard deviations are estimated."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class WeightedOptimum:
     """Optimum, with its weights."""
 

@@ -1,14 +1,13 @@
 """Build the least-squares problem of a dataset: the unknown transforms, and the labels that depend on them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.base.errors import InputError, UndeterminedError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, PoseLabels, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.problem.blocks import Block, FreeJoint
@@ -27,7 +26,7 @@ from calibration.engine.estimation.start.single_views import corner_term
 from calibration.engine.geometry.transforms import inverse, translation
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Setup:
     """Problem, with the meaning of its blocks in the dataset."""
 

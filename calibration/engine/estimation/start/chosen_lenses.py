@@ -1,9 +1,9 @@
 """Lens models of the cameras of a dataset whose intrinsics are calibrated: named by the options, or chosen."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.solve.options import Options
@@ -14,7 +14,7 @@ WORST_RMS = 5.0
 """px: a lens that fits its corners worse than this does not fit."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class ChosenLenses:
     """Dataset with lens models for its free intrinsics, and how those that nobody named were chosen."""
 

@@ -7,14 +7,13 @@ and non-nested hypotheses", 1989, with Schwarz's correction for the number of pa
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.problem.blocks import Block, Values
@@ -62,7 +61,7 @@ RADII = 50
 """Number of radii at which a rational lens is fitted to another one."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class LensFit:
     """Lens model fitted to the corners of one camera."""
 
@@ -92,7 +91,7 @@ class LensFit:
         return np.concatenate([robust(np.nan_to_num(each / noise) ** 2, HUBER)[0] for each in self.residuals])
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class LensChoice:
     """Lens model that was chosen for a camera, and those that it was compared with."""
 

@@ -18,14 +18,13 @@ and intrinsics start from their nominal parameters: they are small corrections, 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.base.errors import InputError, UndeterminedError
-from calibration.base.frozen import frozen
 from calibration.engine.estimation.problem.blocks import Pose, Values
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
@@ -44,7 +43,7 @@ SINGLE_AXIS = 0.002
 """rad: rotations of a robot that tilt every direction by less than this, about all but one axis, are insufficient."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class LinearStart:
     """Initial values of all blocks, and the names of those that are from the guess."""
 
@@ -126,7 +125,7 @@ def place_gauge_patterns(setup: Setup, values: Values, sights: Sequence["Sight"]
     return tuple(placed[i] if i in held else value for i, value in enumerate(values))
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Sight:
     """V views ``T_sensor_pattern = chain``: of a group, or combined from two groups of the same moving pattern."""
 

@@ -5,12 +5,12 @@ With an arm that carries a pattern in front of a camera, ``A_i = T_camera_patter
 are unknown. The literature writes ``A Z' = X B`` with ``Z' = inverse(Y)``.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from calibration.base.arrays import Array, ArrayLike
-from calibration.base.frozen import frozen
 from calibration.engine.estimation.residuals.median import median
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, transform
@@ -21,7 +21,7 @@ FITTING = 0.03
 """as long as their mean misfit exceeds this (rad, and translations relative to the distance)."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Spectrum:
     """Observability of a robot-world problem, from the motion and the measurements."""
 

@@ -7,10 +7,11 @@ its three fixed Euler axes. Additional transforms that are free per collection g
 of their own in each.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.usable_labels import usable_labels
@@ -19,7 +20,7 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import transform
 
 
-@frozen
+@dataclass(frozen=True)
 class StartingNoise:
     """Noise of an initial guess."""
 

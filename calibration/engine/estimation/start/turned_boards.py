@@ -1,13 +1,12 @@
 """Boards without markers that look the same turned by 180 degrees: views numbered from the other end than most."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.pattern import UNMARKED, Pattern
 from calibration.engine.estimation.start.agreeing_rotations import disagreement_of_each, rotations_that_agree
@@ -29,7 +28,7 @@ View = tuple[str, str, str]
 """Pattern, sensor and the collection's key."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Views:
     """Rotations of a pattern by a camera's views, each by itself."""
 

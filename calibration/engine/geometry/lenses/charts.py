@@ -7,11 +7,11 @@ directions have but the one straight back.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.frozen import frozen
 
 MIN_DEPTH = 1e-6
 """Of points in front of the camera, m."""
@@ -28,7 +28,7 @@ Domain = Callable[[Array], BoolArray]
 """Mask of the directions that a lens sees, by the cosine of their angle from the optical axis."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Placed(ABC):
     """Points in a chart, with what their derivatives need; points of v views, K each."""
 
@@ -89,7 +89,7 @@ class PlacedInFront(Placed):
         return products
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class PlacedAround(Placed):
     """Points in the chart `AllAround`.
 

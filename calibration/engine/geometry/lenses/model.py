@@ -2,14 +2,13 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import ClassVar, Self
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.frozen import frozen
 from calibration.engine.geometry.lenses.charts import Chart
 
 LAST_STEP = 1e-8
@@ -17,7 +16,7 @@ LAST_STEP = 1e-8
 Distorted = tuple[Array, Array]
 
 
-@frozen
+@dataclass(frozen=True)
 class KalibrName:
     """How Kalibr's camchain names a lens model."""
 

@@ -4,18 +4,18 @@ Normalised coordinates are (x, y) = (X/Z, Y/Z) of a point in front of the camera
 """
 
 from abc import abstractmethod
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.frozen import frozen
 from calibration.engine.geometry.lenses.charts import IN_FRONT, Chart
 from calibration.engine.geometry.lenses.model import LAST_STEP, Distorted, Distortion, KalibrName, symmetric
 
 
-@frozen
+@dataclass(frozen=True)
 class _RadialTangential(Distortion):
     """Radial-tangential model: ``x' = x radial(r2) + 2 p1 x y + p2 (r2 + 2 x^2)``; y' with p1 and p2 exchanged."""
 
@@ -109,7 +109,7 @@ class _RadialTangential(Distortion):
         """Radial factor, and twice its derivative with respect to r2."""
 
 
-@frozen
+@dataclass(frozen=True)
 class PlumbBob(_RadialTangential):
     """Radial and tangential distortion with 5 coefficients (Brown-Conrady; ROS's ``plumb_bob``).
 
@@ -135,7 +135,7 @@ class PlumbBob(_RadialTangential):
         return self._radial(r2), 2 * self.k1 + r2 * (4 * self.k2 + 6 * self.k3 * r2)
 
 
-@frozen
+@dataclass(frozen=True)
 class Rational(_RadialTangential):
     """Rational radial and tangential distortion with 8 coefficients (ROS's ``rational_polynomial``).
 

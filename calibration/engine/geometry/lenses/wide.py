@@ -7,13 +7,13 @@ the derivatives are ``s I + (s'(t) / t) (x, y) (x, y)^T``.
 
 from abc import abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.frozen import frozen
 from calibration.engine.geometry.lenses.charts import ALL_AROUND, Chart
 from calibration.engine.geometry.lenses.model import LAST_STEP, Distorted, Distortion, KalibrName, symmetric
 from calibration.engine.geometry.lenses.pinhole import PlumbBob
@@ -52,7 +52,7 @@ class _Wide(Distortion):
         """Return ``s = r(t) / t`` and ``s'(t) / t`` by the square of t."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Equidistant(_Wide):
     """A fisheye lens with 4 coefficients (ROS's ``equidistant``, OpenCV's ``fisheye``).
 
@@ -161,7 +161,7 @@ class _Sphere(_Wide):
         """Return the angle t of a radius r; NaN if there is none."""
 
 
-@frozen
+@dataclass(frozen=True)
 class DoubleSphere(_Sphere):
     """Two spheres, one projected to the other: 2 coefficients (Kalibr's and Basalt's ``ds``).
 
@@ -196,7 +196,7 @@ class DoubleSphere(_Sphere):
         return _from_sphere(radius, m, self.xi)
 
 
-@frozen
+@dataclass(frozen=True)
 class Eucm(_Sphere):
     """The enhanced unified camera model: a surface of second order, 2 coefficients (Kalibr's ``eucm``).
 
@@ -235,7 +235,7 @@ class Eucm(_Sphere):
         return np.arctan2(radius, m)
 
 
-@frozen
+@dataclass(frozen=True)
 class _Mirror(_Sphere):
     """The unified model: a sphere seen from a point at the distance xi from its centre, ``D = xi + cos t``."""
 
@@ -255,7 +255,7 @@ class _Mirror(_Sphere):
         return _from_sphere(radius, np.ones_like(radius), self.xi)
 
 
-@frozen
+@dataclass(frozen=True)
 class Omni(Distortion):
     """The unified model with radial and tangential distortion, 5 coefficients (Kalibr: ``omni``, OpenCV: ``omnidir``).
 

@@ -16,7 +16,6 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.base.files import write_atomically
-from calibration.base.frozen import frozen
 from calibration.engine.dataset.depth_image import read_depth_image
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.laser_scan import read_scan
@@ -57,7 +56,7 @@ Detector: TypeAlias = Callable[[Pattern, Array], PatternPoints | NotDetected]
 """Function that finds a pattern in a sensor's data, from its geometry and its expected ``T_sensor_pattern`` (4, 4)."""
 
 
-@frozen
+@dataclass(frozen=True)
 class RangeModality:
     """Import of the data of one modality."""
 

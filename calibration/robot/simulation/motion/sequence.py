@@ -5,7 +5,7 @@ The file format is that of ATOM's motion recorder: a JSON object with keys "1" t
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +13,6 @@ import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
-from calibration.base.frozen import frozen
 from calibration.base.records import Misfit, Place, field, length, matching, needs, read_as, record, unknown_key
 from calibration.engine.dataset.document import read_json
 from calibration.engine.dataset.edges import QUATERNION_TOLERANCE
@@ -29,7 +28,7 @@ DECIMALS = 6
 """Decimals of positions and quaternions: a micrometre and a microradian."""
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Motion:
     """A sequence of N poses of a pattern's model, of joints, or of both."""
 
