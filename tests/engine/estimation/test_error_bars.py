@@ -8,7 +8,7 @@ import pytest
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.covariance.error_bars import summed_products
+from calibration.engine.estimation.covariance.error_bars import scatter_of_clusters
 from calibration.engine.estimation.covariance.lens_errors import lens_errors
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.covariance.result import Calibration
@@ -144,14 +144,17 @@ def test_a_clusters_sums_are_those_of_its_collections(name: str, labels: int, mo
         np.testing.assert_allclose(together.g[k], gradient, atol=1e-9 * np.abs(each.g).max())
 
 
-@pytest.mark.parametrize(("alike", "expected"), [(0.0, 1.0), (0.8, 9.0)])
+@pytest.mark.parametrize(("alike", "expected"), [(0.0, 1.0), (0.5, 3.0), (0.8, 9.0)])
 def test_changes_that_are_alike_in_a_row_add_up(alike: float, expected: float) -> None:
     """The variance of a sum of K of them: K (1 + alike) / (1 - alike) of a first-order autoregression; less by bias."""
     rng = np.random.default_rng(0)
-    ratios = []
+    K, ratios, batches = 200, [], []
     for _ in range(100):
-        change = rng.normal(size=(200, 3))
-        for k in range(1, 200):
-            change[k] = alike * change[k - 1] + np.sqrt(1 - alike**2) * change[k]
-        ratios.append(np.trace(summed_products(change)) / (3 * 200))
-    assert 0.6 * expected < np.mean(ratios) < 1.1 * expected
+        pulls = rng.normal(size=(K, 3))
+        for k in range(1, K):
+            pulls[k] = alike * pulls[k - 1] + np.sqrt(1 - alike**2) * pulls[k]
+        scatter, shares = scatter_of_clusters(np.tile(np.eye(3) / K, (K, 1, 1)), (pulls - pulls.mean(0)) / np.sqrt(K))
+        ratios.append(np.trace(scatter) / 3)
+        batches.append(len(shares))
+    assert 0.75 * expected < np.mean(ratios) < 1.1 * expected
+    assert np.median(batches) == K if alike == 0 else np.median(batches) <= K / 4

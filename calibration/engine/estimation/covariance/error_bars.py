@@ -6,12 +6,11 @@ The inverse of the information, C, is valid for independent noise of the labels 
   by one factor per block, ``phi = tr(C^-1 V) / k``, at least 1, with the covariance V of the collections as clusters:
   ``V = sum_c d_c d_c^T`` with ``d_c = A^-1/2 (I - A^-1/2 G_c A^-1/2)^-1/2 A^-1/2 g_c``, which is unbiased if
   there is that noise alone (CR2: R. M. Bell and D. F. McCaffrey, "Bias reduction in standard errors for linear
-  regression with multi-stage samples", 2002). Where neighbouring clusters are alike, the products of nearby ones are
-  added, with Bartlett's weights (W. Newey and K. West, "A simple, positive semi-definite, heteroskedasticity and
-  autocorrelation consistent covariance matrix", 1987), as far as D. Andrews' rule for a first-order autoregression
-  says ("Heteroskedasticity and autocorrelation consistent covariance matrix estimation", 1991). With this factor the
-  expected ``e^T (phi C)^-1 e`` is k for any shape of V. Where phi is large and told by few clusters, it is
-  multiplied by n / (n - 2), with the effective number n of clusters: the mean of an inverse chi-square variable.
+  regression with multi-stage samples", 2002). Where neighbouring clusters are alike, as of poses that drift, they are
+  one cluster, by twos until their means are not (batch means: B. Schmeiser, "Batch size effects in the analysis of
+  simulation output", 1982). With this factor the expected ``e^T (phi C)^-1 e`` is k for any shape of V. Where phi is
+  large or clusters are such batches, it is told by few, and multiplied by n / (n - 2), with the effective number n of
+  clusters: the mean of an inverse chi-square variable.
 - Fixed parameters are known with a standard deviation s (`problem.assumptions`). Their error changes the
   result by ``W = -A^-1 B`` times it, so ``W diag(s^2) W^T`` is added (consider analysis: S. F. Schmidt, 1966).
 
@@ -23,14 +22,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.base.arrays import Array, IntArray
+from calibration.base.arrays import Array
 from calibration.engine.estimation.covariance.fixed_inputs import LAG
 from calibration.engine.estimation.covariance.linear_model import LinearModel
 
-SERIAL = 4.0
-"""Correlation of neighbouring clusters, in its standard deviations, from which they are taken to be alike."""
-LONGEST = 0.97
-"""Largest correlation of neighbours that is taken; their sum is known too little to tell larger ones."""
+MIN_ALIKE = 2.0
+"""Correlation of neighbouring clusters, in multiples of 1 over the root of their number, from which they are alike."""
+MIN_BATCHES = 6
+"""Number of batches of clusters that are alike of which the scatter is still told."""
 CONTRADICTING = 3.0
 """Factor above which clusters contradict each other; one that is estimated from few clusters is then corrected."""
 FEWEST_CLUSTERS = 4.0
@@ -74,7 +73,12 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collectio
     free = np.concatenate([np.arange(S), *(np.arange(at.start, at.stop) for _, at in freed)])
     C = np.linalg.inv(T[np.ix_(free, free)])
     C = 0.5 * (C + C.T)
-    clustered, effective, decisive = _clustered(model, C, free)
+    values, vectors = np.linalg.eigh(C)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))  # C = root root^T
+    shares = root.T @ model.G[:, free[:, None], free] @ root  # (K, F, F): of each cluster in the total information
+    leverages = np.einsum("kii->k", shares)
+    scatter, batches = scatter_of_clusters(shares, model.g[:, free] @ root)
+    clustered = root @ scatter @ root.T
     moves = -C @ T[free]  # by a unit of each column
     squares = np.stack([(moves[blocks[block]][:3] ** 2).sum(0) for block in poses] or [np.zeros(len(T))])
     worth, held, considered = {}, {}, np.zeros((len(free), len(free)))
@@ -92,8 +96,8 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collectio
     def bars(at: slice) -> tuple[Array, Array]:
         own = C[at, at]
         factor = max(1.0, float(np.trace(np.linalg.solve(own, clustered[at, at]))) / len(own))
-        if factor > CONTRADICTING:
-            factor *= _for_few_clusters(model.G[:, free[:, None], free], C[at], own)
+        if factor > CONTRADICTING or len(batches) < len(shares):
+            factor *= _for_few_clusters(root[at] @ batches @ root[at].T, own)
         return own + considered[at, at], factor * own + considered[at, at]
 
     labels, expected, total = {}, {}, {}
@@ -106,50 +110,51 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collectio
         for (cause, _), start in zip(freed, ends, strict=False)
         if cause.kind == LAG
     }
+    effective = float(leverages.sum() ** 2 / (leverages**2).sum())
+    decisive = float(np.linalg.eigvalsh(shares).max())
     return ErrorBars(labels, expected, total, effective, decisive, worth, held, lags)
 
 
-def _for_few_clusters(G: Array, C: Array, own: Array) -> float:
+def _for_few_clusters(parts: Array, own: Array) -> float:
     """Return the factor ``n / (n - 2)`` by which a variance that n clusters tell is too small as a divisor.
 
     Args:
-        G: (K, F, F), information of each cluster.
-        C: (k, F), rows of the covariance.
-        own: (k, k), of its own columns.
+        parts: (K, k, k), of each cluster in the covariance.
+        own: (k, k), their sum.
     """
-    shares = np.einsum("kii->k", np.linalg.solve(own, C @ G @ C.T))
-    count = float(shares.sum() ** 2 / (shares**2).sum())
+    leverages = np.einsum("kii->k", np.linalg.solve(own, parts))
+    count = float(leverages.sum() ** 2 / (leverages**2).sum())
     return max(count, FEWEST_CLUSTERS) / (max(count, FEWEST_CLUSTERS) - 2)
 
 
-def _clustered(model: LinearModel, C: Array, free: IntArray) -> tuple[Array, float, float]:
-    """Return the covariance (F, F) of the free columns with collections as clusters.
+def scatter_of_clusters(shares: Array, pulls: Array) -> tuple[Array, Array]:
+    """Return the covariance (F, F) of standardised parameters by the scatter of clusters, which may be alike in a row.
 
-    And the effective number of collections, and the largest share of one.
+    Args:
+        shares: (K, F, F), of each cluster in the information, which is 1 in all.
+        pulls: (K, F), its gradient.
+
+    Returns:
+        The covariance, and the shares of the batches of neighbours (B, F, F) that it is from.
     """
-    values, vectors = np.linalg.eigh(C)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))  # C = root root^T
-    share = root.T @ model.G[:, free[:, None], free] @ root  # (K, F, F): fraction of the total information
-    pull = model.g[:, free] @ root
-    w, U = np.linalg.eigh(np.eye(len(free)) - share)
-    left = np.maximum(w, DECISIVE)
-    change = (U @ ((pull[:, None] @ U)[:, 0] / np.sqrt(left))[..., None])[..., 0]
-    leverages = np.einsum("kii->k", share)
-    effective = float(leverages.sum() ** 2 / (leverages**2).sum())
-    V = root @ summed_products(change) @ root.T
-    return V, effective, float(1 - w.min())
+    changes, least = _changes(shares, pulls), MIN_ALIKE
+    while len(shares) >= 2 * MIN_BATCHES and _alike(changes) > least:
+        starts = np.arange(len(shares) // 2) * 2
+        shares, pulls = np.add.reduceat(shares, starts), np.add.reduceat(pulls, starts)
+        changes, least = _changes(shares, pulls), 0.0
+    return changes.T @ changes, shares
 
 
-def summed_products(change: Array) -> Array:
-    """Return the covariance (S, S) of the sum of changes (K, S) of mean 0; neighbours may be alike."""
-    V: Array = change.T @ change
-    K = len(change)
-    alike = float((change[1:] * change[:-1]).sum() / np.trace(V)) if np.trace(V) > 0 else 0.0
-    if alike * np.sqrt(K) < SERIAL:
-        return V
-    alike = min(alike, LONGEST)
-    width = int(np.ceil(1.1447 * (4 * alike**2 / (1 - alike**2) ** 2 * K) ** (1 / 3)))
-    for lag in range(1, min(width, K // 2)):
-        between = (1 - lag / width) * change[lag:].T @ change[:-lag]
-        V = V + between + between.T
-    return V
+def _changes(shares: Array, pulls: Array) -> Array:
+    """Return the change (K, F) of the optimum by each cluster, without the bias by its own share in it."""
+    w, U = np.linalg.eigh(np.eye(shares.shape[-1]) - shares)
+    along = (pulls[:, None] @ U)[:, 0] / np.sqrt(np.maximum(w, DECISIVE))
+    changes: Array = (U @ along[..., None])[..., 0]
+    return changes
+
+
+def _alike(changes: Array) -> float:
+    """Return the correlation of neighbouring changes (K, F) of sum 0, in multiples of 1 over the root of K."""
+    K, total = len(changes), float((changes**2).sum())
+    # what has sum 0 is correlated by -1 / K if independent
+    return np.sqrt(K) * (float((changes[1:] * changes[:-1]).sum()) / total + 1 / K) if total > 0 else 0.0
