@@ -109,7 +109,7 @@ class CirclesDetector:
         layout = cv2.CALIB_CB_ASYMMETRIC_GRID if self._asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
         for reduced in (2, 1) if max(image.shape) > LARGE else (1,):
             smaller = cv2.resize(image, None, fx=1 / reduced, fy=1 / reduced, interpolation=cv2.INTER_AREA)
-            finder = cv2.SimpleBlobDetector.create(_blobs(smaller.size / (columns * rows)))
+            finder = blob_finder(smaller.size / (columns * rows))
             for way in (0, cv2.CALIB_CB_CLUSTERING):
                 found, centres = cv2.findCirclesGrid(smaller, (columns, rows), flags=layout | way, blobDetector=finder)
                 if found:
@@ -162,11 +162,11 @@ class CirclesDetector:
         return dark, diameters
 
 
-def _blobs(largest: float) -> "cv2.SimpleBlobDetector.Params":
-    """Return the parameters of OpenCV's search of dark spots; `largest` is their maximum area (px)."""
+def blob_finder(largest: float) -> "cv2.SimpleBlobDetector":
+    """Return OpenCV's search of dark spots; `largest` is their maximum area (px)."""
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.minThreshold, parameters.maxThreshold, parameters.thresholdStep = 20, 230, 10
     parameters.minArea, parameters.maxArea = LEAST_AREA, max(largest, 2 * LEAST_AREA)
     parameters.minDistBetweenBlobs = 4
     parameters.minConvexity = 0.8  # of small ones the pixels make corners
-    return parameters
+    return cv2.SimpleBlobDetector.create(parameters)

@@ -20,6 +20,7 @@ from tests.robot.importing.arm import keys, record_arm
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile
 from tests.robot.importing.conftest import BOARD, CAMERAS, FOCAL, change
 from tests.robot.importing.test_bags import KINDS, describe, file_of, image, record
+from tests.robot.importing.test_kinds_of_patterns import views_of
 from tests.robot.importing.test_videos import write_video
 
 Change = Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]
@@ -211,6 +212,31 @@ def test_a_chessboard_of_any_size_is_found(tmp_path: Path) -> None:
     results = look(tmp_path)
     assert results.pattern == "chessboard of 9 x 6 corners"
     assert results.cameras[tmp_path.name].with_pattern == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("circles", "circles of 9 x 6"),
+        ("asymmetric-circles", "asymmetric-circles of 4 x 11"),
+        ("tags", "tags 7, 8, 30 of DICT_APRILTAG_36h11"),
+        ("one tag", "tags 3 of DICT_4X4_50"),
+    ],
+)
+def test_circles_and_tags_are_found_undescribed(kind: str, expected: str, tmp_path: Path) -> None:
+    for i, shown in enumerate(views_of(kind, "left", count=4)):
+        cv2.imwrite(str(tmp_path / f"{i}.png"), shown)
+    results = look(tmp_path)
+    assert results.pattern == expected
+    assert results.cameras[tmp_path.name].with_pattern == 4
+
+
+def test_clutter_is_no_pattern(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    for i in range(4):
+        clutter = random.integers(0, 256, (48, 64), np.uint8)
+        cv2.imwrite(str(tmp_path / f"{i}.png"), cv2.resize(clutter, (640, 480), interpolation=cv2.INTER_CUBIC))
+    assert look(tmp_path).pattern is None
 
 
 def test_a_long_video_is_looked_at_in_part(tmp_path: Path) -> None:

@@ -97,23 +97,22 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
     lenses = {topic: RecordedLens(topic) for topic in infos.values() if topic is not None}
     stamps: dict[str, dict[int, int]] = {sensor.name: {} for sensor in sensors}
     key_frames = KeyFrames(bag)
-    log, texts = MotionLog(), [topic for topic in bag.of_type(TEXT) if topic.endswith("robot_description")]
+    log = MotionLog()
     for topic in () if described.sensors else _rectified_twins(bag):
         log.left_out.add(RECTIFIED_TWIN, topic)
-    others = [*bag.of_type(*TF), *bag.of_type(JOINTS), *texts]
-    for message in bag.messages({*of_topic, *lenses, *others}):
+    moving = motion_topics(bag)
+    for message in bag.messages({*of_topic, *lenses, *moving}):
         if (described_sensor := of_topic.get(message.topic)) is not None:
             first.setdefault(message.topic, message)
             if key_frames.add(message):
                 _add_stamp(bag, message, described_sensor, stamps[described_sensor.name], log.left_out)
             else:
                 log.left_out.add(NO_KEY_FRAME_YET, described_sensor.name, bag.stamp(message))
-        elif message.topic in others:
+        elif message.topic in moving:
             add_motion(bag, message, log)
         else:
             lenses[message.topic].add(bag, message)
-    if described.bags is not None and (urdf := described.bags.robot_description):
-        log.add_robot(read_robot_description(urdf, described.bags.xacro), urdf)
+    add_described_robot(described, log)
     topics = {}
     for sensor in sensors:
         topic, info = sensor.topic or "", infos.get(sensor.name)
@@ -254,6 +253,22 @@ def _add_stamp(
         left_out.add(NOT_LATER, sensor.name, stamp)
     else:
         stamps[message.recorded] = stamp
+
+
+def motion_topics(bag: Bag) -> set[str]:
+    """Return the topics of frames, joints and robot descriptions."""
+    texts = [topic for topic in bag.of_type(TEXT) if topic.endswith("robot_description")]
+    return {*bag.of_type(*TF), *bag.of_type(JOINTS), *texts}
+
+
+def add_described_robot(described: ImportDescription, log: MotionLog) -> None:
+    """Add the robot description that import.yml names, if it does, to a log.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    if described.bags is not None and (urdf := described.bags.robot_description):
+        log.add_robot(read_robot_description(urdf, described.bags.xacro), urdf)
 
 
 def add_motion(bag: Bag, message: RawMessage, log: MotionLog) -> None:

@@ -2,25 +2,30 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import cv2
 import numpy as np
 
-from calibration.engine.dataset.configuration import TAGS
+from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.files.target_files import pattern_configuration
-from calibration.robot.importing.patterns.near_miss import FAMILIES, GRID, LOOKED_AT, OF_A_BOARD, Family
+from calibration.robot.importing.patterns.near_miss import LOOKED_AT
+from calibration.robot.importing.patterns.shown_patterns import (
+    MAX_BOARD_SEARCHES,
+    MIN_BOARD_MARKERS,
+    Family,
+    shown_board,
+    shown_chessboard,
+    shown_circles,
+    shown_markers,
+    shown_tags,
+)
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import CornerDetector, Image
 
 MAX_SEARCHED_SIDE = 1600
 """px: larger images are reduced before they are searched for an unknown pattern."""
-LEAST_BOARD = (4, 4)
-"""Corners of the smallest chessboard that is looked for."""
-MAX_BOARD_SEARCHES = 4
-"""Images that are searched for a chessboard of unknown size, which takes long where there is none."""
 NONE = CornerLabels(np.zeros(0, np.int64), np.zeros((0, 2)))
 
 
@@ -58,27 +63,29 @@ def _detected(image: Image, detectors: Mapping[str, CornerDetector]) -> CornerLa
 
 
 def pattern_in(images: Sequence[Image]) -> LookedFor | None:
-    """Return the pattern that grey images show: markers of a known dictionary, else a chessboard; None without any."""
+    """Return the pattern that grey images show; None without any.
+
+    A board with markers of a known dictionary, a chessboard, a grid of circles, or single tags.
+    """
     some = [_reduced(image)[0] for image in images[:: -(-len(images) // LOOKED_AT)]] if images else []
-    counts = {family: [len(family.finder().find(image)) for image in some] for family in FAMILIES}
-    if max(counts[GRID], default=0) > 1:
-        del counts[Family(TAGS)]  # with a border of one module the same tags decode differently
-    best = max(counts, key=lambda family: sum(counts[family]))
-    if max(counts[best], default=0) >= OF_A_BOARD:
-        return _markers(best, some)
-    return _chessboard(some)
+    markers = shown_markers(some)
+    if board := shown_board(markers):
+        return _board_with(*board)
+    if pattern := shown_chessboard(some) or shown_circles(some) or shown_tags(markers):
+        return _shown(pattern)
+    board = shown_board(shown_markers(some[:: -(-len(some) // MAX_BOARD_SEARCHES)], small=True)) if some else None
+    return _board_with(*board) if board else None
 
 
-def _markers(family: Family, images: Sequence[Image]) -> LookedFor:
+def _board_with(family: Family, highest: int) -> LookedFor:
     finder = family.finder()
-    highest = max(int(found.ids.max()) for image in images if len(found := finder.find(image)))
 
     def find(image: Image) -> CornerLabels:
         small, scale = _reduced(image)
         found = finder.find(small)
-        if len(found) < OF_A_BOARD:
+        if len(found) < MIN_BOARD_MARKERS:
             found = finder.find_small(small)
-        if len(found) < OF_A_BOARD:
+        if len(found) < MIN_BOARD_MARKERS:
             return NONE
         ids = 4 * np.repeat(found.ids, 4) + np.tile(np.arange(4), len(found))
         return CornerLabels(ids, found.corners.reshape(-1, 2) * scale)
@@ -86,19 +93,20 @@ def _markers(family: Family, images: Sequence[Image]) -> LookedFor:
     return LookedFor(f"markers of {family.named(highest)}, ids up to {highest}", find)
 
 
-def _chessboard(images: Sequence[Image]) -> LookedFor | None:
-    for image in images[:: -(-len(images) // MAX_BOARD_SEARCHES)] if images else ():
-        found, _, meta = cv2.findChessboardCornersSBWithMeta(image, LEAST_BOARD, cv2.CALIB_CB_LARGER)
-        if found:
-            rows, columns = meta.shape[:2]
-            return LookedFor(f"chessboard of {columns} x {rows} corners", partial(_corners, columns, rows))
-    return None
+def _shown(pattern: PatternConfiguration) -> LookedFor:
+    columns, rows = pattern.dimension
+    if pattern.tags:
+        name = f"tags {', '.join(str(tag.id) for tag in pattern.tags)} of {pattern.dictionary}"
+    else:
+        name = f"{pattern.kind} of {columns} x {rows}" + (" corners" if pattern.kind == "chessboard" else "")
+    detectors = {name: corner_detector(pattern)}
 
+    def find(image: Image) -> CornerLabels:
+        small, scale = _reduced(image)
+        found = _detected(small, detectors)
+        return CornerLabels(found.ids, found.pixels * scale)
 
-def _corners(columns: int, rows: int, image: Image) -> CornerLabels:
-    small, scale = _reduced(image)
-    found, corners = cv2.findChessboardCornersSB(small, (columns, rows))
-    return CornerLabels(np.arange(columns * rows), np.asarray(corners, float).reshape(-1, 2) * scale) if found else NONE
+    return LookedFor(name, find)
 
 
 def _reduced(image: Image) -> tuple[Image, float]:

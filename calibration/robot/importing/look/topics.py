@@ -8,23 +8,22 @@ import numpy as np
 
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Edge
-from calibration.robot.importing.bags.bag import SECOND, TF, Bag, RawMessage
+from calibration.robot.importing.bags.bag import SECOND, Bag, RawMessage
 from calibration.robot.importing.bags.messages import frame_of
 from calibration.robot.importing.bags.motion_log import STILL_M, STILL_RAD, MotionLog
 from calibration.robot.importing.bags.recorded_lens import RecordedLens, is_rectified
 from calibration.robot.importing.bags.survey import (
-    JOINTS,
     MODALITY_OF_MESSAGE,
-    TEXT,
+    add_described_robot,
     add_motion,
     cameras_of,
     info_topic,
+    motion_topics,
 )
 from calibration.robot.importing.bags.video_packets import KeyFrames
 from calibration.robot.importing.description import ImportDescription, SensorDescription
 from calibration.robot.importing.look.results import FramesSummary, TopicSummary
 from calibration.robot.importing.look.sources import MAX_CAMERAS
-from calibration.robot.robot_description import read_robot_description
 
 MAX_BYTES = 20_000_000_000
 """Limit of the content of the messages that are read; of a longer recording only its begin is looked at."""
@@ -91,8 +90,7 @@ def read_content(bag: Bag, described: ImportDescription | None) -> BagContent:
     infos, faults = _info_topics(bag, cameras)
     lenses = {topic: RecordedLens(topic) for topic in infos.values()}
     info_faults: dict[str, str] = {}
-    texts = [topic for topic in bag.of_type(TEXT) if topic.endswith("robot_description")]
-    moving, stamped = {*bag.of_type(*TF), *bag.of_type(JOINTS), *texts}, {*bag.of_type(*MODALITY_OF_MESSAGE)}
+    moving, stamped = motion_topics(bag), {*bag.of_type(*MODALITY_OF_MESSAGE)}
     key_frames, shown = KeyFrames(bag), {each.topic for each in cameras}
     by_recording = {each.topic for each in cameras if each.stamps == "recorded"}
     log, first, size, count, is_cut = MotionLog(), dict[str, RawMessage](), 0, 0, False
@@ -114,8 +112,8 @@ def read_content(bag: Bag, described: ImportDescription | None) -> BagContent:
                 lenses[message.topic].add(bag, message)
             except InputError as error:
                 info_faults[message.topic] = str(error)
-    if described and described.bags and (urdf := described.bags.robot_description):
-        log.add_robot(read_robot_description(urdf, described.bags.xacro), urdf)
+    if described:
+        add_described_robot(described, log)
     words = {}
     for camera in cameras:
         topic = infos.get(camera.name, "")

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
@@ -15,20 +14,23 @@ from calibration.engine.dataset.configuration import TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import CIRCLES, UNMARKED
 from calibration.robot.importing.patterns.image_views import View, read_image
+from calibration.robot.importing.patterns.shown_patterns import (
+    GRID,
+    MIN_BOARD_MARKERS,
+    Family,
+    shown_circles,
+    shown_markers,
+)
 from calibration.robot.labelling.charuco import CharucoDetector
 from calibration.robot.labelling.chessboard import LEAST_CORNERS
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image, grey
-from calibration.robot.labelling.markers import MarkerFinder, Markers
-from calibration.robot.labelling.tags import BORDER
+from calibration.robot.labelling.markers import Markers
 
 LOOKED_AT = 8
 """Number of images that are searched for other patterns."""
-_SIZES = (50, 100, 250, 1000)
 _OFF_BY = ((-1, -1), (-1, 0), (0, -1), (1, 1), (1, 0), (0, 1), (-2, -2))
 """Typical errors in counting corners."""
-OF_A_BOARD = 6
-"""Minimum of markers that indicate a board, also for a chessboard."""
 IN_PLACE = 0.5
 """Least share of neighbouring markers that are where the described board has them."""
 GAP_OFF = 0.2
@@ -39,35 +41,6 @@ SPACING_OFF = 0.02
 """Limit of the error of a described gap between tags, in sides of a tag."""
 LEAST_GAPS = 10
 """Minimum of gaps by which a described one is judged."""
-
-
-@dataclass(frozen=True)
-class Family:
-    """Markers of one kind."""
-
-    dictionary: str
-    """Largest dictionary of its kind."""
-    border: int = 1
-    """Width of the black border around the bits, in modules."""
-
-    def finder(self) -> MarkerFinder:
-        """Return a detector of all its markers."""
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
-        return MarkerFinder(dictionary, len(dictionary.bytesList), self.border)
-
-    def named(self, highest: int) -> str:
-        """Return the smallest dictionary with the marker of this id: the smaller ones are subsets of the largest."""
-        kind, _, size = self.dictionary.rpartition("_")
-        return f"{kind}_{next(n for n in _SIZES if highest < n)}" if size == "1000" else self.dictionary
-
-
-GRID = Family(TAGS, BORDER)
-"""Markers of an aprilgrid."""
-FAMILIES = (
-    GRID,
-    *(Family(f"DICT_{bits}X{bits}_1000") for bits in (4, 5, 6, 7)),
-    *(Family(f"DICT_APRILTAG_{kind}") for kind in ("25h9", "36h10", "36h11")),
-)
 
 
 def never_seen(
@@ -89,6 +62,8 @@ def never_seen(
     hint = hint or _markers(pattern, images)
     if pattern.kind == "chessboard":
         hint = hint or _corners(pattern, images)
+    if pattern.kind in CIRCLES:
+        hint = hint or _circles(pattern, images)
     reasons = Counter(view.found[pattern.name].reason for view in views)
     usual = f"; in most images: {reasons.most_common(1)[0][0]}" if not hint else ""
     return InputError(
@@ -127,11 +102,9 @@ def _named(pattern: PatternConfiguration) -> str:
 
 def _markers(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
     """Describe the markers of the family with most detections."""
-    plain = {family: [family.finder().find(image) for image in images] for family in FAMILIES}
-    if max(map(len, plain[GRID])) > 1:
-        del plain[Family(TAGS)]  # with a border of one module the same tags decode differently
+    plain = shown_markers(images)
     family = max(plain, key=lambda each: max(map(len, plain[each])))
-    if max(map(len, plain[family])) < {"tags": 1, **dict.fromkeys(UNMARKED, OF_A_BOARD)}.get(pattern.kind, 2):
+    if max(map(len, plain[family])) < {"tags": 1, **dict.fromkeys(UNMARKED, MIN_BOARD_MARKERS)}.get(pattern.kind, 2):
         return "" if pattern.kind in UNMARKED else "; no markers of 4x4 to 7x7 bits and no tags are found either"
     found = [max(one, family.finder().find_small(i), key=len) for one, i in zip(plain[family], images, strict=True)]
     seen = max(found, key=len)
@@ -241,6 +214,14 @@ def _corners(pattern: PatternConfiguration, images: Iterable[Image]) -> str:
                     "(corners inside: squares less one)?"
                 )
     return ""
+
+
+def _circles(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
+    """Describe a grid of circles of another kind or size."""
+    shown = shown_circles(images)
+    if shown is None or (shown.kind, sorted(shown.dimension)) == (pattern.kind, sorted(pattern.dimension)):
+        return ""
+    return f"; found {_named(shown)}: are type, columns and rows those of the printed grid?"
 
 
 def check_board(
