@@ -166,6 +166,8 @@ class Dataset:
     """Joints with calibrated parameters, by name."""
     velocities: Mapping[Edge, Array] = field(default_factory=dict)
     """(N, 6): velocity of the child of an edge at each collection, as a twist in the child's frame, m/s and rad/s."""
+    accelerations: Mapping[Edge, Array] = field(default_factory=dict)
+    """(N, 2, 6): acceleration and jerk of some of these, m/s^2 and m/s^3 ...; those of the others are 0."""
     missing_files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """By sensor: missing files that its labels refer to. They are left out, as are sensors without others."""
 
@@ -245,8 +247,21 @@ class Dataset:
 
     def moved_by_lag(self, sensor: str, edge: Edge, T: Array) -> Array:
         """Return transforms (N, 4, 4) of an edge, moved by its velocity to when a sensor with a lag saw them."""
-        lag, velocity = self.sensors[sensor].lag, self.velocities.get(edge)
-        return T if velocity is None or not lag else retract(T, lag * velocity)
+        lag = self.sensors[sensor].lag
+        if edge not in self.velocities or not lag:
+            return T
+        change = self._change(edge, lag / 2, lag**2 / 6)
+        return retract(T, lag * (self.velocities[edge] + change))
+
+    def velocities_seen_by(self, sensor: str) -> Mapping[Edge, Array]:
+        """Return the velocities (N, 6) as they were when a sensor with a lag saw the frames."""
+        lag = self.sensors[sensor].lag
+        return {edge: each + self._change(edge, lag, lag**2 / 2) for edge, each in self.velocities.items()}
+
+    def _change(self, edge: Edge, *factors: float) -> Array:
+        """Return the change (N, 6) of a velocity: its acceleration and its jerk, each by a factor."""
+        own = self.accelerations.get(edge)
+        return np.zeros(6) if own is None else np.asarray(factors @ own)
 
     def seen_by(self, sensor: str) -> "Dataset":
         """Return the dataset with all transforms as they were when a sensor with a lag saw them."""
@@ -264,4 +279,5 @@ class Dataset:
             transforms={edge: T[index] for edge, T in self.transforms.items()},
             joints={name: replace(joint, positions=joint.positions[index]) for name, joint in self.joints.items()},
             velocities={edge: v[index] for edge, v in self.velocities.items()},
+            accelerations={edge: each[index] for edge, each in self.accelerations.items()},
         )

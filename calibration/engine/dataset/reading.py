@@ -72,6 +72,7 @@ def _read(path: Path, data: Path | None, given: Path | None) -> Dataset:
     labelled = {sensor for collection in read for _, sensor in collection.labels}
     sensors = {name: sensor for name, sensor in sensors.items() if name in labelled or name not in missing}
     additional = tuple(configuration.additional_tfs.values())
+    velocities, accelerations = read_velocities(collections)
     dataset = Dataset(
         path=path,
         version=version,
@@ -85,7 +86,8 @@ def _read(path: Path, data: Path | None, given: Path | None) -> Dataset:
         document=root.value,
         moving_transforms=frozenset(edge for edge in additional if _moves(edge, transforms, described)),
         joints=read_joints(root["calibration_config"], collections),
-        velocities=read_velocities(collections),
+        velocities=velocities,
+        accelerations=accelerations,
         missing_files=missing,
     )
     if not labelled and missing:

@@ -2,6 +2,8 @@
 
 ``collections/000/velocities/parent-child: {parent, child, twist: [vx, vy, vz, wx, wy, wz]}``: the velocity of the
 child's frame in the parent's, along the child's own axes, m/s and rad/s. A transform without one stands still then.
+Beside ``twist`` there may be ``acceleration`` and ``jerk``, 6 numbers each, m/s^2 and m/s^3 ...: a time t later the
+transform is ``retract(T, twist t + acceleration t^2 / 2 + jerk t^3 / 6)``, by `calibration.engine.geometry.transforms`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,32 +20,58 @@ FASTEST = 1e3
 """m/s and rad/s: limit of a velocity."""
 
 
-def read_velocities(collections: Sequence[Node]) -> dict[Edge, Array]:
-    """Parse the velocities of N collections: (N, 6) for each edge that has one in any of them.
+ACCELERATIONS = ("acceleration", "jerk")
+FASTEST_CHANGE = 1e6
+"""m/s^2, rad/s^2, m/s^3 and rad/s^3: limit of an acceleration and of a jerk."""
+
+
+def read_velocities(collections: Sequence[Node]) -> tuple[dict[Edge, Array], dict[Edge, Array]]:
+    """Parse the velocities (N, 6) of N collections, of each edge that has one, and (N, 2, 6) accelerations and jerks.
 
     Raises:
         InputError: something in them is missing or wrong.
     """
-    found: dict[Edge, Array] = {}
+    velocities: dict[Edge, Array] = {}
+    accelerations: dict[Edge, Array] = {}
     for number, collection in enumerate(collections):
         node = collection.get(KEY)
         for key, entry in node.items() if node else ():
             edge = (entry["parent"].name(), entry["child"].name())
             if key != "-".join(edge):
                 raise entry.fault(f"found parent '{edge[0]}' and child '{edge[1]}', expected those of the key")
-            twist = [each.within(-FASTEST, FASTEST) for each in entry["twist"].elements()]
-            if len(twist) != 6:
-                raise entry["twist"].unexpected("6 numbers: m/s and rad/s in the child's frame")
-            found.setdefault(edge, np.zeros((len(collections), 6)))[number] = twist
-    for velocity in found.values():
-        velocity.flags.writeable = False
-    return found
+            own = _six(entry["twist"], FASTEST, "m/s and rad/s")
+            velocities.setdefault(edge, np.zeros((len(collections), 6)))[number] = own
+            for order, name in enumerate(ACCELERATIONS):
+                if change := entry.get(name):
+                    own = _six(change, FASTEST_CHANGE, "in m, rad and s,")
+                    accelerations.setdefault(edge, np.zeros((len(collections), 2, 6)))[number, order] = own
+    for each in (*velocities.values(), *accelerations.values()):
+        each.flags.writeable = False
+    return velocities, accelerations
 
 
-def velocity_documents(velocities: Mapping[Edge, Array], number: int) -> dict[str, Any]:
+def _six(node: Node, limit: float, units: str) -> list[float]:
+    numbers = [each.within(-limit, limit) for each in node.elements()]
+    if len(numbers) != 6:
+        raise node.unexpected(f"6 numbers: {units} in the child's frame")
+    return numbers
+
+
+def velocity_documents(
+    velocities: Mapping[Edge, Array], accelerations: Mapping[Edge, Array], number: int
+) -> dict[str, Any]:
     """Return the entries of one collection, by its number."""
     return {
-        "-".join(edge): {"parent": edge[0], "child": edge[1], "twist": velocity[number].tolist()}
+        "-".join(edge): {
+            "parent": edge[0],
+            "child": edge[1],
+            "twist": velocity[number].tolist(),
+            **_named(accelerations.get(edge), number),
+        }
         for edge, velocity in velocities.items()
         if velocity[number].any()
     }
+
+
+def _named(accelerations: Array | None, number: int) -> dict[str, list[float]]:
+    return {} if accelerations is None else dict(zip(ACCELERATIONS, accelerations[number].tolist(), strict=True))

@@ -224,6 +224,11 @@ class Videos:
         "Moments at most; of more, those that calibrate best, or, with every or at, evenly chosen.", default=100
     )
 
+    @property
+    def only_standstill(self) -> bool:
+        """Whether moments are taken only where all stands still."""
+        return self.every is None and self.at is None
+
 
 @record(rules=(excludes("every", "at"),))
 class Bags:
@@ -241,6 +246,11 @@ class Bags:
     most: Annotated[int, between(1, 10_000)] = field(
         "Moments at most; of more, those that calibrate best, or, with every or at, evenly chosen.", default=100
     )
+
+    @property
+    def only_standstill(self) -> bool:
+        """Whether moments are taken only where all stands still."""
+        return self.every is None and self.at is None
 
 
 @record

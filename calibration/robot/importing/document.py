@@ -53,6 +53,8 @@ class Imported:
     """Measured poses ``T_sensor_pattern`` (N, 4, 4) at the moments, by sensor and pattern."""
     velocities: Mapping[Edge, Array] = field(default_factory=dict)
     """(N, 6): of the frames that move at any moment, see `calibration.engine.dataset.velocities`."""
+    accelerations: Mapping[Edge, Array] = field(default_factory=dict)
+    """(N, 2, 6): accelerations and jerks of those of them of which they are known, likewise."""
 
     @property
     def seen(self) -> list[list[str]]:
@@ -67,6 +69,10 @@ class Imported:
     def keys(self) -> list[str]:
         """Keys of the collections, such as "000"."""
         return [f"{number:03d}" for number in range(len(self.moments))]
+
+
+def _moving(imported: Imported, number: int) -> dict[str, Any]:
+    return velocity_documents(imported.velocities, imported.accelerations, number)
 
 
 def data_file(sensor: str, key: str, source: str) -> str:
@@ -117,7 +123,7 @@ def dataset_document(imported: Imported) -> dict[str, Any]:
                     for pattern in configuration.patterns
                 },
                 "transforms": {"-".join(edge): documents[number] for edge, documents in rows.items()},
-                **({VELOCITIES: moving} if (moving := velocity_documents(imported.velocities, number)) else {}),
+                **({VELOCITIES: moving} if (moving := _moving(imported, number)) else {}),
             }
             for number, (key, moment, ranges) in enumerate(
                 zip(imported.keys, imported.moments, imported.ranges, strict=True)

@@ -28,6 +28,7 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
 from calibration.robot.importing.bags.bag import Bag, open_bag
 from calibration.robot.importing.bags.best_moments import best_moments
+from calibration.robot.importing.bags.board_motion import MovingBoards
 from calibration.robot.importing.bags.motion_log import MotionLog
 from calibration.robot.importing.bags.range_views import RangeView
 from calibration.robot.importing.bags.recordings import (
@@ -280,9 +281,13 @@ def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
         every = chosen_moments(chosen, images, log, (), ", ".join(str(each.path) for each in videos.values()))
         moments, evenly = best_moments(every, chosen.most, of_cameras)
         log.left_out.add(f"more than {chosen.most} moments ('most')", "moments", count=len(every) - len(moments))
-        labelled = extracted_frames(videos, moments, folder, jobs)
         return replace(
-            of_cameras(moments), moments=labelled, searched=len(every), evenly=evenly, left_out=log.left_out.results()
+            of_cameras(moments),
+            moments=extracted_frames(videos, moments, folder, jobs),
+            searched=len(every),
+            evenly=evenly,
+            left_out=log.left_out.results(),
+            boards=None if chosen.only_standstill else MovingBoards(images, moments),
         )
 
     return _Source(
@@ -349,9 +354,12 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
         every = chosen_moments(bags, images, found.log, mounted.edges, where)
         moments, evenly = best_moments(every, bags.most, of_cameras)
         found.log.left_out.add(f"more than {bags.most} moments ('most')", "moments", count=len(every) - len(moments))
+        cameras = of_cameras(moments)
+        boards = MovingBoards(images, moments, mounted.edges, cameras.velocities)
         return replace(
-            of_cameras(moments),
+            cameras,
             moments=extracted_images(bag, found, moments, folder, jobs),
+            boards=None if bags.only_standstill else boards,
             ranges=extracted_ranges(bag, found, moments, folder),
             searched=len(every),
             evenly=evenly,

@@ -12,6 +12,7 @@ from calibration.engine.dataset.lens_uncertainty import LensUncertainty
 from calibration.engine.dataset.model import Edge
 from calibration.engine.estimation.start.lens_choice import LensChoice
 from calibration.engine.geometry.cameras import Camera
+from calibration.robot.importing.bags.board_motion import MovingBoards
 from calibration.robot.importing.bags.range_views import RangeView
 from calibration.robot.importing.document import Imported
 from calibration.robot.importing.files.camera_files import KnownLens
@@ -49,6 +50,8 @@ class Recorded:
     left_out: tuple[LeftOut, ...] = ()
     velocities: Mapping[Edge, Array] = field(default_factory=dict)
     """(N, 6): of the frames that move at any moment, see `calibration.engine.dataset.velocities`."""
+    boards: MovingBoards | None = None
+    """What the motion of boards is taken from; None where all stands still."""
     notes: tuple[str, ...] = ()
     """What was read otherwise than recorded."""
 
@@ -94,6 +97,7 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
         cameras[name], lenses[name] = choice.guess, choice.reason
     kept = [i for i, moment in enumerate(moments) if any(view.labelled for view in moment.views.values())]
     ranges = _ranges(recorded, cameras)
+    of_boards = recorded.boards.motions(configuration, cameras) if recorded.boards else {}
     return Imported(
         robot=robot,
         configuration=configuration,
@@ -104,7 +108,9 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
         ranges=[ranges[i] for i in kept],
         transforms={edge: T[kept] for edge, T in recorded.transforms.items()},
         rough=recorded.rough,
-        velocities={edge: velocity[kept] for edge, velocity in recorded.velocities.items()},
+        velocities={edge: velocity[kept] for edge, velocity in recorded.velocities.items()}
+        | {edge: motion[kept, 0] for edge, motion in of_boards.items()},
+        accelerations={edge: motion[kept, 1:] for edge, motion in of_boards.items()},
     )
 
 

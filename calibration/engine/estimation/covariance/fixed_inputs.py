@@ -354,12 +354,12 @@ def lag(dataset: Dataset, sensor: Sensor, free: bool) -> Cause:
 def frame_velocities(dataset: Dataset, seen: SeenGroup) -> Array:
     """Return the velocity (V, 6) of the pose by those of all frames in its chain, as a twist in the pattern's frame."""
     at = seen.group.collections
-    total = np.zeros((len(at), 6))
-    for edge, velocity in dataset.velocities.items():
+    total, velocities = np.zeros((len(at), 6)), dataset.velocities_seen_by(seen.sensor.name)
+    for edge, velocity in velocities.items():
         twists = seen.twist(edge, velocity[at][..., None])
         if twists is not None:
             total += twists[..., 0]
-    own = dataset.velocities.get((seen.pattern.parent_link, seen.pattern.link))
+    own = velocities.get((seen.pattern.parent_link, seen.pattern.link))
     if own is not None:
         total += own[at] @ adjoint(translation(-seen.pattern.centre)).T
     return total

@@ -126,7 +126,7 @@ def chosen_moments(
     Raises:
         InputError: there is no standstill, or no image near the requested times.
     """
-    if described.every is None and described.at is None:
+    if described.only_standstill:
         still = still_moments(images)
         kept = [moment for moment in still if log.is_still(list(edges), moment.time)]
         for moment in still:
