@@ -135,9 +135,8 @@ def test_a_stereo_bag_with_a_lag(tmp_path: Path) -> None:
             time = moment + 0.05 * step
             for name in CAMERAS if step == 0 else ["left"]:
                 board = Board(PATTERN, PATTERN.pattern(), held_board(time + LAG * (name == "right"), phases_of(1)))
-                image = SimulatedCamera(small).render(
-                    CAMERAS[name], Scene(ground=-5.0), [board], stream(5 * moment + step + 2)
-                )
+                random = stream(5 * moment + step + 2)
+                image = SimulatedCamera(small).render(CAMERAS[name], Scene(ground=-5.0), [board], random)
                 bag.image(f"/{name}/image_raw", BEGIN + int((1 + time) * SECOND), image, name, "mono8")
     pattern = {"type": "chessboard", "columns": 10, "rows": 7, "square": 0.04, "border": 0.06}
     (tmp_path / "times.txt").write_text("\n".join(f"{0.1 + i}" for i in range(8)))
