@@ -10,13 +10,14 @@ from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.geometry.transforms import apply, retract
 
 
-def displace(folder: Path, name: str, twist: tuple[float, ...]) -> None:
+def displace(folder: Path, name: str, twist: tuple[float, ...], since: int = 0) -> None:
     """Rewrite dataset.json: a camera has moved by a twist (m, rad) in its frame, and its corners in the images.
 
     Args:
         folder: of the dataset.
         name: the camera.
         twist: (6,).
+        since: the number of the first collection after it.
     """
     path = folder / "dataset.json"
     dataset = calibrate(read_dataset(folder)).dataset
@@ -28,7 +29,7 @@ def displace(folder: Path, name: str, twist: tuple[float, ...]) -> None:
         before, after = (each.transform(sensor.frame, pattern.link) for each in (dataset, moved))
         for i, collection in enumerate(dataset.collections):
             label = document["collections"][collection.key]["labels"].get(pattern.name, {}).get(name)
-            if not label or not label["detected"]:
+            if i < since or not label or not label["detected"]:
                 continue
             drawn, redrawn = (sensor.camera.project(apply(T[i], pattern.corners)) for T in (before, after))
             for corner in label["idxs"]:

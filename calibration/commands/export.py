@@ -12,7 +12,8 @@ from calibration.base.text import did_you_mean, one_line
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import TEXT_LIST, assignments, path, text
 from calibration.engine.dataset.reading import read_dataset
-from calibration.pipeline.exportable import refuse_what_has_not_passed
+from calibration.engine.diagnosis.finding import AFTER_MOVE
+from calibration.pipeline.exportable import cell_that_wrote, refuse_what_has_not_passed
 from calibration.robot.exports.files import exported
 from calibration.robot.exports.names import FORMATS, URDF
 from calibration.robot.robot_description import NO_INPUTS, XacroInputs
@@ -77,9 +78,12 @@ def export(
         if each not in known:
             raise InputError(f"--formats: found '{each}', expected {', '.join(known)}{did_you_mean(each, known)}")
     read = read_dataset(dataset)
-    cell = None if although else refuse_what_has_not_passed(dataset, read)
+    cell = cell_that_wrote(dataset)
+    if not although:
+        refuse_what_has_not_passed(dataset, read, cell)
     files, notes = exported(read, formats, description, inputs)
-    if cell is not None and cell.verdict == "undecided":
+    notes += [each.text for each in cell.findings if each.kind == AFTER_MOVE] if cell else []
+    if cell is not None and cell.verdict == "undecided" and not although:
         notes.append(f"undecided, which passes here (undecided: pass): {cell.undecided[0]}")
     for name, content in files.items():
         write_atomically(output / name, content)

@@ -15,17 +15,17 @@ MAX_FOLDERS_ABOVE = 4
 """Number of folders above a dataset in which its run's results are looked for: OUTPUT/SYSTEM/START/dataset.json."""
 
 
-def refuse_what_has_not_passed(path: Path, dataset: Dataset) -> CellResult | None:
-    """Return the result of the cell that wrote a dataset; None if it is not from a run of ours.
+def refuse_what_has_not_passed(path: Path, dataset: Dataset, cell: CellResult | None) -> None:
+    """Refuse a dataset that may not be put on a robot.
 
     Args:
-        path: the dataset's folder or file.
+        path: the dataset's folder or file, for messages.
         dataset: what it contains.
+        cell: the result of the cell that wrote it; None if it is not from a run of ours.
 
     Raises:
         InputError: the cell has not passed; or the dataset was imported, and no run has calibrated it.
     """
-    cell = _cell_that_wrote(path if path.suffix == ".json" else path / FILE_NAME)
     if cell is not None and not cell.passes:
         why = (*cell.reasons, *cell.undecided, "it has not converged")[0]
         raise InputError(
@@ -37,11 +37,11 @@ def refuse_what_has_not_passed(path: Path, dataset: Dataset) -> CellResult | Non
             f"{path}: this dataset was imported, and has not been calibrated: its transforms are guesses. Export the "
             "folder of a cell of a run (output/SYSTEM/START); --although 'why' exports it as it is"
         )
-    return cell
 
 
-def _cell_that_wrote(file: Path) -> CellResult | None:
-    """Return the cell whose results, beside a dataset or in a folder above, name it as theirs."""
+def cell_that_wrote(path: Path) -> CellResult | None:
+    """Return the cell whose results, beside a dataset's folder or file or in a folder above, name it as theirs."""
+    file = path if path.suffix == ".json" else path / FILE_NAME
     for folder in [file.parent, *file.resolve().parents[1 : MAX_FOLDERS_ABOVE + 1]]:
         if not (folder / RESULTS_FILE).is_file():
             continue

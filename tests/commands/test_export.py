@@ -4,11 +4,16 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from calibration.__main__ import main
 from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.geometry.transforms import retract
 from calibration.robot.importing.document import ROUGH
+from tests.displaced import displace
 from tests.pipeline.conftest import DATASETS
 
 T2RGB = str(DATASETS / "t2rgb")
@@ -82,6 +87,33 @@ def test_an_undecided_cell_that_counts_as_passed_is_exported_and_said(
     cell = run(tmp_path, "{translation-mm: 0.01}", "pass")
     assert main(["export", "--dataset", str(cell), "--output", str(tmp_path / "exports")]) == 0
     assert "undecided" in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_of_a_camera_that_has_moved_its_pose_of_now_is_exported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(DATASETS / "t2rgb" / "dataset.json", tmp_path)
+    displace(tmp_path, "right_camera", twist := (0.02, 0.0, 0.01, 0.0, 0.0, 0.0), since=11)
+    (tmp_path / "calibration.yml").write_text("systems: {robot: {dataset: ., truth: none}}")
+    output = tmp_path / "output"
+    assert main(["run", "--config", str(tmp_path / "calibration.yml"), "--output", str(output)]) == 1
+    cell = output / json.loads((output / "results.json").read_text())["cells"][0]["folder"]
+    command = ["export", "--dataset", str(cell), "--formats", "opencv", "--output", str(tmp_path / "exports")]
+    capsys.readouterr()
+    assert main([*command, "--although", "it has to drive"]) == 0
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert "the result is that of the robot as it stands now, of left_camera and right_camera since collection" in said
+
+    before = calibrate(read_dataset(DATASETS / "t2rgb")).dataset
+    left, right = (before.sensors[name] for name in ("left_camera", "right_camera"))
+    now = before.with_transforms({right.edge: retract(before.transforms[right.edge], np.array(twist))})
+    storage = cv2.FileStorage(str(tmp_path / "exports" / "opencv.yml"), cv2.FILE_STORAGE_READ)
+    exported = storage.getNode("T_0_1").mat().ravel()
+    apart = [
+        1e3 * np.linalg.norm(exported - each.transform(right.frame, left.frame)[0, :3, 3]) for each in (before, now)
+    ]
+    assert apart[0] > 20
+    assert apart[1] < 2
 
 
 def test_a_dataset_that_was_imported_and_never_calibrated_is_refused(

@@ -6,6 +6,8 @@ from calibration.base.records import field, result
 
 SUSPECT, CONTRADICTION, CONVENTION = "suspect", "contradiction", "convention"
 """Kinds of findings that say that something is wrong, by themselves or with others."""
+AFTER_MOVE = "after-move"
+"""Kind of the finding that says of which part of the recording the result is, where something has moved."""
 Severity = Literal["red", "undecided", "warning", "note"]
 
 

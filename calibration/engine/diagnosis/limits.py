@@ -88,6 +88,11 @@ class Allowed:
         """Whether a displacement or a rotation exceeds the limits."""
         return translation_mm > self.translation_mm or rotation_deg > self.rotation_deg
 
+    def share(self, translation_mm: float, rotation_deg: float) -> float:
+        """Return a displacement or a rotation as a share of its limit, the larger of both."""
+        least = 1e-9  # a limit may be zero
+        return max(translation_mm / max(self.translation_mm, least), rotation_deg / max(self.rotation_deg, least))
+
     def __str__(self) -> str:
         each = ((self.translation_mm, "mm", ".3g"), (self.rotation_deg, "deg", ".2g"))
         limits = ", ".join(

@@ -11,15 +11,7 @@ from calibration.engine.diagnosis.projection import projection_limit, shifts
 from calibration.engine.estimation.covariance.fixed_inputs import LAG, PLACE, Cause
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.covariance.significance import score_of_f, threshold
-from calibration.engine.estimation.doubts.suspects import (
-    CONTRADICTING,
-    EXACTLY,
-    LENS,
-    SIDE,
-    Disagreement,
-    Suspect,
-    explain,
-)
+from calibration.engine.estimation.doubts.suspects import CONTRADICTING, EXACTLY, LENS, SIDE, Disagreement, Suspect
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 from calibration.engine.geometry.transforms import adjoint
@@ -83,7 +75,7 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
         calibration: a calibration that has converged.
         limits: allowed errors of the sensors.
     """
-    explanation = explain(calibration.solution.model)
+    explanation = calibration.solution.explanation
     if explanation is None:
         count = len(calibration.solution.model.G)
         text = f"{count} collections are too few to test fixed parameters (intrinsics, pattern, arm): take 8 or more"
@@ -99,11 +91,8 @@ def _limits_moved(calibration: Calibration, limits: Limits, finding: Finding) ->
     """Return by how many of its limits a failure moves a sensor; 0 of all else, which stays in its order."""
     if finding.severity != "red" or finding.moves_mm is None or finding.moves_deg is None:
         return 0.0
-    each = [allowed(calibration, limits, name) for name in finding.sensors]
-    least = 1e-9  # a limit may be zero
-    mm = (finding.moves_mm / max(one.translation_mm, least) for one in each)
-    degrees = (finding.moves_deg / max(one.rotation_deg, least) for one in each)
-    return max(*mm, *degrees, 0.0, 0.0)
+    moved = finding.moves_mm, finding.moves_deg
+    return max((allowed(calibration, limits, name).share(*moved) for name in finding.sensors), default=0.0)
 
 
 def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
@@ -124,17 +113,17 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
     since = ""
     collections: tuple[str, ...] = ()
     if suspect.since is not None:
-        keys = _keys(calibration, suspect.since)
+        keys = keys_since(calibration, suspect.since)
         since, collections = f" from collection {keys[0]} on", keys
     verb = "has moved" if cause.kind == PLACE else "does not fit"
     either = ", the data cannot tell which" if suspect.rivals else ""
     gross = _gross(calibration, suspect)
-    harm = f"it moves {sensor} by {_distance(mm, degrees)}" if sensor else "it moves no sensor"
+    harm = f"it moves {sensor} by {distance_text(mm, degrees)}" if sensor else "it moves no sensor"
     if cause.kind == PLACE and sensor:
-        was, now = _distance(*before[sensor]), _distance(*after[sensor])
-        harm = f"the result is {was} from where {sensor} was before, {now} from where it is now"
+        was, now = distance_text(*before[sensor]), distance_text(*after[sensor])
+        harm = f"one pose for all of them is {was} from where {sensor} was before, {now} from where it is now"
         if mm_unsure:
-            harm += f", known to {_distance(mm_unsure, deg_unsure)} as few views tell"
+            harm += f", known to {distance_text(mm_unsure, deg_unsure)} as few views tell"
     text = f"{names} {verb}{since}{either}: {_size(cause, suspect.value, suspect.sigma)}"
     if over:
         text += f"; {harm} (limit {allowed(calibration, limits, sensor)}): {ADVICE[cause.kind]}"
@@ -175,7 +164,8 @@ def _finding_on_cameras(calibration: Calibration, limits: Limits, suspect: Suspe
     return Finding(SUSPECT, "red" if red else "note", text, (camera,), value=round(moved[camera], 4), unit="px")
 
 
-def _distance(mm: float, degrees: float) -> str:
+def distance_text(mm: float, degrees: float) -> str:
+    """Return a displacement and a rotation in words."""
     return f"{mm:.3g} mm and {degrees:.2g} deg"
 
 
@@ -298,7 +288,7 @@ def _moved(calibration: Calibration, moves: Array) -> dict[str, tuple[float, flo
     return moved
 
 
-def _keys(calibration: Calibration, since: int) -> tuple[str, ...]:
+def keys_since(calibration: Calibration, since: int) -> tuple[str, ...]:
     """Return the collections of the clusters from an index on."""
     solution = calibration.solution
     return tuple(
@@ -330,7 +320,7 @@ def _contradictions(calibration: Calibration, limits: Limits, found: Disagreemen
         text = (
             f"the views of {name} contradict each other: they scatter {ratio**0.5:.2g} times as far as noise and all "
             f"that is assumed explain, most {subject} in {_collections(keys)}, and leave it uncertain by "
-            f"{_distance(mm, degrees)} (limit {limit}); no fixed parameter "
+            f"{distance_text(mm, degrees)} (limit {limit}); no fixed parameter "
             f"explains it: time stamps, or something that moved or gave way{f': {AT_STANDSTILL}' if harmful else ''}"
         )
         findings.append(Finding(CONTRADICTION, "red" if harmful else "note", text, (name,), keys, value=ratio))
@@ -343,7 +333,7 @@ def _worst(calibration: Calibration, found: Disagreement, names: Sequence[str]) 
     subject = max(of, key=lambda name: of[name].max())
     sizes = of[subject]
     worst = [i for i in np.argsort(-sizes)[:NAMED].tolist() if sizes[i] >= sizes.max() / 2]
-    return subject, tuple(_keys(calibration, i)[0] for i in worst)
+    return subject, tuple(keys_since(calibration, i)[0] for i in worst)
 
 
 def _collections(keys: Sequence[str]) -> str:

@@ -8,6 +8,8 @@ from calibration.engine.estimation.covariance.result import Calibration, Dropped
 
 RED = 0.05
 """Share of a sensor's views that is a failure: the majority is no longer reliable."""
+WHY = "image and pose of different moments?"
+"""Most frequent cause of a view that contradicts the others."""
 NAMED = 20
 """Number of collections that a message names."""
 
@@ -31,25 +33,27 @@ def wrong_views(calibration: Calibration, limits: Limits | None = None) -> tuple
     for dropped in by_collection.values():
         alike[tuple(sorted({view.sensor for view in dropped}))] += dropped
     return tuple(
-        _finding(sensors, dropped, views, limits is not None and _has_moved(calibration, limits, dropped))
+        _finding(sensors, dropped, views, _at_an_end(calibration, limits, dropped) if limits else "")
         for sensors, dropped in alike.items()
     )
 
 
-def _has_moved(calibration: Calibration, limits: Limits, dropped: list[DroppedView]) -> bool:
-    """Whether the first or the last view of a sensor is wrong by more than it may be off."""
-    seen = {
-        sensor: [c.key for c in calibration.dataset.collections if sensor in {s for _, s in c.labels}]
-        for sensor in {v.sensor for v in dropped}
-    }
-    return any(
-        view.collection in (seen[view.sensor][0], seen[view.sensor][-1])
-        and allowed(calibration, limits, view.sensor).exceeded(view.mm, view.degrees)
-        for view in dropped
-    )
+def _at_an_end(calibration: Calibration, limits: Limits, dropped: list[DroppedView]) -> str:
+    """Return where a sensor may have moved, if its first or last view is wrong by more than it may be off; else ""."""
+    left_out = {(view.sensor, view.collection) for view in dropped}
+    for view in dropped:
+        if not allowed(calibration, limits, view.sensor).exceeded(view.mm, view.degrees):
+            continue
+        seen = [c.key for c in calibration.dataset.collections if view.sensor in {s for _, s in c.labels}]
+        kept = [key for key in seen if (view.sensor, key) not in left_out]
+        if kept and view.collection == seen[-1]:
+            return f"{view.sensor} has moved after collection {kept[-1]}, and the result is that of before"
+        if kept and view.collection == seen[0]:
+            return f"{view.sensor} has moved before collection {kept[0]}"
+    return ""
 
 
-def _finding(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counter[str], moved: bool) -> Finding:
+def _finding(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counter[str], moved: str) -> Finding:
     collections = tuple(dict.fromkeys(view.collection for view in dropped))
     share = max(len({v.collection for v in dropped if v.sensor == sensor}) / views[sensor] for sensor in sensors)
     mm, degrees = (max(getattr(view, unit) for view in dropped) for unit in ("mm", "degrees"))
@@ -62,11 +66,9 @@ def _finding(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counte
         what = (
             f"{sensors[0]}: {'views' if several else 'the view'} of {where} contradict{'s' * (not several)} the others"
         )
-    cause = "image and pose of different moments"
-    if moved:
-        cause = f"at an end of the recording: has it moved between them and the others? Or {cause}"
+    either = f"either image and pose are of different moments, or {moved}." if moved else WHY
     text = (
-        f"{what}, by up to {mm:.4g} mm and {degrees:.3g} deg, left out: {cause}? "
+        f"{what}, by up to {mm:.4g} mm and {degrees:.3g} deg, left out: {either} "
         f"Record these collections again, at standstill"
     )
     severity: Severity = "red" if share > RED or moved else "warning"

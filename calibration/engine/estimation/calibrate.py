@@ -107,6 +107,16 @@ class Calibrator:
                 missing = "; ".join(map(dataset.missing_files_of, dataset.missing_files))
                 raise UndeterminedError(f"{error}; {missing}") from error
 
+    def without(self, dropped: tuple[DroppedView, ...], noise: StartingNoise) -> Calibration:
+        """Calibrate from the initial guess with noise, without the labels of some views.
+
+        Raises:
+            UndeterminedError: the other views do not determine the parameters.
+        """
+        with solvable(self._given.path):
+            rest = _Rest(Guesses(_setup_of(without(self._dataset, dropped), self._options)), dropped)
+            return replace(self._from_rest(rest, rest.guesses.linear(noise)), turned_views=self._turned)
+
     def _unknown_scale(self) -> float | None:
         """Return the factor by which the translations of measured poses must be divided to fit; None if there is none.
 

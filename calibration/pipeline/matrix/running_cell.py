@@ -12,6 +12,7 @@ from calibration.base.files import write_atomically
 from calibration.engine.baseline.verdict import against_baseline
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME
+from calibration.engine.diagnosis.after_move import after_move
 from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.finding import CONVENTION, Finding
 from calibration.engine.estimation.covariance.result import Calibration
@@ -43,6 +44,8 @@ class Evaluated:
     """Result of a calibrated dataset, and the texts of its files, before they are written."""
 
     result: CellResult
+    calibration: Calibration | None = None
+    """Calibration that it is of; None if it is of another method."""
     table: tuple[str, str] | None = None
     """Name of the table's file, and its text; None if there is no table."""
     dataset: str | None = None
@@ -63,7 +66,8 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     except CalibrationError as error:
         result = _without_calibration(cell, system, error)
     else:
-        result = _written(made, calibration.dataset, system, output, folder or cell.folder, calibration)
+        written = made.calibration or calibration
+        result = _written(made, written.dataset, system, output, folder or cell.folder)
         result = for_cell(result, cell, calibration.iterations)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
 
@@ -104,6 +108,10 @@ def _finished(cell: Cell, system: LoadedSystem, calibration: Calibration) -> Eva
     result = _diagnosed(cell, system, calibration)
     if not np.isfinite(calibration.cost):
         return Evaluated(result)
+    calibration, said = after_move(calibration, result.findings, system.calibrator, cell.noise, system.limits)
+    if said:
+        described_now = described(nothing_yet(cell), calibration, system.dataset, system.limits)
+        result = described_now.found((*result.findings, *said))
     made = _evaluated(result, calibration.dataset, system, calibration)
     return made if made.result.error is not None else replace(made, result=_compared(made.result, calibration, system))
 
@@ -153,7 +161,7 @@ def _evaluated(
     The table and the error are of the sensors of a part of the dataset, by default of all.
     """
     judged = dataset if part is None else part
-    made = Evaluated(result)
+    made = Evaluated(result, calibration)
     try:
         table = table_of(judged, system, calibration)
         if table is not None:
@@ -162,7 +170,7 @@ def _evaluated(
             if rms is not None and not math.isfinite(rms):
                 text = f"{name}: found no finite RMS: {NO_FINITE_RMS}"
                 result, rms = result.found((Finding("table", "red", text),)), None
-            made = Evaluated(replace(result, rms_px=rms), (name, table.to_csv()))
+            made = replace(made, result=replace(result, rms_px=rms), table=(name, table.to_csv()))
             if table.columns == measured_poses.COLUMNS:
                 mm, deg = (table.average(column) for column in table.columns)
                 poses = finite_deviation(f"the averages of {name}", round(mm, 4), round(deg, 4))
@@ -182,10 +190,9 @@ def _written(
     system: LoadedSystem,
     output: Path,
     folder: str,
-    calibration: Calibration | None = None,
 ) -> CellResult:
     """Write the files, and return the result with their names; with the error if one of them cannot be written."""
-    result = made.result
+    result, calibration = made.result, made.calibration
     try:
         if made.table is not None:
             name, text = made.table

@@ -15,6 +15,7 @@ from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.estimation.covariance.error_bars import ErrorBars
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.covariance.nominal_covariance import nominal_covariances
+from calibration.engine.estimation.doubts.suspects import Explanation, explain
 from calibration.engine.estimation.problem.assumptions import Assumptions
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
@@ -127,6 +128,11 @@ class Solution:
             self.free_scale,
             self.free_lags,
         )
+
+    @cached_property
+    def explanation(self) -> Explanation | None:
+        """Suspects among the fixed parameters, and what they leave unexplained; None with too few collections."""
+        return explain(self.model)
 
     @cached_property
     def nominal(self) -> Mapping[int, Array]:

@@ -1,0 +1,120 @@
+"""The calibration of a robot on which something has moved within the recording: by the views since then."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from calibration.base.errors import UndeterminedError
+from calibration.engine.diagnosis.finding import AFTER_MOVE, SUSPECT, Finding
+from calibration.engine.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
+from calibration.engine.diagnosis.too_few import BETTER, too_few
+from calibration.engine.diagnosis.what_does_not_fit import distance_text, keys_since, what_does_not_fit
+from calibration.engine.estimation.calibrate import Calibrator
+from calibration.engine.estimation.covariance.fixed_inputs import PLACE
+from calibration.engine.estimation.covariance.result import Calibration, DroppedView
+from calibration.engine.estimation.doubts.suspects import SIDE, Suspect
+from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.geometry.transforms import distance
+
+
+def after_move(
+    calibration: Calibration,
+    findings: Sequence[Finding],
+    calibrator: Calibrator,
+    noise: StartingNoise,
+    limits: Limits,
+) -> tuple[Calibration, tuple[Finding, ...]]:
+    """Return the calibration of the robot as it stands now, and a warning that says so; the given one if none moved.
+
+    Of what has moved only the views since then are kept, of the others all. If these tell less than all views do, the
+    given calibration is returned, with a warning of that.
+
+    Args:
+        calibration: the calibration of all views.
+        findings: those on it.
+        calibrator: what it was made by.
+        noise: that of its initial guess.
+        limits: those that the user has set.
+    """
+    if not any(each.kind == SUSPECT and each.severity == "red" and each.collections for each in findings):
+        return calibration, ()
+    moves = _last_moves(calibration)
+    if not moves:
+        return calibration, ()
+    since = {name: keys_since(calibration, at) for name, (at, _) in moves.items()}
+    firsts = dict.fromkeys(keys[0] for keys in since.values())
+    names = {first: " and ".join(name for name, keys in since.items() if keys[0] == first) for first in firsts}
+    when = " and ".join(f"{names[first]} since collection {first}" for first in firsts)
+    sensors = tuple(name for name in moves if name in calibration.dataset.sensors)
+    before = tuple(_views_before(calibration, moves))
+    try:
+        after = calibrator.without((*calibration.dropped_views, *before), noise)
+        why = after.reason or _why_not_determined(calibration, after, since, limits)
+    except UndeterminedError as error:
+        after, why = calibration, str(error).removeprefix(f"{calibration.dataset.path}: ")
+    if why:
+        text = (
+            f"the result is not that of the robot as it stands now, of {when}, but lies between before and after: "
+            f"{why}; record {BETTER}, of the robot as it is now"
+        )
+        return calibration, (Finding(AFTER_MOVE, "warning", text, sensors),)
+    text = (
+        f"the result is that of the robot as it stands now, of {when}: {len(before)} views from before are left out, "
+        f"and its error bars are of the others"
+    )
+    return after, (Finding(AFTER_MOVE, "warning", text, sensors),)
+
+
+def _last_moves(calibration: Calibration) -> dict[str, tuple[int, Suspect]]:
+    """Return the cluster of collections from which on each moved sensor or pattern is where it is now, and the suspect.
+
+    Where the data cannot tell which of several has moved, all of them: before it they do not belong together.
+    """
+    explanation = calibration.solution.explanation
+    moves: dict[str, tuple[int, Suspect]] = {}
+    for suspect in explanation.suspects if explanation else ():
+        for cause in (suspect.cause, *suspect.rivals):
+            if suspect.since and cause.kind == PLACE and suspect.since > moves.get(cause.subject, (0,))[0]:
+                moves[cause.subject] = (suspect.since, suspect)
+    return moves
+
+
+def _views_before(calibration: Calibration, moves: dict[str, tuple[int, Suspect]]) -> Iterator[DroppedView]:
+    """Yield the views of what has moved before it did, with how far that was."""
+    solution = calibration.solution
+    for collection, cluster in zip(solution.dataset.collections, solution.model.clusters.tolist(), strict=True):
+        for pattern, sensor in collection.labels:
+            later = [moves[name] for name in (sensor, pattern) if name in moves and cluster < moves[name][0]]
+            if later:
+                yield DroppedView(sensor, pattern, collection.key, *sizes(later[0][1].value, TWIST))
+
+
+def _why_not_determined(
+    mixed: Calibration, after: Calibration, since: dict[str, tuple[str, ...]], limits: Limits
+) -> str:
+    """Return why the views since a move tell less of the robot as it is now than all views; empty if they tell more.
+
+    The result of all views is off by its own error, and by what lies between before and after.
+    """
+    for name, keys in since.items():
+        if len(keys) < SIDE:
+            return f"{len(keys)} collections since then are too few to know where {name} is"
+    moved_again = [each for each in what_does_not_fit(after, limits) if each.severity == "red" and each.collections]
+    if faults := (*moved_again, *too_few(after)):
+        return f"since then {faults[0].text}"
+    now = stated(after)
+    of_all = {name: np.hypot(sigmas, _apart(mixed, after, name)) for name, sigmas in stated(mixed).items()}
+    shares = {name: allowed(after, limits, name).share(*sigmas) for name, sigmas in now.items()}
+    worst = max(shares, key=lambda name: shares[name])
+    if shares[worst] > max(allowed(after, limits, name).share(*each.tolist()) for name, each in of_all.items()):
+        return f"by the views since then {worst} is known to {distance_text(*now[worst])} only"
+    return ""
+
+
+def _apart(one: Calibration, other: Calibration, name: str) -> tuple[float, float]:
+    """Return how far apart two calibrations have a sensor, mm and degrees; zeros for a joint."""
+    sensor = one.dataset.sensors.get(name)
+    if sensor is None:
+        return 0.0, 0.0
+    metres, radians = distance(one.transforms[sensor.edge], other.transforms[sensor.edge])
+    return 1e3 * float(metres), float(np.degrees(radians))
