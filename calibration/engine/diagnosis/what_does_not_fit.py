@@ -8,7 +8,7 @@ from calibration.base.arrays import Array
 from calibration.engine.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
 from calibration.engine.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
 from calibration.engine.diagnosis.projection import projection_limit, shifts
-from calibration.engine.estimation.covariance.fixed_inputs import LAG, PLACE, Cause
+from calibration.engine.estimation.covariance.fixed_inputs import LAG, PLACE, PROJECTION, RADIAL, Cause
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.covariance.significance import score_of_f, threshold
 from calibration.engine.estimation.doubts.suspects import CONTRADICTING, EXACTLY, LENS, SIDE, Disagreement, Suspect
@@ -22,7 +22,8 @@ GROSS: Mapping[str, tuple[float, str]] = {
     "focal length": (0.025, "camera"),
     "image scale": (0.025, "camera"),
     "principal point": (15.0, "camera"),
-    "radial distortion": (0.01, "camera"),
+    RADIAL: (0.01, "camera"),
+    PROJECTION: (0.01, "camera"),
     "size": (0.01, "board"),
     "scale of poses": (0.01, "board"),
     "lengths": (0.01, "arm"),
@@ -38,7 +39,8 @@ ADVICE: Mapping[str, str] = {
     "pixel convention": "pixel (0, 0) is the centre of the first pixel here; shift cx and cy by half a pixel",
     "image scale": "the labels are of another resolution than camera_info",
     "skew": "calibrate the intrinsics",
-    "radial distortion": "calibrate the intrinsics with this lens model, or a richer one",
+    RADIAL: "calibrate the intrinsics with this lens model, or a richer one",
+    PROJECTION: "calibrate the intrinsics with this lens model, or take the camera_info that belongs to this lens",
     "tangential distortion": "calibrate the intrinsics with this lens model, or a richer one",
     "lens model": f"calibrate the intrinsics with another lens model ({', '.join(MODELS)})",
     "range bias": "correct the sensor's ranges, or hold it to a surveyed distance",
@@ -80,18 +82,20 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
         count = len(calibration.solution.model.G)
         text = f"{count} collections are too few to test fixed parameters (intrinsics, pattern, arm): take 8 or more"
         return (Finding(UNTESTED, "note", text),)
-    findings = [_finding(calibration, limits, suspect) for suspect in explanation.suspects]
-    findings += _together(calibration, limits, explanation.suspects, findings)
-    findings.sort(key=lambda each: _limits_moved(calibration, limits, each), reverse=True)
+    found = [(_finding(calibration, limits, suspect), suspect) for suspect in explanation.suspects]
+    found.sort(key=lambda each: _limits_moved(calibration, limits, *each), reverse=True)
+    findings = [finding for finding, _ in found]
+    findings = [*_together(calibration, limits, explanation.suspects, findings), *findings]
     findings += _contradictions(calibration, limits, explanation.disagreement)
     return tuple(findings) or (_nothing(calibration),)
 
 
-def _limits_moved(calibration: Calibration, limits: Limits, finding: Finding) -> float:
-    """Return by how many of its limits a failure moves a sensor; 0 of all else, which stays in its order."""
+def _limits_moved(calibration: Calibration, limits: Limits, finding: Finding, suspect: Suspect) -> float:
+    """Return by how many of its limits a failure certainly moves a sensor; 0 of all else, which stays in its order."""
     if finding.severity != "red" or finding.moves_mm is None or finding.moves_deg is None:
         return 0.0
-    moved = finding.moves_mm, finding.moves_deg
+    mm_unsure, deg_unsure = _unsure_of_few_views(calibration, suspect, limits)
+    moved = max(0.0, finding.moves_mm - mm_unsure), max(0.0, finding.moves_deg - deg_unsure)
     return max((allowed(calibration, limits, name).share(*moved) for name in finding.sensors), default=0.0)
 
 
@@ -190,7 +194,7 @@ def _gross(calibration: Calibration, suspect: Suspect) -> bool:
     kind, value = suspect.cause.kind, suspect.value
     if kind not in GROSS:
         return False
-    if kind == "radial distortion":
+    if kind in (RADIAL, PROJECTION):
         camera = calibration.dataset.sensors[suspect.cause.subject.split(" and ")[0]].camera
         if camera is None:
             return False
@@ -271,7 +275,7 @@ def _size(cause: Cause, value: Array, sigma: Array) -> str:
     factor, unit = _UNITS.get(cause.unit, (1.0, cause.unit))
     if cause.unit == "1":  # a relative change of d is extrapolated with an error of its square
         sigma = np.hypot(sigma, value**2 / 2)
-    if "distortion" in cause.kind or cause.kind == "lens model":
+    if "distortion" in cause.kind or cause.kind in ("lens model", PROJECTION):
         factor, unit = 1.0, ""
     numbers = ", ".join(f"{factor * v:+.3g} +- {factor * s:.1g}" for v, s in zip(value, sigma, strict=True))
     return f"off by {numbers} {unit}".rstrip()

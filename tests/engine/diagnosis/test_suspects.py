@@ -15,11 +15,13 @@ from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE
 from calibration.engine.estimation.doubts.suspects import Disagreement, Suspect, explain
 from calibration.engine.estimation.problem.assumptions import EXACT, Assumptions
+from calibration.engine.geometry.lenses import DoubleSphere
 from calibration.engine.geometry.transforms import retract
-from tests.engine.estimation import systems
+from tests.engine.estimation import scenes, systems
 from tests.engine.estimation.scenes import relabelled
 
 NOISE = 0.1
+SUBJECTS = ("left", "right", "left and right")
 
 
 def stereo(seed: int = 1) -> Dataset:
@@ -256,3 +258,28 @@ def test_freedom_is_that_of_the_few_errors_that_contribute() -> None:
     )
     assert few == pytest.approx(1, abs=0.01)
     assert many == pytest.approx(120, rel=0.01)
+
+
+def test_what_is_known_by_few_views_is_said_after_what_is_certain() -> None:
+    """The last two views say that the camera has moved by 12 +- 2 mm; all of them that it is 10 mm off by its lens."""
+
+    def longer(values: Array) -> None:
+        values[:2] *= 1.007
+
+    dataset = knocked(22, (0.0, 0.0, 0.01, 0.0, 0.003, 0.0))
+    limits = Limits(translation_mm=1, rotation_deg=1)
+    said = findings(with_intrinsics(dataset, "cam", longer), limits, Assumptions())
+    first, second = [each for each in said if each.severity == "red"]
+    assert first.text.startswith("cam's focal length does not fit")
+    assert second.text.startswith("cam has moved from collection 022 on")
+    assert (first.moves_mm or 0) < (second.moves_mm or 0)
+
+
+def test_the_curve_of_a_lens_without_distortion_is_its_projection() -> None:
+    double_sphere = replace(scenes.PINHOLE, fx=500.0, fy=495.0, distortion=DoubleSphere(-0.2, 0.59))
+    cameras = [scenes.camera("left", model=double_sphere), scenes.camera("right", model=scenes.WIDE)]
+    model = calibrate(systems.stereo(12, pixel_noise=NOISE, sensors=cameras).dataset()).solution.model
+    kinds = {subject: {cause.kind for cause in model.causes if cause.subject == subject} for subject in SUBJECTS}
+    assert "projection" in kinds["left"] - kinds["right"]
+    assert "radial distortion" in kinds["right"] - kinds["left"]
+    assert kinds["left and right"] == {"focal length", "pixel convention"}  # no error of xi and of k1 is common

@@ -22,6 +22,7 @@ from calibration.engine.estimation.solve.label_columns import ColumnNames
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import Step
+from calibration.engine.geometry.lenses import Distortion
 from calibration.engine.geometry.transforms import adjoint, inverse, local, translation
 
 Unit = Literal["m", "rad", "px", "1", "s", "collections"]
@@ -38,6 +39,8 @@ SCALE = "scale of poses"
 """Kind of the factor by which all measured translations are too long."""
 SCALE_OF_POSES = 0.001
 """Standard deviation of that factor: of the focal length and the printed size by which a camera measured the poses."""
+RADIAL, PROJECTION = "radial distortion", "projection"
+"""Kinds of a lens's radial curve: by coefficients k that bend the rays of a pinhole, or by those of the projection."""
 LAG = "lag"
 """Kind of a sensor's time offset."""
 PLACE = "place"
@@ -214,7 +217,7 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], lens: 
     model = camera.distortion
     higher = [name for name in model.higher if name in model.names() and name not in free]
     yield from part("lens model", "1", *({name: 1.0} for name in (*higher, *LENS[1:])))
-    yield from part("radial distortion", "1", *({name: 1.0} for name in model.radial))
+    yield from part(_kind_of_curve(model), "1", *({name: 1.0} for name in model.radial))
     if model.tangential:
         yield from part("tangential distortion", "1", *({name: 1.0} for name in model.tangential))
 
@@ -229,7 +232,14 @@ def _of_all_cameras(cameras: Mapping[str, Camera]) -> Iterator[Cause]:
 
     yield cause("focal length", "1", lambda camera: {"fx": camera.fx, "fy": camera.fy})
     yield cause("pixel convention", "px", lambda _: {"cx": 1.0, "cy": 1.0})
-    yield cause("radial distortion", "1", lambda camera: {camera.distortion.radial[0]: 1.0})
+    models = {type(camera.distortion): camera.distortion for camera in cameras.values()}
+    if len(models) == 1:  # coefficients of different models are no common error
+        [model] = models.values()
+        yield cause(_kind_of_curve(model), "1", lambda _: {model.radial[0]: 1.0})
+
+
+def _kind_of_curve(model: Distortion) -> str:
+    return RADIAL if all(name.startswith("k") for name in model.radial) else PROJECTION
 
 
 def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Cause]:

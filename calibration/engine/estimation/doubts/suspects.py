@@ -29,7 +29,7 @@ import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.estimation.covariance.error_bars import DECISIVE
-from calibration.engine.estimation.covariance.fixed_inputs import PLACE, Cause
+from calibration.engine.estimation.covariance.fixed_inputs import PLACE, PROJECTION, RADIAL, Cause
 from calibration.engine.estimation.covariance.linear_model import LinearModel
 from calibration.engine.estimation.covariance.nominal_covariance import arm_scatter
 from calibration.engine.estimation.covariance.significance import score_of_f, threshold
@@ -53,7 +53,7 @@ STRETCHES = {"stretch", "stretch along x", "stretch along y"}
 """Kinds that differ by the overall scale, which the data may not determine."""
 LENS = "intrinsics"
 """Kind of all errors of a camera_info together, which is only tested instead of something that has moved."""
-OF_LENS = ("focal length", "aspect", "principal point", "radial distortion", "tangential distortion")
+OF_LENS = ("focal length", "aspect", "principal point", RADIAL, PROJECTION, "tangential distortion")
 """Kinds that it consists of."""
 HALF_PIXEL = (0.35, 0.65)
 """Deviation of the principal point that indicates the other convention of pixel centres."""
