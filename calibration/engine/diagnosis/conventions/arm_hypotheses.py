@@ -16,7 +16,7 @@ from calibration.engine.diagnosis.conventions.changed import (
 )
 from calibration.engine.diagnosis.conventions.hypothesis import Hypothesis
 from calibration.engine.diagnosis.conventions.misfit import Misfit
-from calibration.engine.diagnosis.conventions.recording import ArmView, Recording
+from calibration.engine.diagnosis.conventions.recording import Recording, SeenPoses
 from calibration.engine.diagnosis.conventions.rotation_readings import Rereading, rereadings
 from calibration.engine.diagnosis.units import square
 from calibration.engine.estimation.start.agreeing_rotations import disagreement_of_each, rotations_that_agree
@@ -227,7 +227,7 @@ def _units_in_import(whose: str, unit: str) -> str:
     return f"write 'units: {key}' into {_section(whose)} of import.yml, or metres into the file of poses"
 
 
-def _scale(recording: Recording, view: ArmView) -> float | None:
+def _scale(recording: Recording, view: SeenPoses) -> float | None:
     """Return the scale of what a sensor sees, relative to the arm's lengths; None if their rotations do not agree.
 
     In ``t_A = s R_X t_B + t_X + R_A R_Y^T t_Y`` (`start.robot_world`) by least squares, with less

@@ -58,13 +58,15 @@ def with_mirrored_numbering(dataset: Dataset, sensor: str, pattern: str, across:
     return with_labels(dataset, numbered)
 
 
-def with_exchanged_labels(dataset: Dataset, a: str, b: str) -> Dataset:
-    """Return the dataset with the labels of two sensors exchanged."""
+def with_exchanged_labels(dataset: Dataset, a: str, b: str, keys: Collection[str] | None = None) -> Dataset:
+    """Return the dataset with the labels of two sensors exchanged, in all collections or in some."""
     names = {a: b, b: a}
     return replace(
         dataset,
         collections=tuple(
             replace(c, labels={(p, names.get(s, s)): label for (p, s), label in c.labels.items()})
+            if keys is None or c.key in keys
+            else c
             for c in dataset.collections
         ),
     )

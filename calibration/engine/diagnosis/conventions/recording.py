@@ -14,8 +14,8 @@ from calibration.engine.geometry.transforms import inverse, translation
 
 
 @dataclass(frozen=True, eq=False)
-class ArmView:
-    """A sensor's views of a fixed pattern, and the poses of the arm between them."""
+class SeenPoses:
+    """A sensor's views of a pattern, each with its own pose."""
 
     sensor: str
     pattern: str
@@ -61,27 +61,29 @@ class Recording:
         return any((step.parent, step.child) == self.arm and step.inverted for step in path)
 
     @cached_property
-    def view(self) -> ArmView | None:
+    def view(self) -> SeenPoses | None:
         """The views of the camera or tracker with most of them; None without a fixed pattern."""
-        found = [each for p in self.dataset.patterns for s in self.dataset.sensors if (each := self._view(s, p))]
+        fixed = [name for name, pattern in self.dataset.patterns.items() if pattern.fixed]
+        found = [each for p in fixed for s in self.dataset.sensors if (each := self.seen_poses(s, p))]
         return max(found, key=lambda each: len(each.collections), default=None)
 
-    def _view(self, sensor: str, pattern: str) -> ArmView | None:
+    def seen_poses(self, sensor: str, pattern: str) -> SeenPoses | None:
+        """Return the views of a camera or tracker of a pattern; None without any."""
         board, camera = self.dataset.patterns[pattern], self.dataset.sensors[sensor].camera
         labels = self.dataset.detections(pattern, sensor)
-        if not board.fixed or not labels:
+        if not labels:
             return None
         at = np.array([i for i, _ in labels])
         poses = [label.T for _, label in labels if isinstance(label, PoseLabels)]
         if poses:
-            return ArmView(sensor, pattern, at, np.stack(poses))
+            return SeenPoses(sensor, pattern, at, np.stack(poses))
         corners = [label for _, label in labels if isinstance(label, CornerLabels)]
         if camera is None or len(corners) < len(labels):
             return None
         term: CornerTerm = corner_term(camera, board, corners)
         seen = term.linear_poses @ inverse(translation(board.centre))
         usable = np.isfinite(seen[:, 0, 0])
-        return ArmView(sensor, pattern, at[usable], seen[usable])
+        return SeenPoses(sensor, pattern, at[usable], seen[usable])
 
     @property
     def cameras(self) -> list[str]:

@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
+from calibration.base.arrays import Array
 from calibration.engine.dataset.pattern import UNMARKED
 from calibration.engine.diagnosis.conventions.changed import (
     with_exchanged_cameras,
@@ -20,11 +21,14 @@ from calibration.engine.diagnosis.conventions.recording import Recording
 from calibration.engine.estimation.start.turned_boards import LOOKS_THE_SAME, with_turned
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob
+from calibration.engine.geometry.transforms import distance, inverse
 
 LATER = (1, -1, 2, -2)
 """Collections by which images and poses may be shifted."""
 RESOLUTIONS = (2.0, 0.5, 1.5, 2 / 3, 4 / 3, 0.75, 4.0, 0.25)
 """Sizes of images relative to those that intrinsics are of."""
+NAMED = 4
+"""Number of collections that a message names."""
 MOST_SENSORS = 4
 """Number of sensors, or of pairs of them, of which each is tried."""
 
@@ -63,6 +67,40 @@ def exchanged(recording: Recording) -> Iterator[Hypothesis]:
             partial(with_exchanged_labels, dataset, a, b),
             (a, b),
         )
+        if keys := _exchanged_in_some(recording, a, b):
+            more = f" and {len(keys) - NAMED} more" if keys[NAMED:] else ""
+            yield Hypothesis(
+                f"the labels of '{a}' and '{b}' exchanged in collections {', '.join(keys[:NAMED])}{more}",
+                "look at what names their files, or the order of the two cameras, in these",
+                partial(with_exchanged_labels, dataset, a, b, keys),
+                (a, b),
+            )
+
+
+def _exchanged_in_some(recording: Recording, a: str, b: str) -> tuple[str, ...]:
+    """Return the fewer collections in which two cameras seem to stand in each other's place: ``T_a_b`` is inverse."""
+    dataset = recording.dataset
+    for pattern in dataset.patterns:
+        one, other = recording.seen_poses(a, pattern), recording.seen_poses(b, pattern)
+        if one is None or other is None:
+            continue
+        both, i, j = np.intersect1d(one.collections, other.collections, return_indices=True)
+        T_a_b = one.seen[i] @ inverse(other.seen[j])
+        far = np.median(np.linalg.norm(one.seen[i, :3, 3], axis=-1))
+        as_it_is, exchanged_ = (_apart(T_a_b, each, far) for each in (T_a_b, inverse(T_a_b)))
+        like = np.argmin(np.median(np.minimum(as_it_is, exchanged_), axis=1))  # the collection that is most like others
+        in_these = exchanged_[like] < as_it_is[like]
+        in_these = in_these if 2 * in_these.sum() <= len(both) else ~in_these
+        if in_these.any():
+            return tuple(dataset.keys[at] for at in both[in_these])
+    return ()
+
+
+def _apart(T: Array, others: Array, far: float) -> Array:
+    """Return how far apart poses (n, 4, 4) are from others (m, 4, 4), (n, m), m; angles at a distance."""
+    metres, radians = distance(T[:, None], others[None])
+    apart: Array = metres + far * radians
+    return apart
 
 
 def lenses(recording: Recording) -> Iterator[Hypothesis]:

@@ -180,6 +180,14 @@ RIG_MISTAKES: dict[str, tuple[Callable[[Dataset], Dataset], str]] = {
     ),
     "camera_info": (lambda d: with_exchanged_cameras(d, "left", "right"), "the camera_info of 'left' and 'right'"),
     "labels": (lambda d: with_exchanged_labels(d, "left", "right"), "the labels of 'left' and 'right' exchanged"),
+    "some labels": (
+        lambda d: with_exchanged_labels(d, "left", "right", d.keys[1::2]),
+        "the labels of 'left' and 'right' exchanged in collections 001, 003, 005, 007 and ",
+    ),
+    "few labels": (
+        lambda d: with_exchanged_labels(d, "left", "right", ("002", "003", "009")),
+        "the labels of 'left' and 'right' exchanged in collections 002, 003, 009, the labels fit",
+    ),
 }
 
 
