@@ -64,7 +64,7 @@ def assert_equal(one: Calibration, other: Calibration) -> None:
 def test_calibrations_of_one_calibrator_are_those_of_calibrate(name: str, start: str) -> None:
     dataset, options = scene(name), Options(start=start)  # type: ignore[arg-type]
     calibrator = Calibrator(dataset, options)
-    for noise in (*NOISES, ANYWHERE):
+    for noise in (NOISES[0], ANYWHERE):
         assert_equal(calibrator.calibrate(noise), calibrate(dataset, options, noise))
 
 

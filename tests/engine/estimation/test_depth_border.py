@@ -49,7 +49,7 @@ def outside(points: Array, T: Array) -> Array:
 def test_on_average_border_rays_meet_the_border_and_limit_points_lie_inside(camera, roll):
     """Also where borders run nearly along rows and columns, so that many pixels in a row err alike."""
     inside, between, kept = [], [], []
-    for seed in range(40):
+    for seed in range(20):
         T = standing(seed, roll, tilt=0.02 if roll < 1 else 0.5)
         points, limits = labelled(camera, T, noise=0.002, seed=seed)
         rays = depth_border_rays(points, limits, camera)

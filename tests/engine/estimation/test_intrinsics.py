@@ -157,7 +157,7 @@ def test_depth_cameras_have_none_either():
 @pytest.mark.parametrize("name", LENSES)
 def test_the_errors_are_as_large_as_stated(name):
     """NEES (Y. Bar-Shalom et al., 2001) of each camera's intrinsics and of the pose between them."""
-    own, poses, scenes = [], [], 25
+    own, poses, scenes = [], [], 15
     model = lens(LENSES[name])
     for seed in range(scenes):
         dataset = covering(20, seed=seed, model=model, pixel_noise=0.3).dataset(seed)

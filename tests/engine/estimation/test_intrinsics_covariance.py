@@ -70,7 +70,7 @@ def scores(options: Options, scenes: int) -> tuple[float, float]:
 
 
 BOTH = {"c0": known(), "c1": known()}
-SCENES = 30
+SCENES = 15
 
 
 def test_considered_intrinsics_widen_the_result_as_much_as_they_move_it():

@@ -44,7 +44,10 @@ def test_exact_labels_give_the_truth_from_every_starting_noise(mixture):
         assert max(errors(dataset, result.transforms, result.gauge)) < 1e-6
 
 
-@pytest.mark.parametrize("mixture", MIXTURES)
+# "tripod" is a part of "tripod with gaps"; a camera beside a 3D LiDAR is in test_uncertainty.
+@pytest.mark.parametrize(
+    "mixture", ["camera and 2D lidar", "tripod with gaps", "linked by an arm", "linked by a 2D lidar"]
+)
 def test_the_errors_of_every_block_are_as_large_as_stated(mixture):
     scenes = 20
     squares: dict[tuple[str, str], list[float]] = {}

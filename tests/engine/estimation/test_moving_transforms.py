@@ -80,13 +80,13 @@ def test_every_start_gives_the_same():
 
 def test_errors_match_the_covariance():
     scores = []
-    for seed in range(30):
+    for seed in range(16):
         dataset = mobile_base(8, seed=seed, border=False, **NOISY).dataset(seed)
         result = calibrate(dataset, Options(hold=("board", "cam")))
         for edge, covariance in result.label_covariances.items():
             d = local(result.transforms[edge], dataset.transforms[edge][0])
             scores.append(d @ np.linalg.solve(covariance, d) / 6)
-    assert 0.75 < np.mean(scores) < 1.3  # 60 blocks of 6: a standard deviation of 0.075
+    assert 0.75 < np.mean(scores) < 1.3  # 32 blocks of 6: a standard deviation of 0.1
 
 
 @pytest.mark.parametrize("seed", [1, 21, 22, 24, 32])

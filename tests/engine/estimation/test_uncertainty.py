@@ -15,7 +15,7 @@ from calibration.engine.geometry.transforms import inverse, local, retract, tran
 from tests.engine.estimation.scenes import Scene
 from tests.engine.estimation.systems import camera_and_lidar, eye_in_hand, hand_and_world, stereo, two_bodies
 
-SCENES = 60
+SCENES = 30
 CASES: dict[str, tuple[Callable[..., Scene], dict[str, object], Edge]] = {
     "rig": (stereo, {}, ("world", "right")),
     "arm": (eye_in_hand, {}, ("flange", "mount")),

@@ -15,6 +15,8 @@ from calibration.engine.geometry.transforms import apply, transform
 from calibration.robot.labelling.detection import Image
 
 TEXELS = 64
+STEP = 2
+"""Pixels between two whose rays are computed."""
 LENS = PlumbBob(-0.25, 0.08, 0.0008, -0.0005, 0.0)
 VGA = Camera(554.25, 554.25, 319.5, 239.5, 640, 480)
 HD = Camera(900.0, 900.0, 639.5, 359.5, 1280, 720)
@@ -83,10 +85,18 @@ def facing(
 
 @cache
 def _rays(camera: Camera, supersampling: int) -> Array:
-    """(3, rows, columns): normalised coordinates (x, y, 1) of the parts of all pixels."""
-    s = supersampling
-    u, v = ((np.arange(s * n) - (s - 1) / 2) / s for n in (camera.width, camera.height))
-    x, y = np.moveaxis(camera.normalise(np.stack(np.meshgrid(u, v), -1)), -1, 0)
+    """(3, rows, columns): normalised coordinates (x, y, 1) of the parts of all pixels.
+
+    Linear between every second pixel, as it takes seconds to invert a distortion for millions of parts: 0.001 px off.
+    """
+    knots = np.stack(np.meshgrid(*(np.arange(-STEP, n + STEP, STEP) for n in (camera.width, camera.height))), -1)
+    s, xy = supersampling, camera.normalise(knots.astype(float))
+    for axis, n in enumerate((camera.height, camera.width)):
+        at = ((np.arange(s * n) - (s - 1) / 2) / s + STEP) / STEP
+        before = at.astype(int)
+        share = (at - before).reshape((-1, 1, 1) if axis == 0 else (-1, 1))
+        xy = (1 - share) * xy.take(before, axis) + share * xy.take(before + 1, axis)
+    x, y = np.moveaxis(xy, -1, 0)
     return np.stack([x, y, np.ones_like(x)])
 
 
