@@ -1,13 +1,18 @@
 """Folders of images with an import.yml, from the datasets that ship."""
 
+import hashlib
 import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
+
+from calibration.robot.labelling.detection import Image
+from calibration.robot.labelling.markers import MarkerFinder, Markers
 
 DATASETS = Path(__file__).resolve().parents[3] / "datasets"
 DESCRIPTION = Path(__file__).with_name("import.yml")
@@ -56,3 +61,27 @@ def change(folder: Path, *keys: str, to: Any) -> None:
     else:
         place[last] = to
     file.write_text(json.dumps(document))
+
+
+_FOUND: dict[tuple[object, ...], Markers] = {}
+
+
+@pytest.fixture(autouse=True)
+def an_image_is_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Markers are searched once in an image, as most tests import the same ones; the search is labelling's to test."""
+
+    def remembering(search: Callable[..., Markers]) -> Callable[..., Markers]:
+        def searched(finder: MarkerFinder, image: Image, *box: Any) -> Markers:
+            pixels = hashlib.blake2b(np.ascontiguousarray(image), digest_size=16).digest()
+            plain = finder._plain
+            how = plain.getDetectorParameters()
+            wanted = (plain.getDictionary().bytesList.tobytes(), finder._first, finder._count)
+            key = (*wanted, how.markerBorderBits, how.errorCorrectionRate, search.__name__, image.shape, pixels, *box)
+            if key not in _FOUND:
+                _FOUND[key] = search(finder, image, *box)
+            return _FOUND[key]
+
+        return searched
+
+    for name in ("find", "find_small"):
+        monkeypatch.setattr(MarkerFinder, name, remembering(getattr(MarkerFinder, name)))

@@ -24,7 +24,7 @@ from calibration.robot.importing.patterns.image_views import decoded_image
 from calibration.robot.importing.results import ImportResults
 from tests.robot.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile
-from tests.robot.importing.conftest import CAMERAS
+from tests.robot.importing.conftest import CAMERAS, FOCAL
 from tests.robot.importing.test_bags import FRAMES, T2RGB, describe, file_of, image, record, refusal
 
 ROOT = Path(__file__).parents[3]
@@ -133,6 +133,7 @@ def test_clocks_that_do_not_agree(tmp_path: Path) -> None:
             for camera, start in zip(CAMERAS, (BEGIN, 0), strict=True):
                 stamp = start + (number + 1) * SECOND
                 late = BEGIN + (number + 1) * SECOND - stamp
+                bag.camera_info(f"/{camera}/camera_info", stamp, camera, (640, 480), FOCAL)
                 bag.image(f"/{camera}/image_raw", stamp, image(camera, number), camera, "mono8", late)
     assert "'stamps: recorded'" in refusal(describe(path))
     sensors = {
@@ -147,6 +148,7 @@ def test_images_without_a_pattern_are_named(tmp_path: Path) -> None:
     with BagFile(path, "mcap") as bag:
         for number in range(7):
             shown = image("left_camera", number) if number != 3 else np.full((480, 640, 3), 90, np.uint8)
+            bag.camera_info("/left/camera_info", BEGIN + number * SECOND, "left", (640, 480), FOCAL)
             bag.image("/left/image_raw", BEGIN + number * SECOND, shown, "left", "mono8")
     results = import_data(describe(path), tmp_path / "out", jobs=1)
     (rejected,) = results.sensors["left"].rejected
@@ -348,6 +350,7 @@ def test_of_two_images_recorded_at_one_time_the_first_is_labelled(tmp_path: Path
         with BagFile(path, "mcap") as bag:
             for number in range(5):
                 stamp = BEGIN + number * SECOND
+                bag.camera_info("/left/camera_info", stamp, "left", (640, 480), FOCAL)
                 bag.image("/left/image_raw", stamp, image("left_camera", number), "left", "mono8", late=0)
                 if twice:
                     other = image("left_camera", number + 5)

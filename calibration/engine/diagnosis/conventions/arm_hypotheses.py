@@ -143,9 +143,11 @@ def _read_again(
         "transpose the rotation matrices in the file of poses, or negate w of its quaternions",
         partial(dataset, transform(np.swapaxes(R, 1, 2), t)),
     )
-    for chosen, inverted in _that_agree(T, known, in_hand):
-        written, read = chosen.written, chosen.read
-        again = next(each for each in rereadings(R) if (each.written, each.read) == (written, read))
+    likely = [((chosen.written, chosen.read), inverted) for chosen, inverted in _that_agree(T, known, in_hand)]
+    wanted = {names for names, _ in likely}
+    every = {names: each for each in rereadings(R) if (names := (each.written, each.read)) in wanted}
+    for (written, read), inverted in likely:
+        again = every[written, read]
         poses = transform(rotations_that_agree(again.branches, known[:, :3, :3])[0], t)
         name = f"the rotations of the {whose} poses as {written}"
         remedy = f"they were read as {read}: write '{again.keys}' into {_section(whose)} of import.yml"
@@ -166,19 +168,31 @@ def _that_agree(T: Array, known: Array, in_hand: bool) -> list[tuple[Rereading, 
     """
     some = np.unique(np.linspace(0, len(T) - 1, COMPARED).round().astype(int))
     A, t = known[some], T[some, :3, 3]
-    tried = []
+    tried: list[tuple[float, int, int, Rereading]] = []
+    known_misses: dict[bytes, tuple[float, float] | None] = {}
     for i, each in enumerate(rereadings(T[some, :3, :3])):
-        chosen, apart = rotations_that_agree(each.branches, A[:, :3, :3])
-        if apart > AGREES:
-            continue
-        agreeing = disagreement_of_each(chosen, A[:, :3, :3]) < AGREES
-        for inverted in (False, True):
-            poses = transform(chosen, t)
-            B = inverse(poses) if inverted != in_hand else poses
-            found = solve_robot_world(A[agreeing], B[agreeing])
-            tried.append((round(_misses(A, B, found), 3), i, inverted, each))
+        # About fixed axes is about moving ones in reverse: half of the readings are the same rotations.
+        rotations_read = each.branches.tobytes()
+        if rotations_read not in known_misses:
+            known_misses[rotations_read] = _misses_of_reading(each.branches, A, t, in_hand)
+        if (misses := known_misses[rotations_read]) is not None:
+            tried += [(miss, i, inverted, each) for inverted, miss in enumerate(misses)]
     best = sorted(tried, key=lambda one: one[:3])[:MOST_READINGS]
-    return [(each, inverted) for _, _, inverted, each in best]
+    return [(each, bool(inverted)) for _, _, inverted, each in best]
+
+
+def _misses_of_reading(branches: Array, A: Array, t: Array, in_hand: bool) -> tuple[float, float] | None:
+    """Return how far poses with rotations of these branches miss known ones, as they are and inverse; None if far."""
+    chosen, apart = rotations_that_agree(branches, A[:, :3, :3])
+    if apart > AGREES:
+        return None
+    agreeing = disagreement_of_each(chosen, A[:, :3, :3]) < AGREES
+    poses = transform(chosen, t)
+    as_they_are, inverted = (inverse(poses), poses) if in_hand else (poses, inverse(poses))
+    first, second = (
+        round(_misses(A, B, solve_robot_world(A[agreeing], B[agreeing])), 3) for B in (as_they_are, inverted)
+    )
+    return first, second
 
 
 def _misses(A: Array, B: Array, found: RobotWorld) -> float:
