@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 PROJECT = Path(__file__).parents[1]
-SHARE = "test_hostile_repositories or test_interruption or test_build_and_registry or test_labels or test_page"
+SHARE = "test_hostile_repositories or test_interruption or test_build_and_registry or test_labels"
 
 
 def test_what_needs_a_missing_tool_is_skipped_and_named(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def test_every_reader_reads_its_files_as_they_are(name: str, tmp_path: Path) -> 
 
 
 def test_a_share_of_the_campaign() -> None:
-    found = campaign(1500, 1, list(TARGETS), 30)
+    found = campaign(800, 1, list(TARGETS), 30)
     assert found.failures == []
     assert found.read
     assert found.refused

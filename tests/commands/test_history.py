@@ -124,8 +124,8 @@ def test_git_bisect_finds_the_commit_that_changed_the_result(repository: Path) -
     assert main(["run", "--only", "calibrate,introspect"]) == 0
     assert main(["accept"]) == 0
     commits = []
-    for i in range(6):
-        if i == 3:
+    for i in range(4):
+        if i == 2:
             text = (robot / "dataset.json").read_text()
             document = json.loads(text)
             for collection in document["collections"].values():
@@ -138,4 +138,4 @@ def test_git_bisect_finds_the_commit_that_changed_the_result(repository: Path) -
     git(repository, "bisect", "start", commits[-1], commits[0])
     run = line.replace("calibration run", f"PYTHONPATH={PROJECT} {sys.executable} -m calibration run")
     done = subprocess.run(["bash", "-c", run], cwd=repository, capture_output=True, text=True, check=True)
-    assert f"{commits[3]} is the first bad commit" in done.stdout
+    assert f"{commits[2]} is the first bad commit" in done.stdout

@@ -74,6 +74,7 @@ def test_a_run_that_ends_early_leaves_no_pass_and_goes_on(
     def stop(*_: object) -> None:
         raise error
 
+    with_systems(repository, "  riwbot:")
     with monkeypatch.context() as patch:
         patch.setattr("calibration.pipeline.stages.calibrating.judge_results", stop)
         assert main(["run", "--only", "calibrate,introspect"]) == code

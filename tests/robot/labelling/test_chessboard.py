@@ -163,8 +163,8 @@ def test_a_part_of_a_larger_board_is_none(monkeypatch: pytest.MonkeyPatch, large
 def test_a_charuco_board_is_no_chessboard(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cv2, "findChessboardCornersSB", nothing_found)
     board = charuco(10, 7)
-    for i in range(4):
-        image = Photograph(HD).of(board, facing(board, 0.9, 0.1 * i, i))
+    for i in range(3):
+        image = Photograph(VGA).of(board, facing(board, 0.9, 0.1 * i, i))
         assert isinstance(ChessboardDetector(chessboard(10, 7)).detect(image), NotDetected)
 
 

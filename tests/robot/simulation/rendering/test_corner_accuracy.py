@@ -28,7 +28,7 @@ from tests.robot.simulation.rendering.views import (
     random_pose,
 )
 
-POSES = 4
+POSES = 3
 EVEN_ROWS = replace(CHARUCO, dimension=(11, 7))
 Found = tuple[np.ndarray, np.ndarray]
 """Corners (N, 2) and their ids (N,)."""

@@ -27,7 +27,7 @@ def report(count: int, lost: int = 0) -> Statistics:
     )
 
 
-@pytest.mark.parametrize(("count", "lost"), [(40, 3), (40, 40), (1, 0), (3, 1)])
+@pytest.mark.parametrize(("count", "lost"), [(40, 3), (3, 3), (1, 0)])
 def test_any_report_is_drawn(count: int, lost: int) -> None:
     png = figure(report(count, lost), r"Scenarios of $\frac$", translation_limit=1, rotation_limit=0.1)
     image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
@@ -36,10 +36,10 @@ def test_any_report_is_drawn(count: int, lost: int) -> None:
 
 
 def test_the_same_report_gives_the_same_picture() -> None:
-    png = figure(report(30), "30 scenarios")
-    assert png == figure(report(30), "30 scenarios")
+    png = figure(report(5), "5 scenarios")
+    assert png == figure(report(5), "5 scenarios")
     assert b"matplotlib" not in png
-    assert figure(report(30), "30 scenarios") != figure(report(30, 1), "30 scenarios")
+    assert png != figure(report(5, 1), "5 scenarios")
 
 
 def test_without_matplotlib_the_error_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
