@@ -47,7 +47,7 @@ from calibration.pipeline.system import (
     Undecided,
     chosen_systems,
 )
-from calibration.robot.simulation.motion.sequence import GENERATE
+from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX
 
 DEFAULT_FILE = Path("calibration.yml")
 _NAME = matching("[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", "letters, digits and _ . -, at most 64 of them")
@@ -55,7 +55,7 @@ _OF_CONTAINERS = ("player", "ros", "network", "timeout", "dataset", "image", "tr
 
 
 def _motion(text: str, place: Place) -> str:
-    return text if text.startswith(GENERATE) else str(place.folder / text)
+    return text if text.startswith(GENERATED_PREFIX) else str(place.folder / text)
 
 
 def _image(document: object, place: Place) -> ImageSpecification:

@@ -20,7 +20,7 @@ from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.robot.simulation.motion.sequence import read_motion
-from calibration.robot.simulation.sensors import KINDS, SimulatedLidar2d
+from calibration.robot.simulation.sensors import SIMULATED_SENSORS, SimulatedLidar2d
 from calibration.robot.simulation.sensors.sensor import Data
 from calibration.robot.simulation.system import read_system
 from tests.pipeline.systems import with_scanner
@@ -71,7 +71,7 @@ class SimulatedSonar(SimulatedLidar2d):
 
 def test_it_is_collected_calibrated_evaluated_and_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(MODALITIES, SONAR2D.name, SONAR2D)
-    monkeypatch.setitem(KINDS, SONAR2D.name, SimulatedSonar)
+    monkeypatch.setitem(SIMULATED_SENSORS, SONAR2D.name, SimulatedSonar)
     source, output = tmp_path / "system", tmp_path / "output"
     source.mkdir()
     config = with_scanner(source) / "config.yml"

@@ -17,7 +17,7 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.placement import Placement
-from calibration.robot.simulation.rendering.texture import WHITE, texture
+from calibration.robot.simulation.rendering.texture import PAPER_REFLECTANCE, texture
 from calibration.robot.simulation.robot import compose
 from calibration.robot.simulation.system import System
 
@@ -201,7 +201,7 @@ def print_of(configuration: PatternConfiguration, legacy_layout: bool) -> Image:
     width, height = (round(length * unit) for length in whole.size)
     printed = whole.levels[level][y : y + height, x : x + width]
     right, down = (round(border / configuration.size * unit) for border in configuration.border_size)
-    grey = np.pad(printed, ((down, down), (right, right)), constant_values=WHITE)
+    grey = np.pad(printed, ((down, down), (right, right)), constant_values=PAPER_REFLECTANCE)
     return np.repeat(grey[:, :, None], 3, axis=2)
 
 

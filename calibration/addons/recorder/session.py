@@ -20,7 +20,7 @@ from calibration.base.json_text import json_text
 from calibration.engine.geometry.transforms import inverse
 from calibration.robot.simulation.description import MAX_BYTES
 from calibration.robot.simulation.motion.generation import generate_motion
-from calibration.robot.simulation.motion.sequence import DECIMALS, MAX_POSES, Motion, motion_document, moving_model
+from calibration.robot.simulation.motion.sequence import MAX_POSES, POSE_DECIMALS, Motion, motion_document, moving_model
 from calibration.robot.simulation.placement import Placement, place
 from calibration.robot.simulation.robot import compose
 from calibration.robot.simulation.system import System
@@ -244,7 +244,7 @@ def settled(system: System, pose: Motion) -> Motion:
     """Round a pose to the precision of a file, with its joints within their limits."""
     joints = {}
     for name, joint in system.robot.movable.items():
-        rounded = np.round(pose.joints.get(name, np.array([joint.rest])), DECIMALS) + 0.0
+        rounded = np.round(pose.joints.get(name, np.array([joint.rest])), POSE_DECIMALS) + 0.0
         joints[name] = np.clip(rounded, joint.lower, joint.upper)
     return replace(pose, joints=joints)
 

@@ -12,8 +12,8 @@ SUMMARY_LIMIT = 1024 * 1024
 
 _CUT = "\n\n*The summary was cut here: GitHub takes 1 MiB. Everything is in the log.*\n"
 _ENTITIES = {"&": "&amp;", "<": "&lt;", ">": "&gt;", "|": "&#124;"}
-# The last two begin a list: in it, text that is indented further is code, where entities are shown as they are.
-_SPECIAL = re.compile(r"\r\n|\r|\n|[&<>|]|[\\`*_\[\]#~$]|(?<=\d)[.)](?=\s|\Z)|\A[-+](?=\s)")
+# The last begins a list: in it, text that is indented further is code, where entities are shown as they are.
+_SPECIAL = re.compile(r"\r\n|\r|\n|[&<>|]|[\\`*_\[\]#~$]|\A\s*(?:\d{1,9}[.)]|[-+])(?=\s)")
 
 
 def add_summary(runner: Runner, markdown: str) -> None:
@@ -55,7 +55,7 @@ def _escape(match: re.Match[str]) -> str:
     found = match[0]
     if found in ("\r\n", "\r", "\n"):
         return "<br>"
-    return _ENTITIES.get(found, "\\" + found)
+    return _ENTITIES.get(found, f"{found[:-1]}\\{found[-1]}")
 
 
 def _cut(text: bytes, room: int) -> bytes:

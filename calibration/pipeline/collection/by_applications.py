@@ -36,7 +36,7 @@ from calibration.robot.simulation.collection.document import truth_document
 from calibration.robot.simulation.collection.proof import prove
 from calibration.robot.simulation.collection.record import Record, image_cells
 from calibration.robot.simulation.motion.generation import named_motion
-from calibration.robot.simulation.motion.sequence import GENERATE, Motion, motion_document
+from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX, Motion, motion_document
 from calibration.robot.simulation.placement import play
 from calibration.robot.simulation.players import check_motion, player_file
 from calibration.robot.simulation.scenarios.run import finished_result
@@ -121,7 +121,7 @@ def optional_motion(request: ContainerRequest, system: System | None) -> Motion 
     given = request.motion
     if given is None and request.system is not None and (request.system / MOTION_FILE).exists():
         given = str(request.system / MOTION_FILE)
-    if given is not None and given.startswith(GENERATE) and system is None:
+    if given is not None and given.startswith(GENERATED_PREFIX) and system is None:
         raise InputError(f"{request.name}: motion: found '{given}', but a motion is only generated for a system")
     return None if given is None else named_motion(given, system, request.seed)
 

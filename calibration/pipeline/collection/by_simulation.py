@@ -36,7 +36,7 @@ from calibration.robot.simulation.collection.poses import collect, kept, single_
 from calibration.robot.simulation.collection.proof import prove
 from calibration.robot.simulation.collection.record import Record
 from calibration.robot.simulation.motion.generation import named_motion
-from calibration.robot.simulation.motion.sequence import GENERATE, Motion, motion_document
+from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX, Motion, motion_document
 from calibration.robot.simulation.placement import Play, play
 from calibration.robot.simulation.scenarios.run import (
     calibrated_result,
@@ -108,7 +108,7 @@ def required_motion(request: CollectionRequest, system: System, seed: int | None
     """
     path = request.system / MOTION_FILE
     if request.motion is None and not path.exists():
-        raise InputError(f"{path}: does not exist; give a motion: a file or {GENERATE}N")
+        raise InputError(f"{path}: does not exist; give a motion: a file or {GENERATED_PREFIX}N")
     return named_motion(request.motion or str(path), system, request.seed if seed is None else seed)
 
 
@@ -214,7 +214,7 @@ class SimulatedScenarios(Scenarios):
     @property
     def _motion_file(self) -> Path | None:
         motion = self._collection.motion
-        return None if motion is None or motion.startswith(GENERATE) else Path(motion)
+        return None if motion is None or motion.startswith(GENERATED_PREFIX) else Path(motion)
 
     def job(self, number: int, inputs: Path | None) -> Job:
         """Return the job of a scenario."""

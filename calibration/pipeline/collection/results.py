@@ -12,7 +12,7 @@ from calibration.ci.report import Check, Verdict, at_least, at_most, count_of, v
 from calibration.engine.dataset.modalities import MODALITIES
 from calibration.pipeline.collection.request import CollectionChecks, ScenarioRequest
 from calibration.robot.simulation.collection.proof import Proof
-from calibration.robot.simulation.collection.record import COLUMNS, ROWS, CornerErrors, Record
+from calibration.robot.simulation.collection.record import COVERAGE_COLUMNS, COVERAGE_ROWS, CornerErrors, Record
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 from calibration.robot.simulation.scenarios.statistics import Statistics
 
@@ -184,7 +184,9 @@ def _sensor_numbers(name: str, modality: str, results: CollectionResults) -> Sen
         partial=sum(not record.complete[name] for record in detected) if camera else 0,
         labels=sum(record.labels[name] for record in kept),
         corner_error=CornerError.of([each.errors[name] for each in kept if name in each.errors]) if camera else None,
-        coverage=round(len({c for r in kept for c in r.cells[name]}) / (COLUMNS * ROWS), 4) if camera else None,
+        coverage=round(len({c for r in kept for c in r.cells[name]}) / (COVERAGE_COLUMNS * COVERAGE_ROWS), 4)
+        if camera
+        else None,
     )
 
 

@@ -12,10 +12,10 @@ from calibration.base.errors import InfrastructureError
 from calibration.ci.report import FILES, Block, Code, Lines, Outcome, Report, Table, Text, count_of, shown
 from calibration.pipeline.collection.report import TITLE
 from calibration.pipeline.collection.results import ScenarioResults
-from calibration.robot.simulation.scenarios.drivers import SIGNIFICANT
+from calibration.robot.simulation.scenarios.drivers import SIGNIFICANCE_LEVEL
 from calibration.robot.simulation.scenarios.figure import figure
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
-from calibration.robot.simulation.scenarios.statistics import PERCENTILES, Statistics, why_unknown
+from calibration.robot.simulation.scenarios.statistics import REPORTED_PERCENTILES, Statistics, why_unknown
 
 TABLE_FILE, FIGURE_FILE = "scenarios.csv", "scenarios.png"
 REPORT_FILES = (*FILES, TABLE_FILE, FIGURE_FILE)
@@ -129,7 +129,7 @@ def distribution(statistics: Statistics) -> Table:
         for measure, name in _MEASURES.items()
         if (found := statistics.percentiles(measure))
     )
-    return Table(("", *(_NAMES.get(p, f"{p} %") for p in PERCENTILES)), tuple(rows))
+    return Table(("", *(_NAMES.get(p, f"{p} %") for p in REPORTED_PERCENTILES)), tuple(rows))
 
 
 def _worst(results: ScenarioResults) -> list[Block]:
@@ -185,9 +185,9 @@ def drivers(statistics: Statistics) -> list[Block]:
         return [Text(text, title=title)]
     rows = tuple((d.parameter, f"{d.correlation:+.2f}", f"{d.p:.2g}") for d in strong[:DRIVERS_SHOWN])
     text = (
-        f"Spearman's; p (below {SIGNIFICANT:g} here) is the probability that chance gives as much with any of the "
-        f"{len(found)} parameters. Between bars: a parameter's magnitude. A scenario without a calibration counts as "
-        "the worst."
+        f"Spearman's; p (below {SIGNIFICANCE_LEVEL:g} here) is the probability that chance gives as much with any of "
+        f"the {len(found)} parameters. Between bars: a parameter's magnitude. A scenario without a calibration counts "
+        "as the worst."
     )
     header = ("Parameter", "Rank correlation with the translation error", "p")
     return [Table(header, rows, title=title), Text(text, only="summary")]

@@ -9,15 +9,15 @@ from calibration.base.arrays import Array, BoolArray
 from calibration.engine.geometry.transforms import adjoint, inverse, local
 from calibration.robot.simulation.robot import Joint, Robot
 
-_ITERATIONS = 20
+_MAX_ITERATIONS = 20
 _LONGEST_STEP = 0.5  # rad or m: limit of a step, for which the linearisation is valid
-_REACHED = 1e-8  # m and rad
-_SETTLED = 1e-11  # m and rad: convergence is quadratic, so the remaining error is about the square of the last step
+_MAX_POSE_ERROR = 1e-8  # m and rad
+_MIN_STEP = 1e-11  # m and rad: convergence is quadratic, so the remaining error is about the square of the last step
 
 
 def joints_between(robot: Robot, start: str, end: str) -> list[Joint]:
     """Return the joints whose positions move one frame in the other, in the order of the chain, each once."""
-    drivers = dict.fromkeys(step.joint.driver for step in _way(robot, start, end) if step.joint is not None)
+    drivers = dict.fromkeys(step.joint.driver for step in _merged_chain(robot, start, end) if step.joint is not None)
     return [robot.movable[name] for name in drivers if name in robot.movable]
 
 
@@ -35,26 +35,26 @@ def reach(
         reached within the joints' limits. Others may be out of reach, or only not reached from this
         initial guess.
     """
-    way = _way(robot, start, end)
+    way = _merged_chain(robot, start, end)
     joints = joints_between(robot, start, end)
     index = {joint.name: i for i, joint in enumerate(joints)}
     low = np.array([max(joint.lower, -np.pi) for joint in joints])
     high = np.array([min(joint.upper, np.pi) for joint in joints])
     q = low + (high - low) * random.random((len(targets), len(joints)))
     moving = np.arange(len(targets))
-    for _ in range(_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         error, J = _linearise(way, targets[moving], q[moving], index)
-        open_ = np.abs(error).max(-1) > _SETTLED
+        open_ = np.abs(error).max(-1) > _MIN_STEP
         moving, error, J = moving[open_], error[open_], J[open_]
-        q[moving] += _step(error, J)
+        q[moving] += _damped_step(error, J)
     turning = np.array([joint.kind != "prismatic" for joint in joints])
     q = np.where(turning, (q + np.pi) % (2 * np.pi) - np.pi, q)
     error, _ = _linearise(way, targets, q, index)
-    reached = (np.abs(error).max(-1) < _REACHED) & ((q >= low) & (q <= high)).all(-1)
+    reached = (np.abs(error).max(-1) < _MAX_POSE_ERROR) & ((q >= low) & (q <= high)).all(-1)
     return {joint.name: q[:, i] for i, joint in enumerate(joints)}, reached
 
 
-def _step(error: Array, J: Array) -> Array:
+def _damped_step(error: Array, J: Array) -> Array:
     """Return the damped step (N, J), with each component limited to the linearisation's range."""
     transposed = J.swapaxes(-1, -2)
     damping = 0.1 * (error * error).sum(-1) + 1e-12
@@ -75,7 +75,7 @@ class _Step:
     inverted: bool = False
 
 
-def _way(robot: Robot, start: str, end: str) -> list[_Step]:
+def _merged_chain(robot: Robot, start: str, end: str) -> list[_Step]:
     """Return the parts of the chain, with neighbouring constants multiplied."""
     by_edge = {joint.edge: joint for joint in robot.joints}
     way: list[_Step] = []

@@ -134,7 +134,7 @@ class Robot:
             InputError: a joint is unknown or not movable, or a position is outside its limits.
         """
         for name, positions in joint_positions.items():
-            self._check(name, np.asarray(positions, float))
+            self._check_position(name, np.asarray(positions, float))
         shape = np.broadcast_shapes(*(np.shape(p) for p in joint_positions.values())) if joint_positions else (count,)
         rest = {name: np.array(joint.rest) for name, joint in self.movable.items()}
         own = {name: np.broadcast_to(joint_positions.get(name, at), shape) for name, at in rest.items()}
@@ -146,7 +146,7 @@ class Robot:
             for joint in self.joints
         }
 
-    def _check(self, name: str, positions: Array) -> None:
+    def _check_position(self, name: str, positions: Array) -> None:
         joint = self.movable.get(name)
         if joint is None:
             follows = any(joint.name == name and joint.mimic is not None for joint in self.joints)
@@ -154,11 +154,11 @@ class Robot:
             problem = "is fixed and has no position" if known_one else "is not in the robot"
             problem = "follows another joint and has no position of its own" if follows else problem
             known = ", ".join(self.movable) or "none"
-            raise _fault(f"{self.path}: joint '{name}' {problem} (joints that move: {known})")
+            raise _one_line_error(f"{self.path}: joint '{name}' {problem} (joints that move: {known})")
         outside = ~((positions >= joint.lower) & (positions <= joint.upper))  # also true for NaN
         if outside.any():
             pose = int(outside.argmax())
-            raise _fault(
+            raise _one_line_error(
                 f"{self.path}: joint '{name}' at {positions.flat[pose]:g} in pose {pose + 1} "
                 f"is outside its limits {joint.lower:g} to {joint.upper:g}"
             )
@@ -195,19 +195,19 @@ def parse_robot(urdf: bytes, path: Path) -> Robot:
     try:
         root: Element = defusedxml.ElementTree.fromstring(urdf, forbid_dtd=True)
     except ParseError as error:
-        raise _fault(f"{path}: is not XML: {error}") from None
+        raise _one_line_error(f"{path}: is not XML: {error}") from None
     except DefusedXmlException:
-        raise _fault(f"{path}: has a DTD or entities; a robot description needs none") from None
+        raise _one_line_error(f"{path}: has a DTD or entities; a robot description needs none") from None
     except (ValueError, LookupError) as error:  # an encoding that does not exist or does not match
-        raise _fault(f"{path}: is not XML: {error}") from None
+        raise _one_line_error(f"{path}: is not XML: {error}") from None
     if root.tag != "robot":
-        raise _fault(f"{path}: the root element is <{root.tag}>, not <robot>")
+        raise _one_line_error(f"{path}: the root element is <{root.tag}>, not <robot>")
     if any("xacro" in str(element.tag) for element in root.iter()):
-        raise _fault(f"{path}: is a xacro; name it robot.urdf.xacro and it is expanded")
+        raise _one_line_error(f"{path}: is a xacro; name it robot.urdf.xacro and it is expanded")
     return Robot(path, root.get("name", ""), _read_joints(root, path))
 
 
-def _fault(message: str) -> InputError:
+def _one_line_error(message: str) -> InputError:
     """Return an error with its message on one line, also with unusual names."""
     return InputError(message)
 
@@ -219,30 +219,30 @@ def _read_joints(root: Element, path: Path) -> tuple[Joint, ...]:
     for element in root.findall("joint"):
         name = element.get("name")
         if not name:
-            raise _fault(f"{path}: a joint has no name")
+            raise _one_line_error(f"{path}: a joint has no name")
         where = f"{path}: joint '{name}'"
         joint = _read_joint(element, name, where)
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
-                raise _fault(f"{where}: the {role} link '{link}' is not in the robot")
+                raise _one_line_error(f"{where}: the {role} link '{link}' is not in the robot")
         if name in joints:
-            raise _fault(f"{where}: two joints have this name")
+            raise _one_line_error(f"{where}: two joints have this name")
         other = parents.setdefault(joint.child, joint)
         if other is not joint:
-            raise _fault(
+            raise _one_line_error(
                 f"{where}: link '{joint.child}' has two parents, '{other.parent}' by joint '{other.name}' "
                 f"and '{joint.parent}'"
             )
         joints[name] = joint
     if not joints:
-        raise _fault(f"{path}: there is no joint")
+        raise _one_line_error(f"{path}: there is no joint")
     try:
         FrameTree(joint.edge for joint in joints.values())
     except InputError as error:
-        raise _fault(f"{path}: {error}") from None
+        raise _one_line_error(f"{path}: {error}") from None
     roots = sorted({joint.parent for joint in joints.values()} - parents.keys())
     if len(roots) > 1:
-        raise _fault(f"{path}: the links are not one tree: {', '.join(map(repr, roots))} have no parent")
+        raise _one_line_error(f"{path}: the links are not one tree: {', '.join(map(repr, roots))} have no parent")
     return tuple(_with_followed(joint, joints, path) for joint in joints.values())
 
 
@@ -252,43 +252,45 @@ def _with_followed(joint: Joint, joints: Mapping[str, Joint], path: Path) -> Joi
     while mimic is not None:
         followed = joints.get(mimic.joint)
         if followed is None or not followed.is_movable:
-            raise _fault(
+            raise _one_line_error(
                 f"{path}: joint '{passed[-1]}': follows '{mimic.joint}' by <mimic>, expected a joint that moves along "
                 "or about one axis"
             )
         if followed.name in passed:
-            raise _fault(f"{path}: joint '{joint.name}': follows itself by <mimic>: {', '.join(passed)}")
+            raise _one_line_error(f"{path}: joint '{joint.name}': follows itself by <mimic>: {', '.join(passed)}")
         if followed.mimic is None:
             break
         passed.append(followed.name)
         multiplier, offset = followed.mimic.multiplier, followed.mimic.offset
         mimic = Mimic(followed.mimic.joint, mimic.multiplier * multiplier, mimic.multiplier * offset + mimic.offset)
     if mimic is not None and not (math.isfinite(mimic.multiplier) and math.isfinite(mimic.offset)):
-        raise _fault(f"{path}: joint '{joint.name}': its multiplier or offset is infinite, along {', '.join(passed)}")
+        raise _one_line_error(
+            f"{path}: joint '{joint.name}': its multiplier or offset is infinite, along {', '.join(passed)}"
+        )
     return replace(joint, mimic=mimic)
 
 
 def _read_joint(element: Element, name: str, where: str) -> Joint:
     kind = element.get("type", "")
     if kind not in JOINT_KINDS:
-        raise _fault(f"{where}: type '{kind}' is not supported (supported: {', '.join(JOINT_KINDS)})")
+        raise _one_line_error(f"{where}: type '{kind}' is not supported (supported: {', '.join(JOINT_KINDS)})")
     links: dict[str, str] = {}
     for role in ("parent", "child"):
         child = element.find(role)
         link = "" if child is None else child.get("link", "")
         if not link:
-            raise _fault(f"{where}: has no {role} link")
+            raise _one_line_error(f"{where}: has no {role} link")
         links[role] = link
     origin = element.find("origin")
     T_parent_joint = from_xyz_rpy(
-        _numbers(origin, "xyz", (0.0, 0.0, 0.0), f"{where}: origin"),
-        _numbers(origin, "rpy", (0.0, 0.0, 0.0), f"{where}: origin"),
+        _finite_numbers(origin, "xyz", (0.0, 0.0, 0.0), f"{where}: origin"),
+        _finite_numbers(origin, "rpy", (0.0, 0.0, 0.0), f"{where}: origin"),
     )
-    axis = np.array(_numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"{where}: axis"))
+    axis = np.array(_finite_numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"{where}: axis"))
     length = float(np.linalg.norm(axis))
     if kind in AXIS_KINDS and length < 1e-9:
-        raise _fault(f"{where}: axis xyz has length 0")
-    lower, upper = _limits(element, kind, where)
+        raise _one_line_error(f"{where}: axis xyz has length 0")
+    lower, upper = _joint_limits(element, kind, where)
     return Joint(
         name=name,
         kind=kind,
@@ -307,26 +309,26 @@ def _read_mimic(element: Element, where: str) -> Mimic | None:
     if mimic is None:
         return None
     if not (followed := mimic.get("joint", "")):
-        raise _fault(f"{where}: mimic has no joint")
-    (multiplier,) = _numbers(mimic, "multiplier", (1.0,), f"{where}: mimic")
-    (offset,) = _numbers(mimic, "offset", (0.0,), f"{where}: mimic")
+        raise _one_line_error(f"{where}: mimic has no joint")
+    (multiplier,) = _finite_numbers(mimic, "multiplier", (1.0,), f"{where}: mimic")
+    (offset,) = _finite_numbers(mimic, "offset", (0.0,), f"{where}: mimic")
     return Mimic(followed, multiplier, offset)
 
 
-def _limits(element: Element, kind: str, where: str) -> tuple[float, float]:
+def _joint_limits(element: Element, kind: str, where: str) -> tuple[float, float]:
     if kind not in ("revolute", "prismatic"):
         return -math.inf, math.inf
     limit = element.find("limit")
     if limit is None:
         return -math.inf, math.inf
-    (lower,) = _numbers(limit, "lower", (0.0,), f"{where}: limit")
-    (upper,) = _numbers(limit, "upper", (0.0,), f"{where}: limit")
+    (lower,) = _finite_numbers(limit, "lower", (0.0,), f"{where}: limit")
+    (upper,) = _finite_numbers(limit, "upper", (0.0,), f"{where}: limit")
     if lower > upper:
-        raise _fault(f"{where}: limit lower {lower:g} is above upper {upper:g}")
+        raise _one_line_error(f"{where}: limit lower {lower:g} is above upper {upper:g}")
     return lower, upper
 
 
-def _numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> tuple[float, ...]:
+def _finite_numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> tuple[float, ...]:
     """Return the finite numbers of an attribute, as many as in the default; the default if it is absent."""
     text = None if element is None else element.get(key)
     if text is None:
@@ -337,5 +339,5 @@ def _numbers(element: Element | None, key: str, default: tuple[float, ...], wher
         values = ()
     if len(values) != len(default) or not all(map(math.isfinite, values)):
         expected = "a finite number" if len(default) == 1 else f"{len(default)} finite numbers"
-        raise _fault(f"{where}: {key} is '{text[:80]}', expected {expected}")
+        raise _one_line_error(f"{where}: {key} is '{text[:80]}', expected {expected}")
     return values

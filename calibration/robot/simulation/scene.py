@@ -15,7 +15,7 @@ from calibration.base.records import Converted, between, field, record
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.robot.simulation.description import Radians, Vector, array, listed
 
-NOTHING, GROUND = -2, -1
+NO_SURFACE, GROUND_SURFACE = -2, -1
 """Indices of surfaces that are not boxes; boxes count from 0."""
 MAX_LIGHT = 10.0
 
@@ -35,11 +35,11 @@ def turned(T_parent_child: Array, directions: Array) -> Array:
     return found
 
 
-_LENGTHS = listed(3, "three lengths above 0", lambda lengths: min(lengths) > 0)
-_COLOUR = listed(
+_THREE_LENGTHS = listed(3, "three lengths above 0", lambda lengths: min(lengths) > 0)
+_RGB_COLOUR = listed(
     3, "three numbers from 0 to 255: red, green, blue", lambda colour: min(colour) >= 0 and max(colour) <= 255
 )
-_DIRECTION = listed(3, "a direction [x, y, z] towards the light", any)
+_LIGHT_DIRECTION = listed(3, "a direction [x, y, z] towards the light", any)
 
 
 @record(case="snake", nulls=True)
@@ -58,9 +58,9 @@ class Box:
         flat=True
     )
     """(4, 4)."""
-    size: Annotated[Array, array(_LENGTHS)] = field("Lengths of its edges, m.")
+    size: Annotated[Array, array(_THREE_LENGTHS)] = field("Lengths of its edges, m.")
     """(3,)."""
-    colour: Annotated[tuple[float, float, float], _COLOUR] = field(
+    colour: Annotated[tuple[float, float, float], _RGB_COLOUR] = field(
         "Red, green and blue, 0 to 255, under a light of 1.", default=(168.0, 164.0, 156.0)
     )
 
@@ -77,7 +77,7 @@ class Light:
     intensity: Annotated[float, between(0, MAX_LIGHT)] = field(
         "Light from one direction, on a surface square to it.", default=0.35
     )
-    direction: Annotated[Array, array(_DIRECTION)] = field(
+    direction: Annotated[Array, array(_LIGHT_DIRECTION)] = field(
         "Direction towards the light, in the world frame, of any length but 0.", default_factory=_from_above
     )
     """(3,)."""
@@ -111,7 +111,7 @@ class Scene:
         rays = np.ascontiguousarray(np.moveaxis(directions, -1, 0))
         nearest = np.full(directions.shape[:-1], np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
-            for distance in self._distances(origins, rays):
+            for distance in self._surface_distances(origins, rays):
                 nearest = np.fmin(nearest, distance)
         return nearest
 
@@ -119,14 +119,15 @@ class Scene:
         """Intersect rays (3, ...) from one point (3,) in the world frame.
 
         Returns:
-            The distances (...) as in `cast`, and the surface (...): the index of a box, `GROUND` or `NOTHING`.
+            The distances (...) as in `cast`, and the surface (...): the index of a box, `GROUND_SURFACE` or
+            `NO_SURFACE`.
         """
         nearest = np.full(rays.shape[1:], np.inf)
-        surface = np.full(rays.shape[1:], NOTHING)
+        surface = np.full(rays.shape[1:], NO_SURFACE)
         with np.errstate(divide="ignore", invalid="ignore"):
             if self.ground is not None:
                 distance = cast_at_ground(self.ground, origin, rays)
-                np.copyto(surface, GROUND, where=distance < nearest)
+                np.copyto(surface, GROUND_SURFACE, where=distance < nearest)
                 np.fmin(nearest, distance, out=nearest)
             for index, box in enumerate(self.boxes):
                 distance = _cast_at_box(box, origin, rays)
@@ -134,7 +135,7 @@ class Scene:
                 np.fmin(nearest, distance, out=nearest)
         return nearest, surface
 
-    def _distances(self, origins: Array, rays: Array) -> Iterator[Array]:
+    def _surface_distances(self, origins: Array, rays: Array) -> Iterator[Array]:
         """Yield the distances to the ground, if there is one, and to every box; coordinates are on the first axis."""
         if self.ground is not None:
             yield cast_at_ground(self.ground, origins, rays)

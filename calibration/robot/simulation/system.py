@@ -31,7 +31,7 @@ from calibration.robot.simulation.joints import JointErrors, check_calibrated_jo
 from calibration.robot.simulation.robot import Robot, parse_robot
 from calibration.robot.simulation.scene import Scene
 from calibration.robot.simulation.sensors import (
-    KINDS,
+    SIMULATED_SENSORS,
     SimulatedCamera,
     SimulatedDepthCamera,
     SimulatedLidar,
@@ -45,7 +45,7 @@ SIMULATION_FILE = "simulation.yml"
 MOTION_FILE = "motion.json"
 MAX_BOW_MM = 100
 """Limit of a pattern's bow."""
-_BOW = listed(2, f"two numbers from -{MAX_BOW_MM} to {MAX_BOW_MM}", lambda bow: max(map(abs, bow)) <= MAX_BOW_MM)
+_TWO_BOWS = listed(2, f"two numbers from -{MAX_BOW_MM} to {MAX_BOW_MM}", lambda bow: max(map(abs, bow)) <= MAX_BOW_MM)
 
 
 @record(case="snake", nulls=True)
@@ -94,7 +94,7 @@ class PrintedPattern:
 
     bow: Annotated[
         tuple[float, float],
-        Converted(Annotated[tuple[float, float], _BOW], lambda bow, _: (bow[0] / 1000, bow[1] / 1000)),
+        Converted(Annotated[tuple[float, float], _TWO_BOWS], lambda bow, _: (bow[0] / 1000, bow[1] / 1000)),
     ] = field("Height of the centre of a bowed pattern, along x and along y, mm.", implied=[0, 0], key="bow_mm")
     legacy_layout: bool = field("Whether a charuco pattern has OpenCV's layout of before 4.6.", default=False)
 
@@ -161,8 +161,8 @@ class System:
 
     @property
     def by_modality(self) -> list[tuple[str, SimulatedSensor]]:
-        """The sensors with their names, in the order of `KINDS`: the order of labels in datasets."""
-        order = list(KINDS)
+        """The sensors with their names, in the order of `SIMULATED_SENSORS`: the order of labels in datasets."""
+        order = list(SIMULATED_SENSORS)
         return sorted(self.sensors.items(), key=lambda item: order.index(item[1].modality.name))
 
     def boards(self, T_world_pattern: Mapping[str, Array]) -> list[Board]:
@@ -219,7 +219,7 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
         nominal=urdf,
         patterns={name: pattern.pattern() for name, pattern in config.patterns.items()},
         sensors={
-            name: _sensor(simulation.sensors, sensor, place.below("sensors"), configuration_path)
+            name: _simulated_sensor(simulation.sensors, sensor, place.below("sensors"), configuration_path)
             for name, sensor in config.sensors.items()
         },
         scene=simulation.scene,
@@ -229,9 +229,9 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
         bows={name: printed.bow for name, printed in simulation.patterns.items()},
         legacy_layouts=frozenset(name for name, printed in simulation.patterns.items() if printed.legacy_layout),
         sway=simulation.motion.sway,
-        joint_errors={name: _errors(own) for name, own in simulation.joints.items()},
+        joint_errors={name: _nonzero_errors(own) for name, own in simulation.joints.items()},
     )
-    _check(system, configuration_path)
+    _check_against_robot(system, configuration_path)
     return system
 
 
@@ -251,25 +251,25 @@ def _check_names(found: Collection[str], known: Collection[str], place: Place) -
             raise place.fault(unknown_key(name, known))
 
 
-def _sensor(
+def _simulated_sensor(
     sensors: Mapping[str, Any], sensor: SensorConfiguration, place: Place, configuration: Path
 ) -> SimulatedSensor:
     if sensor.name not in sensors:
         raise place.fault(f"missing key '{sensor.name}'")
-    if sensor.modality not in KINDS:
-        *others, last = (f"'{name}'" for name in KINDS)
+    if sensor.modality not in SIMULATED_SENSORS:
+        *others, last = (f"'{name}'" for name in SIMULATED_SENSORS)
         where = f"{configuration}: sensors/{sensor.name}/modality"
         raise InputError(f"{where}: found '{sensor.modality}', expected {', '.join(others)} or {last}")
-    found: SimulatedSensor = read_as(KINDS[sensor.modality], sensors[sensor.name], place.below(sensor.name))
+    found: SimulatedSensor = read_as(SIMULATED_SENSORS[sensor.modality], sensors[sensor.name], place.below(sensor.name))
     return found
 
 
-def _errors(own: Mapping[JointParameter, float]) -> dict[JointParameter, float]:
+def _nonzero_errors(own: Mapping[JointParameter, float]) -> dict[JointParameter, float]:
     """Return the errors that are not 0, in the order of `JOINT_PARAMETERS`."""
     return {parameter: own[parameter] for parameter in JOINT_PARAMETERS if own.get(parameter)}
 
 
-def _check(system: System, path: Path) -> None:
+def _check_against_robot(system: System, path: Path) -> None:
     """Check the configuration against the robot."""
     config, tree = system.configuration, system.robot.tree
 

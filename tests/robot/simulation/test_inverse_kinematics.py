@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.engine.geometry.transforms import distance, from_xyz_rpy, inverse, local
-from calibration.robot.simulation.inverse_kinematics import _linearise, _way, joints_between, reach
+from calibration.robot.simulation.inverse_kinematics import _linearise, _merged_chain, joints_between, reach
 from calibration.robot.simulation.random_streams import stream
 from calibration.robot.simulation.robot import compose, parse_robot
 from calibration.robot.simulation.system import System
@@ -103,7 +103,7 @@ def test_a_joint_that_mimics_another_one_moves_with_it(tmp_path: Path) -> None:
     )
     assert [joint.name for joint in joints_between(robot, "d", "a")] == ["hinge", "slide"]
     q, step = np.array([[0.7, 0.4]]), 1e-6
-    way, index = _way(robot, "a", "d"), {"slide": 0, "hinge": 1}
+    way, index = _merged_chain(robot, "a", "d"), {"slide": 0, "hinge": 1}
     here = compose(robot.tree, robot.transforms({"slide": q[:, 0], "hinge": q[:, 1]}), "a", "d")
     moved = compose(robot.tree, robot.transforms({"slide": q[:, 0] + step, "hinge": q[:, 1]}), "a", "d")
     _, J = _linearise(way, here, q, index)

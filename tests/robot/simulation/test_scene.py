@@ -7,7 +7,7 @@ import pytest
 from calibration.base.errors import InputError
 from calibration.base.records import read
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy
-from calibration.robot.simulation.scene import GROUND, NOTHING, Box, Light, Scene
+from calibration.robot.simulation.scene import GROUND_SURFACE, NO_SURFACE, Box, Light, Scene
 
 BOX = Box(from_xyz_rpy([3.0, 0.0, 1.0], [0.2, -0.3, 0.5]), np.array([1.0, 2.0, 0.6]))
 
@@ -88,11 +88,11 @@ def test_a_hit_has_the_index_of_its_surface() -> None:
     directions = np.random.default_rng(3).normal(size=(2, 200, 3))
     distance, surface = scene.hit(origin, np.moveaxis(directions, -1, 0))
     np.testing.assert_array_equal(distance, scene.cast(origin, directions))
-    assert set(surface.ravel()) == {NOTHING, GROUND, 0, 1}
-    np.testing.assert_array_equal(surface == NOTHING, np.isinf(distance))
+    assert set(surface.ravel()) == {NO_SURFACE, GROUND_SURFACE, 0, 1}
+    np.testing.assert_array_equal(surface == NO_SURFACE, np.isinf(distance))
     first = Scene(boxes=scene.boxes[:1]).cast(origin, directions)
     np.testing.assert_array_equal(first[surface == 0], distance[surface == 0])
-    points = origin + distance[surface == GROUND][:, None] * directions[surface == GROUND]
+    points = origin + distance[surface == GROUND_SURFACE][:, None] * directions[surface == GROUND_SURFACE]
     np.testing.assert_allclose(points[:, 2], 0, atol=1e-12)
 
 

@@ -6,7 +6,7 @@ from calibration.base.verdict import verdict_of
 from calibration.ci.report import Outcome, Report, Table, count_of
 from calibration.ci.report.table import shown
 from calibration.robot.importing.look.results import CameraSummary, FramesSummary, LookResults
-from calibration.robot.simulation.collection.record import COLUMNS, ROWS
+from calibration.robot.simulation.collection.record import COVERAGE_COLUMNS, COVERAGE_ROWS
 
 TITLE = "look"
 MAX_NAMES = 12
@@ -44,7 +44,7 @@ def report(results: LookResults, folder: Path | None) -> Report:
                 title="Intrinsics",
             ),
             Table(
-                ("camera", "images with it", *(f"row {row + 1}" for row in range(ROWS))),
+                ("camera", "images with it", *(f"row {row + 1}" for row in range(COVERAGE_ROWS))),
                 tuple((name, *_coverage(each)) for name, each in results.cameras.items()),
                 title=f"Pattern: {results.pattern or 'none found'}",
             ),
@@ -85,5 +85,8 @@ def _image_cells(camera: CameraSummary) -> tuple[str, ...]:
 
 def _coverage(camera: CameraSummary) -> tuple[str, ...]:
     """Return the number of images with the pattern, and each row of the image with an x where corners are."""
-    rows = ["".join("x" if row * COLUMNS + i in camera.cells else "." for i in range(COLUMNS)) for row in range(ROWS)]
+    rows = [
+        "".join("x" if row * COVERAGE_COLUMNS + i in camera.cells else "." for i in range(COVERAGE_COLUMNS))
+        for row in range(COVERAGE_ROWS)
+    ]
     return (f"{camera.with_pattern} of {camera.looked_at}", *rows)

@@ -10,7 +10,7 @@ from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.robot.importing.patterns.image_views import View, read_image
 from calibration.robot.importing.patterns.png import encoded
 from calibration.robot.labelling.detection import Image
-from calibration.robot.simulation.sensors.drawing import HEIGHT, draw_corner
+from calibration.robot.simulation.sensors.drawing import PICTURE_HEIGHT_PX, draw_corner
 
 FILE = "contact_sheet.png"
 WIDTH = 1600
@@ -37,9 +37,9 @@ def contact_sheet(views: Sequence[tuple[str, View]], patterns: Mapping[str, Patt
 
 
 def thumbnail(image: Image) -> Image:
-    """Reduce an image to the size in the sheet, (`HEIGHT`, W) or (`HEIGHT`, W, 3)."""
+    """Reduce an image to the size in the sheet, (`PICTURE_HEIGHT_PX`, W) or (`PICTURE_HEIGHT_PX`, W, 3)."""
     height, width = image.shape[:2]
-    size = (max(1, round(HEIGHT / height * width)), HEIGHT)
+    size = (max(1, round(PICTURE_HEIGHT_PX / height * width)), PICTURE_HEIGHT_PX)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
@@ -49,9 +49,9 @@ def thumbnail_of(path: Path) -> Path:
 
 
 def _small(path: Path, width: int) -> Image:
-    """Return the thumbnail (`HEIGHT`, width, 3) of an image, from its file if there is one."""
+    """Return the thumbnail (`PICTURE_HEIGHT_PX`, width, 3) of an image, from its file if there is one."""
     made = thumbnail_of(path)
-    if made.is_file() and (small := read_image(made)).shape[:2] == (HEIGHT, width):
+    if made.is_file() and (small := read_image(made)).shape[:2] == (PICTURE_HEIGHT_PX, width):
         return small
     return thumbnail(read_image(path))
 
@@ -63,7 +63,7 @@ def _padded(tile: Image, width: int) -> Image:
 
 
 def _tile(title: str, view: View, patterns: Mapping[str, PatternConfiguration]) -> Image:
-    scale = HEIGHT / view.height
+    scale = PICTURE_HEIGHT_PX / view.height
     small = _small(Path(view.file), max(1, round(scale * view.width)))
     picture = np.asarray(cv2.convertScaleAbs(small, alpha=0.8, beta=40), np.uint8)  # paler, for the marks
     count = 0

@@ -63,7 +63,7 @@ def capture(play: Play, number: int) -> Capture:
     any subset of a motion's poses gives a subset of the collections.
     """
     system = play.system
-    boards = {name: _boards(play, number, name) for name in system.sensors}
+    boards = {name: _boards_for_sensor(play, number, name) for name in system.sensors}
     data = {
         name: sensor.render(
             play.true.sensors[name][number], system.scene, boards[name], stream(play.seed, number, name)
@@ -85,14 +85,16 @@ def capture(play: Play, number: int) -> Capture:
             found = labels[pattern, name]
             if isinstance(found, CornerLabels):
                 estimates[pattern, name] = estimate_pose(camera.camera, system.patterns[pattern], found)
-    guesses = {pattern: _guess(play, number, pattern, labels, estimates) for pattern in system.patterns}
+    guesses = {
+        pattern: _estimated_pattern_pose(play, number, pattern, labels, estimates) for pattern in system.patterns
+    }
     for name in system.sensors:
         if name not in system.cameras:
             label(name, guesses)
     return Capture(number, boards, data, labels, estimates)
 
 
-def _boards(play: Play, number: int, sensor: str) -> list[Board]:
+def _boards_for_sensor(play: Play, number: int, sensor: str) -> list[Board]:
     """Return the patterns at their poses for one sensor: the moved one may sway."""
     system = play.system
     boards = system.boards({name: T[number] for name, T in play.true.patterns.items()})
@@ -108,7 +110,7 @@ def _boards(play: Play, number: int, sensor: str) -> list[Board]:
     return boards
 
 
-def _guess(
+def _estimated_pattern_pose(
     play: Play,
     number: int,
     pattern: str,
@@ -151,7 +153,7 @@ class Requirements:
 
 def reasons_to_lose(system: System, capture: Capture, requirements: Requirements) -> tuple[str, ...]:
     """Return the reasons why a collection is not kept; empty if it is."""
-    reasons = [reason for sensor in system.sensors if (reason := _undetected(capture, sensor))]
+    reasons = [reason for sensor in system.sensors if (reason := _reason_of_no_detection(capture, sensor))]
     if capture.movement > requirements.stillness:
         limit = 1000 * requirements.stillness
         reasons.append(f"moved {1000 * capture.movement:.1f} mm while the sensors looked, {limit:g} mm are allowed")
@@ -163,7 +165,7 @@ def reasons_to_lose(system: System, capture: Capture, requirements: Requirements
     return tuple(reasons)
 
 
-def _undetected(capture: Capture, sensor: str) -> str:
+def _reason_of_no_detection(capture: Capture, sensor: str) -> str:
     """Return the reason why a sensor detects none of the patterns; empty if it detects one."""
     found = capture.found_by(sensor)
     if not all(isinstance(answer, NotDetected) for answer in found.values()):

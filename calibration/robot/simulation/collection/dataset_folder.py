@@ -67,7 +67,7 @@ def replacing_dataset(folder: Path, overwrite: bool) -> Iterator[Path]:
     its own.
     """
     refuse_existing(folder, overwrite)
-    created = _make(folder)
+    created = _make_with_parents(folder)
     try:
         with temporary_folder(prefix=".collecting-", parent=folder) as temporary:
             new, old = temporary / "new", temporary / "old"
@@ -76,7 +76,7 @@ def replacing_dataset(folder: Path, overwrite: bool) -> Iterator[Path]:
             yield new
             if not overwrite:
                 _refuse_other_files(folder, new)
-            _swap(folder, new, old)
+            _exchange_datasets(folder, new, old)
     except OSError as error:
         raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
     finally:
@@ -85,7 +85,7 @@ def replacing_dataset(folder: Path, overwrite: bool) -> Iterator[Path]:
                 path.rmdir()
 
 
-def _make(folder: Path) -> list[Path]:
+def _make_with_parents(folder: Path) -> list[Path]:
     """Make a folder and its parents; return the new ones, innermost first."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
@@ -103,10 +103,10 @@ def _refuse_other_files(folder: Path, new: Path) -> None:
             raise InputError(f"{old}: exists already and differs; --overwrite replaces it")
 
 
-def _swap(folder: Path, new: Path, old: Path) -> None:
+def _exchange_datasets(folder: Path, new: Path, old: Path) -> None:
     """Exchange the old dataset for the new one; all or nothing."""
     arriving = sorted((path.name for path in new.iterdir()), key=lambda name: name == FILE_NAME)
-    leaving = [FILE_NAME, *sorted({*arriving, *_payload(folder / FILE_NAME)} - {FILE_NAME})]
+    leaving = [FILE_NAME, *sorted({*arriving, *_data_files_of(folder / FILE_NAME)} - {FILE_NAME})]
     try:
         for name in leaving:
             if (folder / name).exists():
@@ -122,7 +122,7 @@ def _swap(folder: Path, new: Path, old: Path) -> None:
         raise
 
 
-def _payload(dataset: Path) -> set[str]:
+def _data_files_of(dataset: Path) -> set[str]:
     """Return the data files that a dataset's collections name; empty if it cannot be read."""
     try:
         collections = json.loads(dataset.read_bytes())["collections"].values()

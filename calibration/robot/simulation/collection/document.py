@@ -21,9 +21,9 @@ from calibration.robot.simulation.joints import joint_values
 from calibration.robot.simulation.placement import Play
 from calibration.robot.simulation.system import System
 
-USER = "calibration-ci"
-DATE = "Thu Jan  1 00:00:00 1970"
-TIMESTAMP = "0.0"
+RECORDING_USER = "calibration-ci"
+RECORDING_DATE = "Thu Jan  1 00:00:00 1970"
+RECORDING_TIMESTAMP = "0.0"
 """Constant, so that the same input gives the same bytes."""
 
 
@@ -33,21 +33,21 @@ def dataset_document(system: System, kept: Sequence[Record]) -> dict[str, Any]:
     return {
         "_metadata": {
             "dataset_name": system.name,
-            "date": DATE,
+            "date": RECORDING_DATE,
             "package_name": configuration.package_name,
             "robot_name": system.robot.name,
-            "timestamp": TIMESTAMP,
-            "user": USER,
+            "timestamp": RECORDING_TIMESTAMP,
+            "user": RECORDING_USER,
             "version": "3.0",
         },
         "additional_sensor_data": {},
         "calibration_config": configuration.to_document(),
-        "sensors": {name: _sensor(system, sensor) for name, sensor in configuration.sensors.items()},
+        "sensors": {name: _sensor_document(system, sensor) for name, sensor in configuration.sensors.items()},
         "patterns": {
             name: pattern_document(pattern, {record.key: dict(record.initial[name]) for record in kept})
             for name, pattern in system.patterns.items()
         },
-        "transforms": _transforms(system),
+        "transforms": _edge_documents(system),
         "collections": {record.key: record.collection for record in kept},
     }
 
@@ -87,7 +87,7 @@ def _true_joints(system: System) -> dict[str, dict[str, float]]:
     return joints
 
 
-def _sensor(system: System, sensor: SensorConfiguration) -> dict[str, Any]:
+def _sensor_document(system: System, sensor: SensorConfiguration) -> dict[str, Any]:
     simulated = system.sensors[sensor.name]
     steps = system.robot.tree.path(system.configuration.world_link, sensor.link)
     document: dict[str, Any] = {
@@ -118,7 +118,7 @@ def _camera_info(camera: Camera, frame: str) -> dict[str, Any]:
     }
 
 
-def _transforms(system: System) -> dict[str, Any]:
+def _edge_documents(system: System) -> dict[str, Any]:
     """Return the attributes of every edge of the tree; "multiple" if it differs between collections."""
     calibrated = {(s.parent_link, s.child_link) for s in system.configuration.sensors.values()}
     calibrated |= set(system.configuration.additional_tfs.values())

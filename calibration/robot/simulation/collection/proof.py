@@ -56,16 +56,16 @@ class Proof:
     @property
     def joint_mm(self) -> float | None:
         """Largest error of the joints' parameters that are lengths."""
-        worst = self._worst("m")
+        worst = self._largest_joint_error("m")
         return None if worst is None else round(1e3 * worst, 4)
 
     @property
     def joint_deg(self) -> float | None:
         """Largest error of the joints' parameters that are angles."""
-        worst = self._worst("rad")
+        worst = self._largest_joint_error("rad")
         return None if worst is None else round(math.degrees(worst), 6)
 
-    def _worst(self, unit: str) -> float | None:
+    def _largest_joint_error(self, unit: str) -> float | None:
         errors = (each.error for each in self.joints or () if each.unit == unit and each.error is not None)
         return max(errors, default=None)
 
@@ -95,9 +95,9 @@ def prove_dataset(dataset: Dataset, choice: str | None = None) -> Proof:
     return Proof(
         converged=found.converged,
         reason=found.reason,
-        rms_px=_rounded(found.rms_px, 4),
-        translation_mm=_rounded(error.translation_mm, 4) if error else None,
-        rotation_deg=_rounded(error.rotation_deg, 6) if error else None,
+        rms_px=_round_finite(found.rms_px, 4),
+        translation_mm=_round_finite(error.translation_mm, 4) if error else None,
+        rotation_deg=_round_finite(error.rotation_deg, 6) if error else None,
         sigmas={
             name: SensorSigma(
                 round(found.label_sigma_mm(edge), 4), round(float(np.degrees(found.label_sigma_mrad(edge) / 1e3)), 6)
@@ -107,11 +107,11 @@ def prove_dataset(dataset: Dataset, choice: str | None = None) -> Proof:
         if found.converged
         else None,
         weak_directions=found.weak_directions,
-        joints=(tuple(_joints(found, error)) or None) if found.converged else None,
+        joints=(tuple(_joint_proofs(found, error)) or None) if found.converged else None,
     )
 
 
-def _joints(found: Calibration, error: TruthError | None) -> Iterator[JointProof]:
+def _joint_proofs(found: Calibration, error: TruthError | None) -> Iterator[JointProof]:
     errors = {(each.joint, each.parameter): each.error for each in error.joints} if error else {}
     for name, joint in found.joints.items():
         numbers = zip(joint.parameters, joint.units, joint.values.tolist(), joint.label_sigmas.tolist(), strict=True)
@@ -122,5 +122,5 @@ def _joints(found: Calibration, error: TruthError | None) -> Iterator[JointProof
             )
 
 
-def _rounded(value: float, decimals: int) -> float | None:
+def _round_finite(value: float, decimals: int) -> float | None:
     return round(float(value), decimals) if np.isfinite(value) else None

@@ -52,7 +52,7 @@ class Record:
     errors: Mapping[str, CornerErrors]
     """Errors of the detected corners, by camera."""
     cells: Mapping[str, tuple[int, ...]]
-    """Cells with a corner of a grid over the image (`COLUMNS` x `ROWS`, row by row), by camera."""
+    """Cells with a corner of a grid over the image (`COVERAGE_COLUMNS` x `COVERAGE_ROWS`, row by row), by camera."""
     collection: Mapping[str, Any]
     """The entry of ``collections`` in the dataset."""
     initial: Mapping[str, Mapping[str, Any]]
@@ -98,7 +98,7 @@ class Record:
         )
 
 
-COLUMNS, ROWS = 4, 3
+COVERAGE_COLUMNS, COVERAGE_ROWS = 4, 3
 """Size of the grid over an image for its coverage."""
 
 
@@ -113,20 +113,20 @@ def record(play: Play, capture: Capture, lost: tuple[str, ...]) -> Record:
     return Record(
         number=number,
         lost=lost,
-        labels={name: sum(map(_count, capture.found_by(name).values())) for name in system.sensors},
+        labels={name: sum(map(_label_count, capture.found_by(name).values())) for name in system.sensors},
         complete={name: _sees_all(play, capture, name) for name in system.cameras},
         errors={name: error for name in system.cameras if (error := _corner_errors(play, capture, name))},
         cells={
             name: image_cells(sensor.camera.width, sensor.camera.height, capture.corners(name).values())
             for name, sensor in system.cameras.items()
         },
-        collection=_collection(play, capture),
-        initial={name: _initial(play, capture, name) for name in system.patterns},
-        truth=_truth(play, number),
+        collection=_collection_document(play, capture),
+        initial={name: _initial_pattern_pose(play, capture, name) for name in system.patterns},
+        truth=_true_transforms(play, number),
     )
 
 
-def _truth(play: Play, number: int) -> tuple[Mapping[str, Any], ...]:
+def _true_transforms(play: Play, number: int) -> tuple[Mapping[str, Any], ...]:
     system = play.system
     patterns = {
         (system.configuration.world_link, pattern.link): play.true.patterns[name]
@@ -136,7 +136,7 @@ def _truth(play: Play, number: int) -> tuple[Mapping[str, Any], ...]:
     return tuple(pose_document(edge, T[number]) for edge, T in {**patterns, **moving}.items())
 
 
-def _count(found: Found) -> int:
+def _label_count(found: Found) -> int:
     match found:
         case CornerLabels():
             return len(found.ids)
@@ -177,20 +177,20 @@ def _corner_errors(play: Play, capture: Capture, camera: str) -> CornerErrors | 
 
 def image_cells(width: int, height: int, detected: Iterable[CornerLabels]) -> tuple[int, ...]:
     """Return the cells of the grid over an image (px) with a corner."""
-    size = np.array([width / COLUMNS, height / ROWS])
+    size = np.array([width / COVERAGE_COLUMNS, height / COVERAGE_ROWS])
     found = set()
     for labels in detected:
-        column, row = np.clip((labels.pixels + 0.5) // size, 0, [COLUMNS - 1, ROWS - 1]).astype(int).T
-        found.update((row * COLUMNS + column).tolist())
+        column, row = np.clip((labels.pixels + 0.5) // size, 0, [COVERAGE_COLUMNS - 1, COVERAGE_ROWS - 1]).astype(int).T
+        found.update((row * COVERAGE_COLUMNS + column).tolist())
     return tuple(sorted(found))
 
 
-def _collection(play: Play, capture: Capture) -> dict[str, Any]:
+def _collection_document(play: Play, capture: Capture) -> dict[str, Any]:
     system, number = play.system, capture.number
     return {
         "additional_data": {},
-        "data": {name: _message(play, capture, name) for name in system.sensors},
-        "joints": _joints(play, number),
+        "data": {name: _sensor_message(play, capture, name) for name in system.sensors},
+        "joints": _nominal_joints(play, number),
         "labels": {
             pattern: {name: sensor.label_document(capture.labels[pattern, name]) for name, sensor in system.by_modality}
             for pattern in system.patterns
@@ -202,13 +202,13 @@ def _collection(play: Play, capture: Capture) -> dict[str, Any]:
     }
 
 
-def _joints(play: Play, number: int) -> dict[str, Any]:
+def _nominal_joints(play: Play, number: int) -> dict[str, Any]:
     """Return the calibrated joints of the nominal robot."""
     joints = {name: play.system.nominal.movable[name] for name in play.system.configuration.joints}
     return {name: joint_document(joint, float(play.nominal.joints[name][number])) for name, joint in joints.items()}
 
 
-def _message(play: Play, capture: Capture, name: str) -> dict[str, Any]:
+def _sensor_message(play: Play, capture: Capture, name: str) -> dict[str, Any]:
     """Return the ROS message of a sensor; its data are in a separate file or in the message itself."""
     sensor = play.system.sensors[name]
     header = message_header(play.system.configuration.sensors[name].link, capture.number)
@@ -221,7 +221,7 @@ def data_file(name: str, sensor: SimulatedSensor, number: int) -> str:
     return f"{name}_{collection_key(number)}.{sensor.file_ending}"
 
 
-def _initial(play: Play, capture: Capture, pattern: str) -> dict[str, Any]:
+def _initial_pattern_pose(play: Play, capture: Capture, pattern: str) -> dict[str, Any]:
     """Return the pose of a pattern by the labels of the first camera that detects it.
 
     It is estimated by the nominal robot, as ATOM does when it collects.
@@ -231,13 +231,13 @@ def _initial(play: Play, capture: Capture, pattern: str) -> dict[str, Any]:
         T_camera_pattern = capture.estimates.get((pattern, camera))
         if T_camera_pattern is not None and np.isfinite(T_camera_pattern).all():
             edge: Edge = (geometry.parent_link, geometry.link)
-            T_parent_camera = _nominal(play, geometry.parent_link, camera, capture.number)
+            T_parent_camera = _nominal_camera_pose(play, geometry.parent_link, camera, capture.number)
             pose = pose_document(edge, T_parent_camera @ T_camera_pattern, ESTIMATE_DECIMALS)
             return {"detected": True, "sensor": camera, **pose}
     return {"detected": False}
 
 
-def _nominal(play: Play, frame: str, camera: str, number: int) -> Array:
+def _nominal_camera_pose(play: Play, frame: str, camera: str, number: int) -> Array:
     """Return the nominal ``T_frame_camera`` (4, 4)."""
     transforms = {edge: T[number : number + 1] for edge, T in play.nominal.transforms.items()}
     link = play.system.configuration.sensors[camera].link

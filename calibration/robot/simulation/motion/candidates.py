@@ -51,7 +51,7 @@ def _keeps_height(joint: Joint, axis: Array) -> bool:
 _FOR_EACH = 12  # candidates per pose of the motion
 _AT_LEAST = 120  # minimum of candidates, for a short motion
 _DRAWN = 20  # drawn poses in a round per pose of the motion; most are not visible to some sensor
-_ROUNDS = 20  # limit of rounds; then fewer candidates have to do
+_MAX_ROUNDS = 20  # limit of rounds; then fewer candidates have to do
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +82,14 @@ def find_candidates(system: System, count: int, seed: int) -> Candidates:
     share = 0.0 if whole else system.motion.partial
     found: list[Candidates] = []
     missing = {True: math.ceil(share * wanted), False: math.ceil((1 - share) * wanted)}  # partial views, or not
-    for number in range(_ROUNDS):
-        seen = _seen(system, _drawn(system, max(_DRAWN * count, _AT_LEAST), seed, number))
+    for number in range(_MAX_ROUNDS):
+        seen = _usable_poses(system, _draw_round(system, max(_DRAWN * count, _AT_LEAST), seed, number))
         kept: list[int] = []
         for in_part in missing:
             some = np.flatnonzero((seen.partial > 0) == in_part)[: missing[in_part]]
             missing[in_part] -= len(some)
             kept += some.tolist()
-        found.append(_take(seen, sorted(kept)))
+        found.append(_take_candidates(seen, sorted(kept)))
         if not any(missing.values()):
             break
     return Candidates(
@@ -99,7 +99,7 @@ def find_candidates(system: System, count: int, seed: int) -> Candidates:
     )
 
 
-def _drawn(system: System, count: int, seed: int, number: int) -> Motion:
+def _draw_round(system: System, count: int, seed: int, number: int) -> Motion:
     """Draw a round of poses, equally many in front of the cameras of each pattern: the moved one, or all."""
     patterns = [system.moved_pattern] if system.moved_pattern else list(system.patterns.values())
     each = -(-count // len(patterns))
@@ -107,24 +107,24 @@ def _drawn(system: System, count: int, seed: int, number: int) -> Motion:
     return joined([draw_motion(system, pattern, each, r) for pattern, r in zip(patterns, streams, strict=True)])
 
 
-def _seen(system: System, motion: Motion) -> Candidates:
+def _usable_poses(system: System, motion: Motion) -> Candidates:
     """Return the poses of a motion at which every sensor sees a pattern and nothing collides.
 
     The fastest checks come first.
     """
-    motion, placement = _only(system, motion, _centred(system, place(system, motion)))
+    motion, placement = _subset_of_motion(system, motion, _has_pattern_in_every_image(system, place(system, motion)))
     for pattern in system.patterns.values():
-        motion, placement = _only(system, motion, is_clear(system, pattern, placement))
+        motion, placement = _subset_of_motion(system, motion, is_clear(system, pattern, placement))
     for name, sensor in system.by_modality:
         if name not in system.cameras:
             some = [sensor.detects(views(system, placement, name, pattern)) for pattern in system.patterns]
-            motion, placement = _only(system, motion, np.any(some, axis=0))
-    seen, partial, cells = zip(*(_image(system, name, placement) for name in system.cameras), strict=True)
+            motion, placement = _subset_of_motion(system, motion, np.any(some, axis=0))
+    seen, partial, cells = zip(*(_camera_detections(system, name, placement) for name in system.cameras), strict=True)
     candidates = Candidates(motion, np.mean(partial, axis=0), np.concatenate(cells, -1))
-    return _take(candidates, np.flatnonzero(np.all(seen, axis=0)).tolist())
+    return _take_candidates(candidates, np.flatnonzero(np.all(seen, axis=0)).tolist())
 
 
-def _centred(system: System, placement: Placement) -> BoolArray:
+def _has_pattern_in_every_image(system: System, placement: Placement) -> BoolArray:
     """Return a mask (N,) of poses with a pattern's centre in every image, facing the camera: others are rarely seen."""
 
     def shown(name: str, pattern: str) -> BoolArray:
@@ -135,7 +135,7 @@ def _centred(system: System, placement: Placement) -> BoolArray:
     return found
 
 
-def _image(system: System, camera: str, placement: Placement) -> tuple[BoolArray, BoolArray, BoolArray]:
+def _camera_detections(system: System, camera: str, placement: Placement) -> tuple[BoolArray, BoolArray, BoolArray]:
     """Return masks (N,) of the poses with a detection in a camera, and with a partial view; and the cells (N, C)."""
     sensor = system.cameras[camera]
     seen = [sensor.corner_views(views(system, placement, camera, pattern)) for pattern in system.patterns]
@@ -145,11 +145,11 @@ def _image(system: System, camera: str, placement: Placement) -> tuple[BoolArray
     return np.any(detected, axis=0), np.any(partial, axis=0), np.any(cells, axis=0)
 
 
-def _only(system: System, motion: Motion, which: BoolArray) -> tuple[Motion, Placement]:
+def _subset_of_motion(system: System, motion: Motion, which: BoolArray) -> tuple[Motion, Placement]:
     """Return a subset of the poses of a motion, and their placement."""
     some = motion.take(np.flatnonzero(which))
     return some, place(system, some)
 
 
-def _take(candidates: Candidates, index: list[int]) -> Candidates:
+def _take_candidates(candidates: Candidates, index: list[int]) -> Candidates:
     return Candidates(candidates.motion.take(index), candidates.partial[index], candidates.cells[index])

@@ -21,7 +21,7 @@ from calibration.robot.simulation.robot import Joint, compose
 from calibration.robot.simulation.system import MotionRanges, System
 
 _REACH_ANY_POSE = 6  # joints between camera and pattern
-_TRIES = 20  # drawn positions per requested pose, with fewer joints
+_MAX_TRIES = 20  # drawn positions per requested pose, with fewer joints
 
 
 def draw_motion(system: System, pattern: Pattern, count: int, random: np.random.Generator) -> Motion:
@@ -45,7 +45,7 @@ def draw_motion(system: System, pattern: Pattern, count: int, random: np.random.
                 positions, kept = reach(system.robot, link, pattern.link, T_camera_pattern, random)
             else:
                 others = [joint for joint in system.robot.movable.values() if joint not in between]
-                positions = _draw_positions([*between, *others], _TRIES * each, random)
+                positions = _draw_positions([*between, *others], _MAX_TRIES * each, random)
                 at = compose(system.robot.tree, system.robot.transforms(positions), link, pattern.link)
                 kept = within_ranges(at, sensor.camera, pattern, system.motion)
             for joint, values in joints.items():
@@ -81,7 +81,7 @@ def within_ranges(T_camera_pattern: Array, camera: Camera, pattern: Pattern, ran
     ahead &= camera.contains(pixels) & (distance >= low) & (distance <= high)
     sight = np.where(ahead[:, None], centre / np.maximum(distance, 1e-300)[:, None], [0.0, 0.0, 1.0])
     # tilt and roll, in this order: R = tilt about an axis in the image * roll about the line of sight
-    R = np.swapaxes(_towards(sight), -1, -2) @ T_camera_pattern[:, :3, :3]
+    R = np.swapaxes(_rotations_towards(sight), -1, -2) @ T_camera_pattern[:, :3, :3]
     tilt = np.arccos(np.clip(R[:, 2, 2], -1.0, 1.0))
     roll = np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])
     kept: BoolArray = ahead & (tilt <= ranges.tilt) & (np.abs(roll) <= ranges.roll)
@@ -102,7 +102,11 @@ def draw_poses(
     roll = ranges.roll * (2 * random.random(count) - 1)
     zero = np.zeros(count)
     axis = np.stack([np.cos(about), np.sin(about), zero], -1)
-    R = _towards(sight) @ rotations.exp(tilt[:, None] * axis) @ rotations.exp(np.stack([zero, zero, roll], -1))
+    R = (
+        _rotations_towards(sight)
+        @ rotations.exp(tilt[:, None] * axis)
+        @ rotations.exp(np.stack([zero, zero, roll], -1))
+    )
     return transform(R, centre - R @ pattern.centre)
 
 
@@ -113,7 +117,7 @@ def filling_distances(camera: Camera, pattern: Pattern) -> tuple[float, float]:
     return full / 0.9, full * 3
 
 
-def _towards(sight: Array) -> Array:
+def _rotations_towards(sight: Array) -> Array:
     """Return the smallest rotations (N, 3, 3) that map the z axis to unit vectors (N, 3) in front of the camera."""
     x, y, z = sight.T
     angle = np.arctan2(np.hypot(x, y), z)

@@ -26,7 +26,7 @@ def expected_dataset(system: System, placement: Placement) -> Dataset:
         path=Path(system.name),
         version="3.0",
         world=config.world_link,
-        sensors={name: _sensor(system, sensor) for name, sensor in config.sensors.items()},
+        sensors={name: _expected_sensor(system, sensor) for name, sensor in config.sensors.items()},
         patterns=system.patterns,
         anchored=config.anchored_sensor,
         additional_transforms=tuple(config.additional_tfs.values()),
@@ -34,11 +34,11 @@ def expected_dataset(system: System, placement: Placement) -> Dataset:
         transforms=placement.transforms,
         document={},
         moving_transforms=system.unknown_motions,
-        joints={name: _joint(system, name, placement) for name in config.joints},
+        joints={name: _expected_joint(system, name, placement) for name in config.joints},
     )
 
 
-def _joint(system: System, name: str, placement: Placement) -> Joint:
+def _expected_joint(system: System, name: str, placement: Placement) -> Joint:
     nominal, asked = system.nominal.movable[name], system.configuration.joints[name]
     return Joint(
         name=name,
@@ -50,7 +50,7 @@ def _joint(system: System, name: str, placement: Placement) -> Joint:
     )
 
 
-def _sensor(system: System, sensor: SensorConfiguration) -> Sensor:
+def _expected_sensor(system: System, sensor: SensorConfiguration) -> Sensor:
     simulated = system.sensors[sensor.name]
     return Sensor(
         name=sensor.name,

@@ -15,7 +15,7 @@ from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.estimation.solve.design import choose
 from calibration.robot.simulation.motion.candidates import Candidates, find_candidates
 from calibration.robot.simulation.motion.information import information
-from calibration.robot.simulation.motion.sequence import GENERATE, Motion, pose_count, read_motion
+from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX, Motion, pose_count, read_motion
 from calibration.robot.simulation.placement import Placement, place
 from calibration.robot.simulation.system import System
 
@@ -29,7 +29,7 @@ def generate_motion(system: System, count: int, seed: int) -> Motion:
     if not system.cameras:
         raise InputError(f"a motion of {system.name} cannot be generated: it has no camera")
     candidates = find_candidates(system, count, seed)
-    best = _best(system, candidates, count) if len(candidates) >= count else range(len(candidates))
+    best = _best_candidates(system, candidates, count) if len(candidates) >= count else range(len(candidates))
     if len(best) < count:
         raise InputError(
             f"found {len(best)} poses of {system.name} that every sensor sees, expected {count}; "
@@ -38,7 +38,7 @@ def generate_motion(system: System, count: int, seed: int) -> Motion:
     return candidates.motion.take(best)
 
 
-def _best(system: System, candidates: Candidates, count: int) -> list[int]:
+def _best_candidates(system: System, candidates: Candidates, count: int) -> list[int]:
     """Return the indices of the candidates that make the motion.
 
     If the engine can calibrate nothing of the system, they cover the images and are random otherwise.
@@ -49,7 +49,7 @@ def _best(system: System, candidates: Candidates, count: int) -> list[int]:
     except UndeterminedError:
         nothing = np.zeros((len(candidates), 1, 1))
         return choose(nothing, 1, candidates.partial, system.motion.partial, candidates.cells, count)
-    unit = found.units(_distance(system, placement))
+    unit = found.units(_mean_pattern_distance(system, placement))
     chosen = choose(
         unit[:, None] * found.each * unit,
         found.calibrated,
@@ -62,7 +62,7 @@ def _best(system: System, candidates: Candidates, count: int) -> list[int]:
     return best
 
 
-def _distance(system: System, placement: Placement) -> float:
+def _mean_pattern_distance(system: System, placement: Placement) -> float:
     """Return the mean distance of patterns from the cameras, m: it relates rotations to translations."""
     distances: list[Array] = [
         np.linalg.norm(placement.pattern_in(camera, pattern)[:, :3, 3], axis=-1)
@@ -78,6 +78,6 @@ def named_motion(name: str, system: System | None, seed: int) -> Motion:
     Raises:
         InputError: the file cannot be read, or too few poses are seen by every sensor.
     """
-    if system is None or not name.startswith(GENERATE):
+    if system is None or not name.startswith(GENERATED_PREFIX):
         return read_motion(Path(name))
     return generate_motion(system, pose_count(name), seed)

@@ -62,7 +62,7 @@ def information(system: System, placement: Placement) -> Information:
     """
     setup = build(expected_dataset(system, placement))
     poses = np.array([int(key) for key in setup.dataset.keys])
-    each = informations(setup.problem, _truth(system, setup, placement, poses), expected_noise(system))
+    each = informations(setup.problem, _true_values(system, setup, placement, poses), expected_noise(system))
     return Information(setup, poses, each)
 
 
@@ -76,7 +76,7 @@ def expected_noise(system: System) -> Weighting:
     return Weighting(scales, None)
 
 
-def _truth(system: System, setup: Setup, placement: Placement, poses: IntArray) -> Values:
+def _true_values(system: System, setup: Setup, placement: Placement, poses: IntArray) -> Values:
     """Return the true value of every block; patterns at the centre of their corners, as in the engine."""
     joints = {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     patterns = {setup.pattern_edge(name): pattern for name, pattern in setup.dataset.patterns.items()}
@@ -121,17 +121,17 @@ def predicted_sigmas(system: System, motion: Motion) -> Mapping[str, tuple[float
         found = information(system, placement)
     except InputError:  # poses that determine nothing
         return {sensor.name: (np.inf, np.inf) for sensor in sensors}
-    sigmas = _sigmas(found, system)
+    sigmas = _pose_standard_deviations(found, system)
     setup, held = found.setup, (0.0, 0.0)
     blocks = {sensor.name: setup.block((sensor.parent_link, sensor.child_link)) for sensor in sensors}
     return {name: sigmas.get(block, held) for name, block in blocks.items()}
 
 
-def _sigmas(found: Information, system: System) -> dict[int, tuple[float, float]]:
+def _pose_standard_deviations(found: Information, system: System) -> dict[int, tuple[float, float]]:
     """Return the translation (m) and rotation (rad) standard deviations of each shared block that is a pose."""
     problem = found.setup.problem
     unit = found.units(max(pattern.size for pattern in system.patterns.values()))
-    variance = _variances(unit[:, None] * found.each.sum(0) * unit) * unit**2
+    variance = _parameter_variances(unit[:, None] * found.each.sum(0) * unit) * unit**2
     sigmas = {}
     for block, at in problem.shared_parameters.items():
         if problem.blocks[block].joint is None:
@@ -140,7 +140,7 @@ def _sigmas(found: Information, system: System) -> dict[int, tuple[float, float]
     return sigmas
 
 
-def _variances(information: Array) -> Array:
+def _parameter_variances(information: Array) -> Array:
     """Return the variance (D,) of each parameter from the information (D, D); infinite if it is not determined."""
     values, directions = np.linalg.eigh(information)
     open_ = values <= SINGULAR * values[-1]

@@ -20,11 +20,11 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import from_quaternion
 
 MAX_POSES = 10_000
-GENERATE = "generate:"
+GENERATED_PREFIX = "generate:"
 """Prefix of the name of a generated motion: ``generate:22`` has 22 poses."""
 MAX_GENERATED = 1000
 """Limit of the poses of a generated motion."""
-DECIMALS = 6
+POSE_DECIMALS = 6
 """Decimals of positions and quaternions: a micrometre and a microradian."""
 
 
@@ -66,12 +66,14 @@ class Motion:
 
 def moving_model(model_poses: Array) -> Motion:
     """Return the motion of a model through the poses (N, 4, 4), rounded as in a file."""
-    return Motion(_rounded(model_poses[:, :3, 3]), _rounded(rotations.to_quaternion(model_poses[:, :3, :3])), {})
+    return Motion(
+        _round_numbers(model_poses[:, :3, 3]), _round_numbers(rotations.to_quaternion(model_poses[:, :3, :3])), {}
+    )
 
 
 def moving_joints(joints: Mapping[str, Array]) -> Motion:
     """Return the motion of joints through positions (N,), rounded as in a file."""
-    return Motion(None, None, {name: _rounded(positions) for name, positions in joints.items()})
+    return Motion(None, None, {name: _round_numbers(positions) for name, positions in joints.items()})
 
 
 def joined(motions: Sequence[Motion]) -> Motion:
@@ -189,9 +191,9 @@ def pose_count(motion: str) -> int:
     Raises:
         InputError: it is not a number from 1 to `MAX_GENERATED`.
     """
-    count = motion.removeprefix(GENERATE)
+    count = motion.removeprefix(GENERATED_PREFIX)
     if not (count.isascii() and count.isdigit() and len(count) < 10 and 1 <= int(count) <= MAX_GENERATED):
-        raise InputError(f"motion: found '{motion}', expected {GENERATE}N with N from 1 to {MAX_GENERATED}")
+        raise InputError(f"motion: found '{motion}', expected {GENERATED_PREFIX}N with N from 1 to {MAX_GENERATED}")
     return int(count)
 
 
@@ -207,6 +209,6 @@ def motion_document(motion: Motion) -> dict[str, Any]:
     return document
 
 
-def _rounded(values: Array) -> Array:
-    finer: Array = np.round(values, DECIMALS) + 0.0  # no negative zeros
+def _round_numbers(values: Array) -> Array:
+    finer: Array = np.round(values, POSE_DECIMALS) + 0.0  # no negative zeros
     return finer

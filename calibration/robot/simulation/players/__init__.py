@@ -13,7 +13,7 @@ from calibration.base.errors import InputError
 if TYPE_CHECKING:
     from calibration.robot.simulation.motion.sequence import Motion
 
-PLAYERS: Mapping[str, str] = {"ros1": "ros1.py"}
+PLAYER_FILES: Mapping[str, str] = {"ros1": "ros1.py"}
 """File of each player, by name."""
 
 
@@ -23,9 +23,9 @@ def player_file(name: str = "ros1") -> Path:
     Raises:
         InputError: there is no such player.
     """
-    if name not in PLAYERS:
-        raise InputError(f"player: found '{name}', expected {' or '.join(PLAYERS)}")
-    return Path(__file__).parent / PLAYERS[name]
+    if name not in PLAYER_FILES:
+        raise InputError(f"player: found '{name}', expected {' or '.join(PLAYER_FILES)}")
+    return Path(__file__).parent / PLAYER_FILES[name]
 
 
 def check_motion(motion: "Motion") -> None:

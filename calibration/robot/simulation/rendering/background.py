@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.geometry.cameras import Camera
 from calibration.robot.simulation.rendering.colours import colours, face_colours, ground_colours, sky_colours
-from calibration.robot.simulation.rendering.facets import UNDECIDED, Sight, facets
-from calibration.robot.simulation.rendering.rays import CELL, SAMPLES, cells, in_cells, sample_rays
-from calibration.robot.simulation.scene import GROUND, Scene, turned
+from calibration.robot.simulation.rendering.facets import UNKNOWN_FACET, Sight, facets
+from calibration.robot.simulation.rendering.rays import CELL_SIZE, SAMPLES_PER_PIXEL, cells, in_cells, sample_rays
+from calibration.robot.simulation.scene import GROUND_SURFACE, Scene, turned
 
-STEPS = 64
+STEPS_PER_GREY_LEVEL = 64
 """Radiance steps per grey level: images have 16 bits until the camera's exposure."""
 
-_EDGE = 6
+_MAX_GREY_DIFFERENCE = 6
 """Pixels that differ from a neighbour by more grey levels are supersampled."""
-_CELLS = 125
+_CELLS_PER_BATCH = 125
 """Number of cells per batch, whose rays fit into the cache."""
-_PIXELS = 3000
+_PIXELS_PER_BATCH = 3000
 """Number of pixels that are supersampled at once. A lens is inverted by iterations that end for all of them at once, so
 the last bits of a ray depend on it."""
 
@@ -38,7 +38,7 @@ class Background:
         self._camera, self._T_world_camera, self._scene = camera, T_world_camera, scene
         self._cells, self._facets = cells(camera), facets(scene, T_world_camera)
         self._sight = Sight.of(self._facets, self._cells.bounds)
-        (self._mixed,) = np.nonzero(self._sight.only == UNDECIDED)
+        (self._mixed,) = np.nonzero(self._sight.only == UNKNOWN_FACET)
         """Cells that see several facets."""
         self._hit, self._limit = self._sight.hit(self._cells.rays.take(self._mixed, axis=1), self._mixed)
         """(mixed, K): facets of their pixels' centres, and how far from there they are still hit; see `Sight.hit`."""
@@ -53,81 +53,90 @@ class Background:
         """(height, width): distances along the rays of `rays`, to the front the depth, m; infinite for the sky."""
         found = np.full(self._cells.rays.shape[1:], np.inf)
         for index in range(len(self._facets)):
-            for some in _batches(np.flatnonzero(self._sight.only == index)):
-                found[some] = self._distance(index, self._world(self._cells.rays[:, some]))
-        world, several = self._world(self._cells.rays[:, self._mixed]), np.full(self._hit.shape, np.inf)
-        for index in range(UNDECIDED, len(self._facets)):
+            for some in _split_in_batches(np.flatnonzero(self._sight.only == index)):
+                found[some] = self._hit_distances(index, self._in_world_frame(self._cells.rays[:, some]))
+        world, several = self._in_world_frame(self._cells.rays[:, self._mixed]), np.full(self._hit.shape, np.inf)
+        for index in range(UNKNOWN_FACET, len(self._facets)):
             where = self._hit == index
-            several[where] = self._distance(index, world[:, where])
+            several[where] = self._hit_distances(index, world[:, where])
         found[self._mixed] = several
-        image = np.empty((self._cells.shape[0] * CELL[0], self._cells.shape[1] * CELL[1]))
-        in_cells(image)[:] = found.reshape(*self._cells.shape, *CELL)
+        image = np.empty((self._cells.shape[0] * CELL_SIZE[0], self._cells.shape[1] * CELL_SIZE[1]))
+        in_cells(image)[:] = found.reshape(*self._cells.shape, *CELL_SIZE)
         image.flags.writeable = False
         return image[: self._cells.size[0], : self._cells.size[1]]
 
     @cached_property
     def radiance(self) -> NDArray[np.uint16]:
-        """(height, width, 3): blue, green, red, in `STEPS` of a grey level."""
+        """(height, width, 3): blue, green, red, in `STEPS_PER_GREY_LEVEL` of a grey level."""
         height, width = self._cells.size
-        uniform = self._uniform.astype(np.float32)[:, self._sight.only.reshape(self._cells.shape)]
-        steps, levels = (_enlarged(made(uniform)) for made in (in_steps, _in_levels))
+        uniform = self._uniform_colours.astype(np.float32)[:, self._sight.only.reshape(self._cells.shape)]
+        steps, levels = (_enlarge_cells(made(uniform)) for made in (in_steps, _in_levels))
         for some, colour in self._varying_cells():
             where = (slice(None), *np.divmod(some, self._cells.shape[1]))
-            made = colour.astype(np.float32).reshape(3, len(some), *CELL)
+            made = colour.astype(np.float32).reshape(3, len(some), *CELL_SIZE)
             in_cells(steps)[where], in_cells(levels)[where] = in_steps(made), _in_levels(made)
         found = np.asarray(cv2.merge(list(steps[:, :height, :width])), np.uint16)
-        uneven = _uneven(levels[:, :height, :width])
-        only = self._only(*np.divmod(uneven, width))
-        for index in (UNDECIDED, *self._varying):  # all samples of a pixel that sees another facet have its colour
-            for pixels in _batches(uneven[only == index], _PIXELS):
-                mean = in_steps(self._means(index, *np.divmod(pixels, width)).astype(np.float32))
+        uneven = _uneven_pixels(levels[:, :height, :width])
+        only = self._only_facet(*np.divmod(uneven, width))
+        for index in (
+            UNKNOWN_FACET,
+            *self._varying_facets,
+        ):  # all samples of a pixel that sees another facet have its colour
+            for pixels in _split_in_batches(uneven[only == index], _PIXELS_PER_BATCH):
+                mean = in_steps(self._mean_colours(index, *np.divmod(pixels, width)).astype(np.float32))
                 for plane, values in zip(found.reshape(-1, 3).T, mean, strict=True):
                     plane[pixels] = values
         found.flags.writeable = False
         return found
 
-    def _means(self, index: int, rows: IntArray, columns: IntArray) -> Array:
-        """Return the mean colours (3, n) of the samples of pixels that see a facet of `_varying`, or are undecided."""
+    def _mean_colours(self, index: int, rows: IntArray, columns: IntArray) -> Array:
+        """Return the mean colours (3, n) of pixels that see a facet of `_varying_facets`, or undecided."""
         samples = sample_rays(self._camera, rows, columns)
-        if index == UNDECIDED:
+        if index == UNKNOWN_FACET:
             hit, _ = self._sight.hit(samples.swapaxes(1, 2), self._cells.of_pixels(rows, columns))
-            seen = self._along(samples, hit.T)
+            seen = self._colours_along(samples, hit.T)
         else:
             seen = self._colours_of(index, samples.reshape(3, -1)).reshape(samples.shape)
-        mean: Array = seen.sum(axis=1) / SAMPLES
+        mean: Array = seen.sum(axis=1) / SAMPLES_PER_PIXEL
         return mean
 
-    def _only(self, rows: IntArray, columns: IntArray) -> IntArray:
-        """Return the facet (n,) that all samples of each pixel hit, or `UNDECIDED`."""
+    def _only_facet(self, rows: IntArray, columns: IntArray) -> IntArray:
+        """Return the facet (n,) that all samples of each pixel hit, or `UNKNOWN_FACET`."""
         cell = self._cells.of_pixels(rows, columns)
         found: IntArray = self._sight.only[cell]
-        (several,) = np.nonzero(found == UNDECIDED)
+        (several,) = np.nonzero(found == UNKNOWN_FACET)
         rows, columns, cell = rows[several], columns[several], cell[several]
-        at = np.searchsorted(self._mixed, cell), rows % CELL[0] * CELL[1] + columns % CELL[1]  # of `_hit`
-        found[several] = np.where(self._limit[at] > self._cells.reach[cell], self._hit[at], UNDECIDED)
+        at = (
+            np.searchsorted(self._mixed, cell),
+            rows % CELL_SIZE[0] * CELL_SIZE[1] + columns % CELL_SIZE[1],
+        )  # of `_hit`
+        found[several] = np.where(self._limit[at] > self._cells.reach[cell], self._hit[at], UNKNOWN_FACET)
         return found
 
     def colours(self, rays: Array, rows: IntArray, columns: IntArray) -> Array:
         """Return the colours (3, K, N) along rays (3, K, N), K of each of N pixels; in grey levels."""
         cell = self._cells.of_pixels(rows, columns)
         hit = np.repeat(self._sight.only[None, cell], rays.shape[1], axis=0)
-        (mixed,) = np.nonzero(hit[0] == UNDECIDED)
+        (mixed,) = np.nonzero(hit[0] == UNKNOWN_FACET)
         hit[:, mixed] = self._sight.hit(rays[:, :, mixed].swapaxes(1, 2), cell[mixed])[0].T
-        return self._along(rays, hit)
+        return self._colours_along(rays, hit)
 
     def _varying_cells(self) -> Iterator[tuple[IntArray, Array]]:
         """Yield batches of cells (n,) that are not of one colour, and the colours (3, n * K) of their pixels."""
-        for index in self._varying:
-            for some in _batches(np.flatnonzero(self._sight.only == index)):
+        for index in self._varying_facets:
+            for some in _split_in_batches(np.flatnonzero(self._sight.only == index)):
                 yield some, self._colours_of(index, self._cells.rays.take(some, axis=1).reshape(3, -1))
-        for some in _batches(np.arange(len(self._mixed))):
-            yield self._mixed[some], self._along(self._cells.rays.take(self._mixed[some], axis=1), self._hit[some])
+        for some in _split_in_batches(np.arange(len(self._mixed))):
+            yield (
+                self._mixed[some],
+                self._colours_along(self._cells.rays.take(self._mixed[some], axis=1), self._hit[some]),
+            )
 
-    def _along(self, rays: Array, hit: NDArray[np.integer[Any]]) -> Array:
+    def _colours_along(self, rays: Array, hit: NDArray[np.integer[Any]]) -> Array:
         """Return the colours (3, ...) along rays (3, ...) that hit facets (...)."""
         flat, facet = rays.reshape(3, -1), hit.ravel()
-        found: Array = self._uniform.take(facet, axis=1)
-        for index in (UNDECIDED, *self._varying):
+        found: Array = self._uniform_colours.take(facet, axis=1)
+        for index in (UNKNOWN_FACET, *self._varying_facets):
             where = np.flatnonzero(facet == index)
             if len(where):
                 for plane, values in zip(found, self._colours_of(index, flat.take(where, axis=1)), strict=True):
@@ -135,53 +144,53 @@ class Background:
         return found.reshape(rays.shape)
 
     @cached_property
-    def _uniform(self) -> Array:
+    def _uniform_colours(self) -> Array:
         """(3, M + 1): colours of the facets that have one each; 0 for the others and for none of them."""
         found = np.zeros((3, len(self._facets) + 1))
         for index, facet in enumerate(self._facets):
-            if facet.surface != GROUND:
+            if facet.surface != GROUND_SURFACE:
                 found[:, index] = face_colours(self._scene, self._scene.boxes[facet.surface])[:, facet.face]
         return found
 
     @property
-    def _varying(self) -> list[int]:
+    def _varying_facets(self) -> list[int]:
         """The facets that are not of one colour: the ground, and none of them, which is the sky."""
-        return [i for i, facet in enumerate(self._facets) if facet.surface == GROUND] + [len(self._facets)]
+        return [i for i, facet in enumerate(self._facets) if facet.surface == GROUND_SURFACE] + [len(self._facets)]
 
     def _colours_of(self, index: int, rays: Array) -> Array:
-        """Return the colours (3, n) along rays (3, n) that hit a facet of `_varying`, or one that is undecided."""
-        scene, origin, world = self._scene, self._T_world_camera[:3, 3], self._world(rays)
-        if index == UNDECIDED:
+        """Return the colours (3, n) along rays (3, n) that hit a facet of `_varying_facets`, or undecided."""
+        scene, origin, world = self._scene, self._T_world_camera[:3, 3], self._in_world_frame(rays)
+        if index == UNKNOWN_FACET:
             return colours(scene, origin, world, *scene.hit(origin, world))
         if index == len(self._facets):
             return sky_colours(scene, world)
-        return ground_colours(scene, origin, world, self._distance(index, world))
+        return ground_colours(scene, origin, world, self._hit_distances(index, world))
 
-    def _distance(self, index: int, world: Array) -> Array:
+    def _hit_distances(self, index: int, world: Array) -> Array:
         """Return the distances (...) along rays (3, ...) in the world frame that hit a facet."""
         origin = self._T_world_camera[:3, 3]
-        if index == UNDECIDED:
+        if index == UNKNOWN_FACET:
             return self._scene.hit(origin, world)[0]
         return self._facets[index].distance(self._scene, origin, world)
 
-    def _world(self, rays: Array) -> Array:
+    def _in_world_frame(self, rays: Array) -> Array:
         """Return rays (3, ...) in the world frame."""
         return turned(self._T_world_camera, rays)
 
 
 def background(camera: Camera, T_world_camera: Array, scene: Scene) -> Background:
     """Return the background for a camera; cached for a camera at rest."""
-    return _background(camera, np.ascontiguousarray(T_world_camera, float).tobytes(), scene)
+    return _cached_background(camera, np.ascontiguousarray(T_world_camera, float).tobytes(), scene)
 
 
 @lru_cache(maxsize=8)
-def _background(camera: Camera, pose: bytes, scene: Scene) -> Background:
+def _cached_background(camera: Camera, pose: bytes, scene: Scene) -> Background:
     return Background(camera, np.frombuffer(pose).reshape(4, 4), scene)
 
 
 def in_steps(levels: Array | NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Convert grey levels to `STEPS` per level, rounded."""
-    steps: NDArray[np.uint16] = np.rint(np.clip(levels * STEPS, 0, 65535)).astype(np.uint16)
+    """Convert grey levels to `STEPS_PER_GREY_LEVEL` per level, rounded."""
+    steps: NDArray[np.uint16] = np.rint(np.clip(levels * STEPS_PER_GREY_LEVEL, 0, 65535)).astype(np.uint16)
     return steps
 
 
@@ -190,19 +199,19 @@ def _in_levels(colour: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.clip(colour, 0, 255).astype(np.uint8)
 
 
-def _batches(some: IntArray, size: int = _CELLS) -> Iterator[IntArray]:
+def _split_in_batches(some: IntArray, size: int = _CELLS_PER_BATCH) -> Iterator[IntArray]:
     for first in range(0, len(some), size):
         yield some[first : first + size]
 
 
-def _enlarged(values: NDArray[Any]) -> NDArray[Any]:
+def _enlarge_cells(values: NDArray[Any]) -> NDArray[Any]:
     """Return images (3, R * height, C * width) with the values (3, R, C) of cells."""
-    wide = np.repeat(values, CELL[1], axis=-1)
-    return np.repeat(wide, CELL[0], axis=-2)
+    wide = np.repeat(values, CELL_SIZE[1], axis=-1)
+    return np.repeat(wide, CELL_SIZE[0], axis=-2)
 
 
-def _uneven(levels: NDArray[np.uint8]) -> IntArray:
+def _uneven_pixels(levels: NDArray[np.uint8]) -> IntArray:
     """Return the pixels, counted row by row, that differ from one of their eight neighbours in a colour (3, H, W)."""
     square = np.ones((3, 3), np.uint8)
     blue, green, red = (cv2.morphologyEx(each, cv2.MORPH_GRADIENT, square) for each in levels)
-    return np.flatnonzero(cv2.max(cv2.max(blue, green), red) > _EDGE)
+    return np.flatnonzero(cv2.max(cv2.max(blue, green), red) > _MAX_GREY_DIFFERENCE)

@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.geometry.transforms import apply, inverse
-from calibration.robot.simulation.scene import GROUND, Box, Scene, between_faces
+from calibration.robot.simulation.scene import GROUND_SURFACE, Box, Scene, between_faces
 
-UNDECIDED = -1
+UNKNOWN_FACET = -1
 """Index of a facet that is not known."""
-_MARGIN = 1e-8
+_MIN_SIGNED_VALUE = 1e-8
 """Limit of the values that have no sign, relative to the coordinates of a ray; rounding errors are a hundredth of it
 at most."""
 _LEAST_SLOPE = 0.5
 """Least slope of an edge's function that is scaled to 1; only edges far from the camera's axis have less."""
-_TOUCH = 1e-5
+_MAX_TOUCH_DISTANCE = 1e-5
 """Limit of a camera's distance to a plane or an edge, relative to its coordinates: from nearer they are not known."""
 
 
@@ -48,7 +48,7 @@ class Bounds:
         in_front = np.where(rays[2] == 1, rays[:2], np.nan)
         low, high = in_front.min(axis=-1), in_front.max(axis=-1)
         far = np.maximum(np.abs(low), np.abs(high)).sum(axis=0)
-        return cls((low + high) / 2, (high - low) / 2, _MARGIN * (1 + far))
+        return cls((low + high) / 2, (high - low) / 2, _MIN_SIGNED_VALUE * (1 + far))
 
     def range(self, functions: Array) -> tuple[Array, Array]:
         """Minima and maxima (F, N) of linear functions (F, 3), each widened by the margin, which covers rounding."""
@@ -64,7 +64,7 @@ class Facet:
     """A surface that can be seen from a camera: the ground, or a face of a box."""
 
     surface: int
-    """Index of the box, or `GROUND`."""
+    """Index of the box, or `GROUND_SURFACE`."""
     face: int
     """Index of a box's face, as in `calibration.robot.simulation.rendering.colours.face_colours`."""
     edges: Array
@@ -74,7 +74,7 @@ class Facet:
 
     def distance(self, scene: Scene, origin: Array, directions: Array) -> Array:
         """Return the distances (...) along rays (3, ...) in the world frame that hit it, as `Scene.hit` does."""
-        if self.surface == GROUND:
+        if self.surface == GROUND_SURFACE:
             assert scene.ground is not None  # noqa: S101 (it is seen)
             return np.asarray((scene.ground - origin[2]) / directions[2])
         enter, leave = between_faces(scene.boxes[self.surface], self.face // 3, origin, directions)
@@ -84,27 +84,27 @@ class Facet:
 def facets(scene: Scene, T_world_camera: Array) -> list[Facet]:
     """Return the surfaces that can be seen from a pose."""
     origin, R = T_world_camera[:3, 3], T_world_camera[:3, :3]
-    found = [] if scene.ground is None else [_ground(scene.ground, origin, R)]
+    found = [] if scene.ground is None else [_ground_facet(scene.ground, origin, R)]
     for index, box in enumerate(scene.boxes):
-        found += _faces(index, box, origin, R)
+        found += _box_faces(index, box, origin, R)
     return found
 
 
-def _ground(height: float, origin: Array, R: Array) -> Facet:
+def _ground_facet(height: float, origin: Array, R: Array) -> Facet:
     away = height - origin[2]
-    if abs(away) <= _TOUCH * (abs(height) + np.abs(origin).max()):
-        return _touched(GROUND)
-    return Facet(GROUND, 0, np.tile(math.copysign(1, away) * R[2], (4, 1)), R[2] / away)
+    if abs(away) <= _MAX_TOUCH_DISTANCE * (abs(height) + np.abs(origin).max()):
+        return _touched_facet(GROUND_SURFACE)
+    return Facet(GROUND_SURFACE, 0, np.tile(math.copysign(1, away) * R[2], (4, 1)), R[2] / away)
 
 
-def _faces(index: int, box: Box, origin: Array, R: Array) -> Iterator[Facet]:
+def _box_faces(index: int, box: Box, origin: Array, R: Array) -> Iterator[Facet]:
     """Yield the faces of a box that are towards a camera; from inside all six."""
     half, centre = box.size / 2, box.T_world_box[:3, 3]
     place = apply(inverse(box.T_world_box), origin[None])[0]
-    least = _TOUCH * (np.abs(origin).max() + np.abs(centre).max() + half.max())
+    least = _MAX_TOUCH_DISTANCE * (np.abs(origin).max() + np.abs(centre).max() + half.max())
     beyond = (np.abs(place) - half).max()
     if abs(beyond) <= least:
-        yield _touched(index)
+        yield _touched_facet(index)
         return
     R_box_camera = box.T_world_box[:3, :3].T @ R
     for axis, sign in product(range(3), (-1, 1)):
@@ -124,7 +124,7 @@ def _faces(index: int, box: Box, origin: Array, R: Array) -> Iterator[Facet]:
         yield Facet(index, 3 * axis + 1 + towards, edges @ R_box_camera, nearness @ R_box_camera)
 
 
-def _touched(surface: int) -> Facet:
+def _touched_facet(surface: int) -> Facet:
     """Return the facet of a surface that the camera touches: any ray may hit it."""
     return Facet(surface, 0, np.zeros((4, 3)), np.full(3, np.nan))
 
@@ -171,8 +171,8 @@ class Sight:
 
     @cached_property
     def only(self) -> IntArray:
-        """(N,): the only facet that is seen, M for none of them, or `UNDECIDED`."""
-        return np.where(self.may.sum(axis=0) == 1, self.may.argmax(axis=0), UNDECIDED)
+        """(N,): the only facet that is seen, M for none of them, or `UNKNOWN_FACET`."""
+        return np.where(self.may.sum(axis=0) == 1, self.may.argmax(axis=0), UNKNOWN_FACET)
 
     def hit(self, rays: Array, where: IntArray) -> tuple[NDArray[np.int16], Array]:
         """Find the facets that rays hit.
@@ -182,8 +182,8 @@ class Sight:
             where: (n,), the rectangles that they are in.
 
         Returns:
-            The facets (n, K), M for none of them, or `UNDECIDED`; and limits (n, K): rays of the rectangle whose x and
-            y differ by less hit the same facet. NaN, or 0 and below, if it is not decided.
+            The facets (n, K), M for none of them, or `UNKNOWN_FACET`; and limits (n, K): rays of the rectangle whose x
+            and y differ by less hit the same facet. NaN, or 0 and below, if it is not decided.
         """
         xy, may, used = np.ascontiguousarray(rays[:2]), self.may.take(where, axis=1), np.zeros(self.margin.shape, bool)
         used[where] = True
@@ -194,20 +194,20 @@ class Sight:
             if not len(some):
                 continue
             (x, y), before = xy.take(some, axis=1), nearest.take(some, axis=0)
-            now = _values(nearness_of, x, y)
+            now = _evaluate_linear(nearness_of, x, y)
             lead = now - before
             for number in np.flatnonzero((self.crossed[index] & self.may[index] & used).any(axis=1)):
-                np.minimum(lead, _values(edges[number], x, y), out=lead)
+                np.minimum(lead, _evaluate_linear(edges[number], x, y), out=lead)
             hit = lead > 0
             nearest[some] = np.where(hit, now, before)
             found[some] = np.where(hit, np.int16(index), found.take(some, axis=0))
             limit[some] = np.minimum(limit.take(some, axis=0), np.abs(lead, out=lead))
         limit -= self.margin[where, None]
-        found[~(limit > 0)] = UNDECIDED
+        found[~(limit > 0)] = UNKNOWN_FACET
         return found, limit
 
 
-def _values(function: Array, x: Array, y: Array) -> Array:
+def _evaluate_linear(function: Array, x: Array, y: Array) -> Array:
     """Values (n, K) of a linear function (3,), in one pass."""
     a, b, c = function.tolist()
     return np.asarray(cv2.addWeighted(x, a, y, b, c), float)

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.geometry.cameras import Camera
 from calibration.robot.simulation.board import Board
-from calibration.robot.simulation.rendering.background import STEPS, Background, background
+from calibration.robot.simulation.rendering.background import STEPS_PER_GREY_LEVEL, Background, background
 from calibration.robot.simulation.rendering.pattern_view import PatternView, pattern_view
-from calibration.robot.simulation.rendering.rays import SAMPLES, rounded, sample_rays
+from calibration.robot.simulation.rendering.rays import SAMPLES_PER_PIXEL, rounded, sample_rays
 from calibration.robot.simulation.scene import Scene, turned
 
 
 def radiance(camera: Camera, T_world_camera: Array, scene: Scene, boards: Sequence[Board]) -> NDArray[np.uint16]:
-    """Render the image of a camera: (height, width, 3) in blue, green, red, in `STEPS` of a grey level.
+    """Render the image of a camera: (height, width, 3) in blue, green, red, in `STEPS_PER_GREY_LEVEL` of a grey level.
 
     Args:
         camera: its intrinsics.
@@ -37,25 +37,27 @@ def radiance(camera: Camera, T_world_camera: Array, scene: Scene, boards: Sequen
     views = [view for board in boards if (view := pattern_view(camera, pose, board, scene.light))]
     light = behind.radiance.copy()
     if views:
-        rows, columns = _draw(light, behind, views)
+        rows, columns = _draw_patterns(light, behind, views)
         if len(rows):
-            light[rows, columns] = _mixed(camera, pose, scene, behind, views, rows, columns)
+            light[rows, columns] = _mixed_radiance(camera, pose, scene, behind, views, rows, columns)
     return light
 
 
-def _draw(light: NDArray[np.uint16], behind: Background, views: list[PatternView]) -> tuple[IntArray, IntArray]:
+def _draw_patterns(
+    light: NDArray[np.uint16], behind: Background, views: list[PatternView]
+) -> tuple[IntArray, IntArray]:
     """Draw patterns into the radiance (height, width, 3) of the background.
 
     Returns:
         The rows and columns of the pixels that see several surfaces.
     """
-    window = _around(views, light.shape[:2])
+    window = _slices_around(views, light.shape[:2])
     (top, left), shape = (part.start for part in window), light[window].shape[:2]
     hidden = behind.is_beyond(window, [view.depth for view in views])
     nearest = np.full(shape, np.inf) if hidden else behind.depth[window].copy()
     owner = np.zeros(shape, np.uint16)  # 0 for the background
     several = np.zeros(shape, bool)
-    parts = [(_moved(view.part[0], -top), _moved(view.part[1], -left)) for view in views]
+    parts = [(_shift_slice(view.part[0], -top), _shift_slice(view.part[1], -left)) for view in views]
     for i, (view, part) in enumerate(zip(views, parts, strict=True)):
         nearer = view.depth < nearest[part]
         np.copyto(nearest[part], view.depth, where=nearer)
@@ -70,7 +72,7 @@ def _draw(light: NDArray[np.uint16], behind: Background, views: list[PatternView
     return rows + top, columns + left
 
 
-def _around(views: list[PatternView], size: tuple[int, ...]) -> tuple[slice, slice]:
+def _slices_around(views: list[PatternView], size: tuple[int, ...]) -> tuple[slice, slice]:
     """Return the rows and columns of patterns in an image of (height, width), with a margin of one pixel."""
     rows, columns = (
         slice(max(0, min(part.start for part in parts) - 1), min(limit, max(part.stop for part in parts) + 1))
@@ -79,11 +81,11 @@ def _around(views: list[PatternView], size: tuple[int, ...]) -> tuple[slice, sli
     return rows, columns
 
 
-def _moved(part: slice, by: int) -> slice:
+def _shift_slice(part: slice, by: int) -> slice:
     return slice(part.start + by, part.stop + by)
 
 
-def _mixed(
+def _mixed_radiance(
     camera: Camera,
     T_world_camera: Array,
     scene: Scene,
@@ -112,5 +114,5 @@ def _mixed(
         (top, left), (height, width) = (part.start for part in view.part), view.radiance.shape
         row, column = np.clip(rows[seen_by] - top, 0, height - 1), np.clip(columns[seen_by] - left, 0, width - 1)
         total[seen_by] += (share[seen_by] * view.radiance[row, column])[:, None]
-    total += seen.sum(axis=1).T * (STEPS / SAMPLES)
+    total += seen.sum(axis=1).T * (STEPS_PER_GREY_LEVEL / SAMPLES_PER_PIXEL)
     return np.rint(np.minimum(total, 65535)).astype(np.uint16)

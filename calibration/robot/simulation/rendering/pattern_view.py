@@ -21,19 +21,24 @@ from calibration.robot.simulation.rendering.rays import rays, rounded
 from calibration.robot.simulation.rendering.texture import texture
 from calibration.robot.simulation.scene import Light, turned
 
-BACK = 150.0
+BACK_REFLECTANCE = 150.0
 """Reflectance of the back of a board, in grey levels under a light of 1."""
-_GRID = 4
+_SAMPLES_PER_SIDE = 4
 """Samples of a pixel along each side: texels are about as wide as their distance, so that they leave no gaps."""
-_OFFSETS = tuple(product((np.arange(_GRID, dtype=np.float32) + np.float32(0.5)) / _GRID - np.float32(0.5), repeat=2))
+_SAMPLE_OFFSETS = tuple(
+    product(
+        (np.arange(_SAMPLES_PER_SIDE, dtype=np.float32) + np.float32(0.5)) / _SAMPLES_PER_SIDE - np.float32(0.5),
+        repeat=2,
+    )
+)
 """(y, x) of the samples from the pixel's centre, px."""
-_REACH = 0.55
+_PIXEL_REACH = 0.55
 """Reach of a pixel from its centre, in pixels; slightly more than half, because surfaces are curved."""
-_PART = 16_000
+_PIXELS_PER_BATCH = 16_000
 """Approximate number of pixels per batch, which fit into the cache."""
-_COARSE = 16
+_PIXELS_PER_RESOLUTION = 16
 """Number of rows or columns of pixels that share a resolution."""
-_FAR = 16_000.0
+_MAX_TEXEL_COORDINATE = 16_000.0
 """Limit of texel coordinates: beyond it there is no texture, and twice the value still fits into 16 bits."""
 
 
@@ -56,7 +61,7 @@ class PatternView:
 def pattern_view(camera: Camera, T_world_camera: Array, board: Board, light: Light) -> PatternView | None:
     """Render a pattern for a camera; None if it is not in the image. A bowed board is lit like a flat one."""
     T_camera_pattern = inverse(T_world_camera) @ rounded(board.T_world_pattern)
-    part = _part(camera, T_camera_pattern, board)
+    part = _slices_of_pattern(camera, T_camera_pattern, board)
     if part is None:
         return None
     rows, columns = part
@@ -64,11 +69,11 @@ def pattern_view(camera: Camera, T_world_camera: Array, board: Board, light: Lig
     T_pattern_camera = inverse(T_camera_pattern)
     shape = around.shape[1] - 2, around.shape[2] - 2
     depth, border, radiance = np.full(shape, np.inf), np.zeros(shape, bool), np.zeros(shape, np.uint16)
-    coarse = max(1, min(shape) // _COARSE)
+    coarse = max(1, min(shape) // _PIXELS_PER_RESOLUTION)
     spacing = _Pixels.of(board, T_pattern_camera, around[:, ::coarse, ::coarse]).spacing(board) / coarse
     normal = -board.T_world_pattern[:3, 2]
-    front, back = np.float32(light.on(normal)), in_steps(np.array(BACK * light.on(-normal)))
-    step = max(1, _PART // shape[1])
+    front, back = np.float32(light.on(normal)), in_steps(np.array(BACK_REFLECTANCE * light.on(-normal)))
+    step = max(1, _PIXELS_PER_BATCH // shape[1])
     for row in range(0, shape[0], step):
         strip = slice(row, row + step)
         pixels = _Pixels.of(board, T_pattern_camera, around[:, row : row + step + 2])
@@ -77,12 +82,12 @@ def pattern_view(camera: Camera, T_world_camera: Array, board: Board, light: Lig
         used = np.flatnonzero(touched.any(axis=0))
         if len(used):
             some = slice(used[0], used[-1] + 1)
-            lit = in_steps(_print(board, pixels.columns(some), spacing) * front)
+            lit = in_steps(_sample_print(board, pixels.columns(some), spacing) * front)
             radiance[strip, some] = np.where(pixels.shows_print[:, some], lit, back)
     return PatternView(board, T_camera_pattern, part, depth, border, radiance)
 
 
-def _part(camera: Camera, T_camera_pattern: Array, board: Board) -> tuple[slice, slice] | None:
+def _slices_of_pattern(camera: Camera, T_camera_pattern: Array, board: Board) -> tuple[slice, slice] | None:
     """Return the rows and columns around a pattern: all if it is near the camera's plane or the limit of the lens."""
     low, high = board.limits
     grid = np.stack(np.meshgrid(*np.linspace(low, high, 9).T), -1).reshape(-1, 2)
@@ -136,7 +141,7 @@ class _Pixels:
         """Return masks (h, w) of pixels with their centre on the board, partially on it, completely on it."""
         low, high = (limit[:, None, None] for limit in board.limits)
         with np.errstate(invalid="ignore", over="ignore"):
-            reach = _REACH * (np.abs(self.to_right) + np.abs(self.down))
+            reach = _PIXEL_REACH * (np.abs(self.to_right) + np.abs(self.down))
             reach[np.isnan(reach)] = np.inf
             beyond = np.maximum(low - self.xy, self.xy - high)  # distance beyond the nearer side
             in_front = self.depth > 0
@@ -154,7 +159,7 @@ class _Pixels:
         return float(np.sqrt(np.median(known))) if len(known) else 0.0
 
 
-def _print(board: Board, pixels: _Pixels, spacing: float) -> NDArray[np.float32]:
+def _sample_print(board: Board, pixels: _Pixels, spacing: float) -> NDArray[np.float32]:
     """Return the print (h, w) averaged over the samples of each pixel, in grey levels under a light of 1.
 
     Args:
@@ -163,29 +168,29 @@ def _print(board: Board, pixels: _Pixels, spacing: float) -> NDArray[np.float32]
         spacing: distance of two pixels on the board, m: the samples of all pixels have the same resolution.
     """
     ink, size = texture(board.configuration, board.legacy_layout), board.configuration.size
-    level = ink.level(spacing / _GRID / size * ink.texels)
+    level = ink.level(spacing / _SAMPLES_PER_SIDE / size * ink.texels)
     offset, scale = ink.place(board.pattern, size, level)
     centre, right, below = (
-        _texels(pixels.xy, scale, offset),
-        _texels(pixels.to_right, scale),
-        _texels(pixels.down, scale),
+        _as_texels(pixels.xy, scale, offset),
+        _as_texels(pixels.to_right, scale),
+        _as_texels(pixels.down, scale),
     )
     total = np.zeros(pixels.depth.shape, np.uint16)
-    for y, x in _OFFSETS:
+    for y, x in _SAMPLE_OFFSETS:
         places = centre + y * below + x * right
         # integers from here on, so that all machines compute the same
         whole, fraction = cv2.convertMaps(places, np.empty(0), cv2.CV_16SC2)
         sample = cv2.remap(ink.levels[level], whole, fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         total += np.asarray(sample, np.uint8)
-    return total * np.float32(1 / len(_OFFSETS))
+    return total * np.float32(1 / len(_SAMPLE_OFFSETS))
 
 
-def _texels(values: Array, scale: float, offset: Array | None = None) -> NDArray[np.float32]:
+def _as_texels(values: Array, scale: float, offset: Array | None = None) -> NDArray[np.float32]:
     """Convert lengths on the board (2, h, w), m, to texels (h, w, 2); 0 if they are unknown."""
     texels = np.empty((*values.shape[1:], 2), np.float32)
     with np.errstate(over="ignore"):
         for axis in range(2):
             texels[..., axis] = scale * values[axis] + (0.0 if offset is None else offset[axis])
-    np.clip(texels, -_FAR, _FAR, out=texels)
+    np.clip(texels, -_MAX_TEXEL_COORDINATE, _MAX_TEXEL_COORDINATE, out=texels)
     texels[np.isnan(texels)] = 0
     return texels

@@ -13,13 +13,16 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses.charts import IN_FRONT
 from calibration.robot.simulation.rendering.facets import Bounds
 
-SAMPLES = 16
+SAMPLES_PER_PIXEL = 16
 """Number of samples of a pixel that sees several surfaces."""
-CELL = (8, 16)
+CELL_SIZE = (8, 16)
 """Height and width of a cell of the image, px."""
-_REACH = 0.5
+_SAMPLE_REACH = 0.5
 """Limit of a sample's distance to its pixel's centre, px; more than the distance, because rays are not quite even."""
-_OFFSETS = [((i + 0.5) / SAMPLES - 0.5, (int(f"{i:04b}"[::-1], 2) + 0.5) / SAMPLES - 0.5) for i in range(SAMPLES)]
+_SAMPLE_OFFSETS = [
+    ((i + 0.5) / SAMPLES_PER_PIXEL - 0.5, (int(f"{i:04b}"[::-1], 2) + 0.5) / SAMPLES_PER_PIXEL - 0.5)
+    for i in range(SAMPLES_PER_PIXEL)
+]
 """(y, x) of the samples from the pixel's centre, px: J. M. Hammersley's points (1960). No two share one of 16 rows
 or columns, so an edge along an axis is found to 1/16 px."""
 
@@ -33,14 +36,14 @@ def rays(camera: Camera) -> Array:
     length 1. NaN where the distortion has no inverse.
     """
     v, u = np.mgrid[-1 : camera.height + 1, -1 : camera.width + 1].astype(float)
-    found = _rays(camera, u, v)
+    found = _camera_rays(camera, u, v)
     found.flags.writeable = False
     return found
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of a camera's image, `CELL` pixels each, row by row; the last ones may reach beyond the image."""
+    """Cells of a camera's image, `CELL_SIZE` pixels each, row by row; the last ones may reach beyond the image."""
 
     size: tuple[int, int]
     """Height and width of the image, px."""
@@ -55,12 +58,12 @@ class Cells:
 
     def of_pixels(self, rows: IntArray, columns: IntArray) -> IntArray:
         """Return the cells (...) that pixels (...) are in."""
-        found: IntArray = rows // CELL[0] * self.shape[1] + columns // CELL[1]
+        found: IntArray = rows // CELL_SIZE[0] * self.shape[1] + columns // CELL_SIZE[1]
         return found
 
     def around(self, part: tuple[slice, slice]) -> tuple[slice, slice]:
         """Return the rows and columns of the cells of a part of the image."""
-        rows, columns = (slice(each.start // n, -(-each.stop // n)) for each, n in zip(part, CELL, strict=True))
+        rows, columns = (slice(each.start // n, -(-each.stop // n)) for each, n in zip(part, CELL_SIZE, strict=True))
         return rows, columns
 
 
@@ -68,32 +71,34 @@ class Cells:
 def cells(camera: Camera) -> Cells:
     """Return the cells of a camera's image."""
     size = camera.height, camera.width
-    shape = -(-size[0] // CELL[0]), -(-size[1] // CELL[1])
-    beyond = [(0, cells * n - pixels) for cells, n, pixels in zip(shape, CELL, size, strict=True)]
+    shape = -(-size[0] // CELL_SIZE[0]), -(-size[1] // CELL_SIZE[1])
+    beyond = [(0, cells * n - pixels) for cells, n, pixels in zip(shape, CELL_SIZE, size, strict=True)]
     wider = np.pad(rays(camera), ((0, 0), *beyond), mode="edge")
     found = in_cells(wider[:, 1:-1, 1:-1]).reshape(3, shape[0] * shape[1], -1)
     found.flags.writeable = False
     # a pixel reaches half of the way to its neighbours
-    with_margin = sliding_window_view(wider, (CELL[0] + 2, CELL[1] + 2), axis=(1, 2))[:, :: CELL[0], :: CELL[1]]
+    with_margin = sliding_window_view(wider, (CELL_SIZE[0] + 2, CELL_SIZE[1] + 2), axis=(1, 2))[
+        :, :: CELL_SIZE[0], :: CELL_SIZE[1]
+    ]
     bounds = Bounds.of(with_margin.reshape(*found.shape[:2], -1))
     right, down = (np.abs(np.diff(with_margin[:2], axis=axis)).max(axis=(-2, -1)) for axis in (-1, -2))
-    return Cells(size, shape, found, _REACH * (right + down).max(axis=0).ravel(), bounds)
+    return Cells(size, shape, found, _SAMPLE_REACH * (right + down).max(axis=0).ravel(), bounds)
 
 
 def in_cells(images: NDArray[Any]) -> NDArray[Any]:
-    """View images (..., R * height, C * width) as cells of `CELL` pixels: (..., R, C, height, width)."""
+    """View images (..., R * height, C * width) as cells of `CELL_SIZE` pixels: (..., R, C, height, width)."""
     *batch, height, width = images.shape
-    rows, columns = height // CELL[0], width // CELL[1]
-    return images.reshape(*batch, rows, CELL[0], columns, CELL[1]).swapaxes(-3, -2)
+    rows, columns = height // CELL_SIZE[0], width // CELL_SIZE[1]
+    return images.reshape(*batch, rows, CELL_SIZE[0], columns, CELL_SIZE[1]).swapaxes(-3, -2)
 
 
 def sample_rays(camera: Camera, rows: IntArray, columns: IntArray) -> Array:
     """Return the rays (3, SAMPLES, N) of the samples of N pixels."""
-    dv, du = np.array(_OFFSETS).T[..., None]
-    return _rays(camera, columns + du, rows + dv)
+    dv, du = np.array(_SAMPLE_OFFSETS).T[..., None]
+    return _camera_rays(camera, columns + du, rows + dv)
 
 
-def _rays(camera: Camera, u: Array, v: Array) -> Array:
+def _camera_rays(camera: Camera, u: Array, v: Array) -> Array:
     chart = camera.distortion.chart
     found = chart.rays(*camera.from_pixels(u, v))
     return found if chart is IN_FRONT else np.asarray(found / np.where(found[2] > 0, found[2], 1.0))

@@ -25,11 +25,11 @@ from calibration.robot.labelling.tags import cell_ends, tag_cells
 
 Grey = NDArray[np.uint8]
 
-TEXELS = 256
+TEXELS_PER_UNIT = 256
 """Texels per unit; a power of two, so that its halves are integers."""
 MAX_TEXELS = 8192
 """Limit of texels along the side of a board: one of more units has fewer texels per unit."""
-BLACK, WHITE = 27, 230
+INK_REFLECTANCE, PAPER_REFLECTANCE = 27, 230
 """Reflectance of ink and paper, in grey levels under a light of 1."""
 
 
@@ -72,27 +72,27 @@ def texture(pattern: PatternConfiguration, legacy_layout: bool = False) -> Textu
         InputError: a charuco board without a marker size, with an unknown dictionary, or one that
             has fewer markers than the board needs.
     """
-    size, before, draw = KINDS[pattern.kind](pattern, legacy_layout)
-    texels = TEXELS
+    size, before, draw = DRAWN_PATTERNS[pattern.kind](pattern, legacy_layout)
+    texels = TEXELS_PER_UNIT
     while texels > 1 and texels * max(size) > MAX_TEXELS:
         texels //= 2
     image = draw(texels)
-    levels = [(BLACK + (WHITE - image)) if pattern.inverted else image]
+    levels = [(INK_REFLECTANCE + (PAPER_REFLECTANCE - image)) if pattern.inverted else image]
     while texels >> len(levels):  # down to one texel per unit
         height, width = levels[-1].shape
         levels.append(np.asarray(cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)))
     margin = (int(pattern.border_size[0] > 0), int(pattern.border_size[1] > 0))
-    paper = BLACK if pattern.inverted else WHITE
+    paper = INK_REFLECTANCE if pattern.inverted else PAPER_REFLECTANCE
     return Texture(tuple(_with_border(level, margin, paper) for level in levels), texels, margin, size, before)
 
 
-_PAPER = 2
+_PAPER_TEXELS = 2
 """Width of the paper around a tag, texels, so that its edges are interpolated."""
 _Sketch = tuple[tuple[float, float], tuple[float, float], Callable[[int], Grey]]
 """Size of a print, its extent before corner 0, and the function that draws it with this many texels per unit."""
 
 
-def _squares(pattern: PatternConfiguration, legacy_layout: bool) -> _Sketch:
+def _draw_squares(pattern: PatternConfiguration, legacy_layout: bool) -> _Sketch:
     """Draw white and black squares, with or without markers."""
     columns, rows = pattern.dimension[0] + 1, pattern.dimension[1] + 1
     row, column = np.mgrid[:rows, :columns]
@@ -100,16 +100,20 @@ def _squares(pattern: PatternConfiguration, legacy_layout: bool) -> _Sketch:
     markers = marker_modules(pattern, int((~black).sum())) if pattern.kind == "charuco" else []
 
     def draw(texels: int) -> Grey:
-        image = np.repeat(np.repeat(np.where(black, BLACK, WHITE).astype(np.uint8), texels, 0), texels, 1)
+        image = np.repeat(
+            np.repeat(np.where(black, INK_REFLECTANCE, PAPER_REFLECTANCE).astype(np.uint8), texels, 0), texels, 1
+        )
         for (y, x), bits in zip(np.argwhere(~black) * texels if markers else (), markers, strict=True):
             share = _square_with_marker(pattern, bits, texels)
-            image[y : y + texels, x : x + texels] = np.round(BLACK + (WHITE - BLACK) * share)
+            image[y : y + texels, x : x + texels] = np.round(
+                INK_REFLECTANCE + (PAPER_REFLECTANCE - INK_REFLECTANCE) * share
+            )
         return image
 
     return (columns, rows), (1, 1), draw
 
 
-def _tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
+def _draw_tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
     """Draw an aprilgrid; the image has whole units, white beyond the print."""
     black, ends = (
         tag_cells(*pattern.dimension, pattern.first_marker).astype(float),
@@ -118,25 +122,28 @@ def _tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
     size = tuple(float(each[-1]) for each in ends)
 
     def draw(texels: int) -> Grey:
-        across, down = (_cover(math.ceil(each[-1]) * texels, texels * each) for each in ends)
+        across, down = (_interval_coverage(math.ceil(each[-1]) * texels, texels * each) for each in ends)
         ink = black @ across.T
-        strips = [np.round(WHITE + (BLACK - WHITE) * (some @ ink)) for some in np.split(down, len(down) // texels)]
+        strips = [
+            np.round(PAPER_REFLECTANCE + (INK_REFLECTANCE - PAPER_REFLECTANCE) * (some @ ink))
+            for some in np.split(down, len(down) // texels)
+        ]
         return np.concatenate([strip.astype(np.uint8) for strip in strips])
 
     return (size[0], size[1]), (pattern.spacing, size[1] - pattern.spacing), draw
 
 
-def _circles(pattern: PatternConfiguration, _: bool) -> _Sketch:
+def _draw_circles(pattern: PatternConfiguration, _: bool) -> _Sketch:
     """Draw black circles on white."""
     (columns, rows), staggered = pattern.dimension, pattern.kind == "asymmetric-circles"
     size = ((2 * columns if staggered else columns) + 1, rows + 1)
 
     def draw(texels: int) -> Grey:
-        image = np.full((size[1] * texels, size[0] * texels), WHITE, np.uint8)
+        image = np.full((size[1] * texels, size[0] * texels), PAPER_REFLECTANCE, np.uint8)
         radius = texels * circle_diameter(pattern) / pattern.size / 2
         y, x = np.mgrid[-texels:texels, -texels:texels] + 0.5
         ink = np.clip(radius - np.hypot(x, y) + 0.5, 0, 1)  # of a texel at the edge about its covered share
-        circle = np.round(WHITE + (BLACK - WHITE) * ink).astype(np.uint8)
+        circle = np.round(PAPER_REFLECTANCE + (INK_REFLECTANCE - PAPER_REFLECTANCE) * ink).astype(np.uint8)
         for left, top in np.round(pattern.pattern().corners[:, :2] / pattern.size).astype(int) * texels:
             part = image[top : top + 2 * texels, left : left + 2 * texels]
             np.minimum(part, circle, out=part)
@@ -153,14 +160,18 @@ def _placed_tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
     before = corners[0] - low
 
     def draw(texels: int) -> Grey:
-        image = np.full((math.ceil(size[1]) * texels, math.ceil(size[0]) * texels), WHITE, np.uint8)
+        image = np.full((math.ceil(size[1]) * texels, math.ceil(size[0]) * texels), PAPER_REFLECTANCE, np.uint8)
         for tag, modules in zip(corners.reshape(-1, 4, 2), tag_modules(pattern), strict=True):
             each = max(1, round(float(np.linalg.norm(tag[1] - tag[0])) * texels / len(modules)))
-            drawn = np.repeat(np.repeat(np.where(modules > 0.5, WHITE, BLACK).astype(np.uint8), each, 0), each, 1)
-            ends = _PAPER + each * len(modules) * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) - 0.5
+            drawn = np.repeat(
+                np.repeat(np.where(modules > 0.5, PAPER_REFLECTANCE, INK_REFLECTANCE).astype(np.uint8), each, 0),
+                each,
+                1,
+            )
+            ends = _PAPER_TEXELS + each * len(modules) * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) - 0.5
             places = (tag[[0, 1, 3]] - low) * texels - 0.5
             M = cv2.getAffineTransform(ends.astype(np.float32), places.astype(np.float32))
-            drawn = np.pad(drawn, _PAPER, constant_values=WHITE)
+            drawn = np.pad(drawn, _PAPER_TEXELS, constant_values=PAPER_REFLECTANCE)
             height, width = image.shape
             cv2.warpAffine(drawn, M, (width, height), dst=image, borderMode=cv2.BORDER_TRANSPARENT)
         return image
@@ -186,18 +197,18 @@ def circle_diameter(pattern: PatternConfiguration) -> float:
     return pattern.inner_size
 
 
-KINDS: dict[str, Callable[[PatternConfiguration, bool], _Sketch]] = {
-    "charuco": _squares,
-    "chessboard": _squares,
-    "aprilgrid": _tags,
-    "circles": _circles,
-    "asymmetric-circles": _circles,
+DRAWN_PATTERNS: dict[str, Callable[[PatternConfiguration, bool], _Sketch]] = {
+    "charuco": _draw_squares,
+    "chessboard": _draw_squares,
+    "aprilgrid": _draw_tags,
+    "circles": _draw_circles,
+    "asymmetric-circles": _draw_circles,
     "tags": _placed_tags,
 }
 """Functions that draw a pattern, by its kind."""
 
 
-def _cover(texels: int, ends: Array) -> Array:
+def _interval_coverage(texels: int, ends: Array) -> Array:
     """Return the coverage (texels, N - 1) of each texel by the intervals between consecutive ends (N,)."""
     texel = np.arange(texels)[:, None]
     cover: Array = np.clip(np.minimum(texel + 1, ends[1:]) - np.maximum(texel, ends[:-1]), 0, None)
@@ -214,7 +225,7 @@ def _square_with_marker(pattern: PatternConfiguration, bits: Array, texels: int)
     assert pattern.inner_size is not None  # noqa: S101 (checked with the markers)
     side = texels * pattern.inner_size / pattern.size
     ends = (texels - side) / 2 + side * np.linspace(0, 1, len(bits) + 1)
-    cover = _cover(texels, ends)
+    cover = _interval_coverage(texels, ends)
     black: Array = cover @ (1 - bits) @ cover.T
     return 1 - black
 

@@ -6,7 +6,7 @@ In a scenario set, ``constraints`` is a list of
 - ``{less: [NAME, NAME, ...]}``: each below the next.
 
 A name is that of a parameter, ``left_camera.exposure``, or of all of a kind, ``cameras.exposure``, or
-`CLEARANCE`.
+`CLEARANCE_KEY`.
 """
 
 import math
@@ -17,11 +17,11 @@ from typing import Annotated
 
 from calibration.base.records import Misfit, exactly_one, excludes, field, length, record
 
-CLEARANCE = "scene.clearance_m"
+CLEARANCE_KEY = "scene.clearance_m"
 """Smallest distance from a sensor to a box, m, with the robot at rest."""
 
 Value = Callable[[str], float]
-"""Function that returns the value of a parameter or of `CLEARANCE`, by its name."""
+"""Function that returns the value of a parameter or of `CLEARANCE_KEY`, by its name."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +90,10 @@ def broken(constraints: tuple[Constraint, ...], values: Mapping[str, float], cle
     Args:
         constraints: in the order of the file.
         values: the scenario's parameters.
-        clearance: function for the value of `CLEARANCE`, called only if a constraint names it.
+        clearance: function for the value of `CLEARANCE_KEY`, called only if a constraint names it.
     """
 
     def value(name: str) -> float:
-        return clearance() if name == CLEARANCE else values[name]
+        return clearance() if name == CLEARANCE_KEY else values[name]
 
     return next((i for i, constraint in enumerate(constraints) if not constraint.holds(value)), -1)

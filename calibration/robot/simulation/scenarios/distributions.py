@@ -92,7 +92,7 @@ class Uniform(_Interval):
 
     def value(self, u: float) -> float:
         """See `Distribution`."""
-        return _rounded(self.low + u * (self.high - self.low), self.low, self.high)
+        return _round_within(self.low + u * (self.high - self.low), self.low, self.high)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class LogUniform(_Interval):
 
     def value(self, u: float) -> float:
         """See `Distribution`."""
-        return _rounded(self.low * math.exp(u * math.log(self.high / self.low)), self.low, self.high)
+        return _round_within(self.low * math.exp(u * math.log(self.high / self.low)), self.low, self.high)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class Normal:
         return self.low, self.high
 
     @property
-    def _kept(self) -> tuple[float, float]:
+    def _kept_probabilities(self) -> tuple[float, float]:
         """Cumulative probabilities of the normal distribution at the two limits."""
         whole = NormalDist(self.mean, self.sigma)
         return whole.cdf(self.low), whole.cdf(self.high)
@@ -127,15 +127,15 @@ class Normal:
     @property
     def kept(self) -> float:
         """Probability of the normal distribution between the limits."""
-        below_low, below_high = self._kept
+        below_low, below_high = self._kept_probabilities
         return below_high - below_low
 
     def value(self, u: float) -> float:
         """See `Distribution`."""
-        below_low, below_high = self._kept
+        below_low, below_high = self._kept_probabilities
         share = below_low + u * (below_high - below_low)
         share = min(max(share, _HALF_STEP), 1 - 2 * _HALF_STEP)  # the quantiles of 0 and 1 are infinite
-        return _rounded(NormalDist(self.mean, self.sigma).inv_cdf(share), self.low, self.high)
+        return _round_within(NormalDist(self.mean, self.sigma).inv_cdf(share), self.low, self.high)
 
 
 def constant(value: float) -> Choice:
@@ -161,7 +161,7 @@ class WholeEntry:
         del low, high
         if self.choice is not None:
             return Choice(tuple(sorted(map(float, self.choice))))
-        first, last = _rising(self.integer or (), "integer")
+        first, last = _checked_rising(self.integer or (), "integer")
         return Integers(int(first), int(last))
 
 
@@ -186,15 +186,15 @@ class NumberEntry:
     def distribution(self, low: float, high: float) -> "Distribution":
         """Create the distribution; ``low`` and ``high`` are the parameter's own limits."""
         if self.uniform is not None:
-            return Uniform(*_rising(self.uniform, "uniform"))
+            return Uniform(*_checked_rising(self.uniform, "uniform"))
         if self.log_uniform is not None:
-            lower, upper = _rising(self.log_uniform, "log_uniform")
+            lower, upper = _checked_rising(self.log_uniform, "log_uniform")
             if not math.isfinite(upper / lower):
                 raise Misfit(f"found [{lower:g}, {upper:g}], which are too far apart", "log_uniform")
             return LogUniform(lower, upper)
         if self.normal is not None:
             mean, sigma = self.normal
-            return _cut_normal(mean, sigma, *(_rising(self.within, "within") if self.within else (low, high)))
+            return _cut_normal(mean, sigma, *(_checked_rising(self.within, "within") if self.within else (low, high)))
         if self.choice is not None:
             return Choice(tuple(sorted(self.choice)))
         return WholeEntry(integer=self.integer).distribution(low, high)
@@ -240,7 +240,7 @@ def _cut_normal(mean: float, sigma: float, low: float, high: float) -> Normal:
     return distribution
 
 
-def _rising(pair: Sequence[float], key: str) -> tuple[float, float]:
+def _checked_rising(pair: Sequence[float], key: str) -> tuple[float, float]:
     low, high = pair
     if not low < high:
         raise Misfit(f"found [{low:g}, {high:g}], expected two numbers, the second above the first", key)
@@ -249,6 +249,6 @@ def _rising(pair: Sequence[float], key: str) -> tuple[float, float]:
     return low, high
 
 
-def _rounded(value: float, low: float, high: float) -> float:
+def _round_within(value: float, low: float, high: float) -> float:
     """Round a value to `SIGNIFICANT_DIGITS`, clipped to the limits."""
     return min(max(float(f"{value:.{SIGNIFICANT_DIGITS - 1}e}"), low), high) + 0.0  # no negative zero

@@ -15,11 +15,11 @@ from calibration.base.arrays import Array, IntArray
 from calibration.robot.simulation.random_streams import stream
 
 PERMUTATIONS = 4000
-SIGNIFICANT = 0.01
+SIGNIFICANCE_LEVEL = 0.01
 """Significance level of a driver."""
 LEAST_SCENARIOS = 10
 """Minimum of scenarios for a statement."""
-_CHUNK = 2_000_000  # permuted numbers per batch
+_NUMBERS_PER_BATCH = 2_000_000  # permuted numbers per batch
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Driver:
     @property
     def stands_out(self) -> bool:
         """Whether the correlation is significant."""
-        return self.p < SIGNIFICANT
+        return self.p < SIGNIFICANCE_LEVEL
 
 
 def find_drivers(values: Sequence[Mapping[str, float]], errors: Sequence[float]) -> list[Driver]:
@@ -67,7 +67,7 @@ def find_drivers(values: Sequence[Mapping[str, float]], errors: Sequence[float])
     if len(values) < LEAST_SCENARIOS:
         return []
     error_ranks = centred_ranks(np.array(errors, float))
-    columns = {name: centred_ranks(column) for name, column in _columns(values).items()}
+    columns = {name: centred_ranks(column) for name, column in _value_columns(values).items()}
     columns = {name: ranks for name, ranks in columns.items() if ranks.any()}
     if not columns or not error_ranks.any():
         return []
@@ -97,7 +97,7 @@ def centred_ranks(values: Array) -> IntArray:
     return ranks
 
 
-def _columns(values: Sequence[Mapping[str, float]]) -> dict[str, Array]:
+def _value_columns(values: Sequence[Mapping[str, float]]) -> dict[str, Array]:
     columns = {name: np.array([scenario[name] for scenario in values]) for name in values[0]}
     signed = [name for name, column in columns.items() if column.min() < 0 < column.max()]
     return {**columns, **{f"|{name}|": np.abs(columns[name]) for name in signed}}
@@ -106,7 +106,7 @@ def _columns(values: Sequence[Mapping[str, float]]) -> dict[str, Array]:
 def _strongest_by_chance(error_ranks: IntArray, unit: Array) -> Array:
     """Return the largest magnitude of a correlation with any parameter, for each of `PERMUTATIONS` permuted errors."""
     random = stream(0, "drivers")
-    step = max(1, _CHUNK // len(error_ranks))
+    step = max(1, _NUMBERS_PER_BATCH // len(error_ranks))
     strongest = []
     for first in range(0, PERMUTATIONS, step):
         rows = np.tile(error_ranks, (min(step, PERMUTATIONS - first), 1))

@@ -21,7 +21,7 @@ from calibration.robot.simulation.system import System
 Varied = Distribution | None
 
 
-def _varied(help: str) -> Any:  # noqa: A002 (as in `field`)
+def _varied_field(help: str) -> Any:  # noqa: A002 (as in `field`)
     return field(help, default=None)
 
 
@@ -29,10 +29,10 @@ def _varied(help: str) -> Any:  # noqa: A002 (as in `field`)
 class Light:
     """Light of the scene."""
 
-    ambient: Annotated[Varied, drawn(0, 10)] = _varied("Light from everywhere.")
-    intensity: Annotated[Varied, drawn(0, 10)] = _varied("Light from one direction.")
-    elevation_deg: Annotated[Varied, drawn(-90, 90)] = _varied("Elevation of the light above the horizon, deg.")
-    azimuth_deg: Annotated[Varied, drawn(-360, 360)] = _varied(
+    ambient: Annotated[Varied, drawn(0, 10)] = _varied_field("Light from everywhere.")
+    intensity: Annotated[Varied, drawn(0, 10)] = _varied_field("Light from one direction.")
+    elevation_deg: Annotated[Varied, drawn(-90, 90)] = _varied_field("Elevation of the light above the horizon, deg.")
+    azimuth_deg: Annotated[Varied, drawn(-360, 360)] = _varied_field(
         "Azimuth of the light about the world's z axis, from its x axis, deg."
     )
 
@@ -41,32 +41,34 @@ class Light:
 class Occluders:
     """Boxes between the cameras and the pattern."""
 
-    count: Annotated[Varied, drawn(0, 100, whole=True)] = _varied("How many boxes.")
-    size_m: Annotated[Varied, drawn(0.001, 100)] = _varied("The edge of the boxes, m.")
+    count: Annotated[Varied, drawn(0, 100, whole=True)] = _varied_field("How many boxes.")
+    size_m: Annotated[Varied, drawn(0.001, 100)] = _varied_field("The edge of the boxes, m.")
 
 
 @record(case="snake", rules=(needs("nearest_m", "farthest_m"), needs("farthest_m", "nearest_m")))
 class MotionEntry:
     """Motion of the pattern."""
 
-    poses: Annotated[Varied, drawn(1, 1000, whole=True)] = _varied("Number of poses of a generated motion.")
-    nearest_m: Annotated[Varied, drawn(0.01, 1000)] = _varied(
+    poses: Annotated[Varied, drawn(1, 1000, whole=True)] = _varied_field("Number of poses of a generated motion.")
+    nearest_m: Annotated[Varied, drawn(0.01, 1000)] = _varied_field(
         "The least distance from a camera to the pattern's centre, m."
     )
-    farthest_m: Annotated[Varied, drawn(0.01, 1000)] = _varied("The largest distance, m.")
-    tilt_deg: Annotated[Varied, drawn(0, 70)] = _varied(
+    farthest_m: Annotated[Varied, drawn(0.01, 1000)] = _varied_field("The largest distance, m.")
+    tilt_deg: Annotated[Varied, drawn(0, 70)] = _varied_field(
         "The largest angle between the pattern's normal and the line of sight, deg."
     )
-    roll_deg: Annotated[Varied, drawn(0, 180)] = _varied("The largest turn about the line of sight, deg.")
-    partial: Annotated[Varied, drawn(0, 1)] = _varied("The share of views that see only a part of the pattern, 0 to 1.")
-    sway_mm: Annotated[Varied, drawn(0, 1000)] = _varied("Sway of a moved pattern while the sensors measure, mm.")
+    roll_deg: Annotated[Varied, drawn(0, 180)] = _varied_field("The largest turn about the line of sight, deg.")
+    partial: Annotated[Varied, drawn(0, 1)] = _varied_field(
+        "The share of views that see only a part of the pattern, 0 to 1."
+    )
+    sway_mm: Annotated[Varied, drawn(0, 1000)] = _varied_field("Sway of a moved pattern while the sensors measure, mm.")
 
 
 @record(case="snake")
 class PatternEntry:
     """Deviation of each pattern from a flat one."""
 
-    bow_mm: Annotated[Varied, drawn(-100, 100, axes="xy")] = _varied(
+    bow_mm: Annotated[Varied, drawn(-100, 100, axes="xy")] = _varied_field(
         "Height of the pattern's centre towards the viewer, along x and along y, mm."
     )
 
@@ -75,51 +77,51 @@ class PatternEntry:
 class Joints:
     """Errors of the calibrated joints' parameters, relative to the robot's description."""
 
-    translation_mm: Annotated[Varied, drawn(-1000, 1000)] = _varied("Error of those that are lengths, mm.")
-    rotation_deg: Annotated[Varied, drawn(-45, 45)] = _varied("Error of those that are angles, deg.")
+    translation_mm: Annotated[Varied, drawn(-1000, 1000)] = _varied_field("Error of those that are lengths, mm.")
+    rotation_deg: Annotated[Varied, drawn(-45, 45)] = _varied_field("Error of those that are angles, deg.")
 
 
 @record(case="snake")
 class Cameras:
     """Parameters of every camera."""
 
-    exposure: Annotated[Varied, drawn(0.01, 100)] = _varied("Factor on the light.")
-    noise_levels: Annotated[Varied, drawn(0, 100)] = _varied(
+    exposure: Annotated[Varied, drawn(0.01, 100)] = _varied_field("Factor on the light.")
+    noise_levels: Annotated[Varied, drawn(0, 100)] = _varied_field(
         "Standard deviation of a pixel's brightness, grey levels of 255."
     )
-    blur_px: Annotated[Varied, drawn(0, 20)] = _varied("Standard deviation of the lens's blur, px.")
-    vignetting: Annotated[Varied, drawn(0, 1)] = _varied(
+    blur_px: Annotated[Varied, drawn(0, 20)] = _varied_field("Standard deviation of the lens's blur, px.")
+    vignetting: Annotated[Varied, drawn(0, 1)] = _varied_field(
         "Darkening of the image's corners relative to its centre, 0 to 1."
     )
-    k1: Annotated[Varied, drawn(-1, 1)] = _varied("Distortion (plumb_bob), in place of the sensor's own.")
-    k2: Annotated[Varied, drawn(-1, 1)] = _varied("Distortion.")
-    p1: Annotated[Varied, drawn(-0.1, 0.1)] = _varied("Distortion.")
-    p2: Annotated[Varied, drawn(-0.1, 0.1)] = _varied("Distortion.")
-    k3: Annotated[Varied, drawn(-1, 1)] = _varied("Distortion.")
+    k1: Annotated[Varied, drawn(-1, 1)] = _varied_field("Distortion (plumb_bob), in place of the sensor's own.")
+    k2: Annotated[Varied, drawn(-1, 1)] = _varied_field("Distortion.")
+    p1: Annotated[Varied, drawn(-0.1, 0.1)] = _varied_field("Distortion.")
+    p2: Annotated[Varied, drawn(-0.1, 0.1)] = _varied_field("Distortion.")
+    k3: Annotated[Varied, drawn(-1, 1)] = _varied_field("Distortion.")
 
 
 @record(case="snake")
 class Lidars:
     """Parameters of every LiDAR."""
 
-    noise_m: Annotated[Varied, drawn(0, 1)] = _varied("Standard deviation of a measured distance, m.")
+    noise_m: Annotated[Varied, drawn(0, 1)] = _varied_field("Standard deviation of a measured distance, m.")
 
 
 @record(case="snake")
 class DepthCameras:
     """Parameters of every depth camera."""
 
-    noise_m: Annotated[Varied, drawn(0, 1)] = _varied("Standard deviation of a measured distance, m.")
+    noise_m: Annotated[Varied, drawn(0, 1)] = _varied_field("Standard deviation of a measured distance, m.")
 
 
 @record(case="snake")
 class Assembly:
     """Errors of the calibrated sensors' poses, relative to the robot's description."""
 
-    translation_mm: Annotated[Varied, drawn(-1000, 1000, axes="xyz")] = _varied(
+    translation_mm: Annotated[Varied, drawn(-1000, 1000, axes="xyz")] = _varied_field(
         "Error of the calibrated transform along each axis of its child frame, mm."
     )
-    rotation_deg: Annotated[Varied, drawn(-90, 90, axes="xyz")] = _varied(
+    rotation_deg: Annotated[Varied, drawn(-90, 90, axes="xyz")] = _varied_field(
         "Error of the calibrated transform about each axis of its child frame, deg."
     )
 
@@ -186,13 +188,13 @@ def parameters_of(file: ScenarioSetFile, system: System, place: Place) -> Parame
     groups: dict[str, list[str]] = {}
 
     def add(entry: Any, group: str, things: list[str]) -> None:
-        for key, distribution, axes in _given(entry):
+        for key, distribution, axes in _given_distributions(entry):
             own = _joint_parameters(system, key) if group == "joints" else things
             names = [f"{thing}.{each}" for thing in own for each in _with_axes(key, axes)]
             distributions.update(dict.fromkeys(names, distribution))
             groups.setdefault(f"{group}.{key}", []).extend(names)
 
-    members = _members(system)
+    members = _group_members(system)
     for group in ("light", "occluders", "motion"):
         add(getattr(file, group), group, [group])
     add(file.pattern, "pattern", list(system.patterns))
@@ -204,7 +206,7 @@ def parameters_of(file: ScenarioSetFile, system: System, place: Place) -> Parame
             raise place.below("sensors").fault(unknown_key(sensor, list(system.sensors)))
         its = [getattr(own, group) for group, things in members.items() if sensor in things]
         known = [key for entry in its for key in flat_fields(type(entry))]
-        for key in (key for group in members for key, *_ in _given(getattr(own, group))):
+        for key in (key for group in members for key, *_ in _given_distributions(getattr(own, group))):
             if key not in known:
                 raise place.below("sensors").below(sensor).fault(unknown_key(key, known))
         for entry in its:
@@ -212,7 +214,7 @@ def parameters_of(file: ScenarioSetFile, system: System, place: Place) -> Parame
     return Parameters(distributions, {name: tuple(dict.fromkeys(names)) for name, names in groups.items()})
 
 
-def _given(entry: Any) -> list[tuple[str, Distribution, str]]:
+def _given_distributions(entry: Any) -> list[tuple[str, Distribution, str]]:
     """Return key, distribution and axes of each parameter in a part of a scenario set."""
     if entry is None:
         return []
@@ -241,7 +243,7 @@ def _joint_parameters(system: System, key: str) -> list[str]:
     ]
 
 
-def _members(system: System) -> dict[str, list[str]]:
+def _group_members(system: System) -> dict[str, list[str]]:
     """Return the sensors of each group. An anchored one is left out of ``assembly``: its pose is given."""
     anchored = system.configuration.anchored_sensor
     return {

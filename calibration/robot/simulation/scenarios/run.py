@@ -63,7 +63,7 @@ def run_scenario(
     except InputError as error:
         return replace(result, reasons=(str(error),))
     with temporary_folder(parent=scratch) as folder:
-        records = _collect(played, requirements or Requirements(), folder)
+        records = _collect_every_pose(played, requirements or Requirements(), folder)
         return finished_result(result, records, prove(folder) if kept(records) else None)
 
 
@@ -80,7 +80,7 @@ def finished_result(result: ScenarioResult, records: Sequence[Record], proof: Pr
         records: records of all its poses.
         proof: None if no pose gave a collection.
     """
-    result = _described(result, records) if records else result
+    result = _with_collections(result, records) if records else result
     return calibrated_result(result, proof) if proof else replace(result, reasons=("no pose gave a collection",))
 
 
@@ -95,7 +95,7 @@ def scenario_task(
     return Task.call(scenario.id, partial(run_scenario, scenarios, scenario, motion, requirements, scratch))
 
 
-def _collect(played: Play, requirements: Requirements, folder: Path) -> list[Record]:
+def _collect_every_pose(played: Play, requirements: Requirements, folder: Path) -> list[Record]:
     """Collect every pose into a folder, without images: only the files that a calibration needs."""
     records = []
     for number in range(len(played)):
@@ -109,7 +109,7 @@ def _collect(played: Play, requirements: Requirements, folder: Path) -> list[Rec
     return records
 
 
-def _described(result: ScenarioResult, records: Sequence[Record]) -> ScenarioResult:
+def _with_collections(result: ScenarioResult, records: Sequence[Record]) -> ScenarioResult:
     """Return the result with the collections' numbers."""
     errors = [error for record in records for error in record.errors.values()]
     corners = sum(error.count for error in errors)

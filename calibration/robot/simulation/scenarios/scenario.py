@@ -19,7 +19,7 @@ from calibration.robot.simulation.system import System
 
 MAX_SEED = 2**53
 """Limit of a seed, so that it is exact in JSON."""
-_ID = re.compile(r"s(0|[1-9][0-9]{0,15})-([0-9]{5,8})")
+_SCENARIO_ID = re.compile(r"s(0|[1-9][0-9]{0,15})-([0-9]{5,8})")
 _HASH_DIGITS = 12
 _LONGEST_LINE = 1000
 
@@ -62,7 +62,7 @@ def parse_id(text: str) -> tuple[int, int]:
     Raises:
         InputError: it is not an id.
     """
-    match = _ID.fullmatch(text)
+    match = _SCENARIO_ID.fullmatch(text)
     seed, index = (int(match[1]), int(match[2])) if match else (-1, -1)
     if not 0 <= seed < MAX_SEED or scenario_id(seed, index) != text:
         raise InputError(f"scenario: found '{text}', expected an id such as s1-00017 (seed 1, index 17)")
@@ -90,18 +90,18 @@ def content_hash(system: System, scenario: Scenario, motion: Motion | None = Non
 Amount = Annotated[float, between(0, 1e300)]
 
 
-def _lines(lines: tuple[str, ...], _: Place) -> tuple[str, ...]:
+def _as_short_lines(lines: tuple[str, ...], _: Place) -> tuple[str, ...]:
     return tuple(shorten(one_line(line), _LONGEST_LINE) for line in lines)
 
 
 Lines = Annotated[
     tuple[str, ...],
-    Converted(Annotated[tuple[Annotated[str, length(most=10_000)], ...], length(most=1000)], _lines),
+    Converted(Annotated[tuple[Annotated[str, length(most=10_000)], ...], length(most=1000)], _as_short_lines),
 ]
 """Texts from untrusted sources, made safe to print."""
 
 
-def _poses(lost: Mapping[str, tuple[str, ...]], _: Place) -> Mapping[str, tuple[str, ...]]:
+def _as_lost_poses(lost: Mapping[str, tuple[str, ...]], _: Place) -> Mapping[str, tuple[str, ...]]:
     return {one_line(pose): reasons for pose, reasons in lost.items()}
 
 
@@ -120,7 +120,9 @@ class ScenarioResult:
     lost: (
         Annotated[
             Mapping[str, tuple[str, ...]],
-            Converted(Annotated[Mapping[Annotated[str, length(most=100)], Lines], length(most=100_000)], _poses),
+            Converted(
+                Annotated[Mapping[Annotated[str, length(most=100)], Lines], length(most=100_000)], _as_lost_poses
+            ),
         ]
         | None
     ) = field("The poses that gave no collection, by key, and why.", default=None)

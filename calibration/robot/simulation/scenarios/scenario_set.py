@@ -28,7 +28,7 @@ from calibration.base.errors import InputError
 from calibration.base.records import Place, read
 from calibration.base.text import shorten
 from calibration.base.yaml_file import read_yaml
-from calibration.robot.simulation.scenarios.constraints import CLEARANCE, Constraint, ConstraintEntry, broken
+from calibration.robot.simulation.scenarios.constraints import CLEARANCE_KEY, Constraint, ConstraintEntry, broken
 from calibration.robot.simulation.scenarios.parameters import Parameters, ScenarioSetFile, parameters_of
 from calibration.robot.simulation.scenarios.scenario import Scenario
 from calibration.robot.simulation.scenarios.world import build_world, clearance
@@ -57,8 +57,8 @@ class ScenarioSet:
         """
         failures: Counter[int] = Counter()
         for attempt in range(MAX_ATTEMPTS):
-            scenario = self._draw(seed, index, attempt)
-            fault = broken(self.constraints, scenario.values, partial(self._clearance, scenario))
+            scenario = self._draw_scenario(seed, index, attempt)
+            fault = broken(self.constraints, scenario.values, partial(self._clearance_of, scenario))
             if fault < 0:
                 return scenario
             failures[fault] += 1
@@ -69,10 +69,10 @@ class ScenarioSet:
             "loosen it, or narrow the distributions"
         )
 
-    def _clearance(self, scenario: Scenario) -> float:
+    def _clearance_of(self, scenario: Scenario) -> float:
         return clearance(build_world(self.system, scenario))
 
-    def _draw(self, seed: int, index: int, attempt: int) -> Scenario:
+    def _draw_scenario(self, seed: int, index: int, attempt: int) -> Scenario:
         empty = Scenario(seed, index, {}, attempt)
         values = {
             name: distribution.value(empty.random("value", name).random())
@@ -94,9 +94,9 @@ def read_scenario_set(path: Path, system: System) -> ScenarioSet:
 
     def constraint(index: int, entry: ConstraintEntry) -> Constraint:
         def named(name: str) -> tuple[str, ...]:
-            names = (name,) if name == CLEARANCE else parameters.named(name)
+            names = (name,) if name == CLEARANCE_KEY else parameters.named(name)
             if not names:
-                known = ", ".join((*parameters.groups, CLEARANCE))
+                known = ", ".join((*parameters.groups, CLEARANCE_KEY))
                 where = place.below("constraints").below(index)
                 raise where.fault(f"found '{shorten(name)}', which this scenario set does not draw (it draws {known})")
             return names

@@ -8,7 +8,7 @@ from functools import cached_property
 from calibration.robot.simulation.scenarios.drivers import LEAST_SCENARIOS, Driver, find_drivers
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 
-PERCENTILES = (0, 5, 25, 50, 75, 95, 100)
+REPORTED_PERCENTILES = (0, 5, 25, 50, 75, 95, 100)
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Statistics:
     @cached_property
     def drivers(self) -> list[Driver]:
         """Parameters that drive the translation error, strongest first; without a calibration is worst."""
-        return find_drivers([result.values for result in self.ran], [_error(result) for result in self.ran])
+        return find_drivers([result.values for result in self.ran], [_translation_error(result) for result in self.ran])
 
     @property
     def ran(self) -> list[ScenarioResult]:
@@ -36,17 +36,17 @@ class Statistics:
 
     def worst(self, count: int) -> list[ScenarioResult]:
         """Return the scenarios without a calibration, then those with the largest translation error."""
-        return sorted(self.results, key=lambda result: (-_error(result), result.id))[:count]
+        return sorted(self.results, key=lambda result: (-_translation_error(result), result.id))[:count]
 
     def percentiles(self, measure: str) -> dict[int, float]:
-        """Return `PERCENTILES` of a measure over the scenarios that have it, by nearest rank."""
+        """Return `REPORTED_PERCENTILES` of a measure over the scenarios that have it, by nearest rank."""
         values = sorted(value for result in self.calibrated if (value := getattr(result, measure)) is not None)
         if not values:
             return {}
-        return {p: values[max(math.ceil(p / 100 * len(values)), 1) - 1] for p in PERCENTILES}
+        return {p: values[max(math.ceil(p / 100 * len(values)), 1) - 1] for p in REPORTED_PERCENTILES}
 
 
-def _error(result: ScenarioResult) -> float:
+def _translation_error(result: ScenarioResult) -> float:
     """Return the sort key of scenarios: the translation error, infinite if there is none."""
     return result.translation_mm if result.converged and result.translation_mm is not None else math.inf
 

@@ -20,7 +20,7 @@ from calibration.robot.simulation.scenarios.scenario import Scenario
 from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.system import MotionRanges, System
 
-POSES = 12
+DEFAULT_POSES = 12
 """Default number of poses of a generated motion, without ``motion/poses`` in the scenario set."""
 _OCCLUDER_REACH = (0.35, 0.75)
 """Positions of occluders between a camera and the pattern's closest position, as fractions of the distance."""
@@ -38,17 +38,17 @@ def build_world(system: System, scenario: Scenario) -> System:
         InputError: there are occluders, but no camera to occlude; a lens has no such coefficient.
     """
     values = scenario.values
-    motion = _motion(system.motion, values)
+    motion = _motion_ranges(system.motion, values)
     joint_errors = _joint_errors(system, values)
     same = joint_errors == system.joint_errors
     return replace(
         system,
-        robot=_assembled(system, system.robot if same else with_errors(system.nominal, joint_errors), values),
+        robot=_assembled_robot(system, system.robot if same else with_errors(system.nominal, joint_errors), values),
         joint_errors=joint_errors,
-        sensors={name: sensor.with_values(name, _of(values, name)) for name, sensor in system.sensors.items()},
-        scene=_scene(system, motion, scenario),
+        sensors={name: sensor.with_values(name, _values_of(values, name)) for name, sensor in system.sensors.items()},
+        scene=_scenario_scene(system, motion, scenario),
         motion=motion,
-        bows={**system.bows, **_bows(system, values)},
+        bows={**system.bows, **_pattern_bows(system, values)},
         sway=values["motion.sway_mm"] / 1000 if "motion.sway_mm" in values else system.sway,
     )
 
@@ -59,7 +59,7 @@ def scenario_motion(world: System, scenario: Scenario) -> Motion:
     Raises:
         InputError: too few poses are seen by every sensor (see `generate_motion`).
     """
-    return generate_motion(world, int(scenario.values.get("motion.poses", POSES)), scenario.collection_seed)
+    return generate_motion(world, int(scenario.values.get("motion.poses", DEFAULT_POSES)), scenario.collection_seed)
 
 
 def clearance(system: System) -> float:
@@ -75,7 +75,7 @@ def clearance(system: System) -> float:
     return float(np.min(distances, initial=math.inf))
 
 
-def _of(values: Values, thing: str) -> dict[str, float]:
+def _values_of(values: Values, thing: str) -> dict[str, float]:
     """Return the values of a sensor, of a pattern, or of a part of the scene, by key."""
     prefix = f"{thing}."
     return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
@@ -95,17 +95,17 @@ def _joint_errors(system: System, values: Values) -> dict[str, dict[JointParamet
     errors = {name: dict(own) for name, own in system.joint_errors.items()}
     for name in system.configuration.joints:
         for parameter in JOINT_PARAMETERS:
-            for key, value in _of(values, f"{name}.{parameter}").items():
+            for key, value in _values_of(values, f"{name}.{parameter}").items():
                 error = value / 1000 if key == "translation_mm" else math.radians(value)
                 errors.setdefault(name, {})[parameter] = error
     return errors
 
 
-def _assembled(system: System, robot: Robot, values: Values) -> Robot:
+def _assembled_robot(system: System, robot: Robot, values: Values) -> Robot:
     """Return a robot with errors of its assembly: calibrated transforms are moved by twists in their child frames."""
     errors = {}
     for name, sensor in system.configuration.sensors.items():
-        own = _of(values, name)
+        own = _values_of(values, name)
         shift = np.array([own.get(f"translation_{axis}_mm", 0.0) for axis in "xyz"]) / 1000
         turn = np.radians([own.get(f"rotation_{axis}_deg", 0.0) for axis in "xyz"])
         if shift.any() or turn.any():
@@ -118,8 +118,8 @@ def _assembled(system: System, robot: Robot, values: Values) -> Robot:
     return replace(robot, joints=tuple(moved(joint) for joint in robot.joints)) if errors else robot
 
 
-def _motion(ranges: MotionRanges, values: Values) -> MotionRanges:
-    own = _of(values, "motion")
+def _motion_ranges(ranges: MotionRanges, values: Values) -> MotionRanges:
+    own = _values_of(values, "motion")
     if "nearest_m" in own:
         near, far = sorted((own["nearest_m"], own["farthest_m"]))
         ranges = replace(ranges, distance=(near, far))
@@ -131,19 +131,19 @@ def _motion(ranges: MotionRanges, values: Values) -> MotionRanges:
     )
 
 
-def _bows(system: System, values: Values) -> dict[str, tuple[float, float]]:
+def _pattern_bows(system: System, values: Values) -> dict[str, tuple[float, float]]:
     """Return the bows of the patterns in the values, m."""
     bows = {}
     for name in system.patterns:
-        own = _of(values, name)
+        own = _values_of(values, name)
         if "bow_x_mm" in own:
             bows[name] = (own["bow_x_mm"] / 1000, own["bow_y_mm"] / 1000)
     return bows
 
 
-def _scene(system: System, motion: MotionRanges, scenario: Scenario) -> Scene:
+def _scenario_scene(system: System, motion: MotionRanges, scenario: Scenario) -> Scene:
     """Return the scene with the scenario's light and occluders."""
-    scene, own = system.scene, _of(scenario.values, "light")
+    scene, own = system.scene, _values_of(scenario.values, "light")
     light = replace(
         scene.light,
         ambient=own.get("ambient", scene.light.ambient),
@@ -155,11 +155,11 @@ def _scene(system: System, motion: MotionRanges, scenario: Scenario) -> Scene:
         towards = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
         light = replace(light, direction=towards)
     count = int(scenario.values.get("occluders.count", 0))
-    occluders = tuple(_occluder(system, motion, scenario, number) for number in range(count))
+    occluders = tuple(_draw_occluder(system, motion, scenario, number) for number in range(count))
     return replace(scene, light=light, boxes=(*scene.boxes, *occluders))
 
 
-def _occluder(system: System, motion: MotionRanges, scenario: Scenario, number: int) -> Box:
+def _draw_occluder(system: System, motion: MotionRanges, scenario: Scenario, number: int) -> Box:
     """Return a cube on the line of sight of some pixel of some camera, nearer than the pattern comes."""
     if not system.cameras:
         raise InputError(f"occluders stand between a camera and the pattern, but {system.name} has no camera")

@@ -6,9 +6,16 @@ from calibration.robot.simulation.sensors.lidar2d import SimulatedLidar2d
 from calibration.robot.simulation.sensors.lidar3d import SimulatedLidar
 from calibration.robot.simulation.sensors.sensor import SimulatedSensor
 
-__all__ = ["KINDS", "SimulatedCamera", "SimulatedDepthCamera", "SimulatedLidar", "SimulatedLidar2d", "SimulatedSensor"]
+__all__ = [
+    "SIMULATED_SENSORS",
+    "SimulatedCamera",
+    "SimulatedDepthCamera",
+    "SimulatedLidar",
+    "SimulatedLidar2d",
+    "SimulatedSensor",
+]
 
-KINDS: dict[str, type[SimulatedSensor]] = {
+SIMULATED_SENSORS: dict[str, type[SimulatedSensor]] = {
     kind.modality.name: kind for kind in (SimulatedCamera, SimulatedLidar, SimulatedLidar2d, SimulatedDepthCamera)
 }
 """Simulated sensors by the name of their modality, in the order of labels in datasets."""

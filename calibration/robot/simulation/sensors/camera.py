@@ -28,11 +28,11 @@ from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import CornerDetector, Image
 from calibration.robot.simulation.board import Board
-from calibration.robot.simulation.rendering.background import STEPS
+from calibration.robot.simulation.rendering.background import STEPS_PER_GREY_LEVEL
 from calibration.robot.simulation.rendering.image import radiance
 from calibration.robot.simulation.scene import Scene
-from calibration.robot.simulation.sensors.drawing import HEIGHT, blank, draw_corner
-from calibration.robot.simulation.sensors.lens import LENS
+from calibration.robot.simulation.sensors.drawing import PICTURE_HEIGHT_PX, blank, draw_corner
+from calibration.robot.simulation.sensors.lens import CAMERA_OF_LENS
 from calibration.robot.simulation.sensors.sensor import (
     LEAST_SHARE,
     Data,
@@ -48,7 +48,7 @@ CORNER_NOISE = 0.05
 the example systems.
 """
 JPEG_QUALITY = 88
-CELLS = (4, 3)
+COVERAGE_CELLS = (4, 3)
 """Columns and rows of an image's cells: a motion should have corners in each."""
 LEAST_SQUARE = 14.0
 """Minimum width of a square in the image, px. At 12 our detector finds 98 % of the corners (markers of 7 bits
@@ -56,11 +56,11 @@ on 3/4 of a square, blur 0.65 px), at 10 it finds 60 %.
 """
 LEAST_TAG = 18.0
 """Minimum width of an aprilgrid's tag in the image, px. At 17 our detector finds all corners, at 14 a quarter."""
-_ROWS = 64
+_ROWS_PER_BATCH = 64
 """Number of rows of an image per batch, which fit into the cache."""
-_OPTICS = {"exposure": "exposure", "noise_levels": "noise", "blur_px": "blur", "vignetting": "vignetting"}
+_FIELD_OF_OPTICS_KEY = {"exposure": "exposure", "noise_levels": "noise", "blur_px": "blur", "vignetting": "vignetting"}
 """Fields of a camera by a scenario's keys."""
-_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
+_COEFFICIENT_KEYS = ("k1", "k2", "p1", "p2", "k3")
 """A scenario's keys of the distortion coefficients."""
 
 
@@ -73,7 +73,7 @@ class SimulatedCamera(SimulatedSensor):
     file_ending: ClassVar[str] = "jpg"
     scenario_group: ClassVar[str] = "cameras"
 
-    camera: Annotated[Camera, LENS] = field(flat=True)
+    camera: Annotated[Camera, CAMERA_OF_LENS] = field(flat=True)
     blur: Annotated[float, between(0, 20)] = field(
         "Standard deviation of the lens's Gaussian blur, px.", default=0.65, key="blur_px"
     )
@@ -91,12 +91,12 @@ class SimulatedCamera(SimulatedSensor):
         """Return the camera with other optics and distortion coefficients."""
         lens = self.camera.distortion
         coefficients = dict(zip(lens.names(), lens.coefficients.tolist(), strict=True))
-        for key in _COEFFICIENTS:
+        for key in _COEFFICIENT_KEYS:
             if key in values and key not in coefficients:
                 raise InputError(f"scenario: '{key}' of '{name}': its distortion model {lens.ros_name} has none")
             coefficients.update({key: values[key]} if key in values else {})
         distortion = lens.with_coefficients(np.array(list(coefficients.values())))
-        optics = {field: values[key] for key, field in _OPTICS.items() if key in values}
+        optics = {field: values[key] for key, field in _FIELD_OF_OPTICS_KEY.items() if key in values}
         return replace(self, camera=replace(self.camera, distortion=distortion), **optics)
 
     @property
@@ -115,18 +115,18 @@ class SimulatedCamera(SimulatedSensor):
         return self.expose(radiance(self.camera, T_world_sensor, scene, boards), random)
 
     def expose(self, light: NDArray[np.uint16], random: np.random.Generator) -> Image:
-        """Convert light (height, width, 3), in `STEPS` of a grey level, to an 8-bit image (height, width, 3).
+        """Convert light (height, width, 3), in `STEPS_PER_GREY_LEVEL`, to an 8-bit image (height, width, 3).
 
         Applies blur, vignetting, exposure, noise and quantisation. The noise is of brightness: one number per pixel,
         equal in its three colours, and drawn for every pixel whatever it sees. Overexposed pixels are white.
         """
         noise = random.standard_normal(light.shape[:2], dtype=np.float32)
         noise *= np.float32(self.noise)
-        gain = _gain(self.camera, self.vignetting) * np.float32(self.exposure / STEPS)
+        gain = _vignetting_gain(self.camera, self.vignetting) * np.float32(self.exposure / STEPS_PER_GREY_LEVEL)
         planes = [np.empty(noise.shape, np.uint8) for _ in range(3)]
-        for blurred, levels in zip(cv2.split(_blurred(light, self.blur)), planes, strict=True):
-            for row in range(0, len(levels), _ROWS):
-                part = slice(row, row + _ROWS)
+        for blurred, levels in zip(cv2.split(_blur_radiance(light, self.blur)), planes, strict=True):
+            for row in range(0, len(levels), _ROWS_PER_BATCH):
+                part = slice(row, row + _ROWS_PER_BATCH)
                 # the sum is rounded and kept within 8 bits
                 exposed = cv2.multiply(blurred[part], gain[part], dtype=cv2.CV_32F)
                 cv2.add(exposed, noise[part], levels[part], dtype=cv2.CV_8U)
@@ -144,7 +144,7 @@ class SimulatedCamera(SimulatedSensor):
     def label(self, data: Data, pattern: PatternConfiguration, T_sensor_pattern: Array) -> Found:
         """Detect the corners; the expected pose is not used."""
         del T_sensor_pattern
-        return _detector(pattern).detect(data)
+        return _cached_detector(pattern).detect(data)
 
     def label_document(self, found: Found) -> dict[str, Any]:
         """Return the corners by id."""
@@ -188,7 +188,7 @@ class SimulatedCamera(SimulatedSensor):
         visible &= ~views.hidden(places)
         pixels, visible = pixels.reshape(-1, rows, columns, 2), visible.reshape(-1, rows, columns)
         with np.errstate(invalid="ignore"):
-            clear = _all_four(visible) & (_widths(pixels) >= least)
+            clear = _all_four(visible) & (_square_widths(pixels) >= least)
         seen = _all_four(clear).reshape(len(clear), (rows - 2) * (columns - 2))
         share = 1.0 if views.pattern.kind in UNMARKED else LEAST_SHARE  # all or none
         front = facing(views.T_sensor_pattern, views.pattern.centre)
@@ -206,7 +206,7 @@ class SimulatedCamera(SimulatedSensor):
         visible &= ~views.hidden(places)
         tags = pixels.reshape(len(pixels), -1, 4, 2)
         with np.errstate(invalid="ignore"):
-            widths = _widths(tags[:, :, [0, 1, 3, 2]].reshape(-1, 2, 2, 2)).reshape(tags.shape[:2])
+            widths = _square_widths(tags[:, :, [0, 1, 3, 2]].reshape(-1, 2, 2, 2)).reshape(tags.shape[:2])
             seen = visible.reshape(tags.shape[:3]).all(-1) & (widths >= LEAST_TAG)
         front = facing(views.T_sensor_pattern, views.pattern.centre)
         partial: BoolArray = ~np.all(visible, axis=-1)
@@ -216,8 +216,8 @@ class SimulatedCamera(SimulatedSensor):
         self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
     ) -> Image:
         """Draw the image with the corners coloured by their order."""
-        scale = HEIGHT / self.camera.height
-        size = (max(1, round(scale * self.camera.width)), HEIGHT)
+        scale = PICTURE_HEIGHT_PX / self.camera.height
+        size = (max(1, round(scale * self.camera.width)), PICTURE_HEIGHT_PX)
         file = files / message["data_file"]
         image = cv2.imread(str(file), cv2.IMREAD_COLOR) if file.is_file() else None  # or it warns
         picture = blank(size[0]) if image is None else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
@@ -245,9 +245,9 @@ class CornerViews:
 
     def cells(self, camera: Camera) -> BoolArray:
         """Return a mask (N, columns * rows) of the cells of the image with a corner."""
-        columns, rows = CELLS
+        columns, rows = COVERAGE_CELLS
         with np.errstate(invalid="ignore"):
-            place = (self.pixels + 0.5) / [camera.width, camera.height] * CELLS
+            place = (self.pixels + 0.5) / [camera.width, camera.height] * COVERAGE_CELLS
         column, row = np.moveaxis(np.where(self.seen[..., None], place, -1).astype(int), -1, 0)
         cell = np.where(self.seen, row.clip(max=rows - 1) * columns + column.clip(max=columns - 1), -1)
         occupied: BoolArray = (cell[..., None] == np.arange(columns * rows)).any(-2)
@@ -255,7 +255,7 @@ class CornerViews:
 
 
 @lru_cache
-def _detector(pattern: PatternConfiguration) -> CornerDetector:
+def _cached_detector(pattern: PatternConfiguration) -> CornerDetector:
     return corner_detector(pattern)
 
 
@@ -273,7 +273,7 @@ def encode_image(image: Data, ending: str, options: list[int]) -> bytes:
     return bytes(data)
 
 
-def _blurred(light: NDArray[np.uint16], sigma: float) -> NDArray[np.uint16]:
+def _blur_radiance(light: NDArray[np.uint16], sigma: float) -> NDArray[np.uint16]:
     """Blur with integer arithmetic, which is equal on all machines."""
     if sigma <= 0:
         return light
@@ -282,7 +282,7 @@ def _blurred(light: NDArray[np.uint16], sigma: float) -> NDArray[np.uint16]:
 
 
 @lru_cache(maxsize=8)
-def _gain(camera: Camera, vignetting: float) -> NDArray[np.float32]:
+def _vignetting_gain(camera: Camera, vignetting: float) -> NDArray[np.float32]:
     """Return the gain (height, width): 1 on the optical axis, falling like cos^4 of the angle to it."""
     x = (np.arange(camera.width) - camera.cx) / camera.fx
     y = (np.arange(camera.height)[:, None] - camera.cy) / camera.fy
@@ -329,7 +329,7 @@ def _all_four(of: BoolArray) -> BoolArray:
     return of[:, :-1, :-1] & of[:, :-1, 1:] & of[:, 1:, :-1] & of[:, 1:, 1:]
 
 
-def _widths(pixels: Array) -> Array:
+def _square_widths(pixels: Array) -> Array:
     """Return the widths (N, R - 1, C - 1) of squares with corners (N, R, C, 2): area over longer side, px."""
     along = pixels[:, :-1, 1:] - pixels[:, :-1, :-1]
     down = pixels[:, 1:, :-1] - pixels[:, :-1, :-1]

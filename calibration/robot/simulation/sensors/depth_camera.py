@@ -25,8 +25,8 @@ from calibration.robot.simulation.rendering.background import background
 from calibration.robot.simulation.rendering.rays import rays, rounded
 from calibration.robot.simulation.scene import Scene
 from calibration.robot.simulation.sensors.camera import encode_image, image_message
-from calibration.robot.simulation.sensors.drawing import DARK, HEIGHT, ON_BORDER, ON_PATTERN, blank
-from calibration.robot.simulation.sensors.lens import LENS
+from calibration.robot.simulation.sensors.drawing import NO_DATA_COLOUR, ON_BORDER, ON_PATTERN, PICTURE_HEIGHT_PX, blank
+from calibration.robot.simulation.sensors.lens import CAMERA_OF_LENS
 from calibration.robot.simulation.sensors.sensor import (
     LEAST_SHARE,
     Data,
@@ -39,7 +39,7 @@ from calibration.robot.simulation.sensors.sensor import (
     range_noise,
 )
 
-MOST = 5000
+MAX_EXPECTED_LABELS = 5000
 """Approximate limit of the expected number of labelled pixels, as in `calibration.robot.labelling.depth`."""
 _FROM_NEAR = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[::-1, None], cv2.COLORMAP_BONE)[:, 0]
 
@@ -53,7 +53,7 @@ class SimulatedDepthCamera(RangeSensor):
     file_ending: ClassVar[str] = "png"
     scenario_group: ClassVar[str] = "depth_cameras"
 
-    camera: Annotated[Camera, LENS] = field(flat=True)
+    camera: Annotated[Camera, CAMERA_OF_LENS] = field(flat=True)
     noise: Annotated[float, between(0, 10)] = field(
         "Standard deviation of a depth near the camera, m.", default=0.001, key="noise_m"
     )
@@ -133,7 +133,7 @@ class SimulatedDepthCamera(RangeSensor):
         )
         border = ~inner[v, u] & away
         labelled = border.copy()
-        labelled[:: max(1, -(-len(v) // MOST))] = True
+        labelled[:: max(1, -(-len(v) // MAX_EXPECTED_LABELS))] = True
         v, u, border = v[labelled], u[labelled], border[labelled]
         points = depth[v + 1, u + 1, None] * directions[v + 1, u + 1]
         seen = self.visible(views, number, points, points[:, 2])
@@ -150,28 +150,30 @@ class SimulatedDepthCamera(RangeSensor):
         """Draw the image, near bright and far dark; the labelled pixels in their colours."""
         del patterns
         camera = self.camera
-        width = max(1, round(HEIGHT / camera.height * camera.width))
+        width = max(1, round(PICTURE_HEIGHT_PX / camera.height * camera.width))
         try:
             depth = read_depth_image(files / message["data_file"], camera).depth
         except InputError:
             return blank(width)
-        rows, columns = (np.arange(n) * size // n for n, size in ((HEIGHT, camera.height), (width, camera.width)))
-        picture = _coloured(depth[rows[:, None], columns])
+        rows, columns = (
+            np.arange(n) * size // n for n, size in ((PICTURE_HEIGHT_PX, camera.height), (width, camera.width))
+        )
+        picture = _colour_depths(depth[rows[:, None], columns])
         for label in labels:
             for key, colour, size in (("idxs", ON_PATTERN, 3), ("idxs_limit_points", ON_BORDER, 1)):
                 y, x = np.divmod(np.array(label[key], int), camera.width)
-                marked = np.zeros((HEIGHT, width), np.uint8)
-                marked[y * HEIGHT // camera.height, x * width // camera.width] = 1
+                marked = np.zeros((PICTURE_HEIGHT_PX, width), np.uint8)
+                marked[y * PICTURE_HEIGHT_PX // camera.height, x * width // camera.width] = 1
                 picture[cv2.dilate(marked, np.ones((size, size), np.uint8)) > 0] = colour  # labels are thinned
         return picture
 
 
-def _coloured(depth: DepthImage) -> Image:
+def _colour_depths(depth: DepthImage) -> Image:
     """Colour depths (h, w) from near to far (h, w, 3); dark without a return. Integer arithmetic."""
     returned = (depth != NO_RETURN) & (depth != 0)
     sorted_depths = np.sort(depth[returned].astype(int))
     if not len(sorted_depths):
-        return np.full((*depth.shape, 3), DARK, np.uint8)
+        return np.full((*depth.shape, 3), NO_DATA_COLOUR, np.uint8)
     near, far = sorted_depths[[len(sorted_depths) // 100, -1 - len(sorted_depths) // 100]]
     share = 255 * (np.clip(depth, near, far) - near) // max(far - near, 1)
-    return np.where(returned[..., None], _FROM_NEAR[share], np.array(DARK, np.uint8))
+    return np.where(returned[..., None], _FROM_NEAR[share], np.array(NO_DATA_COLOUR, np.uint8))

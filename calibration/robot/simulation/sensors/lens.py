@@ -16,7 +16,7 @@ MAX_PIXELS = 25_000_000
 """Limit of an image's pixels: beyond it memory runs out."""
 MAX_PINHOLE_HFOV_DEG, MAX_HFOV_DEG = 170, 350
 """Limits of the field of view of a pinhole and of other lenses, deg."""
-_PIXELS = between(2, 100_000)
+_SIZE_IN_PIXELS = between(2, 100_000)
 
 
 def _is_camera_matrix(K: tuple[float, ...]) -> bool:
@@ -24,7 +24,7 @@ def _is_camera_matrix(K: tuple[float, ...]) -> bool:
     return min(fx, fy) > 0 and not skew and not zero and last == [0, 0, 1]
 
 
-_K = listed(9, "[fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx and fy above 0", _is_camera_matrix)
+_CAMERA_MATRIX = listed(9, "[fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx and fy above 0", _is_camera_matrix)
 
 
 @record(
@@ -39,13 +39,13 @@ _K = listed(9, "[fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx and fy above 0", _is_cam
 class Lens:
     """Lens of a camera: its intrinsics and its distortion."""
 
-    width: Annotated[int, _PIXELS] = field("Width of the image, px.")
-    height: Annotated[int, _PIXELS] = field("Height of the image, px.")
+    width: Annotated[int, _SIZE_IN_PIXELS] = field("Width of the image, px.")
+    height: Annotated[int, _SIZE_IN_PIXELS] = field("Height of the image, px.")
     hfov_deg: Annotated[float, between(1, MAX_HFOV_DEG)] | None = field("Horizontal field of view, deg.", default=None)
     principal_point: Annotated[tuple[float, float], listed(2, "two numbers: cx, cy")] | None = field(
         "Principal point, px; by default Gazebo's, half a pixel beyond the centre.", default=None
     )
-    K: Annotated[tuple[float, ...], _K] | None = field(
+    K: Annotated[tuple[float, ...], _CAMERA_MATRIX] | None = field(
         "Camera matrix, row by row, in place of hfov_deg and principal_point.", default=None, key="K"
     )
     distortion_model: LensModel = field("Distortion model, by ROS's name.", default="plumb_bob")
@@ -90,5 +90,5 @@ class Lens:
         return Camera(fx, fx, cx, cy, self.width, self.height, distortion)
 
 
-LENS = Converted(Lens, lambda lens, _: lens.camera)
+CAMERA_OF_LENS = Converted(Lens, lambda lens, _: lens.camera)
 """Camera model with the keys of `Lens`."""

@@ -13,7 +13,7 @@ from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.scene import Scene
 from calibration.robot.simulation.sensors.sensor import RangeSensor, Views, meets, range_noise
 
-DECIMALS = 6
+COORDINATE_DECIMALS = 6
 """Decimals of stored coordinates, m: a micrometre, so that rounding errors of the arithmetic have no effect."""
 
 

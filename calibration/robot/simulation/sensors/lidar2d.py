@@ -18,8 +18,8 @@ from calibration.robot.labelling.scan_line import label_scan_line, scan_line_end
 from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.description import listed, rising
 from calibration.robot.simulation.scene import Scene
-from calibration.robot.simulation.sensors.drawing import DARK, HEIGHT, blank, draw_points
-from calibration.robot.simulation.sensors.lidar import DECIMALS, RaySensor
+from calibration.robot.simulation.sensors.drawing import NO_DATA_COLOUR, PICTURE_HEIGHT_PX, blank, draw_points
+from calibration.robot.simulation.sensors.lidar import COORDINATE_DECIMALS, RaySensor
 from calibration.robot.simulation.sensors.sensor import LEAST_SHARE, MAX_VIEW_ANGLE, Data, Found, Views
 
 LEAST_SCAN_LINE = 0.5
@@ -27,7 +27,7 @@ LEAST_SCAN_LINE = 0.5
 _ANGLE_DECIMALS = 12
 
 
-_TURN = listed(
+_ANGLE_RANGE = listed(
     2,
     "two rising numbers from -360 to 360, at most 360 apart and not the same",
     lambda ends: -360 <= ends[0] < ends[1] <= min(360, ends[0] + 360),
@@ -44,7 +44,7 @@ class SimulatedLidar2d(RaySensor):
     rays: Annotated[int, between(8, 100_000)] = field("Number of rays.")
     angles: Annotated[
         tuple[float, float],
-        Converted(Annotated[tuple[float, float], _TURN], lambda ends, _: tuple(map(math.radians, ends))),
+        Converted(Annotated[tuple[float, float], _ANGLE_RANGE], lambda ends, _: tuple(map(math.radians, ends))),
     ] = field("Angles of the first and the last ray, deg.", implied=[-135, 135], key="angle_deg")
     reach: Annotated[tuple[float, float], rising(0)] = field(
         "Least and largest range; other surfaces give no return, m.", default=(0.1, 30.0), key="range_m"
@@ -78,7 +78,7 @@ class SimulatedLidar2d(RaySensor):
         self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator
     ) -> Array:
         """Measure the ranges (rays,), m; 0 without a return, or if noise puts it out of range: JSON has no NaN."""
-        ranges = np.round(self.scan(T_world_sensor, scene, boards, random).ranges[0], DECIMALS)
+        ranges = np.round(self.scan(T_world_sensor, scene, boards, random).ranges[0], COORDINATE_DECIMALS)
         with np.errstate(invalid="ignore"):
             returned = (ranges >= self.least_range) & (ranges <= self.most_range)
         return np.where(returned, ranges, 0.0)
@@ -136,7 +136,7 @@ class SimulatedLidar2d(RaySensor):
     ) -> Image:
         """Draw the scan from above, the sensor at the bottom, x up; up to twice the pattern's distance."""
         del patterns, files
-        picture = blank(2 * HEIGHT, DARK)
+        picture = blank(2 * PICTURE_HEIGHT_PX, NO_DATA_COLOUR)
         ranges = message.get("ranges")
         if ranges is None:  # from applications in containers, whose scans are not drawn
             return picture
@@ -145,7 +145,7 @@ class SimulatedLidar2d(RaySensor):
         shown = labelled or np.flatnonzero(np.isfinite(points[:, 0])).tolist()
         if shown:
             reach = 2 * median(np.linalg.norm(points[shown], axis=-1))
-            place = np.array([HEIGHT, HEIGHT - 1]) - HEIGHT / reach * points[:, ::-1]
-            inside = np.flatnonzero(((place >= 0) & (place < [2 * HEIGHT, HEIGHT])).all(-1))
+            place = np.array([PICTURE_HEIGHT_PX, PICTURE_HEIGHT_PX - 1]) - PICTURE_HEIGHT_PX / reach * points[:, ::-1]
+            inside = np.flatnonzero(((place >= 0) & (place < [2 * PICTURE_HEIGHT_PX, PICTURE_HEIGHT_PX])).all(-1))
             draw_points(picture, place, inside.tolist(), labels)
         return picture

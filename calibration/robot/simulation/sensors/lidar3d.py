@@ -21,8 +21,8 @@ from calibration.robot.labelling.points import label_points
 from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.description import degrees, rising
 from calibration.robot.simulation.scene import Scene
-from calibration.robot.simulation.sensors.drawing import DARK, HEIGHT, blank, draw_points
-from calibration.robot.simulation.sensors.lidar import DECIMALS, RaySensor
+from calibration.robot.simulation.sensors.drawing import NO_DATA_COLOUR, PICTURE_HEIGHT_PX, blank, draw_points
+from calibration.robot.simulation.sensors.lidar import COORDINATE_DECIMALS, RaySensor
 from calibration.robot.simulation.sensors.sensor import LEAST_SHARE, MAX_VIEW_ANGLE, Data, Found, Views
 
 MAX_RINGS = 1000
@@ -32,7 +32,7 @@ LEAST_RINGS = 4
 """Minimum of rings that cross the pattern."""
 
 
-_ELEVATIONS = Constraint(
+_RISING_ELEVATIONS = Constraint(
     lambda angles: 1 <= len(angles) <= MAX_RINGS and all(abs(angle) <= 90 for angle in angles),
     f"1 to {MAX_RINGS} angles from -90 to 90",
     {"length": (1, MAX_RINGS)},
@@ -58,7 +58,7 @@ class Rings:
     vertical_deg: Annotated[tuple[float, float], rising(-90, 90)] | None = field(
         "Elevations of the lowest and the highest ring, deg.", default=None
     )
-    elevations_deg: Annotated[tuple[float, ...], _ELEVATIONS] | None = field(
+    elevations_deg: Annotated[tuple[float, ...], _RISING_ELEVATIONS] | None = field(
         "Elevation of each ring, in place of rings and vertical_deg, deg.", default=None
     )
 
@@ -111,7 +111,7 @@ class SimulatedLidar(RaySensor):
 
     def directions(self) -> Array:
         """Unit vectors (rings, azimuths, 3) in the sensor's frame."""
-        return _directions(self.elevations, self.azimuths)
+        return _ray_directions(self.elevations, self.azimuths)
 
     def directions_towards(self, pattern: Pattern, T_sensor_pattern: Array) -> Array:
         """Return the rays (rings, A, 3) with an azimuth of the pattern."""
@@ -120,8 +120,8 @@ class SimulatedLidar(RaySensor):
         first, last = (middle + np.array([beside.min(), beside.max()]) + np.pi) / self.step
         return _unit_vectors(self.elevations, self.step * np.arange(np.ceil(first), np.floor(last) + 1) - np.pi)
 
-    def _azimuths(self) -> Array:
-        return _evenly(self.azimuths)
+    def _ray_azimuths(self) -> Array:
+        return _even_azimuths(self.azimuths)
 
     def render(
         self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator
@@ -129,17 +129,19 @@ class SimulatedLidar(RaySensor):
         """Measure the points (N, 3) on a board and within a margin, in the sensor's frame, m, ring by ring."""
         sector = np.zeros(self.azimuths, bool)
         for board in boards:
-            sector |= self._sector(board, T_world_sensor)
+            sector |= self._board_sector(board, T_world_sensor)
         scan = self.scan(T_world_sensor, scene, boards, random, sector)
         stored = scan.returns
         rays = self.directions()[:, sector][stored]
-        points: Array = np.round(scan.ranges[stored, None] * rays, DECIMALS) + 0.0
+        points: Array = np.round(scan.ranges[stored, None] * rays, COORDINATE_DECIMALS) + 0.0
         return points
 
-    def _sector(self, board: Board, T_world_sensor: Array) -> BoolArray:
+    def _board_sector(self, board: Board, T_world_sensor: Array) -> BoolArray:
         """Return a mask (A,) of the azimuths of the board and of the margin beside it."""
         middle, beside = _azimuths_of(apply(inverse(T_world_sensor), board.corners()))
-        inside: BoolArray = np.abs(_turn(self._azimuths() - middle)) <= np.abs(beside).max() + self.margin
+        inside: BoolArray = (
+            np.abs(_normalise_angle(self._ray_azimuths() - middle)) <= np.abs(beside).max() + self.margin
+        )
         return inside
 
     def message(self, data: Data) -> dict[str, Any]:
@@ -195,7 +197,7 @@ class SimulatedLidar(RaySensor):
     ) -> Image:
         """Draw the cloud as seen from the sensor: azimuth to the left, elevation up."""
         del patterns
-        picture = blank(2 * HEIGHT, DARK)
+        picture = blank(2 * PICTURE_HEIGHT_PX, NO_DATA_COLOUR)
         try:
             points = read_points(files / message["data_file"])
         except InputError:
@@ -203,22 +205,24 @@ class SimulatedLidar(RaySensor):
         if len(points):
             x, y, z = np.array(points, float).T
             ahead_x, ahead_y = x.mean(), y.mean()
-            azimuth = _angle(y * ahead_x - x * ahead_y, x * ahead_x + y * ahead_y)
-            elevation = _angle(z, np.sqrt(x * x + y * y))
-            place = np.column_stack([_spread(-azimuth, 2 * HEIGHT), _spread(-elevation, HEIGHT)])
+            azimuth = _fast_angle(y * ahead_x - x * ahead_y, x * ahead_x + y * ahead_y)
+            elevation = _fast_angle(z, np.sqrt(x * x + y * y))
+            place = np.column_stack(
+                [_spread_over(-azimuth, 2 * PICTURE_HEIGHT_PX), _spread_over(-elevation, PICTURE_HEIGHT_PX)]
+            )
             draw_points(picture, place, range(len(points)), labels)
         return picture
 
 
-def _evenly(azimuths: int) -> Array:
+def _even_azimuths(azimuths: int) -> Array:
     """Azimuths (azimuths,) of the rays of a ring, rad."""
     return np.asarray(-np.pi + 2 * math.pi / azimuths * np.arange(azimuths), float)
 
 
 @lru_cache(maxsize=2)
-def _directions(elevations: tuple[float, ...], azimuths: int) -> Array:
+def _ray_directions(elevations: tuple[float, ...], azimuths: int) -> Array:
     """Unit vectors (rings, azimuths, 3) of a revolution."""
-    found = _unit_vectors(elevations, _evenly(azimuths))
+    found = _unit_vectors(elevations, _even_azimuths(azimuths))
     found.flags.writeable = False
     return found
 
@@ -233,15 +237,15 @@ def _unit_vectors(elevations: tuple[float, ...], azimuth: Array) -> Array:
 def _azimuths_of(points: Array) -> tuple[float, Array]:
     """Return the azimuth of the centre of points (N, 3), and theirs (N,) relative to it, -pi to pi."""
     middle = np.arctan2(*points.mean(axis=0)[[1, 0]])
-    return middle, _turn(np.arctan2(points[:, 1], points[:, 0]) - middle)
+    return middle, _normalise_angle(np.arctan2(points[:, 1], points[:, 0]) - middle)
 
 
-def _turn(angle: Array) -> Array:
+def _normalise_angle(angle: Array) -> Array:
     """Normalise angles to -pi to pi."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-def _angle(y: Array, x: Array) -> Array:
+def _fast_angle(y: Array, x: Array) -> Array:
     """Angle of (x, y), rad, with an error up to 0.004: numpy's arctan2 is rounded differently on other processors."""
     shorter, longer = np.minimum(np.abs(x), np.abs(y)), np.maximum(np.abs(x), np.abs(y))
     ratio = shorter / np.maximum(longer, 1e-300)
@@ -251,7 +255,7 @@ def _angle(y: Array, x: Array) -> Array:
     return turned
 
 
-def _spread(values: Array, length: int) -> Array:
+def _spread_over(values: Array, length: int) -> Array:
     """Map values to a length, with a margin at its ends."""
     low, high = values.min(), values.max()
     share = (values - low) / max(high - low, 1e-9)

@@ -204,9 +204,9 @@ def test_the_expected_pose_is_from_the_camera_with_most_corners(systems: dict[st
     few, many = CornerLabels(np.arange(30), np.zeros((30, 2))), CornerLabels(np.arange(40), np.zeros((40, 2)))
     left, right = ("pattern_1", "left_camera"), ("pattern_1", "right_camera")
     for labels, camera in (({left: few, right: many}, "right_camera"), ({left: many, right: few}, "left_camera")):
-        T = capture_module._guess(it, 0, "pattern_1", labels, found.estimates)
+        T = capture_module._estimated_pattern_pose(it, 0, "pattern_1", labels, found.estimates)
         np.testing.assert_allclose(T, it.nominal.sensors[camera][0] @ found.estimates["pattern_1", camera])
-    unknown = capture_module._guess(it, 0, "pattern_1", {left: NotDetected("x")}, {})
+    unknown = capture_module._estimated_pattern_pose(it, 0, "pattern_1", {left: NotDetected("x")}, {})
     np.testing.assert_array_equal(unknown, it.nominal.patterns["pattern_1"][0])
 
 
@@ -223,6 +223,6 @@ def test_only_the_pattern_that_is_moved_sways(systems: dict[str, System]) -> Non
     it = played(system)
     poses = it.true.patterns["pattern_1"]
     it = replace(it, system=both, true=replace(it.true, patterns={"pattern_1": poses, "fixed": poses}))
-    moved, still = capture_module._boards(it, 0, "left_camera")
+    moved, still = capture_module._boards_for_sensor(it, 0, "left_camera")
     assert np.abs(moved.T_world_pattern - poses[0]).max() > 1e-4
     np.testing.assert_array_equal(still.T_world_pattern, poses[0])

@@ -7,7 +7,7 @@ from calibration.base.errors import UndeterminedError
 from calibration.engine.estimation.solve.design import informations
 from calibration.engine.estimation.solve.normal_equations import Weighting, assemble
 from calibration.engine.estimation.start.build import build
-from calibration.robot.simulation.motion.information import _truth, expected_noise, information
+from calibration.robot.simulation.motion.information import _true_values, expected_noise, information
 from calibration.robot.simulation.motion.sequence import Motion
 from calibration.robot.simulation.placement import place
 from calibration.robot.simulation.sensors import SimulatedDepthCamera, SimulatedLidar
@@ -26,7 +26,7 @@ def test_the_poses_add_up_to_what_the_engine_knows(
     placement = place(system, motion)
     found = information(system, placement)
     problem, noise = found.setup.problem, expected_noise(system)
-    equations = assemble(problem, _truth(system, found.setup, placement, found.poses), noise)
+    equations = assemble(problem, _true_values(system, found.setup, placement, found.poses), noise)
     np.testing.assert_allclose(
         found.each.sum(0), equations.schur, rtol=1e-9, atol=1e-12 * np.abs(equations.schur).max()
     )
@@ -55,7 +55,7 @@ def test_half_the_noise_has_four_times_the_information(systems: dict[str, System
     system = systems["riwbot"]
     placement = place(system, motions["riwbot"])
     found = information(system, placement)
-    values, noise = _truth(system, found.setup, placement, found.poses), expected_noise(system)
+    values, noise = _true_values(system, found.setup, placement, found.poses), expected_noise(system)
     assert noise.scales["pixel"] == CORNER_NOISE
     sharper = replace(noise, scales={**noise.scales, "pixel": CORNER_NOISE / 2})
     np.testing.assert_allclose(informations(found.setup.problem, values, sharper), 4 * found.each, rtol=1e-9)

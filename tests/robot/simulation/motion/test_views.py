@@ -13,7 +13,7 @@ from calibration.robot.simulation.placement import views as views_of
 from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.sensors import SimulatedDepthCamera
 from calibration.robot.simulation.sensors.camera import (
-    CELLS,
+    COVERAGE_CELLS,
     LEAST_SQUARE,
     LEAST_TAG,
     CornerViews,
@@ -145,7 +145,7 @@ def test_what_something_hides_is_not_seen(rlbot: System) -> None:
 
 def test_cells(rlbot: System) -> None:
     camera = rlbot.cameras[CAMERA].camera
-    columns, rows = CELLS
+    columns, rows = COVERAGE_CELLS
     corner = np.array([[-0.5, -0.5], [camera.width - 0.5, camera.height - 0.5], [camera.width / 2 - 0.6, 0]])
     view = CornerViews(corner[None], np.ones((1, 3), bool), np.zeros(1, bool), np.ones(1, bool))
     assert np.flatnonzero(view.cells(camera)).tolist() == [0, columns // 2 - 1, columns * rows - 1]

@@ -6,9 +6,9 @@ from calibration.base.arrays import Array
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob
 from calibration.engine.geometry.transforms import from_xyz_rpy
-from calibration.robot.simulation.rendering.background import STEPS, background
+from calibration.robot.simulation.rendering.background import STEPS_PER_GREY_LEVEL, background
 from calibration.robot.simulation.rendering.colours import colours
-from calibration.robot.simulation.rendering.rays import SAMPLES, rays, sample_rays
+from calibration.robot.simulation.rendering.rays import SAMPLES_PER_PIXEL, rays, sample_rays
 from calibration.robot.simulation.scene import Box, Light, Scene, turned
 from tests.robot.simulation.rendering.views import DISTORTION, EVEN, T_WORLD_CAMERA, camera
 
@@ -19,12 +19,12 @@ RED_BOX = Box(T_WORLD_CAMERA @ from_xyz_rpy([0, 0, 2.5], [0, 0, 0]), np.array([1
 
 
 def levels(scene: Scene) -> np.ndarray:
-    return background(CAMERA, T_WORLD_CAMERA, scene).radiance / STEPS
+    return background(CAMERA, T_WORLD_CAMERA, scene).radiance / STEPS_PER_GREY_LEVEL
 
 
 def test_a_box_has_its_colour_and_its_depth() -> None:
     seen = background(CAMERA, T_WORLD_CAMERA, Scene(boxes=(RED_BOX,), light=EVEN))
-    np.testing.assert_array_equal(seen.radiance[120, 160] / STEPS, [50, 100, 200])  # blue first
+    np.testing.assert_array_equal(seen.radiance[120, 160] / STEPS_PER_GREY_LEVEL, [50, 100, 200])  # blue first
     assert seen.depth[120, 160] == pytest.approx(2.0)
     assert np.isinf(seen.depth[0, 0])
     np.testing.assert_array_equal(
@@ -101,7 +101,7 @@ def seen_along(rays_: Array, T: Array, scene: Scene) -> Array:
 
 
 def in_steps(colour: Array) -> np.ndarray:
-    return np.rint(np.clip(colour.astype(np.float32) * STEPS, 0, 65535))
+    return np.rint(np.clip(colour.astype(np.float32) * STEPS_PER_GREY_LEVEL, 0, 65535))
 
 
 @pytest.mark.parametrize("of", CAMERAS)
@@ -120,7 +120,9 @@ def test_every_pixel_has_the_colour_that_its_own_rays_see(of: Camera) -> None:
         around = sliding_window_view(levels, (3, 3), axis=(0, 1))
         rows, columns = np.nonzero((np.ptp(around, axis=(-2, -1)) > 6).any(axis=-1))
         expected = in_steps(centres)
-        expected[rows, columns] = in_steps(seen_along(sample_rays(of, rows, columns), T, scene).sum(axis=1) / SAMPLES).T
+        expected[rows, columns] = in_steps(
+            seen_along(sample_rays(of, rows, columns), T, scene).sum(axis=1) / SAMPLES_PER_PIXEL
+        ).T
         assert len(rows) > 500
         np.testing.assert_array_equal(background(of, T, scene).radiance, expected)
 

@@ -11,8 +11,8 @@ from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy
 from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.random_streams import stream
-from calibration.robot.simulation.rendering.pattern_view import BACK
-from calibration.robot.simulation.rendering.texture import BLACK, WHITE
+from calibration.robot.simulation.rendering.pattern_view import BACK_REFLECTANCE
+from calibration.robot.simulation.rendering.texture import INK_REFLECTANCE, PAPER_REFLECTANCE
 from calibration.robot.simulation.scene import Box, Light, Scene
 from tests.properties import at_most
 from tests.robot.simulation.rendering.views import (
@@ -54,7 +54,7 @@ def test_edges_of_squares_are_where_they_are_projected() -> None:
             (x, y), half = u[row * 9 + column], 13
             middle = round(y + half)
             across = image[middle, round(x) - 10 : round(x) + 11]
-            assert sorted({across[0], across[-1]}) == [BLACK, WHITE]
+            assert sorted({across[0], across[-1]}) == [INK_REFLECTANCE, PAPER_REFLECTANCE]
             assert round(x) - 10 + crossing(across) == pytest.approx(x, abs=0.02)
             middle = round(x + half)
             down = image[round(y) - 10 : round(y) + 11, middle]
@@ -144,8 +144,8 @@ def test_the_edge_of_what_hides_is_as_fine_as_samples() -> None:
             T_WORLD_CAMERA @ from_xyz_rpy([0, edge + 0.5, 0.5 + 0.005], [0, 0, 0]), np.array([1, 1, 0.01]), (0, 0, 0)
         )
         image = render([white], Scene(boxes=(box,), light=EVEN))
-        assert image[120, 30] == pytest.approx(WHITE * share, abs=2)
-        assert image[119, 30] == WHITE
+        assert image[120, 30] == pytest.approx(PAPER_REFLECTANCE * share, abs=2)
+        assert image[119, 30] == PAPER_REFLECTANCE
         assert image[121, 30] == 0
 
 
@@ -176,14 +176,14 @@ def test_the_back_is_plain() -> None:
     T[:3, :3] = np.diag([-1.0, 1.0, -1.0])
     T[0, 3] = CHARUCO.pattern().outline.mean(axis=0)[0]
     image = render([board(T)])
-    assert (image[60:180, 80:240] == BACK).all()
+    assert (image[60:180, 80:240] == BACK_REFLECTANCE).all()
 
 
 def test_the_back_is_lit_from_behind() -> None:
     T = square_on(CHARUCO, 0, 0, 1.0) @ from_xyz_rpy([CHARUCO.pattern().outline[1, 0], 0, 0], [0, np.pi, 0])
     for direction, level in ((-T_WORLD_CAMERA[:3, 2], 0.9), (T_WORLD_CAMERA[:3, 2], 0.2)):
         image = render([board(T)], Scene(light=Light(0.2, 0.7, direction)))
-        assert image[120, 160] == pytest.approx(BACK * level, abs=0.5)
+        assert image[120, 160] == pytest.approx(BACK_REFLECTANCE * level, abs=0.5)
 
 
 def test_light_from_a_direction_obeys_lambert() -> None:
@@ -192,16 +192,16 @@ def test_light_from_a_direction_obeys_lambert() -> None:
         image = render([board(square_on(CHESSBOARD, 0, 0, 1.0), CHESSBOARD)], Scene(light=light))
         factor = 0.2 + 0.7 * np.cos(angle)
         values = set(image[100:140, 120:200].ravel().tolist())
-        assert {round(BLACK * factor), round(WHITE * factor)} <= values
+        assert {round(INK_REFLECTANCE * factor), round(PAPER_REFLECTANCE * factor)} <= values
     behind = Light(0.2, 0.7, T_WORLD_CAMERA[:3, 2])  # it lights the back
-    assert render([board(square_on(CHESSBOARD, 0, 0, 1.0))], Scene(light=behind)).max() <= WHITE
+    assert render([board(square_on(CHESSBOARD, 0, 0, 1.0))], Scene(light=behind)).max() <= PAPER_REFLECTANCE
 
 
 def test_the_usual_light_leaves_room_for_noise() -> None:
     for direction in np.concatenate([np.eye(3), -np.eye(3)]):
         level = Light().on(direction)
-        assert BLACK * level > 15
-        assert WHITE * level < 250
+        assert INK_REFLECTANCE * level > 15
+        assert PAPER_REFLECTANCE * level < 250
 
 
 def test_a_bow_moves_the_middle_and_not_the_border() -> None:
@@ -219,8 +219,8 @@ def test_a_bow_moves_the_middle_and_not_the_border() -> None:
     (left, top), (right, bottom) = outline[0].round().astype(int), outline[2].round().astype(int)
     for row in (top, bottom):  # the ends of the border stay, its middle comes nearer
         np.testing.assert_allclose(image[row, [left + 1, right - 1]], flat[row, [left + 1, right - 1]], atol=10)
-    assert image[top - 2, 160] == WHITE > flat[top - 2, 160]
-    assert image[120, left - 2] == WHITE > flat[120, left - 2]
+    assert image[top - 2, 160] == PAPER_REFLECTANCE > flat[top - 2, 160]
+    assert image[120, left - 2] == PAPER_REFLECTANCE > flat[120, left - 2]
 
 
 def test_the_same_from_the_same_seed_and_from_a_fresh_cache() -> None:
@@ -267,14 +267,14 @@ def test_a_board_across_the_camera_plane_is_seen_in_front_of_it(distortion: Plum
     lit = render([board(T, floor)], BRIGHT, camera(distortion=distortion))
     assert image.shape == lit.shape
     below = lit[200:239, 100:220]
-    assert below.min() < BLACK + 20
-    assert below.max() > WHITE - 20
+    assert below.min() < INK_REFLECTANCE + 20
+    assert below.max() > PAPER_REFLECTANCE - 20
     np.testing.assert_array_equal(lit[:110], render([], BRIGHT, camera(distortion=distortion))[:110])
 
 
 def test_a_board_that_fills_the_image() -> None:
     image = render([board(square_on(CHARUCO, 0.01, 0.01, 0.02))])
-    assert BLACK <= image.min() <= image.max() <= WHITE
+    assert INK_REFLECTANCE <= image.min() <= image.max() <= PAPER_REFLECTANCE
 
 
 def test_a_board_that_is_smaller_than_a_pixel() -> None:
@@ -284,7 +284,7 @@ def test_a_board_that_is_smaller_than_a_pixel() -> None:
     assert image[120, 160] > 0
     assert (image > 0).sum() <= 9
     area = 10 * 7 * 25e-8 * 300**2
-    assert image.sum() == pytest.approx((BLACK + WHITE) / 2 * area, rel=0.5)
+    assert image.sum() == pytest.approx((INK_REFLECTANCE + PAPER_REFLECTANCE) / 2 * area, rel=0.5)
 
 
 def test_a_board_between_two_rows_of_pixels_is_seen() -> None:
@@ -292,7 +292,7 @@ def test_a_board_between_two_rows_of_pixels_is_seen() -> None:
     strip = replace(CHESSBOARD, size=1e-4, dimension=(9, 4), border_size=(0.2, 0.5 / 300 / 2 - 2.5e-4))
     scene = Scene(boxes=(wall(3, (0, 0, 0)),), light=EVEN)
     image = render([board(square_on(strip, 0, 0, 1.0), strip)], scene)  # about the edge between rows 119 and 120
-    np.testing.assert_allclose(image[[119, 120]][:, [120, 200]], WHITE / 4, atol=2)
+    np.testing.assert_allclose(image[[119, 120]][:, [120, 200]], PAPER_REFLECTANCE / 4, atol=2)
     assert not image[[118, 121]].any()
 
 
@@ -307,7 +307,7 @@ def test_the_smallest_images(size: tuple[int, int]) -> None:
     of = camera(*size, focal=5.0)
     image = perfect(of).render(T_WORLD_CAMERA, BRIGHT, [board(square_on(CHESSBOARD, 0, 0, 0.3))], stream(0))
     assert image.shape == (size[1], size[0], 3)
-    assert BLACK <= image[size[1] // 2, size[0] // 2, 1] <= WHITE
+    assert INK_REFLECTANCE <= image[size[1] // 2, size[0] // 2, 1] <= PAPER_REFLECTANCE
 
 
 def test_where_the_lens_shows_nothing_it_is_black() -> None:
@@ -338,5 +338,5 @@ def test_any_view_is_an_image(seed: int, distance: float, tilt: float, distorted
     hidden = render([pattern], Scene(light=EVEN, boxes=(wall(1e-4, (50, 50, 50)),)), of)
     assert with_board.shape == (36, 48)
     seen = with_board != without
-    assert (np.sort(with_board[seen]) <= WHITE).all()
+    assert (np.sort(with_board[seen]) <= PAPER_REFLECTANCE).all()
     assert (hidden[~near_the_camera(pattern, of)] == 50).all()

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from calibration.robot.simulation.random_streams import stream
-from calibration.robot.simulation.rendering.background import STEPS
+from calibration.robot.simulation.rendering.background import STEPS_PER_GREY_LEVEL
 from calibration.robot.simulation.sensors import SimulatedCamera
 from tests.robot.simulation.rendering.views import camera, perfect
 
@@ -10,12 +10,15 @@ CAMERA = camera()
 
 
 def flat(level: float, width: int = 320, height: int = 240) -> np.ndarray:
-    return np.full((height, width, 3), level * STEPS, np.uint16)
+    return np.full((height, width, 3), level * STEPS_PER_GREY_LEVEL, np.uint16)
 
 
 def test_a_perfect_camera_takes_what_is_there() -> None:
     radiance = flat(0)
-    radiance[..., 0], radiance[..., 2] = np.arange(320) % 256 * STEPS, 7 * STEPS + STEPS // 3
+    radiance[..., 0], radiance[..., 2] = (
+        np.arange(320) % 256 * STEPS_PER_GREY_LEVEL,
+        7 * STEPS_PER_GREY_LEVEL + STEPS_PER_GREY_LEVEL // 3,
+    )
     image = perfect(CAMERA).expose(radiance, stream(0))
     assert image.dtype == np.uint8
     np.testing.assert_array_equal(image[5, :, 0], np.arange(320) % 256)
@@ -81,7 +84,7 @@ def test_vignetting_keeps_to_the_optical_axis() -> None:
 
 def test_blur_spreads_a_point_as_a_gaussian_and_keeps_its_light() -> None:
     radiance = flat(0, 41, 31)
-    radiance[15, 20] = 240 * STEPS
+    radiance[15, 20] = 240 * STEPS_PER_GREY_LEVEL
     sensor = SimulatedCamera(camera(41, 31), blur=1.2, noise=0.0, vignetting=0.0, exposure=1.0)
     image = sensor.expose(radiance, stream(0))[..., 1].astype(float)
     y, x = np.mgrid[:31, :41]

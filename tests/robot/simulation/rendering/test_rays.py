@@ -1,7 +1,15 @@
 import numpy as np
 
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob, Rational
-from calibration.robot.simulation.rendering.rays import CELL, SAMPLES, cells, in_cells, rays, rounded, sample_rays
+from calibration.robot.simulation.rendering.rays import (
+    CELL_SIZE,
+    SAMPLES_PER_PIXEL,
+    cells,
+    in_cells,
+    rays,
+    rounded,
+    sample_rays,
+)
 from tests.robot.simulation.rendering.views import DISTORTION, T_WORLD_CAMERA, camera
 
 
@@ -38,7 +46,7 @@ def test_samples_lie_evenly_in_their_pixel() -> None:
     rows, columns = np.array([3, 7]), np.array([0, 19])
     pixels = of.project(np.moveaxis(sample_rays(of, rows, columns), 0, -1))
     offset = pixels - np.stack([columns, rows], -1)
-    assert offset.shape == (SAMPLES, 2, 2)
+    assert offset.shape == (SAMPLES_PER_PIXEL, 2, 2)
     for axis in range(2):
         np.testing.assert_allclose(np.sort(offset[:, 0, axis]), (np.arange(16) - 7.5) / 16, atol=1e-9)
     fields = np.floor((offset[:, 0] + 0.5) * 4) @ [4, 1]
@@ -67,12 +75,12 @@ def test_cells_cover_the_image_and_the_samples_of_its_pixels() -> None:
 
 
 def test_an_image_is_viewed_in_cells() -> None:
-    image = np.arange(2 * CELL[0] * 3 * CELL[1]).reshape(2 * CELL[0], 3 * CELL[1])
+    image = np.arange(2 * CELL_SIZE[0] * 3 * CELL_SIZE[1]).reshape(2 * CELL_SIZE[0], 3 * CELL_SIZE[1])
     view = in_cells(image)
-    assert view.shape == (2, 3, *CELL)
-    np.testing.assert_array_equal(view[1, 2], image[CELL[0] :, 2 * CELL[1] :])
+    assert view.shape == (2, 3, *CELL_SIZE)
+    np.testing.assert_array_equal(view[1, 2], image[CELL_SIZE[0] :, 2 * CELL_SIZE[1] :])
     view[0, 1] = -1
-    assert (image[: CELL[0], CELL[1] : 2 * CELL[1]] == -1).all()
+    assert (image[: CELL_SIZE[0], CELL_SIZE[1] : 2 * CELL_SIZE[1]] == -1).all()
 
 
 def test_a_pose_is_rounded_to_a_picometre() -> None:

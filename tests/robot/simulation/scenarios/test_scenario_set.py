@@ -3,7 +3,7 @@ import random
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.robot.simulation.scenarios.constraints import CLEARANCE
+from calibration.robot.simulation.scenarios.constraints import CLEARANCE_KEY
 from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.robot.simulation.scenarios.world import build_world, clearance
 from calibration.robot.simulation.system import System
@@ -124,7 +124,7 @@ def test_a_scenario_that_keeps_to_the_constraints_is_drawn_as_without_them(read_
 
 def test_sensors_keep_a_distance_from_boxes(read_set: ReadSet) -> None:
     near = read_set(OCCLUDERS)
-    scenarios = read_set(OCCLUDERS + f"constraints: [{{parameter: {CLEARANCE}, min: 0.35}}]")
+    scenarios = read_set(OCCLUDERS + f"constraints: [{{parameter: {CLEARANCE_KEY}, min: 0.35}}]")
     before = [clearance(build_world(near.system, near.scenario(1, i))) for i in range(30)]
     after = [clearance(build_world(scenarios.system, scenarios.scenario(1, i))) for i in range(30)]
     assert min(before) < 0.35 <= min(after)
