@@ -40,6 +40,10 @@ from calibration.engine.estimation.start.turned_boards import with_boards_turned
 
 TRIAL = Termination(decrease=1e-3, iterations=300)
 """Enough if the optimum explains all views; wrong views make the convergence slow."""
+MIN_BAD_FIT = 0.02
+"""m: noise of measured poses from which another scale is tried."""
+BETTER = 3.0
+"""Ratio of the noise to that with another scale, from which the scale is unknown."""
 
 
 def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingNoise | None = None) -> Calibration:
@@ -98,7 +102,6 @@ class Calibrator:
             dataset = self._dataset
             try:
                 found = self._what_is_determined(noise)
-                return replace(found, turned_views=self._turned) if self._turned else found
             except UndeterminedError as error:
                 if (factor := self._unknown_scale()) is not None:
                     raise unknown_scale(dataset, factor) from error
@@ -106,6 +109,9 @@ class Calibrator:
                     raise
                 missing = "; ".join(map(dataset.missing_files_of, dataset.missing_files))
                 raise UndeterminedError(f"{error}; {missing}") from error
+            if (factor := self._better_scale(found)) is not None:
+                raise unknown_scale(dataset, factor)
+            return replace(found, turned_views=self._turned) if self._turned else found
 
     def without(self, dropped: tuple[DroppedView, ...], noise: StartingNoise) -> Calibration:
         """Calibrate from the initial guess with noise, without the labels of some views.
@@ -129,6 +135,14 @@ class Calibrator:
         except UndeterminedError:
             return None
         return factor if abs(np.log(factor)) > OTHER_SCALE else None
+
+    def _better_scale(self, found: Calibration) -> float | None:
+        """Return the factor with which poses that fit badly fit much better; None if there is none."""
+        level = found.noise_levels.pose_translation
+        if level is None or level < MIN_BAD_FIT or (factor := self._unknown_scale()) is None:
+            return None
+        other = _from_all_labels(divided(self._dataset, factor), self._options).noise_levels.pose_translation
+        return factor if other is not None and other * factor * BETTER < level else None
 
     def _what_is_determined(self, noise: StartingNoise) -> Calibration:
         """Calibrate; if the robot's motion is insufficient for that, calibrate the sensors relative to each other."""

@@ -10,6 +10,7 @@ from calibration.engine.estimation.at_optimum import OpenCoefficientsError, cali
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.doubts.false_minima import why_invalid, why_not_reached
 from calibration.engine.estimation.problem.fixing import held_blocks
+from calibration.engine.estimation.solve.line_of_sight import with_noise_along_sight
 from calibration.engine.estimation.solve.optimisation import WeightedOptimum, optimise
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import Setup
@@ -17,6 +18,8 @@ from calibration.engine.estimation.start.flipped_patterns import unflipped
 from calibration.engine.estimation.start.linear_start import LinearStart
 
 FLIP_ROUNDS = 3
+SIGHT_ROUNDS = 4
+"""Estimates of the noise of measured poses along the line of sight, each at the optimum of the one before."""
 
 
 def from_linear_start(dataset: Dataset, setup: Setup, start: LinearStart, options: Options) -> Calibration:
@@ -33,6 +36,8 @@ def from_linear_start(dataset: Dataset, setup: Setup, start: LinearStart, option
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         result, reason = _optimised(setup, start, options)
+        if not reason:
+            setup, result, reason = _with_noise_along_sight(setup, result, options)
     try:
         return calibration_at(dataset, setup, result, reason, options, _notes(setup, start))
     except OpenCoefficientsError as error:
@@ -68,6 +73,22 @@ def _optimised(setup: Setup, start: LinearStart, options: Options) -> tuple[Weig
             return result, ""
         result = optimise(setup.problem, values, options.known_noise(), robust)
     return result, why_invalid(setup, result)
+
+
+def _with_noise_along_sight(
+    setup: Setup, result: WeightedOptimum, options: Options
+) -> tuple[Setup, WeightedOptimum, str]:
+    """Return the problem with the noise of measured poses along the line of sight, its optimum, or why it is none."""
+    robust, known = options.loss == "huber", options.known_noise()
+    if known.pose_translation is not None:
+        return setup, result, ""
+    for _ in range(SIGHT_ROUNDS):
+        problem = with_noise_along_sight(setup.problem, result.optimum.values, robust)
+        if problem is setup.problem:
+            return setup, result, ""
+        setup = replace(setup, problem=problem)
+        result = optimise(problem, result.optimum.values, known, robust)
+    return setup, result, why_not_reached(setup, result)
 
 
 def _notes(setup: Setup, start: LinearStart) -> list[str]:

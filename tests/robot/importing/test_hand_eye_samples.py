@@ -8,9 +8,10 @@ import pytest
 import yaml
 
 from calibration.__main__ import main
+from calibration.base.arrays import Array
 from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.comparison.methods import METHODS, applicable
-from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.model import Dataset, PoseLabels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
@@ -250,3 +251,39 @@ def test_poses_that_only_turn_do_not_determine_their_scale(tmp_path: Path) -> No
     still[:, :3, 3] = 0.0
     with pytest.raises(InputError, match="do not determine"):
         calibrate(dataset.with_transforms({edge: still}), Options(description="rough", scale="free"))
+
+
+def moved_along_sight(dataset: Dataset, shifts: Array) -> Dataset:
+    """The dataset with measured patterns farther away by so much (N,), m."""
+    collections = []
+    for collection, shift in zip(dataset.collections, shifts, strict=True):
+        ((key, label),) = collection.labels.items()
+        T = label.T.copy()
+        T[:3, 3] *= 1 + shift / np.linalg.norm(T[:3, 3])
+        collections.append(replace(collection, labels={key: PoseLabels(T)}))
+    return replace(dataset, collections=tuple(collections))
+
+
+def test_distances_that_are_worse_than_the_rest_count_for_less(tmp_path: Path) -> None:
+    """Against the same noise in all directions; and the error bars are those of the errors."""
+    errors, isotropic, squares = [], [], []
+    for seed in range(20):
+        shifts = 0.01 * np.random.default_rng(seed).normal(size=20)
+        dataset = moved_along_sight(imported(tmp_path / str(seed), True, seed=seed, noise=0.3), shifts)
+        found, plain = (
+            calibrate(dataset, replace(ROUGH, assume=EXACT, pose_noise=noise)) for noise in (None, PoseNoise(6.0, 0.03))
+        )
+        error = local(found.transforms["tool0", FRAME], X)
+        errors.append(np.linalg.norm(error[:3]))
+        isotropic.append(np.linalg.norm(local(plain.transforms["tool0", FRAME], X)[:3]))
+        squares.append(float(error @ np.linalg.solve(found.covariances["tool0", FRAME], error)) / 6)
+    assert np.median(errors) < 0.5 * np.median(isotropic)
+    assert 0.6 < np.mean(squares) < 1.6
+
+
+def test_an_unknown_scale_is_named_though_some_views_are_wrong(tmp_path: Path) -> None:
+    """What fits so badly that nothing contradicts anything is no calibration."""
+    dataset = scaled(imported(tmp_path / "it", True), 3.4)
+    shifts = np.where(np.arange(20) % 6 == 0, 1.5, 0.0)
+    with pytest.raises(UndeterminedError, match="the scale of the measured poses is unknown"):
+        calibrate(moved_along_sight(dataset, shifts), ROUGH)

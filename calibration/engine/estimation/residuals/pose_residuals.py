@@ -1,4 +1,9 @@
-"""Residuals of measured poses of a pattern."""
+"""Residuals of measured poses of a pattern.
+
+What a camera sees of a pattern tells its distance worse than where it is across the line of sight: the noise of a
+position has one standard deviation along that line and another one across. The residuals are weighted so that it is the
+same in all directions.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +17,9 @@ from calibration.engine.estimation.residuals.residuals import Linearised, robust
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 
+AT_SENSOR = 1e-9
+"""m: distance of a pattern without a line of sight."""
+
 
 @dataclass(frozen=True, eq=False)
 class PoseTerm:
@@ -23,6 +31,8 @@ class PoseTerm:
     measured: Array
     """(V, 4, 4): ``T_sensor_pattern``, of the pattern's centre."""
     kind: Literal["pose_translation", "pose_rotation"]
+    along: float = 1.0
+    """Standard deviation of a position along the line of sight over that across."""
     dimension: ClassVar[int] = 3
 
     @cached_property
@@ -56,9 +66,28 @@ class PoseTerm:
         return spread(rows, np.empty((7 + spare, len(T), 3)))[..., None], np.zeros((1, 3, 1))
 
     def magnitudes(self, T: Array) -> Array:
-        """(V, 1): distance in m, or angle in rad."""
-        norms: Array = np.linalg.norm(self._residuals(T), axis=-1, keepdims=True)
+        """(V, 1): distance in m, or angle in rad, weighted."""
+        norms: Array = np.linalg.norm(self._weighted(self._residuals(T)[:, None]), axis=-1)
         return norms
+
+    def along_and_across(self, T: Array) -> tuple[Array, Array]:
+        """Return the squared residuals (V,) along the line of sight and across."""
+        residuals = self._residuals(T)
+        along = (residuals * self._sights).sum(-1) ** 2
+        return along, (residuals**2).sum(-1) - along
+
+    @cached_property
+    def _sights(self) -> Array:
+        """(V, 3): unit vectors along the line of sight; 0 of a pattern that is at the sensor itself."""
+        t = self.measured[:, :3, 3]
+        return np.asarray(t / np.maximum(np.linalg.norm(t, axis=-1, keepdims=True), AT_SENSOR))
+
+    def _weighted(self, rows: Array) -> Array:
+        """Weight rows (V, k, 3) so that noise is the same in all directions, of the same mean square."""
+        if self.along == 1.0:
+            return rows
+        part = rows @ self._sights[..., None] * self._sights[:, None]
+        return np.asarray(np.sqrt((2 + self.along**2) / 3) * (rows + (1 / self.along - 1) * part))
 
     def _residuals(self, T: Array) -> Array:
         """(V, 3): m, or a rotation vector, in the sensor's frame."""
@@ -77,6 +106,6 @@ class PoseTerm:
         first = 0 if self.kind == "pose_translation" else 3
         rows[:, first : first + 3] = np.swapaxes(T[:, :3, :3], 1, 2)
         rows[:, 6] = residuals
-        rows /= scale
+        rows = self._weighted(rows) / scale
         cost, weight = robust((rows[:, 6] ** 2).sum(-1, keepdims=True), huber)
         return cost, rows if weight is None else rows * weight[:, None]

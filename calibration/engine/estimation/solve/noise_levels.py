@@ -92,7 +92,7 @@ def scales_of(
     """Estimate the standard deviations as `estimate_scales` does, from the squared residuals of all labels."""
     dimensions = {term.kind: term.dimension for group in problem.groups for term in group.terms}
     return {
-        kind: max(FLOORS[kind], _scale(_finite(parts), dimensions[kind], parameters.get(kind, 0.0), robust))
+        kind: max(FLOORS[kind], standard_deviation(_finite(parts), dimensions[kind], parameters.get(kind, 0.0), robust))
         for kind, parts in squares.items()
     }
 
@@ -104,8 +104,15 @@ def _finite(parts: Sequence[Array]) -> Array:
     return numbers if finite.all() else numbers[finite]
 
 
-def _scale(squared: Array, dimension: int, parameters: float, robust: bool) -> float:
-    """Estimate the standard deviation per axis, from squared residuals (n,) of 1 to 3 dimensions."""
+def standard_deviation(squared: Array, dimension: int, parameters: float, robust: bool) -> float:
+    """Estimate the standard deviation per axis, from squared residuals (n,) of 1 to 3 dimensions.
+
+    Args:
+        squared: the squared residuals.
+        dimension: of each residual.
+        parameters: number that they have determined.
+        robust: whether outliers are rejected.
+    """
     if not len(squared):
         return 0.0
     freedom = max(1.0, len(squared) * dimension - parameters) / (len(squared) * dimension)
