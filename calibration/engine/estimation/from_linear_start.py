@@ -80,7 +80,7 @@ def _with_noise_along_sight(
 ) -> tuple[Setup, WeightedOptimum, str]:
     """Return the problem with the noise of measured poses along the line of sight, its optimum, or why it is none."""
     robust, known = options.loss == "huber", options.known_noise()
-    if known.pose_translation is not None:
+    if known.pose_translation is not None or options.scale == "free":  # a camera alone sees no pattern in its place
         return setup, result, ""
     for _ in range(SIGHT_ROUNDS):
         problem = with_noise_along_sight(setup.problem, result.optimum.values, robust)

@@ -25,7 +25,7 @@ from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.estimation.start.build import Setup
 
-SAME = 1e-5
+SAME = 1e-7
 """Step, relative, after which the factor is found."""
 OTHER_SCALE = 0.05
 """Logarithm of a factor from which poses have another scale than metres."""
