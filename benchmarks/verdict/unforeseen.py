@@ -282,6 +282,15 @@ UNFORESEEN = (
         (*MOVED_WORDS, *WHEN, "rigid"),
         displaces=True,
     ),
-    Kind("breathing mount", "mount", "mount that moves to and fro", mounts.breathing, METRES, "m", MOVED_WORDS),
+    Kind(
+        "breathing mount",
+        "mount",
+        "mount that moves to and fro",
+        mounts.breathing,
+        METRES,
+        "m",
+        MOVED_WORDS,
+        displaces=True,
+    ),
     Kind("jittered stamps", "time", "jittered time stamps", mounts.jittered_stamps, (0.001, 0.005, 0.03), "m", WHEN),
 )

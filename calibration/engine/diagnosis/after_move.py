@@ -73,7 +73,7 @@ def _last_moves(calibration: Calibration) -> dict[str, tuple[int, Suspect]]:
     explanation = calibration.solution.explanation
     moves: dict[str, tuple[int, Suspect]] = {}
     for suspect in explanation.suspects if explanation else ():
-        for cause in (suspect.cause, *suspect.rivals):
+        for cause in (suspect.cause, *(rival.cause for rival in suspect.rivals)):
             if suspect.since and cause.kind == PLACE and suspect.since > moves.get(cause.subject, (0,))[0]:
                 moves[cause.subject] = (suspect.since, suspect)
     return moves

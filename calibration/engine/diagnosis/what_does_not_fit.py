@@ -1,20 +1,22 @@
 """Suspects as findings: the parameter that does not fit, its deviation, its effect on the sensors, and advice."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from calibration.base.arrays import Array
-from calibration.engine.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
-from calibration.engine.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
-from calibration.engine.diagnosis.projection import projection_limit, shifts
-from calibration.engine.estimation.covariance.fixed_inputs import LAG, PLACE, PROJECTION, RADIAL, Cause
-from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.covariance.significance import score_of_f, threshold
-from calibration.engine.estimation.doubts.suspects import CONTRADICTING, EXACTLY, LENS, SIDE, Disagreement, Suspect
-from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.lenses import MODELS
-from calibration.engine.geometry.transforms import adjoint
+from calibration.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
+from calibration.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
+from calibration.diagnosis.precision import false_accept
+from calibration.diagnosis.projection import projection_limit, shifts
+from calibration.estimation.held import LAG, PLACE, PROJECTION, RADIAL, Cause
+from calibration.estimation.result import Calibration
+from calibration.estimation.significance import score_of_f, threshold
+from calibration.estimation.suspects import CONTRADICTING, EXACTLY, LENS, SIDE, Disagreement, Suspect
+from calibration.geometry.cameras import Camera
+from calibration.geometry.lenses import MODELS
+from calibration.geometry.transforms import adjoint
+from calibration.geometry.types import Array
 
 NOTHING = "nothing-suspicious"
 UNTESTED = "untested"
@@ -82,10 +84,11 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
         count = len(calibration.solution.model.G)
         text = f"{count} collections are too few to test fixed parameters (intrinsics, pattern, arm): take 8 or more"
         return (Finding(UNTESTED, "note", text),)
-    found = [(_finding(calibration, limits, suspect), suspect) for suspect in explanation.suspects]
+    suspects = [_worst_alternative(calibration, limits, suspect) for suspect in explanation.suspects]
+    found = [(_finding(calibration, limits, suspect), suspect) for suspect in suspects]
     found.sort(key=lambda each: _limits_moved(calibration, limits, *each), reverse=True)
     findings = [finding for finding, _ in found]
-    findings = [*_together(calibration, limits, explanation.suspects, findings), *findings]
+    findings = [*_together(calibration, limits, suspects, findings), *findings]
     findings += _contradictions(calibration, limits, explanation.disagreement)
     return tuple(findings) or (_nothing(calibration),)
 
@@ -94,9 +97,29 @@ def _limits_moved(calibration: Calibration, limits: Limits, finding: Finding, su
     """Return by how many of its limits a failure certainly moves a sensor; 0 of all else, which stays in its order."""
     if finding.severity != "red" or finding.moves_mm is None or finding.moves_deg is None:
         return 0.0
-    mm_unsure, deg_unsure = _unsure_of_few_views(calibration, suspect, limits)
-    moved = max(0.0, finding.moves_mm - mm_unsure), max(0.0, finding.moves_deg - deg_unsure)
-    return max((allowed(calibration, limits, name).share(*moved) for name in finding.sensors), default=0.0)
+    unsure = _unsure_of_few_views(calibration, suspect, limits)
+    certain = {
+        name: (max(0.0, finding.moves_mm - unsure[name][0]), max(0.0, finding.moves_deg - unsure[name][1]))
+        for name in finding.sensors
+    }
+    return max((allowed(calibration, limits, name).share(*each) for name, each in certain.items()), default=0.0)
+
+
+def _worst_alternative(calibration: Calibration, limits: Limits, suspect: Suspect) -> Suspect:
+    """Return, of what may have moved and the data cannot tell apart, what does most harm, with the others as rivals."""
+    every = (suspect, *suspect.rivals)
+    if suspect.cause.kind != PLACE or calibration.of_cameras_alone:
+        return suspect
+
+    def harm(each: Suspect) -> float:
+        moves = _moved(calibration, each.moves), _moved(calibration, _moves_after(calibration, each))
+        return max(
+            (allowed(calibration, limits, name).share(*size) for moved in moves for name, size in moved.items()),
+            default=0.0,
+        )
+
+    worst = max((each for each in every if each.cause.kind == PLACE), key=harm)
+    return replace(worst, rivals=tuple(each for each in every if each is not worst))
 
 
 def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
@@ -105,15 +128,19 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
     cause = suspect.cause
     before, after = _moved(calibration, suspect.moves), _moved(calibration, _moves_after(calibration, suspect))
     moved = {name: _larger(before[name], after[name]) for name in before}
-    mm_unsure, deg_unsure = _unsure_of_few_views(calibration, suspect, limits)
-    over = [
-        name
-        for name, (mm, degrees) in moved.items()
-        if allowed(calibration, limits, name).exceeded(mm + mm_unsure, degrees + deg_unsure)
-    ]
+    unsure = _unsure_of_few_views(calibration, suspect, limits)
+    limit_of = {name: allowed(calibration, limits, name) for name in moved}
+    over = [name for name, size in moved.items() if limit_of[name].exceeded(*size)]
+    is_red = bool(over)
+    if not over:  # where few views tell, the guard band may reach over the limit
+        over = [
+            name
+            for name, (mm, degrees) in moved.items()
+            if limit_of[name].exceeded(mm + unsure[name][0], degrees + unsure[name][1])
+        ]
     sensor = max(over or moved, key=lambda name: moved[name][0], default="")
     mm, degrees = moved.get(sensor, (0.0, 0.0))
-    names = " or ".join(dict.fromkeys(_name(each) for each in (cause, *suspect.rivals)))
+    names = " or ".join(dict.fromkeys(_name(each.cause) for each in (suspect, *suspect.rivals)))
     since = ""
     collections: tuple[str, ...] = ()
     if suspect.since is not None:
@@ -126,21 +153,21 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
     if cause.kind == PLACE and sensor:
         was, now = distance_text(*before[sensor]), distance_text(*after[sensor])
         harm = f"one pose for all of them is {was} from where {sensor} was before, {now} from where it is now"
-        if mm_unsure:
-            harm += f", known to {distance_text(mm_unsure, deg_unsure)} as few views tell"
+        if any(unsure[sensor]):
+            harm += f", known to {distance_text(*unsure[sensor])} as few views tell"
     text = f"{names} {verb}{since}{either}: {_size(cause, suspect.value, suspect.sigma)}"
     if over:
-        text += f"; {harm} (limit {allowed(calibration, limits, sensor)}): {ADVICE[cause.kind]}"
+        text += f"; {harm} (limit {limit_of[sensor]}): {ADVICE[cause.kind]}"
     elif gross:
         text += f", more than any {GROSS[cause.kind][1]} errs: {ADVICE[cause.kind]}"
     elif not sensor or limits.any_set:
         text += f"; harmless: {harm}"
     else:
-        text += f"; {harm} (limit {allowed(calibration, limits, sensor)})"
+        text += f"; {harm} (limit {limit_of[sensor]})"
     one = cause.size == 1
     return Finding(
         SUSPECT,
-        "red" if over or gross else "note",
+        "red" if is_red or gross else "undecided" if over else "note",
         text,
         sensors=tuple(over) if over else tuple(filter(None, [sensor])),
         collections=collections,
@@ -159,7 +186,7 @@ def _finding_on_cameras(calibration: Calibration, limits: Limits, suspect: Suspe
     model = calibration.dataset.sensors[camera].camera
     limit = projection_limit(model, limits) if model else 0.0
     red = moved[camera] > limit
-    names = " or ".join(dict.fromkeys(_name(each) for each in (suspect.cause, *suspect.rivals)))
+    names = " or ".join(dict.fromkeys(_name(each.cause) for each in (suspect, *suspect.rivals)))
     text = (
         f"{names} does not fit: {_size(suspect.cause, suspect.value, suspect.sigma)}; it shifts the projection of "
         f"{camera} by {moved[camera]:.2g} px (limit {limit:.3g} px)"
@@ -173,16 +200,17 @@ def distance_text(mm: float, degrees: float) -> str:
     return f"{mm:.3g} mm and {degrees:.2g} deg"
 
 
-def _unsure_of_few_views(calibration: Calibration, suspect: Suspect, limits: Limits) -> tuple[float, float]:
-    """Return the guard band of a displacement of which few views tell, mm and degrees; zeros of others.
+def _unsure_of_few_views(calibration: Calibration, suspect: Suspect, limits: Limits) -> dict[str, tuple[float, float]]:
+    """Return the guard band of each sensor's displacement of which few views tell, mm and degrees; zeros of others.
 
     That something has moved is certain then, and how far is not.
     """
-    K = len(calibration.solution.model.G)
-    if suspect.since is None or min(suspect.since, K - suspect.since) >= SIDE:
-        return 0.0, 0.0
-    mm, degrees = sizes(suspect.sigma, TWIST)
-    return limits.guard * mm, limits.guard * degrees
+    K, before, after = len(calibration.solution.model.G), suspect.moved_by, _moved_after(calibration, suspect)
+    few = suspect.since is not None and min(suspect.since, K - suspect.since) < SIDE
+    each = [
+        _moved(calibration, limits.guard * few * np.linalg.norm(by @ suspect.errors, axis=1)) for by in (before, after)
+    ]
+    return {name: _larger(each[0][name], each[1][name]) for name in each[0]}
 
 
 def _larger(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
@@ -218,21 +246,27 @@ def _stretched(camera: Camera, changes: Array) -> Array:
 def _moves_after(calibration: Calibration, suspect: Suspect) -> Array:
     """Return the changes (S,) of the calibrated parameters to where the sensors are at the end of the recording.
 
-    Those of a suspect are to where they were before it moved. A sensor that is held moves all others the other way.
+    Those of a suspect are to where they were before it moved.
     """
-    dataset, setup, moves = calibration.dataset, calibration.solution.setup, suspect.moves.copy()
+    moves: Array = _moved_after(calibration, suspect) @ suspect.value
+    return moves
+
+
+def _moved_after(calibration: Calibration, suspect: Suspect) -> Array:
+    """Return the changes (S, k) by a deviation likewise; of a sensor that is held all others move the other way."""
+    dataset, setup, moved_by = calibration.dataset, calibration.solution.setup, suspect.moved_by.copy()
     moved = dataset.sensors.get(suspect.cause.subject)
     if suspect.cause.kind != PLACE or moved is None:
-        return moves
+        return moved_by
     at = setup.problem.shared_parameters
     if (block := setup.block(moved.edge)) in at:
-        moves[at[block]] += suspect.value
-        return moves
+        moved_by[at[block]] += np.eye(6)
+        return moved_by
     for sensor in dataset.sensors.values():
         if (block := setup.block(sensor.edge)) in at:
             T_sensor_moved = dataset.transform(sensor.frame, moved.frame)[-1]
-            moves[at[block]] -= adjoint(T_sensor_moved) @ suspect.value
-    return moves
+            moved_by[at[block]] -= adjoint(T_sensor_moved)
+    return moved_by
 
 
 def _together(
@@ -303,8 +337,8 @@ def keys_since(calibration: Calibration, since: int) -> tuple[str, ...]:
 def _contradictions(calibration: Calibration, limits: Limits, found: Disagreement) -> list[Finding]:
     """Report sensors whose views contradict each other by more than noise and all that is assumed explain.
 
-    Each is tested by itself, so that good ones do not hide a bad one: red if its standard deviation exceeds the limit.
-    Where only the guard band reaches over it, that is undecided (`calibration.engine.diagnosis.precision`).
+    Each is tested by itself, so that good ones do not hide a bad one: red if it is more likely than not off by more
+    than its limit. Where only the guard band reaches over it, that is undecided (`calibration.diagnosis.precision`).
     """
     if calibration.of_cameras_alone:
         return _contradiction_of_cameras(calibration, found)
@@ -320,7 +354,7 @@ def _contradictions(calibration: Calibration, limits: Limits, found: Disagreemen
         subject, keys = _worst(calibration, found, (name, *calibration.dataset.patterns))
         mm, degrees = stated(calibration)[name]
         limit = allowed(calibration, limits, name)
-        harmful = limit.exceeded(mm, degrees)
+        harmful = max(false_accept(mm, limit.translation_mm), false_accept(degrees, limit.rotation_deg)) > 0.5
         text = (
             f"the views of {name} contradict each other: they scatter {ratio**0.5:.2g} times as far as noise and all "
             f"that is assumed explain, most {subject} in {_collections(keys)}, and leave it uncertain by "

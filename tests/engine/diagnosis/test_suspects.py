@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.arrays import Array
-from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
-from calibration.engine.diagnosis.finding import Finding
-from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
-from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.covariance.fixed_inputs import PLACE
-from calibration.engine.estimation.doubts.suspects import Disagreement, Suspect, explain
-from calibration.engine.estimation.problem.assumptions import EXACT, Assumptions
-from calibration.engine.geometry.lenses import DoubleSphere
-from calibration.engine.geometry.transforms import retract
-from tests.engine.estimation import scenes, systems
-from tests.engine.estimation.scenes import relabelled
+from calibration.dataset.model import CornerLabels, Dataset, Labels
+from calibration.diagnosis.finding import CONTRADICTION, Finding
+from calibration.diagnosis.limits import Limits
+from calibration.diagnosis.what_does_not_fit import what_does_not_fit
+from calibration.estimation.assumptions import EXACT, Assumptions
+from calibration.estimation.calibrate import Options, calibrate
+from calibration.estimation.held import PLACE
+from calibration.estimation.suspects import Disagreement, Suspect, explain
+from calibration.geometry.lenses import DoubleSphere
+from calibration.geometry.transforms import retract
+from calibration.geometry.types import Array
+from tests.estimation import scenes, systems
+from tests.estimation.scenes import relabelled
 
 NOISE = 0.1
 SUBJECTS = ("left", "right", "left and right")
@@ -273,6 +273,40 @@ def test_what_is_known_by_few_views_is_said_after_what_is_certain() -> None:
     assert first.text.startswith("cam's focal length does not fit")
     assert second.text.startswith("cam has moved from collection 022 on")
     assert (first.moves_mm or 0) < (second.moves_mm or 0)
+
+
+def test_of_few_views_the_guard_band_over_the_limit_is_undecided() -> None:
+    """The last two views say that the camera has moved by 11 mm, and know it to 4 mm."""
+    dataset = knocked(22, (0.0, 0.0, 0.01, 0.0, 0.003, 0.0))
+    [red, beyond, within] = [
+        findings(dataset, Limits(translation_mm=limit, rotation_deg=5), Assumptions())[0] for limit in (5, 13, 50)
+    ]
+    assert [each.severity for each in (red, beyond, within)] == ["red", "undecided", "note"]
+    assert "as few views tell (limit 13 mm, 5 deg)" in beyond.text
+
+
+def test_what_few_views_tell_is_as_unsure_as_it_moves_the_sensor() -> None:
+    """Two of 24 views know to 1 mm and 0.3 deg how far the board has moved; the camera is 0.2 mm off by that."""
+    scene = systems.eye_to_hand(24, pixel_noise=NOISE)
+    edge = ("flange", "board_link")
+    before = scene.transforms[edge]
+    after = retract(before, np.array([0.002, 0.002, 0.0, 0.005, 0.0, 0.0]))
+    places = np.stack([before if i < 22 else after for i in range(24)])
+    dataset = replace(scene, transforms={**scene.transforms, edge: places}).dataset()
+    [note] = findings(dataset, Limits(translation_mm=1, rotation_deg=0.1), Assumptions())
+    assert note.severity == "note"
+    assert note.text.startswith("board has moved from collection 022 on")
+
+
+def test_views_that_contradict_each_other_are_red_where_the_result_is_rather_off_than_not() -> None:
+    scene = systems.eye_to_hand(24, pixel_noise=NOISE)
+    shaken = retract(scene.transforms["world", "cam"], np.random.default_rng(1).normal(0, 0.01, (24, 6)))
+    dataset = replace(scene, transforms={**scene.transforms, ("world", "cam"): shaken}).dataset()
+    calibration = calibrate(dataset)
+    sigma = calibration.sigma_mm(("world", "cam"))
+    for share, severity in ((1.05, "note"), (1.2, "red")):
+        said = what_does_not_fit(calibration, Limits(translation_mm=sigma / share))
+        assert [each.severity for each in said if each.kind == CONTRADICTION] == [severity]
 
 
 def test_the_curve_of_a_lens_without_distortion_is_its_projection() -> None:

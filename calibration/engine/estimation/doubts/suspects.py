@@ -38,6 +38,8 @@ FEWEST_CLUSTERS = 6
 """Minimum of independent collections to estimate their disagreement."""
 MOST = 4
 """Limit of the number of causes that are set free."""
+MAX_RIVALS = 2
+"""Number of alternatives that are reported with a cause."""
 EQUAL = 0.85
 """Explanations with at least this fraction of the best one's gain are reported as alternatives."""
 DETERMINED = 1e-7
@@ -68,16 +70,28 @@ class Suspect:
     """First cluster with another pose; None for a cause that concerns all."""
     value: Array
     """(k,): estimated deviation."""
-    sigma: Array
-    """(k,)."""
+    errors: Array
+    """(k, r): independent errors of that, of one standard deviation each."""
     score: float
     """Significance as a standard score; above `threshold`."""
     gain: float
     """Decrease of the cost."""
-    moves: Array
-    """(S,): changes of the calibrated parameters if it were free."""
-    rivals: tuple[Cause, ...] = ()
+    moved_by: Array
+    """(S, k): changes of the calibrated parameters by its deviation."""
+    rivals: tuple["Suspect", ...] = ()
     """Other causes that explain nearly as much."""
+
+    @property
+    def sigma(self) -> Array:
+        """(k,): standard deviation of the estimate."""
+        sigma: Array = np.linalg.norm(self.errors, axis=1)
+        return sigma
+
+    @property
+    def moves(self) -> Array:
+        """(S,): changes of the calibrated parameters if it were free."""
+        moves: Array = self.moved_by @ self.value
+        return moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,9 +186,12 @@ def explain(model: LinearModel, fewest_moved: int = 1) -> Explanation | None:
         near = [each for each in significant if each.gain >= EQUAL * most]
         best = min(near, key=lambda each: (each.cause.size, -round(each.gain / most, 2)))
         best = max([best, *(each for each in near if _are_stretches(each.cause, best.cause))], key=_displaced)
-        rivals = [each.cause for each in sorted(near, key=lambda each: -each.gain) if each.cause is not best.cause]
-        rivals = [each for each in dict.fromkeys(rivals) if each.size <= best.cause.size]
-        best = replace(best, rivals=tuple(rivals[:2]))
+        by_cause = {each.cause: each for each in sorted(near, key=lambda each: each.gain)}  # the best of each
+        rivals = [
+            each for each in by_cause.values() if each.cause is not best.cause and each.cause.size <= best.cause.size
+        ]
+        rivals.sort(key=lambda each: -each.gain)
+        best = replace(best, rivals=tuple(rivals[:MAX_RIVALS]))
         if best.cause.kind == PLACE:
             best = max(_lenses(model, state, limit, EQUAL * best.gain), key=lambda each: each.gain, default=best)
         found.append(best)
@@ -463,8 +480,9 @@ def _tested(state: _State, candidates: _Candidates, limit: float) -> Iterator[Su
             continue
         score, covariance = _score(state, cause, step, noise, score)
         if score > limit:
-            sigma = np.sqrt(np.einsum("ij,jk,ik->i", step.basis, covariance, step.basis))
-            yield Suspect(cause, since, step.value, sigma, score, step.gain / noise, step.moves[: state.shared])
+            values, vectors = np.linalg.eigh(covariance)
+            errors = step.basis @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+            yield Suspect(cause, since, step.value, errors, score, step.gain / noise, -step.W[: state.shared])
 
 
 def _steps(state: _State, candidates: _Candidates) -> Iterator[_Step]:
