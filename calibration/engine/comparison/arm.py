@@ -29,7 +29,7 @@ MINIMUM_VIEWS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPosess:
+class ArmViews:
     """A camera's n views of a pattern: ``arm = X @ seen @ Y``.
 
     X is the camera's calibrated transform, Y the inverse of the pattern's. The arm's poses, which are exact, are on
@@ -105,7 +105,7 @@ def inverse_pattern(X: Array, arm: Array, seen: Array) -> Array:
     return transform(rotations.nearest(Y[:, :3, :3].mean(0)), Y[:, :3, 3].mean(0))
 
 
-def used_views(dataset: Dataset) -> list[SeenPosess]:
+def used_views(dataset: Dataset) -> list[ArmViews]:
     """Return the pattern that each camera is calibrated with; errors as `calibrate_arm`."""
     reason = why_not_arm(dataset)
     if reason:
@@ -113,7 +113,7 @@ def used_views(dataset: Dataset) -> list[SeenPosess]:
     return [_most_views(dataset, sensor) for sensor in dataset.sensors.values()]
 
 
-def _most_views(dataset: Dataset, sensor: Sensor) -> SeenPosess:
+def _most_views(dataset: Dataset, sensor: Sensor) -> ArmViews:
     """Return a camera's views of its most frequent pattern, among those that determine its transform."""
     found = sorted(_all_views(dataset, sensor), key=lambda views: -len(views.arm))
     for views in found:
@@ -122,7 +122,7 @@ def _most_views(dataset: Dataset, sensor: Sensor) -> SeenPosess:
     raise UndeterminedError(f"{dataset.path}: {_too_little(found[0])}")
 
 
-def _too_little(views: SeenPosess) -> str:
+def _too_little(views: ArmViews) -> str:
     sensor, pattern, count = views.sensor, views.pattern, len(views.arm)
     if count < MINIMUM_VIEWS:
         return f"'{sensor.name}' has {count} views of '{pattern.name}'; at least {MINIMUM_VIEWS} are needed"
@@ -133,18 +133,18 @@ def _too_little(views: SeenPosess) -> str:
     )
 
 
-def _all_views(dataset: Dataset, sensor: Sensor) -> list[SeenPosess]:
+def _all_views(dataset: Dataset, sensor: Sensor) -> list[ArmViews]:
     """Return the views of each pattern on the other side of the arm."""
     patterns = [p for p in dataset.patterns.values() if _why_not_pattern(dataset, sensor, p) is None]
     return [_views(dataset, sensor, pattern) for pattern in patterns]
 
 
-def _views(dataset: Dataset, sensor: Sensor, pattern: Pattern) -> SeenPosess:
+def _views(dataset: Dataset, sensor: Sensor, pattern: Pattern) -> ArmViews:
     views = (measured_views if sensor.modality.has_poses else corner_views)(dataset, sensor.name, pattern)
     seen_in = dataset.with_collections(views.collections.tolist())
     arm = seen_in.transform(sensor.calibration_parent, pattern.parent_link)
     seen = seen_in.transform(sensor.calibration_child, sensor.frame) @ views.T_camera_pattern
-    return SeenPosess(sensor, pattern, arm, seen)
+    return ArmViews(sensor, pattern, arm, seen)
 
 
 def _edge(pattern: Pattern) -> Edge:

@@ -5,18 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
-from calibration.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
-from calibration.diagnosis.precision import false_accept
-from calibration.diagnosis.projection import projection_limit, shifts
-from calibration.estimation.held import LAG, PLACE, PROJECTION, RADIAL, Cause
-from calibration.estimation.result import Calibration
-from calibration.estimation.significance import score_of_f, threshold
-from calibration.estimation.suspects import CONTRADICTING, EXACTLY, LENS, SIDE, Disagreement, Suspect
-from calibration.geometry.cameras import Camera
-from calibration.geometry.lenses import MODELS
-from calibration.geometry.transforms import adjoint
-from calibration.geometry.types import Array
+from calibration.base.arrays import Array
+from calibration.engine.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
+from calibration.engine.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
+from calibration.engine.diagnosis.precision import false_accept
+from calibration.engine.diagnosis.projection import projection_limit, shifts
+from calibration.engine.estimation.covariance.fixed_inputs import LAG, PLACE, PROJECTION, RADIAL, Cause
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.covariance.significance import score_of_f, threshold
+from calibration.engine.estimation.doubts.suspects import CONTRADICTING, EXACTLY, LENS, SIDE, Disagreement, Suspect
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import MODELS
+from calibration.engine.geometry.transforms import adjoint
 
 NOTHING = "nothing-suspicious"
 UNTESTED = "untested"
@@ -338,7 +338,7 @@ def _contradictions(calibration: Calibration, limits: Limits, found: Disagreemen
     """Report sensors whose views contradict each other by more than noise and all that is assumed explain.
 
     Each is tested by itself, so that good ones do not hide a bad one: red if it is more likely than not off by more
-    than its limit. Where only the guard band reaches over it, that is undecided (`calibration.diagnosis.precision`).
+    than its limit. Where only the guard band reaches over it, `calibration.engine.diagnosis.precision` says so.
     """
     if calibration.of_cameras_alone:
         return _contradiction_of_cameras(calibration, found)

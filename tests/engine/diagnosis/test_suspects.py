@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.dataset.model import CornerLabels, Dataset, Labels
-from calibration.diagnosis.finding import CONTRADICTION, Finding
-from calibration.diagnosis.limits import Limits
-from calibration.diagnosis.what_does_not_fit import what_does_not_fit
-from calibration.estimation.assumptions import EXACT, Assumptions
-from calibration.estimation.calibrate import Options, calibrate
-from calibration.estimation.held import PLACE
-from calibration.estimation.suspects import Disagreement, Suspect, explain
-from calibration.geometry.lenses import DoubleSphere
-from calibration.geometry.transforms import retract
-from calibration.geometry.types import Array
-from tests.estimation import scenes, systems
-from tests.estimation.scenes import relabelled
+from calibration.base.arrays import Array
+from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
+from calibration.engine.diagnosis.finding import CONTRADICTION, Finding
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
+from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.covariance.fixed_inputs import PLACE
+from calibration.engine.estimation.doubts.suspects import Disagreement, Suspect, explain
+from calibration.engine.estimation.problem.assumptions import EXACT, Assumptions
+from calibration.engine.geometry.lenses import DoubleSphere
+from calibration.engine.geometry.transforms import retract
+from tests.engine.estimation import scenes, systems
+from tests.engine.estimation.scenes import relabelled
 
 NOISE = 0.1
 SUBJECTS = ("left", "right", "left and right")
