@@ -14,6 +14,8 @@ from calibration.engine.estimation.covariance.result import Calibration
 DISAGREEING = 1.4
 """Collections disagree if that widens the standard deviation by this factor: it is more than half of the variance."""
 KIND = "precision"
+LIKELY = 0.5
+"""Probability that a limit is broken, by the standard deviation alone, above which that is a failure."""
 NAMES = ("mm", "deg")
 ADD = "add collections with other rotations of the pattern or the robot"
 MEND = "mend first what does not fit"
@@ -34,8 +36,8 @@ ENOUGH_ROOM = 0.75
 def precision(calibration: Calibration, limits: Limits, suspected: Sequence[Finding] = ()) -> tuple[Finding, ...]:
     """Report limits that do not hold with the guard band of the reported standard deviation.
 
-    They are undecided; a failure where no limit is set and the standard deviation is beyond that of any good robot with
-    these views. Nothing is said where a failure is reported already.
+    They are undecided; a failure where no limit is set and the error is more likely than not beyond that of any good
+    robot with these views. Nothing is said where a failure is reported already.
 
     Args:
         calibration: a calibration that has converged.
@@ -53,7 +55,8 @@ def precision(calibration: Calibration, limits: Limits, suspected: Sequence[Find
         wanted = most[unit] / limits.guard if limits.guard else np.inf
         if sigmas[unit] <= wanted:
             continue
-        bad = not limit.set and sigmas[unit] > max(most[unit], UNSET * of_a_good_robot(calibration, name)[unit])
+        of_no_good_robot = max(most[unit], UNSET * of_a_good_robot(calibration, name)[unit])
+        bad = not limit.set and false_accept(sigmas[unit], of_no_good_robot) > LIKELY
         remedy = MEND if wrong else DISAGREE if bad else _remedy(calibration, name, unit, wanted)
         text = (
             f"'{name}' is not determined well enough: {sigmas[unit]:.2g} {NAMES[unit]} (standard deviation, in all), "

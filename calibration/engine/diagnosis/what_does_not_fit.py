@@ -8,7 +8,7 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.engine.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
 from calibration.engine.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
-from calibration.engine.diagnosis.precision import false_accept
+from calibration.engine.diagnosis.precision import LIKELY, false_accept
 from calibration.engine.diagnosis.projection import projection_limit, shifts
 from calibration.engine.estimation.covariance.fixed_inputs import LAG, PLACE, PROJECTION, RADIAL, Cause
 from calibration.engine.estimation.covariance.result import Calibration
@@ -354,7 +354,7 @@ def _contradictions(calibration: Calibration, limits: Limits, found: Disagreemen
         subject, keys = _worst(calibration, found, (name, *calibration.dataset.patterns))
         mm, degrees = stated(calibration)[name]
         limit = allowed(calibration, limits, name)
-        harmful = max(false_accept(mm, limit.translation_mm), false_accept(degrees, limit.rotation_deg)) > 0.5
+        harmful = max(false_accept(mm, limit.translation_mm), false_accept(degrees, limit.rotation_deg)) > LIKELY
         text = (
             f"the views of {name} contradict each other: they scatter {ratio**0.5:.2g} times as far as noise and all "
             f"that is assumed explain, most {subject} in {_collections(keys)}, and leave it uncertain by "
