@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.diagnosis.limits import UNSET, Limits, allowed, of_a_good_robot
 from calibration.engine.diagnosis.precision import false_accept, precision, worst_false_accept
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.problem.assumptions import EXACT
@@ -23,6 +23,18 @@ def test_a_limit_below_the_guard_band_is_undecided_with_a_remedy() -> None:
     [wider] = precision(assumed, Limits(translation_mm=3 * exact.sigma_mm(edge)))
     assert "times as well (calibrate it with more views" in wider.text
     assert precision(exact, Limits()) == ()
+
+
+@pytest.mark.parametrize(("share", "severity"), [(1.1, "undecided"), (1.15, "red")])
+def test_where_no_limit_is_set_it_is_red_if_it_is_rather_broken_than_not(
+    monkeypatch: pytest.MonkeyPatch, share: float, severity: str
+) -> None:
+    calibration = calibrate(systems.stereo(8, pixel_noise=0.3).dataset())
+    name = next(name for name in ("left", "right") if name != calibration.gauge)
+    limit = allowed(calibration, Limits(), name)
+    least = max(limit.translation_mm, UNSET * of_a_good_robot(calibration, name)[0])
+    monkeypatch.setattr("calibration.engine.diagnosis.precision.stated", lambda _: {name: (share * least, 0.0)})
+    assert [each.severity for each in precision(calibration, Limits())] == [severity]
 
 
 def test_the_limits_of_a_joint_hold_with_its_error_bar() -> None:
