@@ -35,7 +35,9 @@ class PlacedTag:
     size: Annotated[float, between(MIN_SIZE, MAX_SIZE)] = field("Side of its black border, m.")
     x: Annotated[float, between(-MAX_SIZE, MAX_SIZE)] = field("Of its centre, to the right, m (0).", default=0.0)
     y: Annotated[float, between(-MAX_SIZE, MAX_SIZE)] = field("Of its centre, downwards, m (0).", default=0.0)
-    yaw: Annotated[float, between(-7, 7)] = field("Clockwise, from upright as OpenCV draws it, rad (0).", default=0.0)
+    yaw: Annotated[float, between(-7, 7)] = field(
+        "Clockwise, from upright as AprilTag's own images show its tags, and OpenCV its markers, rad (0).", default=0.0
+    )
 
     @property
     def corners(self) -> Array:

@@ -1,6 +1,7 @@
 """Detection of ArUco markers in an image."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -17,6 +18,10 @@ MAX_ENLARGED_PIXELS = 20_000_000
 """Limit of the pixels that are enlarged: in larger images the smallest marker has dozens of pixels anyway."""
 LEAST_PERIMETER = 0.03
 """Minimum perimeter of a marker, relative to the longer side of the image (OpenCV's default)."""
+APRILTAG = "DICT_APRILTAG_"
+"""Begin of the names of OpenCV's dictionaries of AprilTag's families."""
+FIRST_36H11 = 0xD5D628584
+"""Code of the first tag of AprilTag's family 36h11, upright: 36 modules row by row from the highest bit; 1 is white."""
 Box = tuple[int, int, int, int]
 """Left, top, right and bottom of a part of an image (px); right and bottom are outside."""
 
@@ -99,6 +104,23 @@ def printed_dictionary(pattern: PatternConfiguration) -> "cv2.aruco.Dictionary":
     if highest > last:
         raise InputError(f"pattern '{pattern.name}': found tag {highest}, expected ids of {name}: 0 to {last}")
     return dictionary
+
+
+@lru_cache(maxsize=1)
+def turned_tags() -> int:
+    """Return the quarter turns to the left from OpenCV's drawing of a tag of AprilTag's to AprilTag's own.
+
+    2 with OpenCV 4, which draws them upside down; OpenCV 5 has mended that (github.com/opencv/opencv/pull/28823).
+    """
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    drawn = np.asarray(cv2.aruco.generateImageMarker(dictionary, 0, 8))[1:-1, 1:-1] > 127
+    upright = np.array([FIRST_36H11 >> i & 1 for i in range(35, -1, -1)], bool).reshape(6, 6)
+    return next(turns for turns in range(4) if (np.rot90(drawn, turns) == upright).all())
+
+
+def turns_of(pattern: PatternConfiguration) -> int:
+    """Return the quarter turns to the left from OpenCV's drawing of a pattern's tags to how they are upright."""
+    return turned_tags() if (pattern.dictionary or "").startswith(APRILTAG) else 0
 
 
 def _parameters(windows: tuple[int, int], border: int, correction: float) -> "cv2.aruco.DetectorParameters":

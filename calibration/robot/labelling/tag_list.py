@@ -11,7 +11,7 @@ from calibration.base.arrays import Array, IntArray
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.detection import Image, NotDetected, grey
-from calibration.robot.labelling.markers import MarkerFinder, Markers, printed_dictionary
+from calibration.robot.labelling.markers import MarkerFinder, Markers, printed_dictionary, turns_of
 
 DECIMALS = 4
 """Decimals of the corners' pixels."""
@@ -43,6 +43,7 @@ class TagListDetector:
         self._finder = MarkerFinder(dictionary, len(dictionary.bytesList), correction=MAX_CORRECTED)
         self._modules = dictionary.markerSize + 2
         self._ids = [tag.id for tag in pattern.tags]
+        self._turns = turns_of(pattern)
 
     def detect(self, image: Image) -> CornerLabels | NotDetected:
         """Detect the corners in an 8-bit image (H, W) or (H, W, 3), BGR; pixel (0, 0) is a centre.
@@ -60,7 +61,7 @@ class TagListDetector:
         pixels: list[Array] = []
         for place, own in enumerate(self._ids):
             for corners in seen.corners[seen.ids == own]:
-                refined = refined_corners(image, corners, self._modules)
+                refined = refined_corners(image, np.roll(corners, -self._turns, axis=0), self._modules)
                 if refined is not None:
                     ids.append(4 * place + np.arange(4))
                     pixels.append(refined)

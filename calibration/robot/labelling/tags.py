@@ -1,6 +1,6 @@
 """Print of an aprilgrid, as Kalibr prints it.
 
-Tags of AprilTag's family 36h11 with a border of two modules, rotated by 180 degrees from OpenCV's drawing, and a
+Tags of AprilTag's family 36h11 with a border of two modules, upright as AprilTag draws them, and a
 black square at each crossing of gaps, so that four quarters of black and white meet in every corner of a tag. The
 print consists of cells: a gap, the modules of a tag, a gap, and so on.
 
@@ -17,6 +17,7 @@ from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.configuration import TAGS
 from calibration.engine.dataset.pattern import tag_grid, tag_lines, tag_outline
 from calibration.robot.labelling.detection import Image
+from calibration.robot.labelling.markers import turned_tags
 
 BORDER = 2
 """Width of the black border around the bits of a tag, in modules."""
@@ -41,7 +42,7 @@ def tag_cells(columns: int, rows: int, first: int = 0) -> BoolArray:
         row, column = divmod(tag, columns)
         top, left = (rows - 1 - row) * step + 1, column * step + 1
         drawn = np.asarray(cv2.aruco.generateImageMarker(dictionary, first + tag, MODULES, borderBits=BORDER))
-        black[top : top + MODULES, left : left + MODULES] = np.rot90(drawn < 128, 2)
+        black[top : top + MODULES, left : left + MODULES] = np.rot90(drawn < 128, turned_tags())
     black.flags.writeable = False
     return black
 
@@ -73,11 +74,12 @@ def corner_places(columns: int, rows: int, spacing: float) -> Array:
 def corner_ids(columns: int, rows: int) -> IntArray:
     """Return the ids (columns * rows, 4) of the corners of each tag, in OpenCV's order of detection.
 
-    Clockwise from the top left of OpenCV's drawing of a tag: here the bottom right.
+    Clockwise from the top left of OpenCV's drawing of a tag: with OpenCV 4 the bottom right.
     """
     row, column = np.divmod(np.arange(columns * rows), columns)
     bottom_left = 4 * columns * row + 2 * column
-    ids: IntArray = bottom_left[:, None] + np.array([1, 0, 2 * columns, 2 * columns + 1])
+    upright = np.array([2 * columns, 2 * columns + 1, 1, 0])
+    ids: IntArray = bottom_left[:, None] + np.roll(upright, turned_tags())
     return ids
 
 

@@ -11,6 +11,7 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import NotDetected
+from calibration.robot.simulation.rendering.texture import tag_modules
 from tests.robot.labelling.pictures import HD_DISTORTED, VGA, facing
 from tests.robot.labelling.test_circles import rendered
 
@@ -67,3 +68,16 @@ def test_other_tags_and_noise_are_no_detection() -> None:
 def test_tags_that_no_dictionary_has_are_refused(dictionary: str, tag: int, named: str) -> None:
     with pytest.raises(InputError, match=named):
         corner_detector(tags(dictionary, PlacedTag(tag, 0.1)))
+
+
+@pytest.mark.parametrize(("number", "code"), [(1, 0xD97F18B49), (2, 0xDD280910E), (3, 0xE479E9C98)])
+def test_a_tag_is_upright_as_apriltag_draws_it(number: int, code: int) -> None:
+    """OpenCV 4 draws AprilTag's tags upside down; codes are those of AprilTag's tag36h11, row by row."""
+    bits = np.array([code >> i & 1 for i in range(35, -1, -1)]).reshape(6, 6)
+    official = np.pad(np.pad(bits, 1), 2, constant_values=1)
+    image = np.kron(255 * official, np.ones((24, 24))).astype(np.uint8)
+    pattern = tags("DICT_APRILTAG_36h11", PlacedTag(number, 0.1))
+    found = corner_detector(pattern).detect(image)
+    assert isinstance(found, CornerLabels), found
+    np.testing.assert_allclose(found.pixels, 47.5 + 192 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]), atol=0.3)
+    np.testing.assert_array_equal(tag_modules(pattern)[0], official[2:-2, 2:-2])

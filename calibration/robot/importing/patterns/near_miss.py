@@ -25,7 +25,7 @@ from calibration.robot.labelling.charuco import CharucoDetector
 from calibration.robot.labelling.chessboard import LEAST_CORNERS
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image, grey
-from calibration.robot.labelling.markers import Markers
+from calibration.robot.labelling.markers import Markers, turned_tags
 
 LOOKED_AT = 8
 """Number of images that are searched for other patterns."""
@@ -171,8 +171,9 @@ def _tags(pattern: PatternConfiguration, family: Family, lowest: int, highest: i
 def _gap(seen: Markers) -> float:
     """Return the median gap between neighbours in a row, in sides of a tag; NaN if no two are detected."""
     (first,) = np.nonzero(np.diff(seen.ids) == 1)
-    right, left = seen.corners[first, 0], seen.corners[first, 1]  # the bottom, by Kalibr's orientation of tags
-    gaps = np.linalg.norm(seen.corners[first + 1, 1] - right, axis=-1) / np.linalg.norm(right - left, axis=-1)
+    corners = np.roll(seen.corners, -turned_tags(), axis=1)  # from the top left
+    right, left = corners[first, 2], corners[first, 3]
+    gaps = np.linalg.norm(corners[first + 1, 3] - right, axis=-1) / np.linalg.norm(right - left, axis=-1)
     return float(np.median(gaps)) if len(gaps) else np.nan
 
 

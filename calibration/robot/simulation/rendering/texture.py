@@ -20,7 +20,7 @@ from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.pattern import Pattern
-from calibration.robot.labelling.markers import printed_dictionary
+from calibration.robot.labelling.markers import printed_dictionary, turns_of
 from calibration.robot.labelling.tags import cell_ends, tag_cells
 
 Grey = NDArray[np.uint8]
@@ -180,10 +180,11 @@ def _placed_tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
 
 
 def tag_modules(pattern: PatternConfiguration) -> list[Array]:
-    """Return the modules of a list of tags, with their black border: 1 for white."""
+    """Return the modules of a list of tags, upright, with their black border: 1 for white."""
     dictionary = printed_dictionary(pattern)
     modules = dictionary.markerSize + 2
-    return [np.array(cv2.aruco.generateImageMarker(dictionary, t.id, modules), float) / 255 for t in pattern.tags]
+    drawn = [np.array(cv2.aruco.generateImageMarker(dictionary, t.id, modules), float) / 255 for t in pattern.tags]
+    return [np.rot90(each, turns_of(pattern)) for each in drawn]
 
 
 def circle_diameter(pattern: PatternConfiguration) -> float:
