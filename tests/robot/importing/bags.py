@@ -17,6 +17,12 @@ from calibration.engine.geometry.rotations import to_quaternion
 
 Kind = Literal["bag", "db3", "mcap"]
 SECOND = 10**9
+LIVOX = {
+    "CustomPoint": "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line",
+    "CustomMsg": "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n"
+    "CustomPoint[] points",
+}
+"""Messages of Livox's drivers."""
 BEGIN = 1_700_000_000 * SECOND
 
 
@@ -125,6 +131,29 @@ class BagFile:
             row_step=kind.itemsize * len(rows) // 2,
             data=np.frombuffer(rows.tobytes(), np.uint8),
             is_dense=False,
+        )
+        self.write(topic, stamp, content)
+
+    def livox(self, topic: str, stamp: int, points: Array, frame: str) -> None:
+        """Write points (N, 3) as Livox's drivers do: 0 where there is no return."""
+        package = "livox_ros_driver" if self.ros1 else "livox_ros_driver2"
+        if f"{package}/msg/CustomMsg" not in self.types.fielddefs:
+            for name in ("CustomPoint", "CustomMsg"):
+                self.types.register(get_types_from_msg(LIVOX[name], f"{package}/msg/{name}"))
+        places = np.nan_to_num(points).tolist()
+        more = {"reflectivity": 10, "tag": 0, "line": 0}
+        made = [
+            self.make(f"{package}/msg/CustomPoint", offset_time=i, x=x, y=y, z=z, **more)
+            for i, (x, y, z) in enumerate(places)
+        ]
+        content = self.make(
+            f"{package}/msg/CustomMsg",
+            header=self.header(frame, stamp),
+            timebase=stamp,
+            point_num=len(made),
+            lidar_id=0,
+            rsvd=np.zeros(3, np.uint8),
+            points=made,
         )
         self.write(topic, stamp, content)
 

@@ -59,7 +59,11 @@ def with_truth() -> tuple[Dataset, dict[str, Array]]:
 
 
 def record(
-    folder: Path, kind: Kind, data: Literal["clouds", "scans"] = "clouds", moved: float = 0.0, turned: float = 0.0
+    folder: Path,
+    kind: Kind,
+    data: Literal["clouds", "livox", "scans"] = "clouds",
+    moved: float = 0.0,
+    turned: float = 0.0,
 ) -> Path:
     """rlbot's recording; the LiDAR is described ``moved`` m beside where it is."""
     path = file_of(folder, kind)
@@ -78,9 +82,10 @@ def record(
             bag.camera_info("/rgb_left/camera_info", stamp, frame, (camera.width, camera.height), camera.fx)
             shown = np.asarray(cv2.imread(str(RLBOT / f"rgb_left_{key}.jpg")))
             bag.image("/rgb_left/image_raw", stamp, shown, frame)
-            if data == "clouds":
+            if data != "scans":
                 cloud = np.asarray(read_points(RLBOT / f"lidar_right_{key}.pcd"), float)
-                bag.cloud("/lidar", stamp + SECOND // 20, cloud, lidar.frame)
+                write = bag.livox if data == "livox" else bag.cloud
+                write("/lidar", stamp + SECOND // 20, cloud, lidar.frame)
             else:
                 seen = scan(inverse(T_world_lidar) @ poses[key], pattern.outline)
                 bag.scan("/lidar", stamp + SECOND // 20, seen, lidar.frame)
@@ -111,6 +116,19 @@ def test_clouds_calibrate_to_the_truth(tmp_path: Path, kind: Kind) -> None:
     m, rad = (float(v) for v in distance(true, found.transform("rgb_left_optical_frame", "lidar_right")[0]))
     assert m < 0.005
     assert np.degrees(rad) < 0.3
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+def test_clouds_of_livox_are_those_of_a_pointcloud(tmp_path: Path, kind: Kind) -> None:
+    found = []
+    for data in ("livox", "clouds"):
+        (tmp_path / data).mkdir()
+        found.append(imported(record(tmp_path / data, kind, data), tmp_path / data / "out"))
+    for ours, theirs in zip(*(dataset.detections("board", "lidar") for dataset in found), strict=True):
+        assert isinstance(ours[1], PointLabels)
+        assert isinstance(theirs[1], PointLabels)
+        np.testing.assert_allclose(ours[1].points, theirs[1].points, atol=1e-6)
+    assert len(found[0].detections("board", "lidar")) >= 5
 
 
 def test_scan_lines_on_the_board_are_labelled(tmp_path: Path) -> None:

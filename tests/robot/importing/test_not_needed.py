@@ -276,17 +276,6 @@ def test_a_compressed_image_of_16_bits_is_stretched() -> None:
     assert abs(found.astype(float) * np.quantile(true, 0.999) / 255 - true).mean() < 1
 
 
-def test_a_message_of_livox_says_what_to_record(tmp_path: Path) -> None:
-    path = file_of(tmp_path, "mcap")
-    with BagFile(path, "mcap") as bag:
-        kind = "livox_ros_driver2/msg/CustomMsg"
-        bag.types.register(get_types_from_msg("uint32 point_num", kind))
-        bag.image("/left/image_raw", BEGIN, image("left_camera", 0), "left", "mono8")
-        bag.write("/livox/lidar", BEGIN, bag.make(kind, point_num=0))
-    sensors = {"left": {"topic": "/left/image_raw"}, "lidar": {"topic": "/livox/lidar"}}
-    assert "record sensor_msgs/PointCloud2" in refusal(describe(path, sensors=sensors))
-
-
 def test_a_topic_is_one_word(tmp_path: Path) -> None:
     results = import_data(describe(one_camera(tmp_path, "image_raw")), tmp_path / "out", jobs=1)
     assert list(results.sensors) == ["image_raw"]

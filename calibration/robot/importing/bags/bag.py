@@ -52,7 +52,17 @@ VIDEO_TYPES = {
     FOXGLOVE_VIDEO: "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format",
 }
 """Definitions of messages that hold a packet of a video; Foxglove's has no header, but begins with a stamp."""
-MORE_TYPES = dict.fromkeys(TF, "geometry_msgs/TransformStamped[] transforms") | VIDEO_TYPES
+_LIVOX_POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
+_LIVOX_POINTS = {f"livox_ros_driver{version}/msg/CustomPoint": _LIVOX_POINT for version in ("", "2")}
+LIVOX_TYPES = {
+    kind.replace("Point", "Msg"): "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\n"
+    "uint8[3] rsvd\nCustomPoint[] points"
+    for kind in _LIVOX_POINTS
+}
+"""Definitions of the clouds of Livox's drivers."""
+MORE_TYPES = (
+    dict.fromkeys(TF, "geometry_msgs/TransformStamped[] transforms") | VIDEO_TYPES | _LIVOX_POINTS | LIVOX_TYPES
+)
 """Definitions of messages that the library lacks for some versions of ROS."""
 
 

@@ -23,6 +23,7 @@ from calibration.engine.dataset.modalities import DEPTH, LIDAR2D, LIDAR3D
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.dataset.pointcloud import decode_message, read_points, write_points
 from calibration.engine.geometry.cameras import Camera
+from calibration.robot.importing.bags.bag import LIVOX_TYPES
 from calibration.robot.importing.bags.messages import depth_of
 from calibration.robot.importing.bags.survey import SensorTopic
 from calibration.robot.importing.patterns.png import encoded
@@ -68,7 +69,9 @@ class RangeModality:
 
 
 def _cloud_view(message: Any, where: str, _: SensorTopic, stem: Path) -> RangeView:
-    points, file = cloud_of(message, where), stem.with_name(f"{stem.name}.pcd")
+    is_livox = message.__msgtype__ in LIVOX_TYPES
+    points = livox_points(message, where) if is_livox else cloud_of(message, where)
+    file = stem.with_name(f"{stem.name}.pcd")
     write_points(file, points)
     return RangeView(cloud_message(points), file)
 
@@ -117,6 +120,19 @@ def cloud_of(message: Any, where: str) -> Array:
     data = base64.b64encode(bytes(message.data)).decode()
     whole = {**document, "fields": fields, "data": data, "is_bigendian": bool(message.is_bigendian)}
     return np.asarray(decode_message(Node(Path(where), (), whole)), float)
+
+
+def livox_points(message: Any, where: str) -> Array:
+    """Convert a CustomMsg of Livox's drivers to points (N, 3), m; NaN where there is no return, which it has as 0.
+
+    Raises:
+        InputError: it has too many points.
+    """
+    if len(message.points) > MAX_POINTS:
+        raise InputError(f"{where}: found {len(message.points)} points, expected {MAX_POINTS} at most")
+    points = np.array([(each.x, each.y, each.z) for each in message.points], float).reshape(-1, 3)
+    points[~points.any(-1)] = np.nan
+    return points
 
 
 def cloud_message(points: Array) -> dict[str, Any]:

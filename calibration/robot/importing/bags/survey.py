@@ -7,9 +7,9 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from calibration.base.errors import InputError
-from calibration.engine.dataset.modalities import DEPTH, MODALITIES, RGB, Modality
+from calibration.engine.dataset.modalities import DEPTH, LIDAR3D, MODALITIES, RGB, Modality
 from calibration.engine.geometry.cameras import Camera
-from calibration.robot.importing.bags.bag import SECOND, TF, VIDEO_TYPES, Bag, RawMessage
+from calibration.robot.importing.bags.bag import LIVOX_TYPES, SECOND, TF, VIDEO_TYPES, Bag, RawMessage
 from calibration.robot.importing.bags.messages import INSTALL_PYAV, frame_of, transform_of
 from calibration.robot.importing.bags.motion_log import MotionLog, frames_of
 from calibration.robot.importing.bags.recorded_lens import RecordedLens, is_rectified
@@ -20,14 +20,15 @@ from calibration.robot.robot_description import read_robot_description
 
 _SENSOR = "sensor_msgs/msg/"
 IMAGES = (f"{_SENSOR}Image", f"{_SENSOR}CompressedImage", *VIDEO_TYPES)
-MODALITY_OF_MESSAGE = dict.fromkeys(IMAGES, RGB) | {
-    f"{_SENSOR}{each.message}": each for each in MODALITIES.values() if each.points and each.message != RGB.message
+MODALITY_OF_MESSAGE = {
+    **dict.fromkeys(IMAGES, RGB),
+    **{f"{_SENSOR}{each.message}": each for each in MODALITIES.values() if each.points and each.message != RGB.message},
+    **dict.fromkeys(LIVOX_TYPES, LIDAR3D),
 }
 """Modalities by the types of the messages; images may be a depth camera's."""
 INFO, JOINTS = f"{_SENSOR}CameraInfo", f"{_SENSOR}JointState"
 TEXT = "std_msgs/msg/String"
 OTHER_MESSAGES = {
-    "CustomMsg": ": record sensor_msgs/PointCloud2, which Livox's driver publishes with xfer_format 0",
     "FFMPEGPacket": f": {INSTALL_PYAV}",
     "CompressedVideo": f": {INSTALL_PYAV}",
 }

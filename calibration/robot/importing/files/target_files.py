@@ -35,7 +35,7 @@ def pattern_configuration(described: PatternDescription, world: str, root: str |
         InputError: the file cannot be read, or describes an unknown pattern.
     """
     parent = described.parent or root or world
-    printed = _printed(described.target) if described.target else _described(described)
+    printed = _printed(described) if described.target else _described(described)
     if not described.is_printed:
         printed = NOMINAL
     return PatternConfiguration(
@@ -72,11 +72,22 @@ def _described(pattern: PatternDescription) -> dict[str, Any]:
     }
 
 
-def _printed(path: Path) -> dict[str, Any]:
+def _printed(pattern: PatternDescription) -> dict[str, Any]:
+    path = pattern.target or Path()
     root = Node(path, (), read_yaml(path, "the description of a pattern"))
     if finder := root.get("target_finder"):
-        return _by_type(finder, "type", ROBOT_CAL_TOOLS)
-    return _by_type(root, "target_type", KALIBR)
+        printed = _by_type(finder, "type", ROBOT_CAL_TOOLS)
+    else:
+        printed = _by_type(root, "target_type", KALIBR)
+    if printed["kind"] not in CIRCLES:
+        return printed
+    if pattern.diameter is None or pattern.diameter >= printed["size"]:
+        found = "no diameter" if pattern.diameter is None else f"a diameter of {pattern.diameter:g}"
+        raise root.fault(
+            f"has circles {printed['size']:g} m apart, and not how large they are; found {found} of '{pattern.name}' in "
+            f"import.yml, expected that of a circle in m, less than the spacing: diameter: {0.6 * printed['size']:g}"
+        )
+    return printed | {"inner_size": pattern.diameter}
 
 
 def _by_type(node: Node, key: str, kinds: Mapping[str, Callable[[Node], dict[str, Any]]]) -> dict[str, Any]:
@@ -114,6 +125,15 @@ def _kalibr_aprilgrid(node: Node) -> dict[str, Any]:
     }
 
 
+def _kalibr_circles(node: Node) -> dict[str, Any]:
+    is_asymmetric = asymmetric.flag() if (asymmetric := node.get("asymmetricGrid")) else False
+    return {
+        "kind": "asymmetric-circles" if is_asymmetric else "circles",
+        "dimension": (_count(node, "targetCols"), _count(node, "targetRows")),
+        "size": _size(node, "spacingMeters"),
+    }
+
+
 def _charuco(node: Node) -> dict[str, Any]:
     number = node["dictionary"].whole(0, len(DICTIONARIES) - 1)
     size, marker = _size(node, "chessboard_dim"), node["aruco_marker_dim"]
@@ -130,7 +150,7 @@ def _charuco(node: Node) -> dict[str, Any]:
 
 DICTIONARIES = tuple(f"DICT_{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
 """Dictionaries by OpenCV's numbers."""
-KALIBR = {"aprilgrid": _kalibr_aprilgrid, "checkerboard": _kalibr_chessboard}
-"""Kalibr's types of targets; ``targetCols`` and ``targetRows`` are inner corners, ``tagCols`` and ``tagRows`` tags."""
+KALIBR = {"aprilgrid": _kalibr_aprilgrid, "checkerboard": _kalibr_chessboard, "circlegrid": _kalibr_circles}
+"""Kalibr's types of targets; ``targetCols`` and ``targetRows`` are inner corners or circles, ``tagCols`` ... tags."""
 ROBOT_CAL_TOOLS = dict.fromkeys(("rct_ros_tools::CharucoGridTargetFinderPlugin", "CharucoGridTargetFinder"), _charuco)
 """Target finders of robot_cal_tools, and of industrial_calibration, which it has become."""
