@@ -24,6 +24,8 @@ from calibration.engine.geometry.transforms import inverse, retract
 
 ESTIMATED = "estimated_intrinsics"
 """Key of ``_metadata``: the cameras whose intrinsics are an initial guess from the corners."""
+CHOSEN_MODELS = "chosen_lens_models"
+"""Key of ``_metadata``: those of them whose lens model was chosen, and is that of the guess."""
 Edge = tuple[str, str]
 """(parent, child); in a file it is the key ``parent-child``."""
 
@@ -207,7 +209,15 @@ class Dataset:
     @cached_property
     def guessed_cameras(self) -> tuple[str, ...]:
         """Cameras whose intrinsics are only an initial guess from the corners, as an import has made it."""
-        named = self.document.get("_metadata", {}).get(ESTIMATED) or ()
+        return self._named_in_metadata(ESTIMATED)
+
+    @cached_property
+    def cameras_of_unknown_model(self) -> tuple[str, ...]:
+        """Those of them whose lens model nobody has chosen."""
+        return tuple(name for name in self.guessed_cameras if name not in self._named_in_metadata(CHOSEN_MODELS))
+
+    def _named_in_metadata(self, key: str) -> tuple[str, ...]:
+        named = self.document.get("_metadata", {}).get(key) or ()
         return tuple(name for name in self.sensors if name in named)
 
     def missing_files_of(self, sensor: str) -> str:

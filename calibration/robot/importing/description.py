@@ -75,8 +75,8 @@ class SensorDescription:
         default=None,
     )
     model: Name | None = field(
-        "Lens model of the coefficients in that file, where it states none or a wrong one: plumb_bob, "
-        "rational_polynomial, equidistant (cv2.fisheye), eucm, double_sphere or omni.",
+        "Lens model of the coefficients in that file, where it states none or a wrong one; without a file, of the lens "
+        "that is calibrated: plumb_bob, rational_polynomial, equidistant (cv2.fisheye), eucm, double_sphere or omni.",
         default=None,
     )
     camera: Name | None = field("Its name in that file, where that has several: cam0.", default=None)

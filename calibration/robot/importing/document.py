@@ -1,6 +1,6 @@
 """Document of an imported dataset: ATOM's ``dataset.json``, version 3.0."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from calibration.engine.dataset.edges import pose_document, transform_documents
 from calibration.engine.dataset.lens_uncertainty import KEY as UNCERTAINTY
 from calibration.engine.dataset.lens_uncertainty import LensUncertainty, uncertainty_document
 from calibration.engine.dataset.modalities import MODALITIES
-from calibration.engine.dataset.model import ESTIMATED, Edge
+from calibration.engine.dataset.model import CHOSEN_MODELS, ESTIMATED, Edge
 from calibration.engine.dataset.pattern import pattern_document
 from calibration.engine.dataset.sensors import camera_document
 from calibration.engine.dataset.velocities import KEY as VELOCITIES
@@ -47,6 +47,8 @@ class Imported:
     """(N, 4, 4): at each moment."""
     rough: bool
     """Whether the calibrated transforms are only an initial guess."""
+    chosen: Collection[str] = ()
+    """Those of them whose lens model import.yml has."""
     uncertainties: Mapping[str, LensUncertainty] = field(default_factory=dict)
     """How well the intrinsics are known, of cameras whose file says so."""
     poses: Mapping[tuple[str, str], Array] = field(default_factory=dict)
@@ -92,6 +94,7 @@ def dataset_document(imported: Imported) -> dict[str, Any]:
             "user": USER,
             "version": "3.0",
             ESTIMATED: list(imported.estimated),
+            **({CHOSEN_MODELS: list(imported.chosen)} if imported.chosen else {}),
             ROUGH: imported.rough,
         },
         "additional_sensor_data": {},

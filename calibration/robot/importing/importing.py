@@ -51,7 +51,7 @@ from calibration.robot.importing.cloud_files import CLOUD_ENDINGS, cloud_view
 from calibration.robot.importing.description import Bags, ImportDescription, SensorDescription, Videos
 from calibration.robot.importing.document import Imported, data_file, dataset_document
 from calibration.robot.importing.files.baselines import with_baselines
-from calibration.robot.importing.files.camera_files import KnownLens, read_lens
+from calibration.robot.importing.files.camera_files import KnownLens, known_model, read_lens
 from calibration.robot.importing.files.pictures import Moment, Pictures, find_pictures, moments_of
 from calibration.robot.importing.files.samples import Sample, read_samples, same_numbers
 from calibration.robot.importing.files.target_files import pattern_configuration
@@ -106,6 +106,9 @@ def import_data(
     lenses = {
         each.name: read_lens(each.intrinsics, each.camera, each.model) for each in described.sensors if each.intrinsics
     }
+    models = {
+        each.name: known_model(config, each.model) for each in described.sensors if each.model and not each.intrinsics
+    }
     if described.samples is not None and not any(each.images for each in described.sensors):
         samples = read_samples(described.samples, described.in_hand)
         if not any(each.image for each in samples) and samples[0].T_camera_pattern is not None:
@@ -120,7 +123,7 @@ def import_data(
     ):
         tasks = [work.keeping(task) for task in source.tasks]
         seen = list(run_tasks(tasks, workers=jobs, find=work.find, done=done).values())
-        recorded = source.finish(seen, work.folder, jobs)
+        recorded = replace(source.finish(seen, work.folder, jobs), models=models)
         check_views(recorded)
         imported = imported_moments(robot, recorded)
         with replacing_dataset(output, overwrite) as new:

@@ -52,6 +52,8 @@ class Recorded:
     """(N, 6): of the frames that move at any moment, see `calibration.engine.dataset.velocities`."""
     boards: MovingBoards | None = None
     """What the motion of boards is taken from; None where all stands still."""
+    models: Mapping[str, str] = field(default_factory=dict)
+    """Lens models that are chosen, of cameras without given intrinsics."""
     notes: tuple[str, ...] = ()
     """What was read otherwise than recorded."""
 
@@ -92,8 +94,9 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
             raise InputError(f"'{name}' has no image in any moment")
         if (lens := recorded.lenses.get(name)) is not None:
             cameras[name] = _given_camera(name, lens, views[0])
+            _check_model(name, lens, recorded.models.get(name))
             continue
-        choice = _fitted_lens(name, configuration, views)
+        choice = _fitted_lens(name, configuration, views, recorded.models.get(name))
         cameras[name], lenses[name] = choice.guess, choice.reason
     kept = [i for i, moment in enumerate(moments) if any(view.labelled for view in moment.views.values())]
     ranges = _ranges(recorded, cameras)
@@ -104,6 +107,7 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
         cameras=cameras,
         uncertainties={name: known for name in cameras if (known := _uncertainty(recorded, name))},
         estimated=lenses,
+        chosen=[name for name in lenses if name in recorded.models],
         moments=[moments[i] for i in kept],
         ranges=[ranges[i] for i in kept],
         transforms={edge: T[kept] for edge, T in recorded.transforms.items()},
@@ -155,7 +159,7 @@ def check_seen(
         )
 
 
-def _fitted_lens(name: str, configuration: Configuration, views: Sequence[View]) -> LensChoice:
+def _fitted_lens(name: str, configuration: Configuration, views: Sequence[View], model: str | None) -> LensChoice:
     """Return an initial guess of the intrinsics, from the corners."""
     seen = [
         (configuration.patterns[pattern], labels)
@@ -163,7 +167,17 @@ def _fitted_lens(name: str, configuration: Configuration, views: Sequence[View])
         for pattern, found in view.found.items()
         if (labels := found.labels) is not None
     ]
-    return starting_intrinsics(name, (views[0].width, views[0].height), seen)
+    return starting_intrinsics(name, (views[0].width, views[0].height), seen, model)
+
+
+def _check_model(name: str, lens: KnownLens, model: str | None) -> None:
+    """Refuse another lens model than that of known intrinsics."""
+    known = lens.camera.distortion.ros_name
+    if model not in (None, known):
+        raise InputError(
+            f"{lens.path}: '{name}' has intrinsics of {known} there, found 'model: {model}' in import.yml, expected "
+            "the same: leave it out, or give 'intrinsics' of that model"
+        )
 
 
 def _given_camera(name: str, lens: KnownLens, view: View) -> Camera:

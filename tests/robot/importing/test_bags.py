@@ -96,6 +96,12 @@ def test_a_recording_is_all_that_it_takes(tmp_path: Path, kind: Kind) -> None:
     assert np.degrees(rad) < 0.05
 
 
+def test_another_lens_model_than_that_of_camera_info_is_refused(tmp_path: Path) -> None:
+    sensors = {camera: {"topic": f"/{camera}/image_raw", "model": "eucm"} for camera in CAMERAS}
+    with pytest.raises(InputError, match=r"has intrinsics of plumb_bob there, found 'model: eucm' in import\.yml"):
+        import_data(describe(record(tmp_path, "mcap", poses=3), sensors=sensors), tmp_path / "out", jobs=1)
+
+
 def test_without_frames_and_intrinsics_both_are_found(tmp_path: Path) -> None:
     config = describe(record(tmp_path, "mcap", poses=8, tf=False, info=False))
     results = import_data(config, tmp_path / "out", jobs=1)

@@ -71,6 +71,7 @@ def test_unknown_intrinsics_are_calibrated_from_an_initial_guess(tmp_path: Path)
     for path in (DATASETS / "t2rgb").glob("*_camera_*.jpg"):
         shutil.copy(path, folder)
     sensors = {camera: {"images": f"{camera}_*.jpg"} for camera in CAMERAS}
+    sensors[RIGHT]["model"] = "fisheye"
     (folder / "import.yml").write_text(json.dumps({"sensors": sensors, "patterns": {"board": BOARD}}))
     results = import_data(folder / "import.yml", tmp_path / "out", jobs=1)
     assert {each.intrinsics for each in results.sensors.values()} == {"estimated"}
@@ -80,9 +81,20 @@ def test_unknown_intrinsics_are_calibrated_from_an_initial_guess(tmp_path: Path)
         assert start is not None
         assert start.fx == pytest.approx(554.26, rel=0.01)
     calibration = calibrate(dataset, Options(description="rough", intrinsics=("all",)))
+    chosen = [calibration.dataset.sensors[camera].camera for camera in (LEFT, RIGHT)]
+    assert [each and each.distortion.ros_name for each in chosen] == ["plumb_bob", "equidistant"]
     focal, sigma = calibration.intrinsics[LEFT].values[0], calibration.intrinsics[LEFT].sigmas[0]
     assert focal == pytest.approx(554.256, abs=4 * sigma)
     assert 0 < sigma < 3
+
+
+def test_an_unknown_lens_model_is_bad_input(stereo: Path, tmp_path: Path) -> None:
+    change(stereo, "sensors", LEFT, "intrinsics", to=None)
+    change(stereo, "sensors", LEFT, "model", to="pinhole-ish")
+    with pytest.raises(
+        InputError, match=r"found the lens model 'pinhole-ish' in import\.yml, expected one of plumb_bob"
+    ):
+        import_data(stereo / "import.yml", tmp_path / "out", jobs=1)
 
 
 def test_a_killed_import_goes_on_where_it_was(stereo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,11 +12,14 @@ import yaml
 
 from calibration.__main__ import main
 from calibration.base.errors import InputError
+from calibration.base.records import read
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, transform
+from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.files.pictures import find_pictures, moments_of
+from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.importing import import_data
 from calibration.robot.labelling.tags import tag_dictionary
 from tests.robot.importing.conftest import change
@@ -181,7 +185,11 @@ def with_border_of_one() -> np.ndarray:
         (set_target(tagSize=0), "aprilgrid.yaml: tagSize: found 0, expected a number from 1e-06 to 1000"),
         (set_target(tagSpacing="wide"), "tagSpacing: found 'wide', expected a finite number"),
         (set_target(tagRows=100), "found 6 x 100 tags, expected 587 at most"),
-        (set_target(target_type="circlegrid"), "found 'circlegrid', expected one of aprilgrid, checkerboard"),
+        (set_target(target_type="rings"), "found 'rings', expected one of aprilgrid, checkerboard, circlegrid"),
+        (
+            set_target(target_type="circlegrid", targetCols=4, targetRows=11, spacingMeters=0.03),
+            "found no diameter for 'grid' in import.yml, expected 'diameter' beside 'target'",
+        ),
     ],
 )
 def test_what_is_wrong_is_named(
@@ -283,3 +291,17 @@ def test_the_board_is_behind_no_mirror(session: Path, tmp_path: Path) -> None:
     assert (T[:, 2, 3] > 0.5).all()
     assert (T[:, 2, 2] > 0).all()
     assert inverse(T)[0].shape == (4, 4)
+
+
+@pytest.mark.parametrize("kind", ["circles", "asymmetric-circles"])
+def test_a_grid_of_circles_is_that_of_our_own_keys(tmp_path: Path, kind: str) -> None:
+    """Kalibr's asymmetric grid: circle (row, column) at ((2 column + row % 2) spacing, row spacing)."""
+    own = {"columns": 4, "rows": 11, "spacing": 0.03, "diameter": 0.02}
+    target = {"target_type": "circlegrid", "targetCols": 4, "targetRows": 11, "spacingMeters": 0.03}
+    target["asymmetricGrid"] = kind == "asymmetric-circles"
+    (tmp_path / "circles.yaml").write_text(yaml.safe_dump(target))
+    patterns = {"ours": {"type": kind, **own}, "theirs": {"target": "circles.yaml", "diameter": 0.02}}
+    document = {"sensors": {"camera": {"images": "."}}, "patterns": patterns}
+    described = read(ImportDescription, document, "import.yml", tmp_path).patterns
+    ours, theirs = (pattern_configuration(replace(each, name="board"), "world") for each in described)
+    assert theirs == ours

@@ -42,7 +42,7 @@ def with_chosen_lenses(dataset: Dataset, options: Options) -> ChosenLenses:
         if camera is None or not views or not options.frees_intrinsics_of(name):
             continue
         named = options.lens.get(name)
-        if named == camera.distortion.ros_name or (named is None and name not in dataset.guessed_cameras):
+        if named == camera.distortion.ros_name or (named is None and name not in dataset.cameras_of_unknown_model):
             continue
         models = SIMPLEST_FIRST if named is None else (MODELS[named],)
         choice = fitting_lens(f"{dataset.path}: '{name}'", camera.width, camera.height, views, models)

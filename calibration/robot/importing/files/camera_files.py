@@ -100,7 +100,8 @@ def read_lens(path: Path, name: str | None = None, model: str | None = None) -> 
         InputError: the file cannot be read, has an unknown format, has several cameras or none of this name, or
             something in it is missing or wrong.
     """
-    found = _lens(read_structured(path, "a file of intrinsics"), name, _known_model(path, model))
+    chosen = None if model is None else known_model(path, model)
+    found = _lens(read_structured(path, "a file of intrinsics"), name, chosen)
     camera = found.camera
     if found.has_size and not (0 <= camera.cx <= camera.width and 0 <= camera.cy <= camera.height):
         raise InputError(
@@ -111,9 +112,14 @@ def read_lens(path: Path, name: str | None = None, model: str | None = None) -> 
     return found
 
 
-def _known_model(path: Path, model: str | None) -> str | None:
-    if model is None or (known := ALIASES.get(model, model)) in MODELS:
-        return model and known
+def known_model(path: Path, model: str) -> str:
+    """Return a lens model of import.yml by its name here.
+
+    Raises:
+        InputError: it is unknown; the message begins with the path.
+    """
+    if (known := ALIASES.get(model, model)) in MODELS:
+        return known
     raise InputError(f"{path}: found the lens model '{model}' in import.yml, expected one of {', '.join(MODELS)}")
 
 

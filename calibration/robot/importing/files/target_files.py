@@ -84,8 +84,8 @@ def _printed(pattern: PatternDescription) -> dict[str, Any]:
     if pattern.diameter is None or pattern.diameter >= printed["size"]:
         found = "no diameter" if pattern.diameter is None else f"a diameter of {pattern.diameter:g}"
         raise root.fault(
-            f"has circles {printed['size']:g} m apart, and not how large they are; found {found} of '{pattern.name}' in "
-            f"import.yml, expected that of a circle in m, less than the spacing: diameter: {0.6 * printed['size']:g}"
+            f"has the spacing of the circles, {printed['size']:g} m, not their diameter; found {found} for "
+            f"'{pattern.name}' in import.yml, expected 'diameter' beside 'target': a circle's, m, less than the spacing"
         )
     return printed | {"inner_size": pattern.diameter}
 
