@@ -90,6 +90,8 @@ class PatternConfiguration:
 
     tags: tuple[PlacedTag, ...] = ()
     """Of kind tags."""
+    known_pose: bool = False
+    """Whether its pose on its parent is as exact as its print, and so is not calibrated."""
 
     def pattern(self, version: str = "3.0") -> Pattern:
         """Return the geometry of the pattern in a dataset of this version."""
@@ -108,7 +110,7 @@ class PatternConfiguration:
             origin = corner_origin(self.kind, version, self.size)
             corners = grid(columns, rows, self.size, origin)
             border = outline(columns, rows, self.size, self.border_size, origin)
-        return Pattern(self.name, self.kind, self.link, self.parent_link, self.fixed, corners, border)
+        return Pattern(self.name, self.kind, self.link, self.parent_link, self.fixed, corners, border, self.known_pose)
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,8 @@ class Configuration:
     patterns: Mapping[str, PatternConfiguration]
     anchored_sensor: str | None = None
     additional_tfs: Mapping[str, Edge] = field(default_factory=dict)
+    moving_tfs: tuple[str, ...] = ()
+    """Those of them that are known to differ between collections; not in the document."""
     joints: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """The parameters to calibrate of each joint, such as ("origin_yaw",)."""
     description_file: str = ""
@@ -170,6 +174,7 @@ class Configuration:
                     **({"first_marker": pattern.first_marker} if pattern.first_marker else {}),
                     **({"tags": [vars(tag) for tag in pattern.tags]} if pattern.tags else {}),
                     **({"inverted": True} if pattern.inverted else {}),
+                    **({"known_pose": True} if pattern.known_pose else {}),
                 }
                 for pattern in self.patterns.values()
             },
@@ -269,6 +274,7 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
         spacing=node["spacing"].within(MIN_SPACING, MAX_SPACING) if tags else 0.0,
         first_marker=first,
         inverted=inverted.flag() if (inverted := node.get("inverted")) else False,
+        known_pose=known.flag() if (known := node.get("known_pose")) else False,
     )
 
 
@@ -292,6 +298,7 @@ def _tag_list(name: str, node: Node) -> PatternConfiguration:
         dictionary=node["dictionary"].name(),
         mesh_file=_text(node, "mesh_file"),
         inverted=inverted.flag() if (inverted := node.get("inverted")) else False,
+        known_pose=known.flag() if (known := node.get("known_pose")) else False,
         tags=tags,
     )
 

@@ -65,6 +65,8 @@ class Pattern:
     """(K, 3): inner corners, corners of an aprilgrid's tags, or centres of circles, by label id; z = 0."""
     outline: Array
     """(4, 2): the corners of the physical border: top left, top right, bottom right, bottom left."""
+    known_pose: bool = False
+    """Whether its pose on its parent is as exact as its print, such as that of a side of a body."""
 
     @cached_property
     def centre(self) -> Array:

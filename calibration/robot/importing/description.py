@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
+from calibration.base.arrays import Array
 from calibration.base.records import (
     ByName,
     Converted,
@@ -24,6 +25,7 @@ from calibration.engine.dataset.configuration import (
     TAGS,
 )
 from calibration.engine.dataset.pattern import CIRCLES, MAX_MARKER, MAX_SIZE, UNMARKED, PatternKind, PlacedTag
+from calibration.engine.geometry.transforms import from_xyz_rpy
 from calibration.robot.importing.files.samples import Samples
 from calibration.robot.robot_description import XacroInputs
 from calibration.robot.simulation.description import Pose
@@ -101,6 +103,42 @@ class SensorDescription:
         return self.frame or f"{self.name}_optical_frame"
 
 
+@record
+class TagOnBody(PlacedTag):
+    """A tag, and where it is on the body of its pattern."""
+
+    z: Annotated[float, between(-MAX_SIZE, MAX_SIZE)] = field("Likewise, away from who sees it, m (0).", default=0.0)
+    roll: Annotated[float, between(-7, 7)] = field("Beside yaw, about x, as URDF's rpy, rad (0).", default=0.0)
+    pitch: Annotated[float, between(-7, 7)] = field("Likewise, about y, rad (0).", default=0.0)
+
+    @property
+    def flat(self) -> PlacedTag:
+        """Itself in the plane of x and y."""
+        return PlacedTag(self.id, self.size, self.x, self.y, self.yaw)
+
+    @property
+    def T_body_tag(self) -> Array:
+        """(4, 4)."""
+        return from_xyz_rpy([self.x, self.y, self.z], [self.roll, self.pitch, self.yaw])
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it is in the plane of x and y."""
+        return not (self.z or self.roll or self.pitch)
+
+
+@record
+class BodyDescription:
+    """A body that carries patterns, whose pose is calibrated."""
+
+    name: str
+    parent: Name | None = field(
+        "Frame that it is mounted on (the world); on any other it is fixed, and its pose there calibrated.",
+        default=None,
+    )
+    fixed: bool | None = field("Whether it has one pose there, or one in each collection.", default=None)
+
+
 _OF_KIND: Mapping[PatternKind, tuple[str, ...]] = {
     "charuco": ("columns", "rows", "square", "marker", "dictionary"),
     "chessboard": ("columns", "rows", "square"),
@@ -146,8 +184,9 @@ class PatternDescription:
         default=None,
     )
     diameter: Size | None = field("Diameter of a circle, m.", default=None)
-    tags: Annotated[tuple[PlacedTag, ...], length(1, 1000)] | None = field(
-        "Tags or markers in one plane, each once: one on a flange or a wall, or several.", default=None
+    tags: Annotated[tuple[TagOnBody, ...], length(1, 1000)] | None = field(
+        "Tags or markers, each once: one on a flange or a wall, several in a plane, or on the sides of a body.",
+        default=None,
     )
     first: Annotated[int, between(0, MAX_MARKER)] | None = field(
         "Lowest id of its markers or tags, where boards of one dictionary are told apart (0).", default=None
@@ -163,7 +202,8 @@ class PatternDescription:
     fixed: bool | None = field("Whether it has one pose there, or one in each collection.", default=None)
     frame: Name | None = field("Its own frame (its name and _link).", default=None)
     pose: Pose | None = field(
-        "Its known pose on its parent, to be held (hold) where the recording does not determine it.", default=None
+        "Its known pose on its parent, to be held (hold) where the recording does not determine it; on a body it is.",
+        default=None,
     )
 
     def __post_init__(self) -> None:
@@ -182,6 +222,8 @@ class PatternDescription:
             raise Misfit(f"found '{stray[0]}', expected the keys of {_a(self.type)}: {', '.join(needed)}")
         if self.tags and len({tag.id for tag in self.tags}) < len(self.tags):
             raise Misfit("found an id twice, expected each tag once", "tags")
+        if self.pose is not None and not self.is_flat:
+            raise Misfit("found 'pose' of tags on several sides, whose pose on the parent is calibrated", "pose")
         if self.type in (*UNMARKED, "tags") and self.first is not None:
             raise Misfit("found 'first', expected it of a board with markers", "first")
         if self.type == "aprilgrid" and (self.first or 0) + (self.columns or 0) * (self.rows or 0) > TAG_COUNT:
@@ -200,6 +242,11 @@ class PatternDescription:
     def is_printed(self) -> bool:
         """Whether the print is described, so that it can be detected in images."""
         return self.target is not None or self.type is not None
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether all is in one plane."""
+        return all(tag.is_flat for tag in self.tags or ())
 
     def check_printed(self) -> None:
         """Refuse a pattern that cannot be detected.
@@ -258,6 +305,10 @@ class ImportDescription:
     """Recorded data, and the calibration's configuration."""
 
     patterns: Annotated[tuple[PatternDescription, ...], ByName()] = field("By their names.")
+    bodies: Annotated[tuple[BodyDescription, ...], ByName()] = field(
+        "What carries several patterns, as the sides of a box, by name: the parent of these.",
+        default=(),
+    )
     sensors: Annotated[tuple[SensorDescription, ...], ByName()] = field(
         "By their names; for a bag, every topic of images unless given.", default=()
     )
@@ -314,6 +365,10 @@ class ImportDescription:
     def root(self) -> str:
         """The frame that all others hang on, where no recording tells it."""
         return self.world or "world"
+
+    def is_fixed(self, each: "PatternDescription | BodyDescription") -> bool:
+        """Whether a pattern or a body has one pose on its parent."""
+        return (each.parent or self.root) != self.root if each.fixed is None else each.fixed
 
     @property
     def in_hand(self) -> bool:

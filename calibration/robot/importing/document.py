@@ -73,6 +73,18 @@ class Imported:
         return [f"{number:03d}" for number in range(len(self.moments))]
 
 
+def _kinds_of_transforms(configuration: Configuration) -> dict[str, Any]:
+    """Return whether each additional transform is one or one in each collection, whatever the guesses are."""
+    return {
+        f"{parent}-{child}": {
+            "parent": parent,
+            "child": child,
+            "type": "multiple" if name in configuration.moving_tfs else "fixed",
+        }
+        for name, (parent, child) in configuration.additional_tfs.items()
+    }
+
+
 def _moving(imported: Imported, number: int) -> dict[str, Any]:
     return velocity_documents(imported.velocities, imported.accelerations, number)
 
@@ -99,6 +111,7 @@ def dataset_document(imported: Imported) -> dict[str, Any]:
         },
         "additional_sensor_data": {},
         "calibration_config": configuration.to_document(),
+        **({"transforms": _kinds_of_transforms(configuration)} if configuration.additional_tfs else {}),
         "sensors": {name: _sensor(imported, sensor) for name, sensor in configuration.sensors.items()},
         "patterns": {name: pattern_document(p.pattern(), {}) for name, p in configuration.patterns.items()},
         "collections": {

@@ -60,6 +60,7 @@ from calibration.robot.importing.patterns.contact_sheet import contact_sheet
 from calibration.robot.importing.patterns.image_views import LabelledMoment, check_copies, view_of_file
 from calibration.robot.importing.patterns.near_miss import check_told_apart
 from calibration.robot.importing.patterns.range_data import LabelledRange
+from calibration.robot.importing.patterns.sides import body_edges, carriers, moving_bodies, with_sides
 from calibration.robot.importing.recorded import Recorded, check_seen, check_views, imported_moments
 from calibration.robot.importing.results import ImportResults, LeftOut, RejectedView, SensorResult
 from calibration.robot.importing.videos import extracted_frames, frame_tasks, frames_by_camera, survey_videos
@@ -79,7 +80,8 @@ def read_description(path: Path) -> ImportDescription:
     Raises:
         InputError: it cannot be read, or something in it is missing or wrong.
     """
-    return read(ImportDescription, read_yaml(path, "the description of an import"), str(path), path.parent)
+    described = read(ImportDescription, read_yaml(path, "the description of an import"), str(path), path.parent)
+    return with_sides(described)
 
 
 def import_data(
@@ -208,7 +210,14 @@ def _opened_source(described: ImportDescription, lenses: Mapping[str, KnownLens]
 
 
 def _patterns(described: ImportDescription, root: str | None = None) -> dict[str, PatternConfiguration]:
-    patterns = {each.name: pattern_configuration(each, described.root, root) for each in described.patterns}
+    bodies = [each.name for each in described.bodies]
+    patterns = {
+        each.name: replace(
+            pattern_configuration(each, described.root, root),
+            known_pose=each.pose is not None and each.parent in bodies,
+        )
+        for each in described.patterns
+    }
     check_told_apart(patterns)
     return patterns
 
@@ -401,7 +410,7 @@ def _configuration(
     sensors = {
         each.name: _sensor(each, described.root, LIDAR3D if each.clouds else modality) for each in described.sensors
     }
-    mounted = {pattern.parent_link for pattern in patterns.values() if pattern.fixed}
+    mounted = carriers(described, [pattern.parent_link for pattern in patterns.values() if pattern.fixed])
     if described.samples is not None:
         tool = described.samples.tool
         if tool not in mounted and all(sensor.parent_link != tool for sensor in sensors.values()):
@@ -411,7 +420,14 @@ def _configuration(
             )
     moves = described.samples is None and not mounted
     anchored = described.anchored or (next(iter(sensors)) if moves else None)
-    return Configuration(world_link=described.root, sensors=sensors, patterns=patterns, anchored_sensor=anchored)
+    return Configuration(
+        world_link=described.root,
+        sensors=sensors,
+        patterns=patterns,
+        anchored_sensor=anchored,
+        additional_tfs=body_edges(described),
+        moving_tfs=moving_bodies(described),
+    )
 
 
 def _sensor(described: SensorDescription, world: str, modality: Modality) -> SensorConfiguration:
@@ -482,6 +498,8 @@ def _transforms(configuration: Configuration, arm: Mapping[Edge, Array], count: 
     transforms = dict(arm)
     for sensor in configuration.sensors.values():
         transforms.setdefault((sensor.parent_link, sensor.child_link), unknown)
+    for edge in configuration.additional_tfs.values():
+        transforms.setdefault(edge, unknown)
     children = {child for _, child in transforms}
     parents = dict.fromkeys(
         [*(parent for parent, _ in transforms), *(pattern.parent_link for pattern in configuration.patterns.values())]

@@ -76,7 +76,8 @@ def build(
     """
     dataset, ignored = usable_labels(dataset)
     blocks = (*_blocks(dataset), *intrinsics_blocks(dataset, intrinsics, intrinsics_covariance or {}))
-    blocks = held_blocks(dataset, blocks, hold)
+    known = [pattern.name for pattern in dataset.patterns.values() if pattern.known_pose]
+    blocks = held_blocks(dataset, blocks, (*hold, *known))
     groups = tuple(_groups(dataset, blocks))
     gauge = free_gauge(dataset, groups, blocks)
     fixing = [dataset.sensors[gauge.sensor].edge] if gauge.sensor else []

@@ -28,6 +28,7 @@ from calibration.robot.importing.description import Bags, ImportDescription, Sen
 from calibration.robot.importing.patterns.contact_sheet import thumbnail, thumbnail_of
 from calibration.robot.importing.patterns.image_views import LabelledMoment, View, view_of_image
 from calibration.robot.importing.patterns.png import encoded
+from calibration.robot.importing.patterns.sides import body_edges, carriers, moving_bodies
 from calibration.robot.importing.results import RejectedView
 from calibration.robot.labelling.detection import CornerDetector, DepthImage, Image
 
@@ -268,8 +269,9 @@ class Mounting:
             InputError: there is no record of one near a time.
         """
         found = {edge: np.stack([log.transform(edge, time) for time in times]) for edge in self.edges}
-        for sensor in self.configuration.sensors.values():
-            edge = (sensor.parent_link, sensor.child_link)
+        sensors = self.configuration.sensors.values()
+        calibrated = [(each.parent_link, each.child_link) for each in sensors]
+        for edge in (*calibrated, *self.configuration.additional_tfs.values()):
             if edge not in found:
                 found[edge] = np.broadcast_to(np.eye(4), (len(times), 4, 4))
         return found
@@ -293,7 +295,9 @@ def mounting(
     tree, parent_of = FrameTree(edges), {child: parent for parent, child in edges}
     known, world = set(tree.frames), described.root
     sensors = {name: _sensor(each, world, parent_of, found.log, where) for name, each in found.sensors.items()}
-    ends = [*(sensor.parent_link for sensor in sensors.values()), *(each.parent_link for each in patterns.values())]
+    bodies = body_edges(described)
+    carrying = [bodies[parent][0] if (parent := each.parent_link) in bodies else parent for each in patterns.values()]
+    ends = [*(sensor.parent_link for sensor in sensors.values()), *carrying]
     if stray := [frame for frame in ends if frame != world and frame not in known]:
         raise InputError(
             f"{where}: found no frame '{stray[0]}', expected one of those that were recorded: "
@@ -310,9 +314,10 @@ def mounting(
             )
     for child in several:
         found.log.left_out.add("a second parent", child)
-    mounted = any(pattern.fixed for pattern in patterns.values())
+    mounted = carriers(described, [each.parent_link for each in patterns.values() if each.fixed])
     anchored = described.anchored or (None if mounted else next(iter(sensors)))
-    return Mounting(Configuration(world, sensors, patterns, anchored), tuple(used))
+    moving = moving_bodies(described)
+    return Mounting(Configuration(world, sensors, patterns, anchored, bodies, moving), tuple(used))
 
 
 def _fault_of_robot(log: MotionLog) -> str:

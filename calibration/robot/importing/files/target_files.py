@@ -52,7 +52,11 @@ def pattern_configuration(described: PatternDescription, world: str, root: str |
 
 def _described(pattern: PatternDescription) -> dict[str, Any]:
     if pattern.tags:
-        keys = {"size": pattern.tags[0].size, "dictionary": pattern.dictionary, "tags": pattern.tags}
+        keys = {
+            "size": pattern.tags[0].size,
+            "dictionary": pattern.dictionary,
+            "tags": tuple(each.flat for each in pattern.tags),
+        }
         return {"kind": "tags", "dimension": (len(pattern.tags), 1)} | keys
     if pattern.type in CIRCLES:
         size, diameter = pattern.spacing, pattern.diameter
