@@ -19,11 +19,11 @@ MAX_CORRECTED = 0.3
 """Limit of the share of a code's wrong bits that are corrected, of those that can be: a single tag has no neighbours
 that confirm it."""
 MIN_SIDE = 16.0
-"""Minimum side of a tag, px."""
+"""Minimum height of a tag above its longest side, px."""
 POSITIONS = np.linspace(0.08, 0.92, 43)
 """Positions along a side where its edge is looked for; the rest is rounded by blur."""
 DEPTH = 0.45
-"""How far an edge is looked for to each side, in modules: a tag's black border is one wide."""
+"""How far an edge is looked for to each side, in modules as seen across it: a tag's black border is one wide."""
 ROUNDS = 3
 """Number of times that the sides are fitted, each from the corners before."""
 MIN_EDGES = 0.6
@@ -84,13 +84,15 @@ def refined_corners(image: Image, corners: Array, modules: int) -> Array | None:
     for _ in range(ROUNDS):
         sides = np.roll(corners, -1, axis=0) - corners
         lengths = np.linalg.norm(sides, axis=-1)
-        if lengths.min() < MIN_SIDE:
+        x, y = (corners - np.roll(corners, 2, axis=0))[:2].T  # the diagonals
+        height = abs(x[0] * y[1] - x[1] * y[0]) / 2 / lengths.max()
+        if height < MIN_SIDE:
             return None
         along = sides / lengths[:, None]
         outwards = np.stack([along[:, 1], -along[:, 0]], -1)
         fits = []
         for corner, side, out, length in zip(corners, sides, outwards, lengths, strict=True):
-            reach = DEPTH * lengths.min() / modules
+            reach = DEPTH * height / modules
             edge = _edge(image, corner + POSITIONS[:, None] * side, out, reach)
             found = np.isfinite(edge)
             if found.mean() < MIN_EDGES:

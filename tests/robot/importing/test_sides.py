@@ -27,7 +27,7 @@ HALF, TURN = 0.1, np.pi / 2
 CUBE: dict[str, Any] = {
     "type": "tags",
     "dictionary": "DICT_APRILTAG_36h11",
-    "border": 0.02,
+    "border": 0.025,
     "tags": [
         {"id": 0, "size": 0.15, "z": -HALF},
         {"id": 1, "size": 0.15, "x": -HALF, "pitch": TURN},
