@@ -187,19 +187,33 @@ def _table(dataset: Dataset) -> tuple[str | None, str]:
         "lidar": product((name for name, kind in kinds.items() if kind == "lidar"), cameras),
         "depth": product((name for name, kind in kinds.items() if kind == "depth camera"), cameras),
     }
-    seen = {name: _collections_of(dataset, name) for name in dataset.sensors}
     for word, pairs in pairs_of.items():
-        shared = {pair: len(seen[pair[0]] & seen[pair[1]]) for pair in pairs}
-        one, other = best = max(shared, key=shared.__getitem__, default=("", ""))
-        if shared.get(best, 0) >= SHARED:
+        shared = {pair: _most_shared(dataset, *pair) for pair in pairs}
+        one, other = best = max(shared, key=lambda pair: shared[pair][0], default=("", ""))
+        count, pattern = shared.get(best, (0, ""))
+        if count >= SHARED:
             what = f"the corners that {one} sees, in" if word == "rgb" else f"the points of {one} against"
-            return f"{word}-to-rgb:{one}:{other}", f"{what} the images of {other}; {shared[best]} collections have both"
+            return (
+                f"{word}-to-rgb:{one}:{other}{pattern}",
+                f"{what} the images of {other}; {count} collections have both",
+            )
     if len(cameras) == 1 and any(pattern.fixed for pattern in dataset.patterns.values()):
-        only = cameras[0]
-        return f"inter-collection-rgb-to-rgb:{only}:{only}", "each view of the pattern carried to all others by the arm"
+        both = f"{cameras[0]}:{cameras[0]}{_most_shared(dataset, cameras[0], cameras[0])[1]}"
+        return f"inter-collection-rgb-to-rgb:{both}", "each view of the pattern carried to all others by the arm"
     if trackers := [name for name, kind in kinds.items() if kind == "tracker"]:
-        return f"measured-poses:{trackers[0]}", "the poses as they were measured, against those of the result"
+        named = f"{trackers[0]}{_most_shared(dataset, trackers[0], trackers[0])[1]}"
+        return f"measured-poses:{named}", "the poses as they were measured, against those of the result"
     return None, ""
+
+
+def _most_shared(dataset: Dataset, one: str, other: str) -> tuple[int, str]:
+    """Return in how many collections two sensors see the same pattern, and, of several, ":" and the one most seen."""
+    counts = {
+        pattern: sum({(pattern, one), (pattern, other)} <= each.labels.keys() for each in dataset.collections)
+        for pattern in dataset.patterns
+    }
+    most = max(counts, key=counts.__getitem__)
+    return counts[most], f":{most}" if len(counts) > 1 else ""
 
 
 def _collections_of(dataset: Dataset, sensor: str) -> set[int]:

@@ -42,6 +42,15 @@ def test_corners_are_where_the_truth_projects_them(pattern: PatternConfiguration
     assert np.sqrt((np.concatenate(off) ** 2).sum(-1).mean()) < 0.06
 
 
+@pytest.mark.parametrize("roll", [0.0, 0.4, 0.8])
+def test_corners_of_a_tag_at_a_grazing_angle(roll: float) -> None:
+    """A module is as narrow as the tag is seen: edges beyond it are those of the next one, pixels away."""
+    T = facing(ONE, 0.35, 1.25, 0.8, roll)
+    found = corner_detector(ONE).detect(rendered(ONE, T))
+    assert isinstance(found, CornerLabels), found
+    assert np.abs(found.pixels - VGA.project(apply(T, ONE.pattern().corners))).max() < 0.5
+
+
 def test_a_hidden_tag_is_left_out() -> None:
     T = facing(SEVERAL, 0.8, 0.3)
     image = rendered(SEVERAL, T)
