@@ -43,7 +43,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 NO_SHARED_DATA = "needs ../shared/data beside the project"
 NEEDS_ROOT = "needs root"
 
-WAITING = ("e2e", "integration", "recorder")
+WAITING = {"e2e", "integration", "recorder"}
 """Folders of tests that mostly wait, for an engine or a browser."""
 BEGUN = 0.8
 """Share of the other tests, of each worker, among which these are spread: the longest begins in time."""
@@ -95,7 +95,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     waiting: list[pytest.Item] = []
     others: list[pytest.Item] = []
     for item in items:
-        (waiting if item.path.relative_to(PROJECT).parts[1] in WAITING else others).append(item)
+        (waiting if {*item.path.relative_to(PROJECT).parts} & WAITING else others).append(item)
     files = list(dict.fromkeys(item.path for item in waiting))
     each_file = {file: [item for item in waiting if item.path == file] for file in files}
     ordered: list[pytest.Item] = []

@@ -74,6 +74,7 @@ def shaken(dataset: Dataset, sigma: float, seed: int) -> Dataset:
     return dataset.with_transforms({edge: retract(T, sigma * rng.normal(size=(len(T), 6)))})
 
 
+@pytest.mark.many_scenes
 def test_an_arms_repeatability_widens_them_by_its_error() -> None:
     scores, alone = [], []
     for seed in range(12):

@@ -155,6 +155,7 @@ def test_depth_cameras_have_none_either():
 
 
 @pytest.mark.parametrize("name", LENSES)
+@pytest.mark.many_scenes
 def test_the_errors_are_as_large_as_stated(name):
     """NEES (Y. Bar-Shalom et al., 2001) of each camera's intrinsics and of the pose between them."""
     own, poses, scenes = [], [], 15

@@ -73,6 +73,7 @@ BOTH = {"c0": known(), "c1": known()}
 SCENES = 15
 
 
+@pytest.mark.many_scenes
 def test_considered_intrinsics_widen_the_result_as_much_as_they_move_it():
     options = Options(loss="linear", assume=EXACT, noise_levels=NOISE, intrinsics_covariance=BOTH)
     _, poses = scores(options, SCENES)
@@ -81,6 +82,7 @@ def test_considered_intrinsics_widen_the_result_as_much_as_they_move_it():
     assert overconfident > 10
 
 
+@pytest.mark.many_scenes
 def test_a_prior_is_one_more_measurement():
     own, poses = scores(
         Options(loss="linear", assume=EXACT, noise_levels=NOISE, intrinsics=("all",), intrinsics_covariance=BOTH),
@@ -90,6 +92,7 @@ def test_a_prior_is_one_more_measurement():
     assert abs(poses - 1) < 4 * np.sqrt(2 / (6 * SCENES))
 
 
+@pytest.mark.many_scenes
 def test_one_camera_calibrated_but_for_two_fixed_parameters_the_other_considered():
     hold = ("intrinsics-c0-k1", "intrinsics-c0-cx")
     own, poses = scores(

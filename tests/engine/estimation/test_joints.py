@@ -106,6 +106,7 @@ def test_fixed_joints_and_parameters():
 
 
 @pytest.mark.parametrize("case", ["one angle", "a prismatic encoder", "a whole origin", "angles in a row"])
+@pytest.mark.many_scenes
 def test_the_errors_are_as_large_as_stated(case):
     scores, normalised, scenes = [], [], 25
     for seed in range(scenes):
@@ -121,6 +122,7 @@ def test_the_errors_are_as_large_as_stated(case):
     assert abs(np.mean(z**2) - 1) < 6 * np.sqrt(2 / freedom)  # parameters of a joint are correlated
 
 
+@pytest.mark.many_scenes
 def test_the_mount_and_the_base_keep_honest_errors_beside_a_joint():
     scores = []
     for seed in range(20):

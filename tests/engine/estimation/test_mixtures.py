@@ -48,6 +48,7 @@ def test_exact_labels_give_the_truth_from_every_starting_noise(mixture):
 @pytest.mark.parametrize(
     "mixture", ["camera and 2D lidar", "tripod with gaps", "linked by an arm", "linked by a 2D lidar"]
 )
+@pytest.mark.many_scenes
 def test_the_errors_of_every_block_are_as_large_as_stated(mixture):
     scenes = 20
     squares: dict[tuple[str, str], list[float]] = {}

@@ -78,6 +78,7 @@ def test_every_start_gives_the_same():
         assert sigmas_apart(first, again) < 1e-5
 
 
+@pytest.mark.many_scenes
 def test_errors_match_the_covariance():
     scores = []
     for seed in range(16):

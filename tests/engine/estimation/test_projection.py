@@ -55,6 +55,7 @@ def corners_of(dataset: Dataset) -> Array:
 
 
 @pytest.mark.parametrize("name", LENSES)
+@pytest.mark.many_scenes
 def test_the_map_is_the_scatter_of_calibrations_of_other_recordings(name: str) -> None:
     model = LENSES[name]
     first = calibrate(scene(model, 0), OPTIONS)

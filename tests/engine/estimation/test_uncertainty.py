@@ -36,6 +36,7 @@ def error(result: Calibration, truth: dict[Edge, Array], edge: Edge) -> Array:
 
 
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.many_scenes
 def test_the_errors_are_as_large_as_stated(case):
     make, changes, edge = CASES[case]
     options = Options(loss="huber" if case in ("rig", "two bodies") else "linear")
