@@ -14,7 +14,7 @@ from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.board_corners import enough, find_corners
 from calibration.robot.labelling.detection import Image, NotDetected, grey
 from calibration.robot.labelling.layouts import TEXELS, Layout, Reading, readings
-from calibration.robot.labelling.markers import MarkerFinder, Markers
+from calibration.robot.labelling.markers import TOUCHED, MarkerFinder, Markers
 from calibration.robot.labelling.printed_corners import PrintedPatches
 from calibration.robot.labelling.tags import BORDER, MODULES, corner_ids, corner_places, drawn, tag_dictionary, unit
 
@@ -46,7 +46,7 @@ class AprilgridDetector:
         self._corners = corner_places(columns, rows, pattern.spacing)
         self._clearance = min(pattern.spacing, BORDER / MODULES) / unit(pattern.spacing)
         self._first, self._count = first, columns * rows
-        self._finder = MarkerFinder(tag_dictionary(), TAG_COUNT, BORDER)
+        self._finder = MarkerFinder(tag_dictionary(), TAG_COUNT, BORDER, windows=TOUCHED)
         patches = PrintedPatches(drawn(columns, rows, pattern.spacing, TEXELS, first), TEXELS, self._corners)
         self._layout = Layout(self._corners[corner_ids(columns, rows)], patches)
 

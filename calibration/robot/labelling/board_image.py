@@ -23,6 +23,8 @@ LEAST_MISFIT, LEAST_SHARE = 0.15, 0.005
 
 The fraction allows for strong distortion near the border of a board, where neighbours are on one side only.
 """
+CLEARLY = 0.65
+"""If all misfits are below this share of their limits, there is no outlier."""
 DOUBTFUL = 5.0
 """A corner is an outlier if its misfit exceeds this multiple of the median."""
 
@@ -141,6 +143,8 @@ def fits_neighbours(places: Array, pixels: Array) -> BoolArray:
         with np.errstate(invalid="ignore"):  # if the points determine no homography all is NaN, and no point agrees
             side = np.sqrt(np.abs(np.linalg.det(predicted.jacobians)))
         limit = np.maximum(LEAST_SHARE * side, max(LEAST_MISFIT, DOUBTFUL * median(misfit)))
+        if (misfit < CLEARLY * limit).all():
+            break  # no weight would change by much
         weights = 1 / (1 + (2 * misfit / limit) ** 4)
     fits: BoolArray = misfit <= limit
     return fits

@@ -22,6 +22,13 @@ APRILTAG = "DICT_APRILTAG_"
 """Begin of the names of OpenCV's dictionaries of AprilTag's families."""
 FIRST_36H11 = 0xD5D628584
 """Code of the first tag of AprilTag's family 36h11, upright: 36 modules row by row from the highest bit; 1 is white."""
+Windows = tuple[tuple[int, int], tuple[int, int]]
+"""The least and the largest window of a threshold (px, in steps of 10): in an image, and in an enlarged one."""
+APART: Windows = (9, 9), (7, 17)
+"""For markers with white around them."""
+TOUCHED: Windows = (3, 13), (5, 15)
+"""For tags whose corners touch black squares, which larger windows join: in 14 rendered boards of 36 tags (640 x 480)
+an image gives 297 tags (21 with `APART`), an enlarged one 390 (342)."""
 Box = tuple[int, int, int, int]
 """Left, top, right and bottom of a part of an image (px); right and bottom are outside."""
 
@@ -46,7 +53,13 @@ class MarkerFinder:
     """Minimum side of a marker (px)."""
 
     def __init__(
-        self, dictionary: "cv2.aruco.Dictionary", count: int, border: int = 1, first: int = 0, correction: float = 0.9
+        self,
+        dictionary: "cv2.aruco.Dictionary",
+        count: int,
+        border: int = 1,
+        first: int = 0,
+        correction: float = 0.9,
+        windows: Windows = APART,
     ) -> None:
         """Create the detector.
 
@@ -56,9 +69,11 @@ class MarkerFinder:
             border: width of the black border around a marker's bits, in modules.
             first: the id in the dictionary of marker 0.
             correction: share of the wrong bits of a code that are corrected, of those that can be.
+            windows: of the adaptive thresholds.
         """
-        self._plain = cv2.aruco.ArucoDetector(dictionary, _parameters((9, 9), border, correction))
-        self._fine = cv2.aruco.ArucoDetector(dictionary, _parameters((7, 17), border, correction))
+        self._plain, self._fine = (
+            cv2.aruco.ArucoDetector(dictionary, _parameters(each, border, correction)) for each in windows
+        )
         self._first, self._count = first, count
 
     def find(self, image: Image) -> Markers:

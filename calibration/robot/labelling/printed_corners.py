@@ -68,34 +68,41 @@ def angles(jacobians: Array) -> Array:
 
 def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
     """Refine corners (K, 2) with windows of one size; failed ones have arbitrary values."""
-    height, width = image.shape
     corners, found = _nearly(image, start, half), np.zeros(len(start), bool)
+    low, high = np.maximum(start - half, half + 1), np.minimum(start + half, np.array(image.shape[::-1]) - half - 3)
+    # Of the corners that go on only, compacted when some of them end: most iterations end none.
+    active, at = np.arange(len(start)), corners.copy()
     cells, moments = np.full((len(start), 2), -1), np.zeros((len(start), 5, 16))
-    active = np.arange(len(start))
     for _ in range(STEPS):
-        at = corners[active]
-        near = np.abs(at - start[active]).max(axis=-1) <= half
-        inside = ((at >= half + 1) & (at < np.array([width, height]) - half - 3)).all(axis=-1)
-        active, at = active[near & inside], at[near & inside]
+        kept = (at >= low) & (at < high)
+        if not kept.all():
+            kept = kept.all(axis=-1)
+            active, at, low, high, cells, moments = (each[kept] for each in (active, at, low, high, cells, moments))
         whole = np.floor(at).astype(int)
-        if (elsewhere := (whole != cells[active]).any(axis=-1)).any():
-            moments[active[elsewhere]] = _moments(image, whole[elsewhere], half).reshape(-1, 5, 16)
-            cells[active] = whole
-        x, y = (at - whole).T
-        share = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], -1)
+        if (whole != cells).any():
+            elsewhere = (whole != cells).any(axis=-1)
+            moments[elsewhere] = _moments(image, whole[elsewhere], half).reshape(-1, 5, 16)
+            cells = whole
+        ends = np.empty((len(at), 2, 2))  # weights of the pixels before and behind, along x and y
+        ends[:, 1] = at - whole
+        ends[:, 0] = 1 - ends[:, 1]
+        share = (ends[:, :, 1, None] * ends[:, None, :, 0]).reshape(-1, 4)
         products = (share[:, :, None] * share[:, None]).reshape(-1, 16, 1)
-        a, b, c, u, v = (moments[active] @ products)[..., 0].T
+        a, b, c, u, v = (moments @ products)[..., 0].T
         det = a * c - b * b
         regular = det > FLAT * (a + c) ** 2
-        safe = np.where(regular, det, 1.0)
-        step = np.stack([c * u - b * v, a * v - b * u], -1) / safe[:, None]
-        active, step = active[regular], step[regular]
-        corners[active] += step
-        ended = np.abs(step).max(axis=-1) < STOP
-        found[active[ended]] = True
-        active = active[~ended]
-        if not len(active):
-            break
+        step = np.empty_like(at)
+        step[:, 0], step[:, 1] = c * u - b * v, a * v - b * u
+        step /= np.where(regular, det, 1.0)[:, None]
+        at = at + step
+        ended = (np.abs(step) < STOP).all(axis=-1)
+        going_on = regular & ~ended
+        if not going_on.all():
+            ended &= regular
+            corners[active[ended]], found[active[ended]] = at[ended], True
+            active, at, low, high, cells, moments = (each[going_on] for each in (active, at, low, high, cells, moments))
+            if not len(active):
+                break
     return corners, found
 
 

@@ -99,9 +99,8 @@ def imported(path: Path, output: Path) -> Dataset:
     return read_dataset(output)
 
 
-@pytest.mark.parametrize("kind", ["bag", "mcap"])
-def test_clouds_calibrate_to_the_truth(tmp_path: Path, kind: Kind) -> None:
-    dataset = imported(record(tmp_path, kind, moved=0.03), tmp_path / "out")
+def test_clouds_calibrate_to_the_truth(tmp_path: Path) -> None:
+    dataset = imported(record(tmp_path, "bag", moved=0.03), tmp_path / "out")
     known, _ = with_truth()
     assert dataset.sensors["lidar"].edge == known.sensors["lidar_right"].edge
     for collection, other in zip(dataset.collections, known.collections, strict=True):
