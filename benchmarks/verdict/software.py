@@ -16,8 +16,7 @@ from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.solve.least_squares import Termination, minimise
 from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.estimation.start.build import build
-from calibration.engine.estimation.start.initial_values import initial_values
-from calibration.engine.estimation.start.linear_start import pattern_poses
+from calibration.engine.estimation.start.guesses import guess_with_patterns
 from calibration.engine.estimation.start.starting_noise import StartingNoise, with_starting_noise
 from calibration.engine.evaluation.specification import Evaluation, parse_evaluation
 from calibration.engine.geometry.transforms import translation
@@ -104,7 +103,7 @@ def _stopped(system: LoadedSystem) -> Dataset:
     dataset, options = _start(system), system.options
     setup = build(dataset, options.hold)
     weighting = Weighting(system.optimum.calibration.noise_levels.given(), None)
-    start = pattern_poses(setup, initial_values(setup))
+    start = guess_with_patterns(setup)
     values = minimise(setup.problem, start, weighting, Termination(iterations=1)).values
     return dataset.with_transforms({s.edge: values[setup.block(s.edge)] for s in dataset.sensors.values()})
 

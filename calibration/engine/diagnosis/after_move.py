@@ -9,19 +9,17 @@ from calibration.engine.diagnosis.finding import AFTER_MOVE, SUSPECT, Finding
 from calibration.engine.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
 from calibration.engine.diagnosis.too_few import BETTER, too_few
 from calibration.engine.diagnosis.what_does_not_fit import distance_text, keys_since, what_does_not_fit
-from calibration.engine.estimation.calibrate import Calibrator
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
 from calibration.engine.estimation.doubts.suspects import SIDE, Suspect
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.prepare import Prepared, prepare_without
 from calibration.engine.geometry.transforms import distance
 
 
 def after_move(
     calibration: Calibration,
     findings: Sequence[Finding],
-    calibrator: Calibrator,
-    noise: StartingNoise,
+    prepared: Prepared,
     limits: Limits,
 ) -> tuple[Calibration, tuple[Finding, ...]]:
     """Return the calibration of the robot as it stands now, and a warning that says so; the given one if none moved.
@@ -32,8 +30,7 @@ def after_move(
     Args:
         calibration: the calibration of all views.
         findings: those on it.
-        calibrator: what it was made by.
-        noise: that of its initial guess.
+        prepared: what it was solved from.
         limits: those that the user has set.
     """
     if not any(each.kind == SUSPECT and each.severity == "red" and each.collections for each in findings):
@@ -48,7 +45,7 @@ def after_move(
     sensors = tuple(name for name in moves if name in calibration.dataset.sensors)
     before = tuple(_views_before(calibration, moves))
     try:
-        after = calibrator.without((*calibration.dropped_views, *before), noise)
+        after = prepare_without(prepared, (*calibration.dropped_views, *before)).optimum
         why = after.reason or _why_not_determined(calibration, after, since, limits)
     except UndeterminedError as error:
         after, why = calibration, str(error).removeprefix(f"{calibration.dataset.path}: ")

@@ -21,10 +21,10 @@ from calibration.base.errors import CalibrationError, UndeterminedError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.covariance.significance import score_of_tail
 from calibration.engine.estimation.doubts.wrong_views import without
+from calibration.engine.estimation.prepare import prepare
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import build
 from calibration.engine.estimation.start.cost import cost_of
@@ -82,7 +82,7 @@ def find_optimum(dataset: Dataset, options: Options) -> OurOptimum:
         UndeterminedError: the data do not determine the parameters, or there is no optimum.
         InputError: the labels cannot be used.
     """
-    calibration = calibrate(dataset, replace(options, start="linear"))
+    calibration = prepare(dataset, options).optimum
     if not calibration.converged:
         raise UndeterminedError(f"{dataset.path}: {calibration.reason}")
     names = {each for sensor in dataset.sensors.values() for each in (sensor.name, "-".join(sensor.edge))}

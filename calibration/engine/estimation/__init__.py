@@ -1,7 +1,10 @@
 """Estimation: from labels to transforms with their covariances. Numpy only.
 
-`calibration.engine.estimation.calibrate.calibrate` is the entry point. The sub-rooms, in the order of the computation;
-each imports only those before it:
+A dataset's way: `calibrate.calibrate` is `solve(prepare(dataset, options), noise)`. `prepare.prepare` decides once what
+does not depend on noise: the problem, its linear start, wrong views, and the optimum from there
+(`from_linear_start`, `at_optimum`). `calibrate.solve` returns that optimum, or calibrates from a noisy start.
+
+The sub-rooms, in the order of the computation; each imports only those before it:
 
 - ``residuals``: the chain of each view's pose, and the residuals of its labels with their Jacobians;
 - ``problem``: the unknowns, which of them are fixed, and the labels that determine them;
@@ -9,6 +12,4 @@ each imports only those before it:
 - ``start``: from a dataset to a problem with an initial guess;
 - ``covariance``: the result with all sources of its error;
 - ``doubts``: what does not fit: suspects, lags, wrong views, false minima.
-
-- ``from_linear_start``, ``from_given_guess``, ``at_optimum``: the steps of a calibration; ``calibrate``: all of it.
 """

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.base.errors import InputError
-from calibration.base.latest import Latest
 from calibration.engine.baseline.snapshot import Snapshot, Snapshots
 from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.dataset.model import Dataset
@@ -20,14 +19,12 @@ from calibration.engine.diagnosis.conventions.trying import conventions
 from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.estimation.calibrate import Calibrator
-from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.prepare import Prepared, prepare
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.lens_choice import LensChoice
 
 if TYPE_CHECKING:
     from calibration.engine.evaluation.specification import Evaluation
-    from calibration.pipeline.matrix.running_cell import Evaluated
     from calibration.pipeline.system import Datasets
 
 
@@ -107,14 +104,13 @@ class LoadedSystem:
         self.writer.write_text(text, folder)
 
     @cached_property
-    def calibrator(self) -> Calibrator:
-        """Calibrator of its dataset, from the guess of each cell."""
-        return Calibrator(self.dataset, self.options)
+    def prepared(self) -> Prepared:
+        """All that its cells' calibrations share.
 
-    @cached_property
-    def finished(self) -> Latest[Calibration, "Evaluated"]:
-        """Cache of what follows from the latest cell's calibration, before it is written; most cells have the same."""
-        return Latest(Calibration.equals)
+        Raises:
+            InputError: it cannot be calibrated.
+        """
+        return prepare(self.dataset, self.options)
 
     @cached_property
     def snapshots(self) -> Snapshots:

@@ -3,6 +3,7 @@
 import math
 import time
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,12 @@ from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.diagnosis.after_move import after_move
 from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.finding import CONVENTION, Finding
+from calibration.engine.estimation.calibrate import solve
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.doubts.wrong_views import without
 from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.engine.estimation.problem.intrinsics_file import write_intrinsics
-from calibration.engine.estimation.start.starting_noise import with_starting_noise
+from calibration.engine.estimation.start.starting_noise import StartingNoise, with_starting_noise
 from calibration.engine.evaluation import measured_poses
 from calibration.engine.evaluation.reprojection import reprojection
 from calibration.engine.evaluation.table import RMS_PIX, Table
@@ -62,7 +64,7 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     begin = time.perf_counter()
     try:
         calibration = _calibrated(cell, system)
-        made = system.finished.of(calibration, lambda: _finished(cell, system, calibration))
+        made = _finished(cell, system, calibration)
     except CalibrationError as error:
         result = _without_calibration(cell, system, error)
     else:
@@ -87,7 +89,7 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
 
 def _calibrated(cell: Cell, system: LoadedSystem) -> Calibration:
     system.check()
-    return system.calibrator.calibrate(cell.noise)
+    return solve(system.prepared, cell.noise)
 
 
 def _without_calibration(cell: Cell, system: LoadedSystem, error: CalibrationError) -> CellResult:
@@ -104,11 +106,23 @@ def _diagnosed(cell: Cell, system: LoadedSystem, calibration: Calibration) -> Ce
 
 
 def _finished(cell: Cell, system: LoadedSystem, calibration: Calibration) -> Evaluated:
-    """Return all that follows from a calibration, for every cell that has it."""
+    """Return all that follows from a calibration; for the cells that came to the prepared optimum it is one."""
+    if calibration.solution is system.prepared.optimum.solution:
+        return _of_prepared_optimum(system)
+    return _diagnosed_and_evaluated(cell, system, calibration)
+
+
+@lru_cache(maxsize=1)  # a process runs the cells of one system after those of another
+def _of_prepared_optimum(system: LoadedSystem) -> Evaluated:
+    cell = Cell(system.name, StartingNoise(), system.options.start, system.options.loss)
+    return _diagnosed_and_evaluated(cell, system, system.prepared.optimum)
+
+
+def _diagnosed_and_evaluated(cell: Cell, system: LoadedSystem, calibration: Calibration) -> Evaluated:
     result = _diagnosed(cell, system, calibration)
     if not np.isfinite(calibration.cost):
         return Evaluated(result)
-    calibration, said = after_move(calibration, result.findings, system.calibrator, cell.noise, system.limits)
+    calibration, said = after_move(calibration, result.findings, system.prepared, system.limits)
     if said:
         described_now = described(nothing_yet(cell), calibration, system.dataset, system.limits)
         result = described_now.found((*result.findings, *said))

@@ -93,3 +93,13 @@ def test_without_a_runner_nothing_is_written() -> None:
 def test_a_file_that_cannot_be_written_is_an_infrastructure_error(tmp_path: Path) -> None:
     with pytest.raises(InfrastructureError, match=f"{tmp_path}: the step's summary cannot be written"):
         add_summary(Runner(summary_file=tmp_path), "text")
+
+
+def test_only_what_begins_a_text_begins_a_list() -> None:
+    assert escape_markdown("seed 1. 2) - 3.") == "seed 1. 2) - 3."
+    assert [escape_markdown(text) for text in ("1. a", " 12) b", "- c", "7.")] == [
+        "1\\. a",
+        " 12\\) b",
+        "\\- c",
+        "7\\.",
+    ]

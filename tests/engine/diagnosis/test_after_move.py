@@ -11,10 +11,9 @@ from calibration.engine.diagnosis.after_move import after_move
 from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.estimation.calibrate import Calibrator
 from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.prepare import prepare
 from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.engine.geometry.transforms import retract
 from tests.engine.estimation.scenes import Scene
 from tests.engine.estimation.systems import eye_to_hand, stereo
@@ -37,10 +36,10 @@ def moved_from(scene: Scene, name: str, since: int, twist: Array = TWIST) -> tup
 def judged(dataset: Dataset) -> tuple[Calibration, Calibration, tuple[Finding, ...]]:
     """The calibrations of all views and of the robot as it is now, and what is said of the latter."""
     options = Options()
-    calibrator = Calibrator(dataset, options)
-    mixed = calibrator.calibrate(StartingNoise())
+    prepared = prepare(dataset, options)
+    mixed = prepared.optimum
     findings = diagnose(mixed, dataset, options, LIMITS)
-    after, said = after_move(mixed, findings, calibrator, StartingNoise(), LIMITS)
+    after, said = after_move(mixed, findings, prepared, LIMITS)
     return mixed, after, said
 
 

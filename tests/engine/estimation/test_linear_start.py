@@ -9,7 +9,7 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.model import CornerLabels, Labels
 from calibration.engine.estimation.solve.normal_equations import Weighting, assemble
 from calibration.engine.estimation.start.build import Setup, build
-from calibration.engine.estimation.start.guesses import Guesses
+from calibration.engine.estimation.start.guesses import guess_of_dataset
 from calibration.engine.estimation.start.linear_start import LinearStart, linear_start, pattern_poses
 from calibration.engine.estimation.start.single_views import robust_poses
 from calibration.engine.estimation.start.starting_noise import StartingNoise, perturb
@@ -234,20 +234,25 @@ def test_a_collection_in_which_no_view_gives_a_pose_is_named():
         start_of(setup)
 
 
-@pytest.mark.parametrize("values", [(np.eye(4), np.array([0.0, 5e-324])), (np.eye(4), np.array([0.0, -0.0]))])
-def test_starts_are_equal_only_to_the_last_bit(values):
-    start = LinearStart((np.eye(4), np.zeros(2)), ("a",))
-    assert start.equals(LinearStart((np.eye(4), np.zeros(2)), ("a",)))
-    assert not start.equals(LinearStart(values, ("a",)))
-    assert not start.equals(LinearStart((np.eye(4), np.zeros(2)), ()))
-
-
 def test_what_no_equation_gives_starts_from_the_noisy_guess():
     setup = build(camera_and_lidar2d(4).dataset())
-    guesses, scan = Guesses(setup), setup.block(("world", "scan"))
+    guess, scan = guess_of_dataset(setup), setup.block(("world", "scan"))
     for seed in (1, 2):
-        noise = StartingNoise(0.1, 0.1, seed)
-        start = guesses.linear(noise)
-        assert start.guessed == ("world-scan",)
-        np.testing.assert_array_equal(start.values[scan], guesses.given(noise)[scan])
+        noisy = perturb(setup, guess, StartingNoise(0.1, 0.1, seed))
+        start = linear_start(setup, noisy)
+        assert (start.guessed, start.depends_on_guess) == (("world-scan",), True)
+        np.testing.assert_array_equal(start.values[scan], noisy[scan])
         assert distance(start.values[scan], true_values(setup)[scan])[0] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("scene", sorted(ALL.keys() - {"lidar behind"}))
+def test_a_start_that_depends_on_no_guess_is_the_same_from_any_to_the_last_bit(scene):
+    setup = build(ALL[scene](pixel_noise=0.3, range_noise=0.01).dataset())
+    starts = [start_of(setup, StartingNoise(size, size, seed=5)) for size in (0.0, 0.1, 0.5)]
+    assert [each.depends_on_guess for each in starts] == [False] * 3
+    assert len({b"".join(value.tobytes() for value in each.values) for each in starts}) == 1
+
+
+def test_which_side_of_the_board_a_lidar_sees_is_decided_by_the_guess():
+    start = start_of(build(ALL["lidar behind"](8, pixel_noise=0.3, range_noise=0.01).dataset()))
+    assert (start.guessed, start.depends_on_guess) == ((), True)

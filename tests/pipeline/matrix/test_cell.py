@@ -16,7 +16,7 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import truth_of
 from calibration.engine.diagnosis.against_optimum import find_optimum
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.estimation.calibrate import Calibrator, calibrate
+from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.problem.assumptions import EXACT
 from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.engine.estimation.problem.intrinsics_file import read_intrinsics
@@ -25,6 +25,7 @@ from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.geometry.rotations import from_rpy, to_rpy
 from calibration.engine.geometry.transforms import retract, translation
+from calibration.pipeline.matrix import running_cell
 from calibration.pipeline.matrix.cell import Cell, Comparison
 from calibration.pipeline.matrix.cell_details import described, finite_deviation
 from calibration.pipeline.matrix.cell_result import CellResult, Details, Parameter
@@ -270,7 +271,7 @@ def test_what_most_labels_do_not_fit_is_no_pass(tmp_path: Path, monkeypatch: pyt
     count = sum(int(np.isfinite(view.magnitudes).sum()) for view in found.residuals)
     few, more = (replace(found, rejected=found.rejected[:1] * n) for n in (count // 21, count // 2 + 1))
     for calibration, verdict in ((few, "pass"), (more, "fail")):
-        monkeypatch.setattr(Calibrator, "calibrate", lambda *_, calibration=calibration: calibration)
+        monkeypatch.setattr(running_cell, "solve", lambda *_, calibration=calibration: calibration)
         results = run_matrix(Matrix((T2RGB,), NOISES), tmp_path / verdict, 1)
         assert results.cells[0].verdict == verdict
     assert results.cells[0].reasons[0].startswith(f"{count // 2 + 1} of {count} labels do not fit the result")

@@ -12,8 +12,9 @@ import pytest
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.base.tables.rule_set import parse_rules
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.estimation.calibrate import Calibrator
+from calibration.engine.estimation.calibrate import solve
 from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.prepare import Prepared
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.engine.evaluation.table import Table
 from calibration.engine.geometry.transforms import from_xyz_rpy
@@ -167,14 +168,12 @@ def test_a_method_that_does_not_apply_has_a_reason(tmp_path: Path) -> None:
 def test_a_cell_that_fails_does_not_stop_the_others_unless_asked(
     matrix: Matrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    calibrate = Calibrator.calibrate
-
-    def failing_from_far(self: Calibrator, noise: StartingNoise) -> Calibration:
+    def failing_from_far(prepared: Prepared, noise: StartingNoise) -> Calibration:
         if noise.translation > 0:
             raise InputError("planted")
-        return calibrate(self, noise)
+        return solve(prepared, noise)
 
-    monkeypatch.setattr(Calibrator, "calibrate", failing_from_far)
+    monkeypatch.setattr(running_cell, "solve", failing_from_far)
     monkeypatch.setattr(LoadedSystem, "conventions", ())  # which would look for a cause in the data
 
     everything = run_matrix(matrix, tmp_path, 1)
@@ -198,7 +197,7 @@ def test_each_job_is_reported_once(matrix: Matrix, tmp_path: Path) -> None:
 
 
 def test_a_dead_worker_is_reported(matrix: Matrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Calibrator, "calibrate", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+    monkeypatch.setattr(running_cell, "solve", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
 
     with pytest.raises(InfrastructureError, match="worker process died"):
         run_matrix(matrix, tmp_path, 2)

@@ -20,8 +20,7 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.solve.least_squares import Termination, minimise
 from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.estimation.start.build import build
-from calibration.engine.estimation.start.initial_values import initial_values
-from calibration.engine.estimation.start.linear_start import pattern_poses
+from calibration.engine.estimation.start.guesses import guess_with_patterns
 from calibration.engine.estimation.start.starting_noise import StartingNoise, with_starting_noise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.geometry.transforms import translation
@@ -221,7 +220,7 @@ def one_step() -> Dataset:
     """Result of our engine, stopped after one step."""
     dataset = with_starting_noise(loaded().dataset, StartingNoise(0.05, 0.05, 1))
     setup = build(dataset)
-    start = pattern_poses(setup, initial_values(setup))
+    start = guess_with_patterns(setup)
     weighting = Weighting({"pixel": 1.0}, None)
     values = minimise(setup.problem, start, weighting, Termination(iterations=1)).values
     edges = {sensor.edge: values[setup.block(sensor.edge)] for sensor in dataset.sensors.values()}

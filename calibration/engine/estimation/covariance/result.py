@@ -205,10 +205,6 @@ class Calibration:
         held = all(setup.problem.blocks[setup.block(edge)].held for edge in edges)
         return bool(self.intrinsics) and held and not self.joints
 
-    def equals(self, other: "Calibration") -> bool:
-        """Whether both are of one optimum, so that all but their iterations is the same."""
-        return self.solution is other.solution and self.not_determined == other.not_determined
-
     @cached_property
     def rms_px(self) -> float:
         """Root mean square of the corners' reprojection errors, px; NaN without a camera."""

@@ -22,6 +22,8 @@ from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
 from calibration.engine.estimation.residuals.ray_residuals import BorderTerm, RangeTerm
 from calibration.engine.estimation.residuals.scan_border import border_rays
 from calibration.engine.estimation.residuals.views import Chain, Link, Term, ViewGroup
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.start.sights import Sight, sights_of
 from calibration.engine.estimation.start.single_views import corner_term
 from calibration.engine.geometry.transforms import inverse, translation
 
@@ -49,10 +51,20 @@ class Setup:
     def _blocks(self) -> dict[Edge, int]:
         return {block.edge: i for i, block in enumerate(self.problem.blocks) if block.edge}
 
+    @cached_property
+    def sights(self) -> tuple[Sight, ...]:
+        """Views of each group, with the poses or points that their labels alone determine."""
+        return sights_of(self.problem.groups)
+
     def pattern_edge(self, pattern: str) -> Edge:
         """Return the edge of a pattern, from its parent to its link."""
         p = self.dataset.patterns[pattern]
         return (p.parent_link, p.link)
+
+
+def build_with(dataset: Dataset, options: Options) -> Setup:
+    """Build the problem of a dataset by the options of its calibration; see `build`."""
+    return build(dataset, options.hold, options.intrinsics, options.known_intrinsics())
 
 
 def build(

@@ -13,8 +13,7 @@ from calibration.engine.estimation.solve.optimisation import HUBER
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import Setup, build
 from calibration.engine.estimation.start.flipped_patterns import unflipped
-from calibration.engine.estimation.start.initial_values import initial_values
-from calibration.engine.estimation.start.linear_start import pattern_poses
+from calibration.engine.estimation.start.guesses import guess_with_patterns
 
 _NEAR = Termination(decrease=1e-3, iterations=30)
 """Enough to compare the patterns' poses with their mirror images."""
@@ -43,7 +42,7 @@ def cost_of(dataset: Dataset, options: Options, levels: NoiseLevels) -> float:
         setup = _with_patterns_alone(build(dataset, options.hold))
         problem, everywhere = setup.problem, np.ones(setup.problem.collections, bool)
         weighting = Weighting(levels.given(), HUBER if options.loss == "huber" else None)
-        start = pattern_poses(setup, initial_values(setup))
+        start = guess_with_patterns(setup)
         values, cost = settle(problem, start, weighting, everywhere, _NEAR)
         if not np.isfinite(cost).all():
             return np.inf

@@ -1,61 +1,40 @@
-"""Initial values of a problem from noisy guesses."""
+"""Initial values of a problem by its dataset's own transforms, as other software starts."""
 
-from functools import cached_property
-from operator import eq
+import numpy as np
 
-from calibration.base.latest import Latest
+from calibration.base.arrays import Array
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.start.build import Setup
-from calibration.engine.estimation.start.initial_values import initial_values
-from calibration.engine.estimation.start.linear_start import (
-    LinearStart,
-    Sight,
-    free_patterns,
-    linear_start,
-    pattern_poses,
-    sights_of,
-)
-from calibration.engine.estimation.start.starting_noise import StartingNoise, perturb
+from calibration.engine.estimation.start.linear_start import pattern_poses, place_gauge_patterns
+from calibration.engine.geometry.transforms import translation
 
 
-class Guesses:
-    """Initial values of a problem from noisy guesses; what does not depend on the noise is computed once."""
+def guess_of_dataset(setup: Setup) -> Values:
+    """Return the transforms of the first collection, and the nominal parameters of joints and intrinsics.
 
-    def __init__(self, setup: Setup) -> None:
-        """Begin with a problem."""
-        self.setup = setup
-        self._noisy: Latest[StartingNoise, Values] = Latest(eq)
+    Patterns have no pose yet, unless they are fixed.
+    """
+    dataset, joints = setup.dataset, {joint.edge: joint.values for joint in setup.dataset.joints.values()}
+    values: list[Array] = []
+    for block in setup.problem.blocks:
+        pattern = dataset.patterns.get(block.name)
+        if block.intrinsics:
+            values.append(block.intrinsics.camera.intrinsics)
+        elif pattern and (not block.held or pattern.name in setup.gauge_patterns):
+            shape = (setup.problem.collections, 4, 4) if block.per_collection else (4, 4)
+            values.append(np.broadcast_to(np.eye(4), shape).copy())
+        elif block.edge in joints:
+            values.append(joints[block.edge])
+        elif block.edge:
+            T = dataset.transforms[block.edge] if block.per_collection else dataset.transform(*block.edge)[0]
+            values.append(T @ translation(pattern.centre) if pattern else T)
+    return place_gauge_patterns(setup, tuple(values))
 
-    def linear(self, noise: StartingNoise) -> LinearStart:
-        """Return the linear initial values; those that it does not give are from the noisy guess.
 
-        Raises:
-            UndeterminedError: a robot's motion is too small to separate a sensor's mount from the pattern's.
-            InputError: no view determines a pattern's pose.
-        """
-        return linear_start(self.setup, self._perturbed(noise), self._sights)
+def guess_with_patterns(setup: Setup) -> Values:
+    """Return the dataset's guess, with the patterns, as in ATOM, where the cameras see them from there.
 
-    def given(self, noise: StartingNoise) -> Values:
-        """Return the noisy guess; patterns, as in ATOM, are where the cameras see them from the guess without noise.
-
-        Raises:
-            InputError: no camera sees a fixed pattern.
-        """
-        patterns = free_patterns(self.setup)
-        return tuple(self._patterns[i] if i in patterns else T for i, T in enumerate(self._perturbed(noise)))
-
-    def _perturbed(self, noise: StartingNoise) -> Values:
-        return self._noisy.of(noise, lambda: perturb(self.setup, self._without_noise, noise))
-
-    @cached_property
-    def _without_noise(self) -> Values:
-        return initial_values(self.setup, self._sights)
-
-    @cached_property
-    def _sights(self) -> tuple[Sight, ...]:
-        return sights_of(self.setup.problem)
-
-    @cached_property
-    def _patterns(self) -> Values:
-        """Values with the patterns' poses in the cameras' views, and all other blocks at the guess without noise."""
-        return pattern_poses(self.setup, self._without_noise, self._sights)
+    Raises:
+        InputError: no camera sees a fixed pattern.
+    """
+    return pattern_poses(setup, guess_of_dataset(setup))

@@ -18,25 +18,22 @@ and intrinsics start from their nominal parameters: they are small corrections, 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from calibration.base.arrays import Array, BoolArray, IntArray
+from calibration.base.arrays import Array, BoolArray
 from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.estimation.problem.blocks import Pose, Values
-from calibration.engine.estimation.problem.problem import Problem
-from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
 from calibration.engine.estimation.residuals.planar_pose import mean_pose
-from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
 from calibration.engine.estimation.residuals.ray_residuals import RangeTerm
-from calibration.engine.estimation.residuals.views import Chain, Link
+from calibration.engine.estimation.residuals.views import Link
 from calibration.engine.estimation.start.build import Setup
 from calibration.engine.estimation.start.plane_alignment import align_planes, fit_planes
 from calibration.engine.estimation.start.robot_world import RobotWorld, solve_robot_world_robustly
 from calibration.engine.estimation.start.scan_alignment import align_scans, scan_equations
-from calibration.engine.estimation.start.single_views import robust_poses
+from calibration.engine.estimation.start.sights import Sight
 from calibration.engine.geometry.transforms import inverse
 
 SINGLE_AXIS = 0.002
@@ -45,53 +42,47 @@ SINGLE_AXIS = 0.002
 
 @dataclass(frozen=True, eq=False)
 class LinearStart:
-    """Initial values of all blocks, and the names of those that are from the guess."""
+    """Initial values of all blocks, and what of them is from the guess."""
 
     values: Values
     guessed: tuple[str, ...]
     """Blocks without an equation."""
-
-    def equals(self, other: "LinearStart") -> bool:
-        """Whether all values are the same to the last bit."""
-        values = zip(self.values, other.values, strict=True)
-        return self.guessed == other.guessed and all(a.tobytes() == b.tobytes() for a, b in values)
+    depends_on_guess: bool
+    """Whether the labels leave a direction of a sensor's or an additional transform to the guess. If not, all guesses
+    that differ in such transforms alone, as by `StartingNoise`, have this same start."""
 
 
-def linear_start(setup: Setup, guess: Values, sights: Sequence["Sight"] | None = None) -> LinearStart:
+def linear_start(setup: Setup, guess: Values) -> LinearStart:
     """Compute initial values for all blocks.
 
     Args:
         setup: the problem.
         guess: a value for each block; of these only fixed ones are used, and those without an
             equation.
-        sights: those of the problem (`sights_of`), which do not depend on the guess; computed if None.
 
     Raises:
         UndeterminedError: a robot's motion is too small to separate a sensor's mount from the pattern's.
     """
     blocks = setup.problem.blocks
     unknown = {i for i, block in enumerate(blocks) if not block.held and isinstance(block.parameters, Pose)}
-    search = _Search(setup, guess, unknown, sights)
+    search = _Search(setup, guess, unknown)
     while search.find() or search.take_guess():
         pass
-    return LinearStart(search.found(), tuple(search.guessed))
+    patterns = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.dataset.patterns}
+    return LinearStart(search.found(), tuple(search.guessed), bool(search.left_to_guess - patterns))
 
 
-def pattern_poses(setup: Setup, values: Values, sights: Sequence["Sight"] | None = None) -> Values:
+def pattern_poses(setup: Setup, values: Values) -> Values:
     """Set the patterns' poses to those in the cameras' views, with all other blocks fixed.
 
     Args:
         setup: the problem.
         values: a value for each block.
-        sights: those of the problem (`sights_of`); computed if None.
 
     Raises:
         InputError: no camera sees a fixed pattern.
     """
-    search = _Search(setup, values, free_patterns(setup), sights)
-    while search.find():
-        pass
-    return search.found()
+    return _solved(setup, values, _free_patterns(setup))
 
 
 def local_poses(setup: Setup, values: Values) -> Values:
@@ -100,87 +91,50 @@ def local_poses(setup: Setup, values: Values) -> Values:
     Raises:
         InputError: no camera view determines one of them.
     """
-    search = _Search(setup, values, set(setup.problem.local))
-    while search.find():
-        pass
-    return search.found()
+    return _solved(setup, values, set(setup.problem.local))
 
 
-def free_patterns(setup: Setup) -> set[int]:
+def place_gauge_patterns(setup: Setup, values: Values) -> Values:
+    """Set the patterns that fix the gauge to the poses in the cameras' views, with all other blocks fixed.
+
+    Args and errors are those of `pattern_poses`.
+    """
+    fixed = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.gauge_patterns}
+    if not fixed:
+        return values
+    placed = _solved(setup, values, _free_patterns(setup) | fixed)
+    return tuple(placed[i] if i in fixed else value for i, value in enumerate(values))
+
+
+def _free_patterns(setup: Setup) -> set[int]:
     """Return the blocks of the patterns that are not fixed by the user."""
     patterns = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.dataset.patterns}
     return {i for i in patterns if not setup.problem.blocks[i].held}
 
 
-def place_gauge_patterns(setup: Setup, values: Values, sights: Sequence["Sight"] | None = None) -> Values:
-    """Set the patterns that fix the gauge to the poses in the cameras' views, with all other blocks fixed.
-
-    Args and errors are those of `pattern_poses`.
-    """
-    held = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.gauge_patterns}
-    if not held:
-        return values
-    blocks = tuple(replace(b, held=b.held and i not in held) for i, b in enumerate(setup.problem.blocks))
-    placed = pattern_poses(replace(setup, problem=replace(setup.problem, blocks=blocks)), values, sights)
-    return tuple(placed[i] if i in held else value for i, value in enumerate(values))
-
-
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """V views ``T_sensor_pattern = chain``: of a group, or combined from two groups of the same moving pattern."""
-
-    sensor: str
-    pattern: str
-    chain: Chain
-    collections: IntArray
-    """(V,)."""
-    counts: IntArray
-    """(V,): numbers of labels."""
-    seen: Array | None
-    """``T_sensor_pattern`` (V, 4, 4) of a camera, or measured; NaN if a view determines none."""
-    points: RangeTerm | None
-    """Points on the pattern's plane, of a LiDAR or a depth camera."""
-
-    def through(self, other: "Sight", seen: Array) -> "Sight":
-        """Combine with another sensor's views (V, 4, 4) of the same pattern in common collections; its pose cancels."""
-        _, own, at = np.intersect1d(self.collections, other.collections, return_indices=True)
-        to_pattern, from_pattern = (sight.chain.part(-1, len(sight.chain.links) - 1) for sight in (self, other))
-        return replace(
-            self,
-            chain=to_pattern.take(own).then(from_pattern.take(at).inverse()).then(Chain(seen[at], ())),
-            collections=self.collections[own],
-            counts=self.counts[own],
-            seen=None if self.seen is None else self.seen[own],
-            points=None if self.points is None else self.points.take(own),
-        )
-
-
-def sights_of(problem: Problem) -> tuple[Sight, ...]:
-    """Return the views of each group, with the poses or points that their labels alone determine."""
-    terms = [group.terms[0] for group in problem.groups]
-    corners = {i: term for i, term in enumerate(terms) if isinstance(term, CornerTerm)}
-    seen = dict(zip(corners, robust_poses([*corners.values()]), strict=True))
-    found = []
-    for i, (group, term) in enumerate(zip(problem.groups, terms, strict=True)):
-        pose = term.measured if isinstance(term, PoseTerm) else seen.get(i)
-        points = term if isinstance(term, RangeTerm) else None
-        found.append(Sight(group.sensor, group.pattern, group.chain, group.collections, term.counts, pose, points))
-    return tuple(found)
+def _solved(setup: Setup, values: Values, unknown: set[int]) -> Values:
+    """Return the values with those of some blocks solved for, from the labels alone."""
+    search = _Search(setup, values, unknown)
+    while search.find():
+        pass
+    return search.found()
 
 
 class _Search:
     """Remaining unknowns, and the views that determine them."""
 
-    def __init__(self, setup: Setup, values: Values, unknown: set[int], sights: Sequence[Sight] | None = None) -> None:
+    def __init__(self, setup: Setup, values: Values, unknown: set[int]) -> None:
         """Start with all blocks known but some, and with the poses in the cameras' views."""
         self.setup, self.problem = setup, setup.problem
         self.guessed: list[str] = []
+        self.left_to_guess: set[int] = set()
+        """Blocks whose value, or a part of it, is that of the guess."""
         self._start = values
         self._transforms = [np.array(T) for T in self.problem.transforms(values)]
         N = self.problem.collections
         self._known = [np.full(N, i not in unknown) for i in range(len(values))]
         """By block: mask (N,) of the collections in which it is known."""
-        self._sights = sights_of(self.problem) if sights is None else sights
+        self._sights = setup.sights
 
     def find(self) -> bool:
         """Solve for one more unknown by linear algebra; False if there is none.
@@ -211,6 +165,7 @@ class _Search:
         sensors = {sensor.edge for sensor in self.setup.dataset.sensors.values()}
         block = min(unknown, key=lambda b: ((blocks[b].edge in sensors) + 2 * (blocks[b].name in patterns), b))
         self.guessed.append(blocks[block].name)
+        self.left_to_guess.add(block)
         self._set(block, self._transforms[block])
         return True
 
@@ -340,7 +295,9 @@ class _Search:
             planes = [fit_planes(term.points, term.present) for term in terms]
             normals, offsets = (np.concatenate(parts) for parts in zip(*planes, strict=True))
             guess = inverse(self._transforms[block]) if inverted else self._transforms[block]
-            X = align_planes(normals, offsets, before, after, guess)
+            X, by_guess = align_planes(normals, offsets, before, after, guess)
+            if by_guess:
+                self.left_to_guess.add(block)
         if X is not None:
             self._set(block, inverse(X) if inverted else X)
         return X is not None

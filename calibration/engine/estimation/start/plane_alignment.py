@@ -36,7 +36,7 @@ def fit_planes(points: Array, present: BoolArray) -> tuple[Array, Array]:
     return normals * sign[:, None], offsets * sign
 
 
-def align_planes(normals: Array, offsets: Array, before: Array, after: Array, guess: Array) -> Array:
+def align_planes(normals: Array, offsets: Array, before: Array, after: Array, guess: Array) -> tuple[Array, bool]:
     """Solve for the transform X that maps the pattern's planes, through ``before @ X @ after``, to the measured ones.
 
     With the pattern's normal m and centre p in X's child frame, and a measured plane (n, d) in its parent frame::
@@ -54,6 +54,9 @@ def align_planes(normals: Array, offsets: Array, before: Array, after: Array, gu
         before: (V, 4, 4), sensor to X's parent.
         after: (V, 4, 4), X's child to the pattern.
         guess: (4, 4), initial guess of X.
+
+    Returns:
+        X (4, 4), and whether it depends on the guess.
     """
     back = inverse(before)
     n = np.einsum("vij,vj->vi", back[:, :3, :3], normals)  # the planes in X's parent frame
@@ -61,30 +64,38 @@ def align_planes(normals: Array, offsets: Array, before: Array, after: Array, gu
     m, p = after[:, :3, 2], after[:, :3, 3]  # the pattern's normal and centre in X's child frame
     by_guess = np.sign((n * (m @ guess[:3, :3].T)).sum(-1))
     signs = [np.ones(len(n))] if (by_guess > 0).all() else [np.ones(len(n)), by_guess]
-    candidates = [_aligned(n * sign[:, None], d * sign, m, p, guess) for sign in signs]
-    return min(candidates, key=lambda found: found[1])[0]
+    candidates = [_align_signed(n * sign[:, None], d * sign, m, p, guess) for sign in signs]
+    best = min(range(len(signs)), key=lambda k: candidates[k][1])
+    X, _, is_open = candidates[best]
+    return X, is_open or best > 0
 
 
-def _aligned(n: Array, d: Array, m: Array, p: Array, guess: Array) -> tuple[Array, float]:
-    """Solve for X with ``R m = n`` and ``n . (R p + t) = d``; return it with the median misfit of the planes (m)."""
-    weight = np.ones(len(n))
+def _align_signed(n: Array, d: Array, m: Array, p: Array, guess: Array) -> tuple[Array, float, bool]:
+    """Solve for X with ``R m = n`` and ``n . (R p + t) = d``.
+
+    Returns:
+        X, the median misfit of the planes (m), and whether a direction of t is the guess's.
+    """
+    weight, is_open = np.ones(len(n)), False
     for _ in range(5):
         R = rotations.nearest(np.einsum("v,vi,vj->ij", weight, n, m))
         distance = d - (n * (p @ R.T)).sum(-1)
-        t = _translation(n, distance, np.sqrt(weight), guess[:3, 3])
+        t, is_left_open = _solve_translation(n, distance, np.sqrt(weight), guess[:3, 3])
+        is_open |= is_left_open
         tilt = np.linalg.norm(n - m @ R.T, axis=-1)
         miss = np.abs(distance - n @ t) + tilt * median(np.abs(d))
         weight = 1.0 / np.maximum(miss, 0.5 * median(miss) + 1e-9)
-    return transform(R, t), median(miss)
+    return transform(R, t), median(miss), is_open
 
 
-def _translation(n: Array, distance: Array, root: Array, guess: Array) -> Array:
+def _solve_translation(n: Array, distance: Array, root: Array, guess: Array) -> tuple[Array, bool]:
     """Solve ``n . t = distance`` with the roots of weights (V,); what the planes do not determine is the guess's (3,).
 
-    The guess has no effect otherwise, not even on the last bit.
+    Returns:
+        t, and whether they leave a direction to the guess, which has no effect otherwise, not even on the last bit.
     """
     weighted = n * root[:, None]
     t, _, rank, _ = np.linalg.lstsq(weighted, distance * root, rcond=SINGULAR)
     if rank < 3:
         t = guess + np.linalg.lstsq(weighted, (distance - n @ guess) * root, rcond=SINGULAR)[0]
-    return np.asarray(t, float)
+    return np.asarray(t, float), bool(rank < 3)

@@ -30,6 +30,11 @@ class StartingNoise:
     """Magnitude of the error of each of its Euler angles, rad."""
     seed: int = 1
 
+    @property
+    def is_zero(self) -> bool:
+        """Whether it changes nothing, whatever the seed."""
+        return self.translation == self.rotation == 0.0
+
 
 def perturb(setup: Setup, values: Values, noise: StartingNoise) -> Values:
     """Add noise to the transforms to calibrate; the same random numbers for every magnitude of the noise.
@@ -64,7 +69,7 @@ def with_starting_noise(dataset: Dataset, noise: StartingNoise) -> Dataset:
 
 def _noisy_transforms(dataset: Dataset, noise: StartingNoise) -> dict[Edge, Array]:
     """Return ``T_parent_child`` with noise for every edge that gets some: (4, 4), or (N, 4, 4) if it moves."""
-    if noise.translation == noise.rotation == 0.0:
+    if noise.is_zero:
         return {}
     rng = np.random.default_rng(noise.seed)
     noisy = {}

@@ -1,4 +1,4 @@
-"""Calibrations of a dataset from many initial guesses: the same results, to the last bit, as one by one."""
+"""Calibrations of a prepared dataset from many initial guesses: the same, to the last bit, as one by one."""
 
 from dataclasses import replace
 from typing import Any
@@ -9,10 +9,10 @@ import pytest
 from calibration.base.errors import UndeterminedError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.estimation.calibrate import Calibrator, Options, calibrate
+from calibration.engine.estimation.calibrate import Options, calibrate, solve, solve_from_guess
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.doubts.wrong_views import without
-from calibration.engine.estimation.from_given_guess import from_given_guess
+from calibration.engine.estimation.prepare import prepare
 from calibration.engine.estimation.solve.optimisation import WeightedOptimum, optimise
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.engine.geometry.joints import JOINT_PARAMETERS
@@ -61,30 +61,29 @@ def assert_equal(one: Calibration, other: Calibration) -> None:
 
 @pytest.mark.parametrize("name", ["cameras", "LiDAR", "exchanged views", "guessed", "guessed, exchanged"])
 @pytest.mark.parametrize("start", ["linear", "given"])
-def test_calibrations_of_one_calibrator_are_those_of_calibrate(name: str, start: str) -> None:
+def test_calibrations_of_one_prepared_dataset_are_those_of_calibrate(name: str, start: str) -> None:
     dataset, options = scene(name), Options(start=start)  # type: ignore[arg-type]
-    calibrator = Calibrator(dataset, options)
+    prepared = prepare(dataset, options)
     for noise in (NOISES[0], ANYWHERE):
-        assert_equal(calibrator.calibrate(noise), calibrate(dataset, options, noise))
+        assert_equal(solve(prepared, noise), calibrate(dataset, options, noise))
 
 
 @pytest.mark.parametrize("system", ["t2rgb", "rlbot", "softbot", "riwbot", "spjbot"])
 def test_a_guess_ends_at_the_calibration_of_the_linear_start_to_the_last_bit(system: str) -> None:
     dataset = read_dataset(DATASETS / system)
-    linear = Calibrator(dataset, Options())
-    given = Calibrator(dataset, Options(start="given"))
-    calibrations = [linear.calibrate(ANYWHERE), linear.calibrate(NOISES[0])]
-    assert calibrations[0] is calibrations[1]
+    linear, given = prepare(dataset, Options()), prepare(dataset, Options(start="given"))
+    assert solve(linear, ANYWHERE) is solve(linear, StartingNoise()) is linear.optimum
     for noise in NOISES:
-        found = given.calibrate(noise)
+        found = solve(given, noise)
         assert found.converged
-        assert_equal(replace(found, iterations=calibrations[0].iterations), calibrations[0])
+        assert_equal(replace(found, iterations=linear.optimum.iterations), linear.optimum)
 
 
 def test_a_guess_that_ends_elsewhere_has_the_calibration_there() -> None:
     dataset = scene("cameras")
-    given, linear = Calibrator(dataset, Options(start="given")), calibrate(dataset)
-    found = [given.calibrate(StartingNoise(3.0, 2.5, seed)) for seed in range(1, 6)]
+    given = prepare(dataset, Options(start="given"))
+    linear = given.optimum
+    found = [solve(given, StartingNoise(3.0, 2.5, seed)) for seed in range(1, 6)]
     elsewhere = [each for each in found if not each.converged]
     assert elsewhere
     for each in elsewhere:
@@ -93,19 +92,19 @@ def test_a_guess_that_ends_elsewhere_has_the_calibration_there() -> None:
         assert each.error_bars is None
 
 
-def test_nothing_to_calibrate_is_refused_each_time() -> None:
-    calibrator = Calibrator(stereo(6).dataset(), Options(hold=("world-left", "world-right")))
-    for _ in range(2):
-        with pytest.raises(UndeterminedError, match="nothing to calibrate"):
-            calibrator.calibrate(StartingNoise())
+def test_nothing_to_calibrate_is_refused() -> None:
+    with pytest.raises(UndeterminedError, match="nothing to calibrate"):
+        prepare(stereo(6).dataset(), Options(hold=("world-left", "world-right")))
 
 
 @pytest.mark.parametrize("name", ["guessed", "guessed, exchanged"])
 def test_where_the_start_depends_on_the_guess_so_do_the_iterations(name: str) -> None:
-    calibrator = Calibrator(scene(name), Options())
-    found = [calibrator.calibrate(noise) for noise in (*NOISES, ANYWHERE)]
+    prepared = prepare(scene(name), Options())
+    assert prepared.start.depends_on_guess
+    found = [solve(prepared, noise) for noise in (*NOISES, ANYWHERE)]
     assert len({each.iterations for each in found}) > 1
-    assert len({each.dropped_views for each in found}) == 1
+    assert {each.dropped_views for each in found} == {prepared.optimum.dropped_views}
+    assert solve(prepared, StartingNoise(seed=5)) is prepared.optimum
 
 
 @pytest.mark.parametrize("noise", NOISES)
@@ -118,9 +117,9 @@ def test_a_guess_with_views_left_out_is_that_of_the_dataset_without_them(noise: 
 
 
 def test_each_guess_has_its_own_number_of_iterations() -> None:
-    calibrator = Calibrator(scene("LiDAR"), Options(start="given"))
-    near, far = (calibrator.calibrate(StartingNoise(size, size, 1)) for size in (0.0, 0.1))
-    assert near.equals(far)
+    prepared = prepare(scene("LiDAR"), Options(start="given"))
+    near, far = (solve(prepared, StartingNoise(size, size, 1)) for size in (0.0, 0.1))
+    assert near.solution is far.solution
     assert near.iterations < far.iterations
 
 
@@ -131,10 +130,11 @@ def test_a_guess_that_ends_elsewhere_has_the_notes_and_the_dropped_views_too() -
         return CornerLabels(label.ids[:3], label.pixels[:3])
 
     dataset = relabelled(exchanged(stereo(10, pixel_noise=0.1).dataset(), "left", (3, 8)), few)
-    given, linear = Calibrator(dataset, Options(start="given")), calibrate(dataset)
+    given = prepare(dataset, Options(start="given"))
+    linear = given.optimum
     assert linear.dropped_views
     assert linear.notes
-    found = [given.calibrate(StartingNoise(3.0, 2.5, seed)) for seed in range(1, 6)]
+    found = [solve(given, StartingNoise(3.0, 2.5, seed)) for seed in range(1, 6)]
     elsewhere = [each for each in found if not each.converged]
     assert elsewhere
     for each in elsewhere:
@@ -144,11 +144,12 @@ def test_a_guess_that_ends_elsewhere_has_the_notes_and_the_dropped_views_too() -
 def test_an_optimum_of_the_same_cost_with_other_values_is_its_own() -> None:
     """An encoder's offset of a whole turn more has no effect on any label."""
     dataset = jointed_arm(free={"j4": ("position_bias",)}, pixel_noise=0.3).dataset()
-    linear = calibrate(dataset)
+    prepared = prepare(dataset, Options(start="given"))
+    linear = prepared.optimum
     guess = list(linear.solution.values)
     block = linear.solution.setup.block(dataset.joints["j4"].edge)
     guess[block] = guess[block] + 2 * np.pi * np.isin(JOINT_PARAMETERS, ["position_bias"])
-    found = from_given_guess(dataset, linear, tuple(guess), Options(start="given"))
+    found = solve_from_guess(prepared, tuple(guess))
     assert found.converged
     assert found.cost == pytest.approx(linear.cost, rel=1e-6)
     assert found.joints["j4"].values - linear.joints["j4"].values == pytest.approx(2 * np.pi)
@@ -159,9 +160,8 @@ def test_where_no_minimum_was_reached_it_is_said_even_beside_the_optimum(monkeyp
         result = optimise(*arguments)
         return replace(result, optimum=replace(result.optimum, reached=False))
 
-    dataset = scene("cameras")
-    linear = calibrate(dataset)
-    monkeypatch.setattr("calibration.engine.estimation.from_given_guess.optimise", interrupted)
-    found = from_given_guess(dataset, linear, linear.solution.values, Options(start="given"))
+    prepared = prepare(scene("cameras"), Options(start="given"))
+    monkeypatch.setattr("calibration.engine.estimation.calibrate.optimise", interrupted)
+    found = solve_from_guess(prepared, prepared.optimum.solution.values)
     assert not found.converged
     assert found.reason == f"no minimum was reached in {found.iterations} iterations"

@@ -1,0 +1,246 @@
+"""Preparation of a dataset's calibrations: all that is decided once, whatever noise the initial guesses have."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calibration.base.errors import InputError, UndeterminedError, solvable
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.estimation.covariance.result import Calibration, DroppedView
+from calibration.engine.estimation.doubts.lags import with_lags
+from calibration.engine.estimation.doubts.pose_scale import (
+    MOST_STEPS,
+    OTHER_SCALE,
+    SAME,
+    divided,
+    has_poses,
+    next_ratio,
+    rough_ratio,
+    undetermined_scale,
+    unknown_scale,
+)
+from calibration.engine.estimation.doubts.suspects import explains_all
+from calibration.engine.estimation.doubts.wrong_views import without, wrong_views
+from calibration.engine.estimation.from_linear_start import from_linear_start
+from calibration.engine.estimation.problem.blocks import Values
+from calibration.engine.estimation.solve.least_squares import Termination, minimise
+from calibration.engine.estimation.solve.noise_levels import estimate_scales
+from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.solve.optimisation import HUBER
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.start.build import Setup, build_with
+from calibration.engine.estimation.start.guesses import guess_of_dataset, guess_with_patterns
+from calibration.engine.estimation.start.linear_start import LinearStart, linear_start
+from calibration.engine.estimation.start.turned_boards import with_boards_turned_back
+
+TRIAL = Termination(decrease=1e-3, iterations=300)
+"""Enough if the optimum explains all views; wrong views make the convergence slow."""
+MIN_BAD_FIT_M = 0.02
+"""Noise of measured poses from which another scale is tried."""
+MIN_NOISE_RATIO = 3.0
+"""Ratio of the noise to that with another scale, from which the scale is unknown."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Problem of a dataset, its linear start, and the calibration from there."""
+
+    dataset: Dataset
+    """The calibrated dataset: with boards turned back, and the scale of measured poses and the lags that were found."""
+    options: Options
+    setup: Setup
+    """Problem, without the views that contradict the others."""
+    start: LinearStart
+    """Initial values from the labels; what these leave open is that of the dataset, without noise."""
+    optimum: Calibration
+    """Calibration from that start: that from all other starts which do not differ from it, or arrive at the same."""
+
+    @cached_property
+    def guess(self) -> Values:
+        """Values by the dataset's own transforms, of the blocks that the optimum has: what is held there is held.
+
+        Raises:
+            InputError: no camera sees a fixed pattern.
+        """
+        return guess_with_patterns(self.optimum.solution.setup)
+
+
+def prepare(dataset: Dataset, options: Options) -> Prepared:
+    """Decide all that does not depend on the noise of an initial guess.
+
+    1. Views of a board that were numbered from its other end than most are turned back.
+    2. A free scale of measured poses, and free lags of sensors, are found.
+    3. The problem is built, and a start found by linear algebra.
+    4. Views that contradict the majority of the others are left out of the problem.
+    5. It is solved from its linear start. If the robot's motion is insufficient for that, the sensors are calibrated
+       relative to each other.
+
+    Args:
+        dataset: the labels, and transforms that serve as the initial guess. It is not changed.
+        options: options of all its calibrations.
+
+    Raises:
+        UndeterminedError: the data do not determine the parameters; the message names what is missing.
+        InputError: the labels cannot be used.
+    """
+    with solvable(dataset.path):
+        dataset, turned = with_boards_turned_back(dataset)
+        dataset = _with_scale_and_lags(dataset, options)
+        try:
+            prepared = _prepare_what_is_determined(dataset, options)
+        except UndeterminedError as error:
+            if (factor := _wrong_scale(dataset, options)) is not None:
+                raise unknown_scale(dataset, factor) from error
+            if not dataset.missing_files:
+                raise
+            missing = "; ".join(map(dataset.missing_files_of, dataset.missing_files))
+            raise UndeterminedError(f"{error}; {missing}") from error
+        if (factor := _better_scale(dataset, options, prepared.optimum)) is not None:
+            raise unknown_scale(dataset, factor)
+        return replace(prepared, optimum=replace(prepared.optimum, turned_views=turned)) if turned else prepared
+
+
+def prepare_without(prepared: Prepared, dropped: tuple[DroppedView, ...]) -> Prepared:
+    """Prepare the same dataset without the labels of some views, which its calibrations have as dropped ones.
+
+    Raises:
+        UndeterminedError: the other views do not determine the parameters.
+    """
+    with solvable(prepared.dataset.path):
+        rest = _prepare_rest(prepared.dataset, prepared.options, dropped)
+        return replace(rest, optimum=replace(rest.optimum, turned_views=prepared.optimum.turned_views))
+
+
+def _prepare_what_is_determined(dataset: Dataset, options: Options) -> Prepared:
+    """Prepare the whole problem; if the robot's motion is insufficient for that, the sensors relative to each other."""
+    try:
+        return _prepare_problem(dataset, options)
+    except UndeterminedError as error:
+        if (relative := _prepare_relative_poses(dataset, options)) is None:
+            raise
+        why = str(error).removeprefix(f"{dataset.path}: ")
+        return replace(relative, optimum=replace(relative.optimum, not_determined=why))
+
+
+def _prepare_relative_poses(dataset: Dataset, options: Options) -> Prepared | None:
+    """Prepare with the pose of each fixed pattern free in each collection; None if that determines nothing either.
+
+    Then nothing depends on the motion of the robot between collections, and the poses of the sensors on the robot
+    are not determined. Only sensors that see a pattern together have a relative pose.
+    """
+    fixed = {name for name, pattern in dataset.patterns.items() if pattern.fixed}
+    if len(dataset.sensors) < 2 or not fixed or fixed & set(options.hold):
+        return None
+    patterns = {name: replace(pattern, fixed=False) for name, pattern in dataset.patterns.items()}
+    try:
+        prepared = _prepare_problem(replace(dataset, patterns=patterns), options)
+    except InputError:
+        return None
+    return prepared if prepared.optimum.converged and prepared.optimum.gauge else None
+
+
+def _prepare_problem(dataset: Dataset, options: Options) -> Prepared:
+    """Build the problem, without views that contradict the others, and solve it from its linear start.
+
+    Raises:
+        UndeterminedError: the labels do not determine all parameters.
+    """
+    setup, start = _linear_problem(dataset, options)
+    wrong = wrong_views(setup, start.values, options.assume)
+    if not wrong:
+        return Prepared(dataset, options, setup, start, from_linear_start(dataset, setup, start, options))
+    if explained := _explained_by_fixed_parameter(dataset, setup, start, options):
+        return Prepared(dataset, options, setup, start, explained)
+    try:
+        return _prepare_rest(dataset, options, wrong)
+    except UndeterminedError as error:
+        raise _naming_views_left_out(error, wrong) from error
+
+
+def _prepare_rest(dataset: Dataset, options: Options, dropped: tuple[DroppedView, ...]) -> Prepared:
+    """Build the problem without some views, and solve it from its linear start."""
+    setup, start = _linear_problem(without(dataset, dropped), options)
+    optimum = from_linear_start(dataset, setup, start, options)
+    return Prepared(dataset, options, setup, start, replace(optimum, dropped_views=dropped))
+
+
+def _linear_problem(dataset: Dataset, options: Options) -> tuple[Setup, LinearStart]:
+    """Return the problem of a dataset, and its linear start; what the labels leave open is the dataset's."""
+    setup = build_with(dataset, options)
+    return setup, linear_start(setup, guess_of_dataset(setup))
+
+
+def _explained_by_fixed_parameter(
+    dataset: Dataset, setup: Setup, start: LinearStart, options: Options
+) -> Calibration | None:
+    """Calibrate with all views, if an error of a fixed parameter explains their contradictions; else None."""
+    problem = setup.problem
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        scales = estimate_scales(problem, start.values, {}, robust=True)
+        trial = minimise(problem, start.values, Weighting(scales, HUBER), TRIAL)
+    if not trial.reached:  # other weights would not help, after many iterations
+        return None
+    try:
+        whole = from_linear_start(dataset, setup, replace(start, values=trial.values), options)
+    except UndeterminedError:
+        return None
+    return whole if whole.converged and explains_all(whole.solution.model) else None
+
+
+def _naming_views_left_out(error: UndeterminedError, wrong: Sequence[DroppedView]) -> UndeterminedError:
+    """Return an error that names the collections with rejected views."""
+    views = ", ".join(dict.fromkeys(view.collection for view in wrong))
+    return UndeterminedError(f"{error} (left out, as their views contradict the others: {views})")
+
+
+def _with_scale_and_lags(dataset: Dataset, options: Options) -> Dataset:
+    """Return the dataset with the scale of its measured poses and the lags of its sensors, where they are free."""
+    if options.scale == "free":
+        dataset, _ = _with_scale(dataset, options)
+    if not (free := options.free_lags_of(dataset)):
+        return dataset
+    known = replace(options, lag=())  # lags that cannot be told beside each other would have no error bars
+    return with_lags(dataset, free, lambda each: from_linear_start(each, *_linear_problem(each, known), known))
+
+
+def _with_scale(dataset: Dataset, options: Options) -> tuple[Dataset, float]:
+    """Return the dataset with the translations of its measured poses divided by their scale, and that factor."""
+    factor = 1.0
+    for step in range(MOST_STEPS):
+        setup, start = _linear_problem(dataset, options)
+        if step == 0:
+            ratio = rough_ratio(setup, start.values)
+        else:
+            ratio = next_ratio(from_linear_start(dataset, setup, start, options))
+        if ratio is None:
+            break
+        dataset, factor = divided(dataset, ratio), factor * ratio
+        if step and abs(ratio - 1) < SAME:
+            return dataset, factor
+    raise undetermined_scale(dataset)
+
+
+def _wrong_scale(dataset: Dataset, options: Options) -> float | None:
+    """Return the factor by which the translations of measured poses must be divided to fit; None if there is none.
+
+    What is near 1, or does not fit either, is not the reason why nothing is determined.
+    """
+    if options.scale == "free" or not has_poses(dataset):
+        return None
+    try:
+        _, factor = _with_scale(dataset, options)
+    except UndeterminedError:
+        return None
+    return factor if abs(np.log(factor)) > OTHER_SCALE else None
+
+
+def _better_scale(dataset: Dataset, options: Options, optimum: Calibration) -> float | None:
+    """Return the factor with which measured poses that fit badly fit much better; None if there is none."""
+    level = optimum.noise_levels.pose_translation
+    if level is None or level < MIN_BAD_FIT_M or (factor := _wrong_scale(dataset, options)) is None:
+        return None
+    scaled = divided(dataset, factor)
+    other = from_linear_start(scaled, *_linear_problem(scaled, options), options).noise_levels.pose_translation
+    return factor if other is not None and other * factor * MIN_NOISE_RATIO < level else None
