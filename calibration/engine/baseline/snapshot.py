@@ -13,7 +13,7 @@ from calibration.base.arrays import Array
 from calibration.base.records import Misfit, at_least, between, computed, document_of, field, length, matching, record
 from calibration.engine.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, label_arrays, label_count
 from calibration.engine.estimation.covariance.result import CalibratedJoint, Calibration
-from calibration.engine.estimation.problem.gauge import RIGID
+from calibration.engine.estimation.problem.gauge import RIGID_TOLERANCE
 from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels
 from calibration.engine.estimation.solve.options import Options
@@ -338,7 +338,7 @@ def hashes_of_inputs(given: Dataset, calibrated: Collection[Edge], options: Opti
     for name, pattern in sorted(given.patterns.items()):
         found[f"pattern {name}"] = _hash("", pattern.corners, pattern.outline)
     held = {edge: np.nan_to_num(T) for edge, T in sorted(given.transforms.items()) if edge not in calibrated}
-    fixed = {edge: T[:1] for edge, T in held.items() if np.abs(T - T[0]).max() < RIGID}
+    fixed = {edge: T[:1] for edge, T in held.items() if np.abs(T - T[0]).max() < RIGID_TOLERANCE}
     moving = {edge: T for edge, T in held.items() if edge not in fixed}
     found["the robot's fixed transforms"] = _hash(repr(list(fixed)), *fixed.values())
     found[POSITIONS] = _hash(repr(list(moving)), *moving.values())
@@ -378,7 +378,7 @@ def _at_description(calibration: Calibration, given: Dataset) -> Iterator[tuple[
             yield edge, T
             continue
         to_held = given.transform(edge[0], held[0])
-        rigid = np.abs(to_held - to_held[0]).max() < RIGID
+        rigid = np.abs(to_held - to_held[0]).max() < RIGID_TOLERANCE
         moved = given.transforms[held][0] @ inverse(calibration.transforms[held])
         yield edge, to_held[0] @ moved @ inverse(to_held[0]) @ T if rigid else T
 

@@ -28,7 +28,7 @@ from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.solve.least_squares import Termination, minimise
 from calibration.engine.estimation.solve.noise_levels import estimate_scales
 from calibration.engine.estimation.solve.normal_equations import Weighting
-from calibration.engine.estimation.solve.optimisation import HUBER
+from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import Setup, build_with
 from calibration.engine.estimation.start.guesses import guess_of_dataset, guess_with_patterns
@@ -179,7 +179,7 @@ def _explained_by_fixed_parameter(
     problem = setup.problem
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         scales = estimate_scales(problem, start.values, {}, robust=True)
-        trial = minimise(problem, start.values, Weighting(scales, HUBER), TRIAL)
+        trial = minimise(problem, start.values, Weighting(scales, HUBER_THRESHOLD), TRIAL)
     if not trial.reached:  # other weights would not help, after many iterations
         return None
     try:

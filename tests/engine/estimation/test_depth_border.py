@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.base.arrays import Array, IntArray
-from calibration.engine.estimation.residuals.depth_border import REACH, depth_border_rays
+from calibration.engine.estimation.residuals.depth_border import PIXELS_ON_EITHER_SIDE, depth_border_rays
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob
@@ -117,5 +117,5 @@ def test_across_a_gap_there_is_no_direction():
 
 def test_few_limit_points_give_no_rays():
     points, limits = labelled(CAMERA, standing(3))
-    assert np.isnan(depth_border_rays(points, limits[: 2 * REACH], CAMERA)).all()
+    assert np.isnan(depth_border_rays(points, limits[: 2 * PIXELS_ON_EITHER_SIDE], CAMERA)).all()
     assert depth_border_rays(points, limits[:0], CAMERA).shape == (0, 3)

@@ -134,7 +134,7 @@ def test_a_clusters_sums_are_those_of_its_collections(name: str, labels: int, mo
     information = assemble(problem, values, solution.weighting).schur
     S = each.shared
     np.testing.assert_allclose(each.G.sum(0)[:S, :S], information, atol=1e-9 * np.abs(information).max())
-    monkeypatch.setattr(label_columns, "LABELS", labels)
+    monkeypatch.setattr(label_columns, "LABELS_PER_PASS", labels)
     clusters = np.array([0, 1, 2, 0, 1, 2, 3, 3, 2, 0, 1])
     together = model(clusters)
     for k in range(4):

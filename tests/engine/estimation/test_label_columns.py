@@ -7,8 +7,15 @@ import pytest
 
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels
-from calibration.engine.estimation.residuals.corner_residuals import LENS
-from calibration.engine.estimation.solve.label_columns import BENT, POSE, RANGING, SHAPE, ColumnNames, products
+from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL
+from calibration.engine.estimation.solve.label_columns import (
+    COLUMNS_OF_BENT_PATTERN,
+    COLUMNS_OF_PATTERN,
+    COLUMNS_OF_RANGES,
+    POSE_COLUMNS,
+    ColumnNames,
+    products,
+)
 from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.estimation.start.build import build
 from calibration.engine.geometry.cameras import Camera
@@ -53,7 +60,7 @@ def changed(dataset: Dataset, sensor: str, name: str, size: float, T: Array) -> 
         at = np.array([parameter == name for parameter in camera.parameters])
         return dataset.with_cameras({sensor: camera.with_intrinsics(camera.intrinsics + size * at)})
     half, middle = np.ptp(pattern.outline, axis=0) / 2, pattern.outline.mean(0)
-    if name.startswith("size") or (camera and name in SHAPE):
+    if name.startswith("size") or (camera and name in COLUMNS_OF_PATTERN):
         return replace(dataset, patterns={"board": _shaped(pattern, name, size, half, middle)})
     if name == "border":
         outward = np.sign(pattern.outline - middle)
@@ -112,8 +119,8 @@ def _correction(name: str, points: Array, T: Array, pattern, half: Array, middle
 @pytest.mark.parametrize(
     ("dataset", "sensor", "name"),
     [
-        *((CAMERA, "left", name) for name in (*WIDE.parameters, *LENS, *BENT)),
-        *((LIDAR, "lidar", name) for name in (*RANGING, *SHAPE)),
+        *((CAMERA, "left", name) for name in (*WIDE.parameters, *ERRORS_BEYOND_LENS_MODEL, *COLUMNS_OF_BENT_PATTERN)),
+        *((LIDAR, "lidar", name) for name in (*COLUMNS_OF_RANGES, *COLUMNS_OF_PATTERN)),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -122,7 +129,7 @@ def test_a_column_is_the_derivative_of_the_labels_errors(dataset: Dataset, senso
     camera = dataset.sensors[sensor].camera
     M = np.concatenate([part for _, part in products(terms_of(dataset, sensor), camera, pattern, T, WEIGHTING)])
     names = ColumnNames(camera)
-    at = POSE + (*names.of_sensor, *names.of_pattern).index(name)
+    at = POSE_COLUMNS + (*names.of_sensor, *names.of_pattern).index(name)
     m = M[:, :, -1]
     strength = np.sqrt(M[:, at, at])
     step = 1e-3 / strength.max()

@@ -3,20 +3,22 @@
 import numpy as np
 import pytest
 
-from calibration.engine.estimation.residuals.median import MANY, median
+from calibration.engine.estimation.residuals.median import MIN_NUMBERS_TO_NARROW, median
 
 RNG = np.random.default_rng(0)
 NUMBERS = {
     "one": np.ones(1),
     "two": np.array([3.0, 1.0]),
     "odd": RNG.normal(size=(7, 11)),
-    "many": RNG.chisquare(2, 3 * MANY),
-    "many, even": RNG.normal(size=2 * MANY + 2),
-    "ties": RNG.integers(0, 3, 2 * MANY).astype(float),
-    "all equal": np.full(2 * MANY, 0.25),
-    "sorted": np.arange(2 * MANY + 1.0),
-    "outliers": np.where(RNG.random(2 * MANY) < 0.49, 1e12, RNG.random(2 * MANY)),
-    "sampled badly": np.where(np.arange(2 * MANY) % 50 == 0, 100.0, RNG.random(2 * MANY)),
+    "many": RNG.chisquare(2, 3 * MIN_NUMBERS_TO_NARROW),
+    "many, even": RNG.normal(size=2 * MIN_NUMBERS_TO_NARROW + 2),
+    "ties": RNG.integers(0, 3, 2 * MIN_NUMBERS_TO_NARROW).astype(float),
+    "all equal": np.full(2 * MIN_NUMBERS_TO_NARROW, 0.25),
+    "sorted": np.arange(2 * MIN_NUMBERS_TO_NARROW + 1.0),
+    "outliers": np.where(RNG.random(2 * MIN_NUMBERS_TO_NARROW) < 0.49, 1e12, RNG.random(2 * MIN_NUMBERS_TO_NARROW)),
+    "sampled badly": np.where(
+        np.arange(2 * MIN_NUMBERS_TO_NARROW) % 50 == 0, 100.0, RNG.random(2 * MIN_NUMBERS_TO_NARROW)
+    ),
 }
 
 

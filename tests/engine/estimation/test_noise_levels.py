@@ -5,7 +5,7 @@ import pytest
 
 from calibration.engine.dataset.model import CornerLabels, Labels, PointLabels
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.solve.noise_levels import FLOORS, NoiseLevels, estimate_scales
+from calibration.engine.estimation.solve.noise_levels import MIN_SIGMA_OF_KIND, NoiseLevels, estimate_scales
 from calibration.engine.estimation.start.build import build
 from tests.engine.estimation.scenes import relabelled, true_values
 from tests.engine.estimation.systems import ALL, camera_and_lidar, stereo
@@ -78,7 +78,7 @@ def test_few_labels_are_no_reason_to_be_overconfident(loss):
 def test_exact_labels_have_the_least_noise_that_there_is(scene, robust):
     setup = build(ALL[scene](4, border=False).dataset())
     scales = estimate_scales(setup.problem, true_values(setup), {}, robust)
-    assert scales == {kind: FLOORS[kind] for kind in scales}
+    assert scales == {kind: MIN_SIGMA_OF_KIND[kind] for kind in scales}
 
 
 def test_given_levels_are_respected_and_the_others_estimated():

@@ -135,7 +135,7 @@ def test_a_few_views_at_a_time_give_the_same(monkeypatch):
     problem, values = tangled(noise=0.5)
     whole = assemble(problem, values, ROBUST)
     monkeypatch.setattr(batches, "VIEWS_AT_A_TIME", 1)
-    monkeypatch.setattr(batches, "CHUNK", 0)
+    monkeypatch.setattr(batches, "LABELS_PER_CHUNK", 0)
     alone = replace(problem)
     assert {batch.views for batch in alone.batches} == {1}
     one_by_one = assemble(alone, values, ROBUST)

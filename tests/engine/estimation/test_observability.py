@@ -11,8 +11,8 @@ from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.problem.problem import Block, Problem
 from calibration.engine.estimation.solve.normal_equations import NormalEquations, Weighting, assemble
 from calibration.engine.estimation.solve.observability import (
-    HOPELESS,
-    WEAK,
+    MIN_UNDETERMINED_SIGMA,
+    MIN_WEAK_SIGMA,
     WeakDirection,
     covariances,
     determined_parameters,
@@ -75,7 +75,7 @@ def test_a_common_motion_names_all_moving_blocks():
     assert "together with 'pattern'" in weak.describe(NAMES)
 
 
-@pytest.mark.parametrize(("index", "limit"), [(0, HOPELESS * SIZE), (9, HOPELESS)])
+@pytest.mark.parametrize(("index", "limit"), [(0, MIN_UNDETERMINED_SIGMA * SIZE), (9, MIN_UNDETERMINED_SIGMA)])
 def test_beyond_a_quarter_of_the_pattern_or_radian_nothing_is_determined(index, limit):
     (below, above) = (open_directions(PROBLEM, equations(with_sigma(index, limit * f)), SIZE) for f in (0.99, 1.01))
     assert (len(below[0]), len(below[1])) == (0, 1)
@@ -98,7 +98,7 @@ def test_exact_labels_do_not_hide_what_is_open():
 
 
 def test_good_directions_are_not_mentioned():
-    assert open_directions(PROBLEM, equations(np.full(12, 0.9 * WEAK)), SIZE) == ([], [])
+    assert open_directions(PROBLEM, equations(np.full(12, 0.9 * MIN_WEAK_SIGMA)), SIZE) == ([], [])
 
 
 def test_an_arm_that_hardly_tilts_is_weak_along_its_axis():
@@ -115,7 +115,7 @@ def test_an_arm_that_hardly_tilts_is_weak_along_its_axis():
     named = np.array([float(x) for x in weak.split("(")[1].split(")")[0].split(",")])
     frame = "cam" if weak.startswith("'world-cam'") else "board_link"
     assert abs(named @ scene.dataset().transform(frame, "flange")[0][:3, :3] @ axis) > 0.98
-    assert result.label_sigma_mm(("world", "cam")) > 1e3 * WEAK
+    assert result.label_sigma_mm(("world", "cam")) > 1e3 * MIN_WEAK_SIGMA
 
 
 def test_an_arm_that_tilts_less_than_the_noise_is_refused():

@@ -12,7 +12,7 @@ from calibration.engine.estimation.solve import optimisation
 from calibration.engine.estimation.solve.least_squares import Evaluation, minimise
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels, estimate_scales, scales_of
 from calibration.engine.estimation.solve.normal_equations import Squares, Weighting, assemble
-from calibration.engine.estimation.solve.optimisation import HUBER, WeightedOptimum, optimise
+from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD, WeightedOptimum, optimise
 from calibration.engine.estimation.start import flipped_patterns
 from calibration.engine.estimation.start.build import Setup, build
 from calibration.engine.estimation.start.flipped_patterns import unflipped
@@ -84,7 +84,7 @@ def test_the_weights_are_those_of_the_residuals(scene, robust):
     best = optimum(setup, robust)
     estimated = estimate_scales(setup.problem, best.optimum.values, best.parameters, robust)
     assert estimated == pytest.approx(dict(best.weighting.scales), rel=1e-4)
-    assert best.weighting.huber == (HUBER if robust else None)
+    assert best.weighting.huber == (HUBER_THRESHOLD if robust else None)
     observed = len(setup.problem.shared) + sum(len(setup.dataset.keys) for _ in setup.problem.local)
     assert sum(best.parameters.values()) == pytest.approx(6 * observed, rel=1e-6)
 
@@ -162,11 +162,11 @@ def test_weights_that_go_round_in_circles_stay_as_they_are_in_the_end():
     setup = build(stereo(**NOISY).dataset(4))
     best = optimum(setup, robust=True)
     squares = evaluation(setup, best.optimum.values, best.weighting).squares
-    found = Weighting(scales_of(setup.problem, squares, {}, True), HUBER)
+    found = Weighting(scales_of(setup.problem, squares, {}, True), HUBER_THRESHOLD)
     noise, stayed = optimisation._Noise(setup.problem, {}, True), []
     for k in range(40):
         scales = {kind: scale * (1 + 1e-5 * (-1) ** k) for kind, scale in found.scales.items()}
-        now = evaluation(setup, best.optimum.values, Weighting(scales, HUBER))
+        now = evaluation(setup, best.optimum.values, Weighting(scales, HUBER_THRESHOLD))
         found = noise(now)
         stayed.append(found is now.weighting)
     assert not any(stayed[:10])

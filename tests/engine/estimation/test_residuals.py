@@ -129,7 +129,7 @@ def test_a_view_does_not_depend_on_its_neighbours(name, monkeypatch):
         for all_views, view in zip(together, alone, strict=True):
             np.testing.assert_allclose(all_views[v : v + 1], view, rtol=1e-12)
     magnitudes = term.magnitudes(T)
-    monkeypatch.setattr(residuals, "CHUNK", 2)
+    monkeypatch.setattr(residuals, "LABELS_PER_CHUNK", 2)
     for whole, chunked in zip(together, term.linearise(T, sigma, 1.5), strict=True):
         np.testing.assert_allclose(chunked, whole, rtol=1e-12)
     np.testing.assert_array_equal(term.magnitudes(T), magnitudes)
@@ -171,7 +171,7 @@ def test_the_squares_are_those_of_the_magnitudes(name):
 @pytest.mark.parametrize("labels", [2, 10**6])
 def test_views_with_few_points_do_not_cut_those_with_many(huber, labels, monkeypatch):
     """Views are evaluated in the order of their last points, in one chunk or in several."""
-    monkeypatch.setattr(residuals, "CHUNK", labels)
+    monkeypatch.setattr(residuals, "LABELS_PER_CHUNK", labels)
     term, T = ranges(0.01), poses()
     present = np.arange(20) < np.array([20, 3, 11, 7, 1])[:, None]
     term = replace(term, present=present)

@@ -10,7 +10,7 @@ from calibration.engine.estimation.doubts.wrong_views import NOTICEABLE, median_
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.solve.least_squares import Termination, minimise
 from calibration.engine.estimation.solve.normal_equations import Weighting
-from calibration.engine.estimation.solve.optimisation import HUBER
+from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import Setup, build_with
 from calibration.engine.estimation.start.guesses import guess_of_dataset
@@ -71,7 +71,7 @@ def _nearer(setup: Setup, values: Values) -> Values:
     groups = tuple(replace(group, terms=group.terms[:1]) for group in setup.problem.groups)
     nearby = replace(setup.problem, groups=groups)
     scales = {group.terms[0].kind: NOTICEABLE[group.terms[0].kind] / 2 for group in groups}
-    return minimise(nearby, values, Weighting(scales, HUBER), A_FEW_STEPS).values
+    return minimise(nearby, values, Weighting(scales, HUBER_THRESHOLD), A_FEW_STEPS).values
 
 
 def misfit_at(setup: Setup, values: Values) -> Misfit:

@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.dataset.model import CornerLabels, Dataset, Edge, PoseLabels
-from calibration.engine.estimation.problem.gauge import RIGID
+from calibration.engine.estimation.problem.gauge import RIGID_TOLERANCE
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
 from calibration.engine.estimation.start.single_views import corner_term
 from calibration.engine.geometry.transforms import inverse, translation
@@ -40,7 +40,7 @@ class Recording:
         return tuple(
             edge
             for edge, T in self.dataset.transforms.items()
-            if edge not in calibrated and np.isfinite(T).all() and np.abs(T - T[:1]).max() > RIGID
+            if edge not in calibrated and np.isfinite(T).all() and np.abs(T - T[:1]).max() > RIGID_TOLERANCE
         )
 
     @property

@@ -12,7 +12,7 @@ from calibration.engine.estimation.covariance.fixed_inputs import SeenGroup
 from calibration.engine.estimation.problem.batches import Columns, index_of
 from calibration.engine.estimation.residuals.one_thread import sum_of_products
 from calibration.engine.estimation.residuals.views import Term
-from calibration.engine.estimation.solve.label_columns import POSE, products
+from calibration.engine.estimation.solve.label_columns import POSE_COLUMNS, products
 from calibration.engine.estimation.solve.normal_equations import Weighting, fill_unobserved
 
 
@@ -67,15 +67,15 @@ class ClusterSums:
         clusters = self.clusters[collections]
         starts = _starts(clusters)
         a, n = A.shape[-1], len(own.columns)
-        M, right = np.empty((len(T), POSE, POSE)), np.empty((len(T), POSE, n))
+        M, right = np.empty((len(T), POSE_COLUMNS, POSE_COLUMNS)), np.empty((len(T), POSE_COLUMNS, n))
         L = np.zeros((len(starts), len(W), len(W)))
         terms = [term.take(order) for term in terms]
         for views, found in products(terms, seen.names.camera, seen.pattern, T, weighting):
-            M[views] = found[:, :POSE, :POSE]
-            np.matmul(found[:, :POSE, POSE:], W, out=right[views, :, a:])
+            M[views] = found[:, :POSE_COLUMNS, :POSE_COLUMNS]
+            np.matmul(found[:, :POSE_COLUMNS, POSE_COLUMNS:], W, out=right[views, :, a:])
             begins = _starts(clusters[views])
             at = np.searchsorted(clusters[starts], clusters[views][begins])
-            L[at] += np.add.reduceat(found[:, POSE:, POSE:], begins)
+            L[at] += np.add.reduceat(found[:, POSE_COLUMNS:, POSE_COLUMNS:], begins)
         np.matmul(M, A, out=right[:, :, :a])
         G = np.empty((len(starts), n, n))
         G[:, :a] = _products(A, right, starts)

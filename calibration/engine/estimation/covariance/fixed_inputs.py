@@ -16,7 +16,7 @@ from calibration.engine.dataset.model import Dataset, Edge, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.covariance.lens_errors import LensErrors, LensSource
 from calibration.engine.estimation.problem.assumptions import Assumptions
-from calibration.engine.estimation.residuals.corner_residuals import LENS
+from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL
 from calibration.engine.estimation.residuals.views import ViewGroup
 from calibration.engine.estimation.solve.label_columns import ColumnNames
 from calibration.engine.geometry import rotations
@@ -216,7 +216,7 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], lens: 
     yield from part("skew", "rad", {"skew": 1.0}, sigma=0.0 if lens.is_exact else SKEW)
     model = camera.distortion
     higher = [name for name in model.higher if name in model.names() and name not in free]
-    yield from part("lens model", "1", *({name: 1.0} for name in (*higher, *LENS[1:])))
+    yield from part("lens model", "1", *({name: 1.0} for name in (*higher, *ERRORS_BEYOND_LENS_MODEL[1:])))
     yield from part(_kind_of_curve(model), "1", *({name: 1.0} for name in model.radial))
     if model.tangential:
         yield from part("tangential distortion", "1", *({name: 1.0} for name in model.tangential))

@@ -9,7 +9,7 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.lens_uncertainty import LensUncertainty
 from calibration.engine.estimation.covariance.nominal_lens import nominal_lens
 from calibration.engine.estimation.problem.assumptions import EXACT, OF_INTRINSICS, Assumptions
-from calibration.engine.estimation.problem.intrinsics import PIXELS, Prior
+from calibration.engine.estimation.problem.intrinsics import PARAMETERS_IN_PIXELS, Prior
 from calibration.engine.geometry.cameras import Camera
 
 LensSource = Literal["nominal", "assume", "covariance", "standard-deviations"]
@@ -85,5 +85,5 @@ def _combinations(camera: Camera, parameters: tuple[str, ...]) -> dict[str, Arra
         "focal_length": ((fx + fy) / 2)[None],
         "aspect": (fx - fy)[None],
         "principal_point": np.stack([unit["cx"], unit["cy"]]),
-        "distortion": np.stack([unit[name] for name in parameters if name not in PIXELS]),
+        "distortion": np.stack([unit[name] for name in parameters if name not in PARAMETERS_IN_PIXELS]),
     }

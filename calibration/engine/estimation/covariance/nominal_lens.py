@@ -19,9 +19,9 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.engine.dataset.pattern import Pattern, grid
-from calibration.engine.estimation.problem.intrinsics import PIXELS
-from calibration.engine.estimation.residuals.corner_residuals import LENS, CornerTerm
-from calibration.engine.estimation.solve.label_columns import BENT, POSE, products
+from calibration.engine.estimation.problem.intrinsics import PARAMETERS_IN_PIXELS
+from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL, CornerTerm
+from calibration.engine.estimation.solve.label_columns import COLUMNS_OF_BENT_PATTERN, POSE_COLUMNS, products
 from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
@@ -60,10 +60,13 @@ class NominalLens:
 def nominal_lens(camera: Camera) -> NominalLens:
     """Return how well the intrinsics of a camera are known from a nominal calibration."""
     coefficients = zip(camera.parameters, camera.intrinsics, strict=True)
-    always = (*PIXELS, *camera.distortion.always)  # others only where camera_info has them (they are not 0)
+    always = (
+        *PARAMETERS_IN_PIXELS,
+        *camera.distortion.always,
+    )  # others only where camera_info has them (they are not 0)
     parameters = tuple(name for name, value in coefficients if name in always or value)
-    names, n = (*camera.parameters, *LENS, *BENT), len(parameters)
-    M = _information(camera, [POSE + names.index(name) for name in (*parameters, "bow_x", "bow_y", "twist")])
+    names, n = (*camera.parameters, *ERRORS_BEYOND_LENS_MODEL, *COLUMNS_OF_BENT_PATTERN), len(parameters)
+    M = _information(camera, [POSE_COLUMNS + names.index(name) for name in (*parameters, "bow_x", "bow_y", "twist")])
     scale = 1 / np.sqrt(np.maximum(np.diagonal(M)[:n], 1e-300))
     R = np.linalg.cholesky(scale[:, None] * M[:n, :n] * scale + RIDGE * np.eye(n))  # a root of the information
     by_noise = scale[:, None] * np.linalg.inv(R).T
@@ -76,11 +79,11 @@ def _information(camera: Camera, columns: list[int]) -> Array:
     corners = pattern.corners - pattern.centre
     pixels, visible = camera.project_visible(apply(T, corners))
     seen = visible & camera.contains(pixels)
-    T, pixels, seen = (each[np.count_nonzero(seen, axis=1) > POSE] for each in (T, pixels, seen))
+    T, pixels, seen = (each[np.count_nonzero(seen, axis=1) > POSE_COLUMNS] for each in (T, pixels, seen))
     term = CornerTerm(camera, corners, np.swapaxes(np.where(seen[..., None], pixels, 0.0), 1, 2), seen)
     M = np.concatenate([part for _, part in products([term], camera, pattern, T, Weighting({"pixel": NOISE}, None))])
-    mixed = M[:, :POSE, columns]
-    eliminated = np.swapaxes(mixed, 1, 2) @ np.linalg.solve(M[:, :POSE, :POSE], mixed)
+    mixed = M[:, :POSE_COLUMNS, columns]
+    eliminated = np.swapaxes(mixed, 1, 2) @ np.linalg.solve(M[:, :POSE_COLUMNS, :POSE_COLUMNS], mixed)
     total: Array = (M[:, columns][:, :, columns] - eliminated).sum(0)
     return total
 

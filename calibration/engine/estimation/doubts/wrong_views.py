@@ -34,7 +34,7 @@ from calibration.engine.estimation.residuals.ray_residuals import RangeTerm
 from calibration.engine.estimation.residuals.views import Term, ViewGroup
 from calibration.engine.estimation.solve.least_squares import Termination, choose, minimise, settle
 from calibration.engine.estimation.solve.normal_equations import Weighting
-from calibration.engine.estimation.solve.optimisation import HUBER
+from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD
 from calibration.engine.estimation.start.build import Setup
 from calibration.engine.estimation.start.flipped_patterns import unflipped
 from calibration.engine.estimation.start.linear_start import linear_start, local_poses
@@ -119,7 +119,7 @@ def _nearer(problem: Problem, start: Values) -> Values | None:
         return None
     nearby = replace(problem, groups=tuple(replace(group, terms=group.terms[:1]) for group in problem.groups))
     kinds = {group.terms[0].kind for group in nearby.groups}
-    weighting = Weighting({kind: NOTICEABLE[kind] / 2 for kind in kinds}, HUBER)
+    weighting = Weighting({kind: NOTICEABLE[kind] / 2 for kind in kinds}, HUBER_THRESHOLD)
     nearer = minimise(nearby, start, weighting, IMPROVING).values
     return None if _all_fit(nearby, nearer) else nearer
 
@@ -367,7 +367,7 @@ class _Consensus:
             typical = median(miss[which])
             if np.isfinite(typical):
                 scales[kind] = max(scales[kind], typical)
-        return Weighting(scales, HUBER)
+        return Weighting(scales, HUBER_THRESHOLD)
 
     def _improved(self, score: float, values: Values) -> tuple[float, Values]:
         for _ in range(ROUNDS):

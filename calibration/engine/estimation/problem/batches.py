@@ -16,7 +16,7 @@ from calibration.base.arrays import Array, IntArray
 from calibration.engine.estimation.problem.blocks import Block, FreeJoint, Pose, Values
 from calibration.engine.estimation.problem.intrinsics import FreeIntrinsics
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm, side_by_side
-from calibration.engine.estimation.residuals.residuals import CHUNK
+from calibration.engine.estimation.residuals.residuals import LABELS_PER_CHUNK
 from calibration.engine.estimation.residuals.views import Link, Term, ViewGroup, per_view, times
 from calibration.engine.geometry.transforms import inverse
 
@@ -26,7 +26,7 @@ VIEWS_OF_SEVERAL_CAMERAS = 128
 """Most views of a batch with several cameras: intrinsics that differ from view to view cost more for each view, so that
 saved calls matter less."""
 Columns = slice | IntArray
-_HERE = np.eye(4)
+_IDENTITY_POSE = np.eye(4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +57,12 @@ class Part:
     @cached_property
     def has_shared(self) -> bool:
         """Whether the poses of its views depend on shared blocks."""
-        return _any(self.shared)
+        return _has_columns(self.shared)
 
     @cached_property
     def has_local(self) -> bool:
         """Whether the poses of its views depend on local blocks."""
-        return _any(self.local)
+        return _has_columns(self.local)
 
     @cached_property
     def in_shared(self) -> tuple[Columns, ...]:
@@ -143,7 +143,7 @@ class Batch:
             T = times(inverse(X) if step.inverted else X, after)
             if step.parameters is not None and not step.is_own_twist:
                 T_child_pattern = T if step.inverted else after
-                there = _HERE if T_child_pattern is None else T_child_pattern
+                there = _IDENTITY_POSE if T_child_pattern is None else T_child_pattern
                 columns = step.parameters.jacobian(there.reshape(-1, 4, 4), values[step.block])
                 J[:, :, step.columns] = -columns if step.inverted else columns
         return per_view(times(self.before, T), self.views), J
@@ -208,17 +208,17 @@ def batches(
         for start in range(0, len(group.collections), VIEWS_AT_A_TIME):
             small = len(group.collections) <= VIEWS_AT_A_TIME
             piece = group if small else group.take(slice(start, start + VIEWS_AT_A_TIME))
-            alike = gathered.setdefault(_form(piece, blocks), [])
-            if (fitting := next((each for each in alike if _fit([*each, piece])), None)) is not None:
+            alike = gathered.setdefault(_form_of_group(piece, blocks), [])
+            if (fitting := next((each for each in alike if _fit_into_one_pass([*each, piece])), None)) is not None:
                 fitting.append(piece)
             else:
                 alike.append([piece])
     rows = [0 if block.intrinsics else collections if block.per_collection else 1 for block in blocks]
     starts = np.cumsum([0, *rows])
-    return tuple(_batch(each, blocks, starts, shared, local) for alike in gathered.values() for each in alike)
+    return tuple(_batch_of_groups(each, blocks, starts, shared, local) for alike in gathered.values() for each in alike)
 
 
-def _form(group: ViewGroup, blocks: Sequence[Block]) -> object:
+def _form_of_group(group: ViewGroup, blocks: Sequence[Block]) -> object:
     """Return the key that the groups of a batch have in common."""
     term = group.terms[0]
     if len(group.terms) > 1 or not isinstance(term, CornerTerm):
@@ -231,15 +231,15 @@ def _free_intrinsics(group: ViewGroup, blocks: Sequence[Block]) -> int | None:
     return None if group.intrinsics is None or blocks[group.intrinsics].held else group.intrinsics
 
 
-def _fit(groups: Sequence[ViewGroup]) -> bool:
+def _fit_into_one_pass(groups: Sequence[ViewGroup]) -> bool:
     """Whether groups fit into one pass: few labels, about as many corners each, few views of different cameras."""
     terms = [term for group in groups for term in group.terms if isinstance(term, CornerTerm)]
     corners, views = [term.pixels.shape[-1] for term in terms], sum(len(group.collections) for group in groups)
     few = views <= VIEWS_OF_SEVERAL_CAMERAS or len({id(term.camera) for term in terms}) == 1
-    return few and max(corners) <= 2 * min(corners) and max(corners) * views <= CHUNK
+    return few and max(corners) <= 2 * min(corners) and max(corners) * views <= LABELS_PER_CHUNK
 
 
-def _batch(
+def _batch_of_groups(
     groups: list[ViewGroup],
     blocks: Sequence[Block],
     rows: IntArray,
@@ -257,15 +257,15 @@ def _batch(
     """
     counts = [len(group.collections) for group in groups]
     ends = np.cumsum([0, *counts]).tolist()
-    steps = _steps(groups, blocks, rows)
-    parts = [_part(group, slice(*ends[i : i + 2]), steps, shared, local) for i, group in enumerate(groups)]
+    steps = _steps_of_chains(groups, blocks, rows)
+    parts = [_part_of_batch(group, slice(*ends[i : i + 2]), steps, shared, local) for i, group in enumerate(groups)]
     corners = [term for group in groups for term in group.terms if isinstance(term, CornerTerm)]
     terms = groups[0].terms if len(groups) == 1 else (side_by_side(corners),)
-    before = _together([group.chain.before for group in groups], counts)
+    before = _concatenate_constants([group.chain.before for group in groups], counts)
     return Batch(before, tuple(steps), terms, tuple(parts), _free_intrinsics(groups[0], blocks))
 
 
-def _steps(groups: Sequence[ViewGroup], blocks: Sequence[Block], rows: IntArray) -> list[_Step]:
+def _steps_of_chains(groups: Sequence[ViewGroup], blocks: Sequence[Block], rows: IntArray) -> list[_Step]:
     """Return the links of groups' chains, each as one of all their views."""
     counts = [len(group.collections) for group in groups]
     steps: list[_Step] = []
@@ -276,9 +276,9 @@ def _steps(groups: Sequence[ViewGroup], blocks: Sequence[Block], rows: IntArray)
         is_last = len(steps) + 1 == len(groups[0].chain.links) and not links[0].inverted and links[0].after is None
         steps.append(
             _Step(
-                rows=_rows(links, groups, blocks, rows),
+                rows=_rows_of_link(links, groups, blocks, rows),
                 inverted=links[0].inverted,
-                after=_together([link.after for link in links], counts),
+                after=_concatenate_constants([link.after for link in links], counts),
                 block=links[0].block,
                 parameters=parameters,
                 columns=slice(width, width + (parameters.dimension if parameters else 0)),
@@ -288,7 +288,7 @@ def _steps(groups: Sequence[ViewGroup], blocks: Sequence[Block], rows: IntArray)
     return steps
 
 
-def _part(
+def _part_of_batch(
     group: ViewGroup,
     views: slice,
     steps: Sequence[_Step],
@@ -301,15 +301,17 @@ def _part(
     return Part(
         views=views,
         collections=group.collections,
-        shared=_span([steps[k].columns for k in of_shared]),
-        shared_at=_span([shared[links[k].block] for k in of_shared]),
-        local=_span([steps[k].columns for k in of_local]),
-        local_at=_span([local[links[k].block] for k in of_local]),
+        shared=_merge_slices([steps[k].columns for k in of_shared]),
+        shared_at=_merge_slices([shared[links[k].block] for k in of_shared]),
+        local=_merge_slices([steps[k].columns for k in of_local]),
+        local_at=_merge_slices([local[links[k].block] for k in of_local]),
         is_own_twist=of_local == [len(steps) - 1] and steps[-1].is_own_twist,
     )
 
 
-def _rows(links: Sequence[Link], groups: Sequence[ViewGroup], blocks: Sequence[Block], rows: IntArray) -> IntArray:
+def _rows_of_link(
+    links: Sequence[Link], groups: Sequence[ViewGroup], blocks: Sequence[Block], rows: IntArray
+) -> IntArray:
     """Return the table's rows (V,) of a link; (1,) if it is the same in all views."""
     if len({link.block for link in links}) == 1 and not blocks[links[0].block].per_collection:
         return rows[[links[0].block]]
@@ -318,21 +320,21 @@ def _rows(links: Sequence[Link], groups: Sequence[ViewGroup], blocks: Sequence[B
     return np.concatenate([rows[link.block] + moving * group.collections for link, group, moving in parts])
 
 
-def _together(constants: Sequence[Array | None], counts: Sequence[int]) -> Array | None:
+def _concatenate_constants(constants: Sequence[Array | None], counts: Sequence[int]) -> Array | None:
     """Concatenate the constants of several groups; either all or none have one."""
     if len(constants) == 1 or constants[0] is None:
         return constants[0]
     return np.concatenate([per_view(constant, count) for constant, count in zip(constants, counts, strict=True)])
 
 
-def _span(slices: Sequence[slice]) -> Columns:
+def _merge_slices(slices: Sequence[slice]) -> Columns:
     """Merge slices into one if they are contiguous, else into indices."""
     if all(a.stop == b.start for a, b in pairwise(slices)):
         return slice(slices[0].start, slices[-1].stop) if slices else slice(0, 0)
     return np.concatenate([np.arange(each.start, each.stop) for each in slices])
 
 
-def _any(columns: Columns) -> bool:
+def _has_columns(columns: Columns) -> bool:
     return not isinstance(columns, slice) or columns.stop > columns.start
 
 

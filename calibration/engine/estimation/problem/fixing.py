@@ -21,12 +21,12 @@ def held_blocks(dataset: Dataset, blocks: Sequence[Block], hold: Sequence[str]) 
         InputError: a name is unknown, or a fixed pattern has no pose in the dataset.
     """
     out = list(blocks)
-    names = [_names(dataset, block) for block in blocks]
+    names = [_names_of_block(dataset, block) for block in blocks]
     for name in hold:
         found = [i for i in range(len(blocks)) if name in names[i]]
         for i in found:
-            out[i] = _held(out[i], name)
-            _check(dataset, blocks[i])
+            out[i] = _fix_block(out[i], name)
+            _refuse_pattern_without_pose(dataset, blocks[i])
         if not found:
             known = [each for of_block in names for each in of_block]
             raise InputError(
@@ -35,14 +35,14 @@ def held_blocks(dataset: Dataset, blocks: Sequence[Block], hold: Sequence[str]) 
     return tuple(out)
 
 
-def _names(dataset: Dataset, block: Block) -> list[str]:
+def _names_of_block(dataset: Dataset, block: Block) -> list[str]:
     """Return the names of a block."""
     names = [block.name, "-".join(block.edge)] if block.edge else [block.name]
     names += [sensor.name for sensor in dataset.sensors.values() if sensor.edge == block.edge]
     return names + [f"{block.name}-{parameter}" for parameter in block.parameters.free]
 
 
-def _held(block: Block, name: str) -> Block:
+def _fix_block(block: Block, name: str) -> Block:
     """Fix a block; or only the named parameter of a joint or a camera."""
     parameter = name.removeprefix(f"{block.name}-")
     if isinstance(block.parameters, Pose) or parameter not in block.parameters.free:
@@ -51,7 +51,7 @@ def _held(block: Block, name: str) -> Block:
     return replace(block, parameters=rest, held=block.held or not rest.free)
 
 
-def _check(dataset: Dataset, block: Block) -> None:
+def _refuse_pattern_without_pose(dataset: Dataset, block: Block) -> None:
     """Refuse to fix a pattern without a pose."""
     if block.name in dataset.patterns and block.edge:
         poses = dataset.transforms.get(block.edge)

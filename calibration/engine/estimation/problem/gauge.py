@@ -17,7 +17,7 @@ from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.estimation.problem.blocks import Block
 from calibration.engine.estimation.residuals.views import ViewGroup
 
-RIGID = 1e-9
+RIGID_TOLERANCE = 1e-9
 """Tolerance (m, and elements of rotations) of transforms that are the same in all collections."""
 
 
@@ -44,7 +44,7 @@ def free_gauge(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[B
         UndeterminedError: sensors are not connected by common views, or two transforms that are free per collection
             are degenerate with each other.
     """
-    parts = _linked(dataset, groups, blocks)
+    parts = _connected_sensors(dataset, groups, blocks)
     free = [bodies for part in parts if (bodies := _free_bodies(dataset, part, groups, blocks))]
     if free and len(parts) > 1:
         listed = " and ".join("{" + ", ".join(part) + "}" for part in parts)
@@ -56,11 +56,11 @@ def free_gauge(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[B
     for attached in (body for bodies in free for body in bodies):
         additional = any(block.edge in dataset.additional_transforms for block in attached)
         if not additional or any(block.per_collection for block in attached):
-            gauge = _held(dataset, gauge, attached)
+            gauge = _with_body_fixed(dataset, gauge, attached)
     return gauge
 
 
-def _held(dataset: Dataset, gauge: Gauge, attached: Sequence[Block]) -> Gauge:
+def _with_body_fixed(dataset: Dataset, gauge: Gauge, attached: Sequence[Block]) -> Gauge:
     """Return the gauge with one more body fixed, by one of the blocks attached to it."""
     constant = [block.edge for block in attached if not block.per_collection]
     for sensor in dataset.sensors.values():
@@ -75,7 +75,7 @@ def _held(dataset: Dataset, gauge: Gauge, attached: Sequence[Block]) -> Gauge:
     )
 
 
-def _linked(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[Block]) -> list[list[str]]:
+def _connected_sensors(dataset: Dataset, groups: Sequence[ViewGroup], blocks: Sequence[Block]) -> list[list[str]]:
     """Return groups of connected sensors, in the dataset's order.
 
     Two sensors are connected if they see the same pattern, at any time for a fixed one, in the same
@@ -118,15 +118,15 @@ def _free_bodies(
     free = []
     for body, ends in attached.items():
         constant = [frame for block, frame in ends if not block.per_collection]
-        if body not in seen and not any(block.held for block, _ in ends) and _rigid(dataset, constant):
+        if body not in seen and not any(block.held for block, _ in ends) and _are_rigid(dataset, constant):
             free.append([block for block, _ in ends])
     return free
 
 
-def _rigid(dataset: Dataset, frames: Sequence[str]) -> bool:
+def _are_rigid(dataset: Dataset, frames: Sequence[str]) -> bool:
     """Whether the frames of one body are rigidly connected."""
     relative = [dataset.transform(frames[0], frame) for frame in dict.fromkeys(frames[1:])]
-    return all(np.abs(T - T[0]).max() < RIGID for T in relative)
+    return all(np.abs(T - T[0]).max() < RIGID_TOLERANCE for T in relative)
 
 
 class _Bodies:

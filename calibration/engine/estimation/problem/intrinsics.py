@@ -11,9 +11,9 @@ from calibration.base.arrays import Array, BoolArray
 from calibration.engine.estimation.problem.motion import Motion
 from calibration.engine.geometry.cameras import Camera
 
-ALL = "all"
+ALL_CAMERAS = "all"
 """Name for all cameras."""
-PIXELS = ("fx", "fy", "cx", "cy")
+PARAMETERS_IN_PIXELS = ("fx", "fy", "cx", "cy")
 """Parameters in pixels."""
 
 
@@ -33,7 +33,7 @@ class CalibratedIntrinsics:
     @property
     def units(self) -> tuple[Literal["px", "1"], ...]:
         """Unit of each parameter."""
-        return tuple("px" if parameter in PIXELS else "1" for parameter in self.parameters)
+        return tuple("px" if parameter in PARAMETERS_IN_PIXELS else "1" for parameter in self.parameters)
 
     @property
     def sigmas(self) -> Array:
@@ -108,23 +108,23 @@ class FreeIntrinsics:
         """Whether the values are valid: positive focal lengths, no folding of the image at the labels."""
         if not (np.isfinite(value).all() and value[0] > 0 and value[1] > 0):
             return False
-        return bool(self._unfolded(self.camera.with_intrinsics(value))[self._sound].all())
+        return bool(self._does_not_fold(self.camera.with_intrinsics(value))[self._sound_probes].all())
 
     @cached_property
-    def _probes(self) -> Array:
+    def _probe_points(self) -> Array:
         """Points (2, p) all over the circle that contains the labels, in the lens's chart."""
         around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
         r = np.hypot(*self.rays).max(initial=0.0) * np.linspace(0, 1, 9)[1:, None]
         return np.stack([(r * np.cos(around)).ravel(), (r * np.sin(around)).ravel()])
 
     @cached_property
-    def _sound(self) -> BoolArray:
+    def _sound_probes(self) -> BoolArray:
         """Mask (p,) of the probes at which the nominal camera does not fold."""
-        return self._unfolded(self.camera)
+        return self._does_not_fold(self.camera)
 
-    def _unfolded(self, camera: Camera) -> BoolArray:
+    def _does_not_fold(self, camera: Camera) -> BoolArray:
         with np.errstate(all="ignore"):
-            _, ((a, b), (c, d)) = camera.distortion.distort_with_jacobian(self._probes)
+            _, ((a, b), (c, d)) = camera.distortion.distort_with_jacobian(self._probe_points)
             unfolded: BoolArray = (a > 0) & (a * d - b * c > 0)
         return unfolded
 
@@ -148,7 +148,7 @@ class FreeIntrinsics:
     @cached_property
     def reach(self) -> Array:
         """Rotation (k,) of a ray per unit of each free parameter, rad; root mean square over the labels."""
-        return root_mean_square(self._turns(*self.rays))
+        return root_mean_square(self._ray_rotations(*self.rays))
 
     @cached_property
     def unit(self) -> Array:
@@ -169,9 +169,9 @@ class FreeIntrinsics:
         camera = self.camera
         u, v = np.meshgrid(np.linspace(0, camera.width - 1, 16), np.linspace(0, camera.height - 1, 12))
         x, y = camera.from_pixels(u.ravel(), v.ravel())
-        return self._turns(x[np.isfinite(x)], y[np.isfinite(x)])
+        return self._ray_rotations(x[np.isfinite(x)], y[np.isfinite(x)])
 
-    def _turns(self, x: Array, y: Array) -> Array:
+    def _ray_rotations(self, x: Array, y: Array) -> Array:
         """Rotation (k, 2, n) of rays, as coordinates (n,) in the chart, per unit of each free parameter.
 
         In pixels over the focal length, which is close to the angle, and for a fisheye lens equal to it.

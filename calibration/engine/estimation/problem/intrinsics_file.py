@@ -15,7 +15,7 @@ from calibration.base.files import write_atomically
 from calibration.engine.dataset.document import Node, read_json
 from calibration.engine.dataset.lens_uncertainty import read_covariance, read_parameters
 from calibration.engine.dataset.sensors import MAX_INTRINSIC, camera_document
-from calibration.engine.estimation.problem.intrinsics import PIXELS, CalibratedIntrinsics
+from calibration.engine.estimation.problem.intrinsics import PARAMETERS_IN_PIXELS, CalibratedIntrinsics
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 
@@ -70,7 +70,7 @@ def read_calibrated(node: Node) -> CalibratedIntrinsics:
     model = node["model"]
     if model.text() not in MODELS:
         raise model.unexpected(f"a known distortion model: {', '.join(MODELS)}")
-    known = (*PIXELS, *MODELS[model.value].names())
+    known = (*PARAMETERS_IN_PIXELS, *MODELS[model.value].names())
     parameters = read_parameters(node["parameters"], known)
     node["values"].numbers(len(parameters))
     values = np.array([element.within(-MAX_INTRINSIC, MAX_INTRINSIC) for element in node["values"].elements()])

@@ -35,14 +35,14 @@ class Problem:
     @cached_property
     def shared_parameters(self) -> dict[int, slice]:
         """Parameters of each shared block among those of all shared blocks."""
-        return self._placed(self.shared)
+        return self._place_parameters(self.shared)
 
     @cached_property
     def local_parameters(self) -> dict[int, slice]:
         """Parameters of each local block among those of all local blocks of a collection."""
-        return self._placed(self.local)
+        return self._place_parameters(self.local)
 
-    def _placed(self, blocks: list[int]) -> dict[int, slice]:
+    def _place_parameters(self, blocks: list[int]) -> dict[int, slice]:
         ends = np.cumsum([0, *(self.blocks[i].dimension for i in blocks)]).tolist()
         return {block: slice(*ends[k : k + 2]) for k, block in enumerate(blocks)}
 

@@ -9,11 +9,11 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.residuals.distinct import distinct
 from calibration.engine.geometry.transforms import apply, distance
 
-NEAR = 2.0
+MAX_SIGMAS_IF_STILL = 2.0
 """Distance, in standard deviations of the labels, within which a pattern has not moved,"""
 NEAR_PIXELS, NEAR_METRES = 0.3, 0.005
 """and distance in a camera's view (px), and for other sensors (m)."""
-STILL = 1e-3
+MAX_MOTION_IF_STILL = 1e-3
 """m, rad: tolerance of a transform of a robot that has not moved."""
 
 
@@ -29,25 +29,25 @@ def repeated_collections(dataset: Dataset, pixel: float | None) -> IntArray:
         pixel: the standard deviation of the corners, px; None without any.
     """
     clusters = np.arange(len(dataset.collections))
-    near = _near(_views(dataset, NEAR * (pixel or 0.0)))
-    moving = _moving(dataset) if near else []
+    near = _near_pairs(_border_corners(dataset, MAX_SIGMAS_IF_STILL * (pixel or 0.0)))
+    moving = _moving_transforms(dataset) if near else []
     for k, first in near:
         if (
             clusters[k] == k
             and clusters[first] == first
-            and all(np.max(distance(T[first], T[k])) < STILL for T in moving)
+            and all(np.max(distance(T[first], T[k])) < MAX_MOTION_IF_STILL for T in moving)
         ):
             clusters[k] = first
     return clusters
 
 
-def _near(views: Sequence[Array]) -> list[tuple[int, int]]:
+def _near_pairs(views: Sequence[Array]) -> list[tuple[int, int]]:
     """Pairs (i, j), j < i, ascending, of rows that are near in each of the views (N, F) which has both, and in one."""
     N = len(views[0]) if views else 0
     numbers = [np.zeros(0, int)]
     for view in views:
-        i, j = _candidates(view)
-        near = ~_apart(view, i, j)
+        i, j = _candidate_pairs(view)
+        near = ~_rows_differ(view, i, j)
         numbers.append(i[near] * N + j[near])
     together = np.concatenate(numbers)
     if not len(together):
@@ -55,17 +55,17 @@ def _near(views: Sequence[Array]) -> list[tuple[int, int]]:
     i, j = np.divmod(distinct(together)[0], N)
     near = np.ones(len(i), bool)
     for view in views:
-        near &= ~_apart(view, i, j)
+        near &= ~_rows_differ(view, i, j)
     return list(zip(i[near].tolist(), j[near].tolist(), strict=True))
 
 
-def _apart(view: Array, i: IntArray, j: IntArray) -> BoolArray:
+def _rows_differ(view: Array, i: IntArray, j: IntArray) -> BoolArray:
     """Whether rows of a view (N, F) differ; NaN, not seen in both, is ignored."""
     apart: BoolArray = ((view[i] - view[j]) ** 2).mean(-1) > 1.0
     return apart
 
 
-def _candidates(view: Array) -> tuple[IntArray, IntArray]:
+def _candidate_pairs(view: Array) -> tuple[IntArray, IntArray]:
     """Pairs of rows i, j, j < i, of a view (N, F) whose first two coordinates allow that they are near."""
     order = view[:, 0].argsort(kind="stable")[: np.isfinite(view[:, 0]).sum()]
     ranked = view[order, 0]
@@ -78,13 +78,13 @@ def _candidates(view: Array) -> tuple[IntArray, IntArray]:
     return np.maximum(a, b), np.minimum(a, b)
 
 
-def _views(dataset: Dataset, pixels: float) -> list[Array]:
+def _border_corners(dataset: Dataset, pixels: float) -> list[Array]:
     """Return the border's corners of each pattern in each sensor (N, 8 or 12), in tolerances; NaN if unseen."""
     found = []
     for name, pattern in dataset.patterns.items():
         corners = np.column_stack([pattern.outline, np.zeros(len(pattern.outline))])
         for sensor in dataset.sensors.values():
-            at = _seen(dataset, name, sensor.name)
+            at = _collections_seen(dataset, name, sensor.name)
             if not len(at):
                 continue
             points = apply(dataset.transform(sensor.frame, pattern.link, at), corners)
@@ -100,7 +100,7 @@ def _views(dataset: Dataset, pixels: float) -> list[Array]:
     return found
 
 
-def _seen(dataset: Dataset, pattern: str, sensor: str) -> IntArray:
+def _collections_seen(dataset: Dataset, pattern: str, sensor: str) -> IntArray:
     """Return the collections (V,) in which a sensor saw a pattern that has a pose there."""
     board = dataset.patterns[pattern]
     seen = np.array([i for i, c in enumerate(dataset.collections) if (pattern, sensor) in c.labels], int)
@@ -108,7 +108,7 @@ def _seen(dataset: Dataset, pattern: str, sensor: str) -> IntArray:
     return seen if pose is None else seen[np.isfinite(pose[seen, 0, 0])]
 
 
-def _moving(dataset: Dataset) -> list[Array]:
+def _moving_transforms(dataset: Dataset) -> list[Array]:
     """Return the transforms (N, 4, 4) between sensors and fixed patterns that differ between collections."""
     edges = {
         (step.parent, step.child)
@@ -118,4 +118,4 @@ def _moving(dataset: Dataset) -> list[Array]:
         for step in dataset.tree.path(sensor.frame, pattern.parent_link)
     }
     T = [dataset.transforms[edge] for edge in sorted(edges - dataset.moving_transforms)]
-    return [each for each in T if np.ptp(each, axis=0).max() > STILL]
+    return [each for each in T if np.ptp(each, axis=0).max() > MAX_MOTION_IF_STILL]

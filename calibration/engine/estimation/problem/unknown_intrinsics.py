@@ -8,10 +8,10 @@ from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.estimation.problem.blocks import Block, Values
-from calibration.engine.estimation.problem.intrinsics import ALL, CalibratedIntrinsics, FreeIntrinsics, Prior
+from calibration.engine.estimation.problem.intrinsics import ALL_CAMERAS, CalibratedIntrinsics, FreeIntrinsics, Prior
 from calibration.engine.geometry.cameras import Camera
 
-CONTRADICTION = 6
+MIN_SIGMAS_OF_CONTRADICTION = 6
 """A prior is contradicted if its distance from the result exceeds the expected one by this, in standard deviations."""
 
 
@@ -34,10 +34,10 @@ def intrinsics_blocks(
     """
     cameras = {name: each for name, each in dataset.sensors.items() if each.modality.has_corners and each.camera}
     for name in wanted:
-        if name != ALL and name not in cameras:
+        if name != ALL_CAMERAS and name not in cameras:
             what = f"a {dataset.sensors[name].modality} sensor" if name in dataset.sensors else "no sensor"
             raise InputError(
-                f"{dataset.path}: intrinsics: '{name}' is {what}, expected {ALL} or cameras "
+                f"{dataset.path}: intrinsics: '{name}' is {what}, expected {ALL_CAMERAS} or cameras "
                 f"({', '.join(cameras) or 'there are none'})"
             )
     if known and not known.keys() & cameras.keys():
@@ -47,11 +47,13 @@ def intrinsics_blocks(
         )
     blocks = []
     for name, sensor in cameras.items():
-        chosen = name in wanted or ALL in wanted
+        chosen = name in wanted or ALL_CAMERAS in wanted
         if sensor.camera and (chosen or name in known):
-            prior = _prior(dataset, name, sensor.camera, known[name], chosen) if name in known else None
+            prior = _prior_of_camera(dataset, name, sensor.camera, known[name], chosen) if name in known else None
             free = sensor.camera.parameters if chosen else ()
-            intrinsics = FreeIntrinsics(name, sensor.camera, free, _rays(dataset, name, sensor.camera), prior)
+            intrinsics = FreeIntrinsics(
+                name, sensor.camera, free, _labels_in_chart(dataset, name, sensor.camera), prior
+            )
             blocks.append(Block(f"intrinsics-{name}", held=not chosen, parameters=intrinsics))
     return tuple(blocks)
 
@@ -66,7 +68,7 @@ def contradicted_priors(blocks: Sequence[Block], values: Values) -> list[str]:
     for block, value in zip(blocks, values, strict=True):
         if (intrinsics := block.intrinsics) and not block.held and (prior := intrinsics.prior):
             squared, count = intrinsics.pull(value)[0], len(prior.at)
-            if squared > count + CONTRADICTION * np.sqrt(2 * count):
+            if squared > count + MIN_SIGMAS_OF_CONTRADICTION * np.sqrt(2 * count):
                 off = (value[list(prior.at)] - prior.mean) / np.sqrt(np.diagonal(prior.covariance))
                 k = int(np.abs(off).argmax())
                 warnings.append(
@@ -77,7 +79,9 @@ def contradicted_priors(blocks: Sequence[Block], values: Values) -> list[str]:
     return warnings
 
 
-def _prior(dataset: Dataset, name: str, camera: Camera, known: CalibratedIntrinsics, calibrated: bool) -> Prior:
+def _prior_of_camera(
+    dataset: Dataset, name: str, camera: Camera, known: CalibratedIntrinsics, calibrated: bool
+) -> Prior:
     where = f"{dataset.path}: covariance of the intrinsics of '{name}'"
     if known.model != camera.distortion.ros_name:
         raise InputError(f"{where}: it is of a lens {known.model}, the dataset has {camera.distortion.ros_name}")
@@ -97,7 +101,7 @@ def _prior(dataset: Dataset, name: str, camera: Camera, known: CalibratedIntrins
     return Prior(tuple(sorted(at)), known.values[order], known.covariance[np.ix_(order, order)])
 
 
-def _rays(dataset: Dataset, name: str, camera: Camera) -> Array:
+def _labels_in_chart(dataset: Dataset, name: str, camera: Camera) -> Array:
     """Return the labels of a camera in its lens's chart (2, n), without those that have none."""
     labels = [c.labels[key] for c in dataset.collections for key in c.labels if key[1] == name]
     pixels = [each.pixels for each in labels if isinstance(each, CornerLabels)]

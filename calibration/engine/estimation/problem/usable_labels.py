@@ -26,7 +26,7 @@ def usable_labels(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
         InputError: a sensor has no labels left.
         UndeterminedError: fewer than two collections are left.
     """
-    faults = _faults(dataset)
+    faults = _faulty_labels(dataset)
     kept: list[Mapping[tuple[str, str], Labels]] = [collection.labels for collection in dataset.collections]
     ignored = []
     for i in sorted({i for i, _ in faults}):
@@ -73,7 +73,7 @@ def _seen_by_cameras(labels: Mapping[tuple[str, str], Labels]) -> set[str]:
     return {pattern for (pattern, _), label in labels.items() if isinstance(label, CornerLabels | PoseLabels)}
 
 
-def _faults(dataset: Dataset) -> dict[tuple[int, tuple[str, str]], str]:
+def _faulty_labels(dataset: Dataset) -> dict[tuple[int, tuple[str, str]], str]:
     """Return the labels that determine too little, by collection and by (pattern, sensor), with the reasons."""
     K = {name: len(pattern.corners) for name, pattern in dataset.patterns.items()}
     faults = {}

@@ -31,7 +31,7 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import LAST_STEP
 from calibration.engine.geometry.lenses.charts import IN_FRONT, Placed
 
-LENS = ("skew", "prism_x", "prism_y")
+ERRORS_BEYOND_LENS_MODEL = ("skew", "prism_x", "prism_y")
 """Errors of a lens that its model has no coefficients for: non-perpendicular axes, thin prism along x and y.
 
 ``u = fx (x + skew y + prism_x r^2)``, ``v = fy (y + prism_y r^2)`` with distorted (x, y)
@@ -57,7 +57,7 @@ class CornerTerm:
     """(V, K); None if every view sees every corner."""
 
     free: tuple[int, ...] = ()
-    """Free intrinsics, by their indices in `Camera.intrinsics`; those of `LENS` follow."""
+    """Free intrinsics, by their indices in `Camera.intrinsics`; those of `ERRORS_BEYOND_LENS_MODEL` follow."""
     kind: NoiseKind = "pixel"
     dimension: int = 2
 
@@ -75,9 +75,9 @@ class CornerTerm:
     @property
     def rays(self) -> Array:
         """(V, 2, K): labels as undistorted coordinates in the lens's chart."""
-        return self._rays(slice(None), LAST_STEP)
+        return self._rays_of_pixels(slice(None), LAST_STEP)
 
-    def _rays(self, views: slice, step: float) -> Array:
+    def _rays_of_pixels(self, views: slice, step: float) -> Array:
         camera, pixels = self.camera, self.pixels[views]
         x, y = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
         return np.stack(camera.distortion.undistort(x, y, step), 1)
@@ -87,7 +87,7 @@ class CornerTerm:
         """``T_camera_centre`` (V, 4, 4) of each view by its homography; NaN where its corners give none."""
         rays = np.empty_like(self.pixels)
         for views in chunks(*self.pixels.shape[::2]):
-            rays[views] = self._rays(views, ROUGH_STEP)
+            rays[views] = self._rays_of_pixels(views, ROUGH_STEP)
         seen = self.seen
         if np.isnan(rays).any():  # a label where the distortion has no inverse must not cost its whole view
             usable: BoolArray = np.asarray(np.isfinite(rays).all(1))
@@ -125,11 +125,11 @@ class CornerTerm:
         threshold, variance = None if huber is None else huber * scale, scale * scale
         for part in chunks(len(T), self.length):  # in pixels, as there are fewer views than corners to scale
             into = None if squares is None else squares[part]
-            found = self._projected(T[part], part, 1.0, threshold, into)
+            found = self._project_corners(T[part], part, 1.0, threshold, into)
             cost[part] = found.cost
             if self.free:
                 rows = np.empty((size + 1, len(found.cost), 2, self.length))
-                self._fill(rows, T[part], found, 1.0)
+                self._fill_pose_rows(rows, T[part], found, 1.0)
                 H[part], g[part] = squeezed(np.swapaxes(rows.reshape(*rows.shape[:2], -1), 0, 1))
             else:
                 H[part], g[part] = _hessian_and_gradient(T[part, :3, :3], found, self._monomials_of(part))
@@ -138,14 +138,14 @@ class CornerTerm:
     def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
         """See `calibration.engine.estimation.residuals.views.Term`."""
         out = np.empty((7 + len(self.free) + spare, len(T), 2, self.length))
-        self._fill(out, T, self._projected(T, views, scale, huber), scale)
+        self._fill_pose_rows(out, T, self._project_corners(T, views, scale, huber), scale)
         return out, self.corners.T[None]
 
     def magnitudes(self, T: Array) -> Array:
         """(V, K): distance from each label to the projected corner (px); NaN if not seen or not to be seen."""
         out = np.empty((len(T), self.length))
         for part in chunks(len(T), self.length):
-            placed = self._placed(T[part], part)
+            placed = self._place_in_chart(T[part], part)
             (x, y), outside = placed.at, placed.outside
             xd, yd = self.camera.distortion.distort(x, y)
             u = self.camera.fx * xd - self._from_centre[0, part]
@@ -156,7 +156,7 @@ class CornerTerm:
         return out if self.seen is None else np.where(self.seen, out, np.nan)
 
     @cached_property
-    def _focal(self) -> Array:
+    def _focal_lengths(self) -> Array:
         """(2, 1, 1), or (2, V, 1): focal lengths, px."""
         return np.array([self.camera.fx, self.camera.fy]).reshape(2, -1, 1)
 
@@ -167,14 +167,14 @@ class CornerTerm:
         return np.stack([u - self.camera.cx, v - self.camera.cy])
 
     @cached_property
-    def _monomials(self) -> Array:
+    def _corner_monomials(self) -> Array:
         """(..., K, 6): 1, X, Y, X^2, XY and Y^2 of the corners."""
         X, Y = self.corners[..., 0], self.corners[..., 1]
         return np.stack([np.ones_like(X), X, Y, X * X, X * Y, Y * Y], -1)
 
     def _monomials_of(self, part: slice) -> Array:
         """Return the monomials (K, 6), or (v, K, 6), of a part of the views."""
-        return self._monomials if self.corners.ndim == 2 else self._monomials[part]
+        return self._corner_monomials if self.corners.ndim == 2 else self._corner_monomials[part]
 
     @cached_property
     def _in_plane(self) -> Array:
@@ -183,12 +183,12 @@ class CornerTerm:
         return np.stack([X, Y, np.zeros_like(X), np.ones_like(X)], -2)
 
     @cached_property
-    def _levers(self) -> Array:
+    def _lever_arms(self) -> Array:
         """(2, ..., 2 K): Y and -X of the corners, twice."""
         X, Y = self.corners[..., 0], self.corners[..., 1]
         return np.stack([np.concatenate([Y, Y], -1), np.concatenate([-X, -X], -1)])
 
-    def _placed(self, T: Array, part: slice) -> Placed:
+    def _place_in_chart(self, T: Array, part: slice) -> Placed:
         """Return the corners of a part of the views in the lens's chart."""
         if self.corners.ndim == 2:  # the camera's axes first: everything after is contiguous
             points = (T[:, :3].transpose(1, 0, 2).reshape(-1, 4) @ self._in_plane).reshape(3, len(T), -1)
@@ -196,15 +196,15 @@ class CornerTerm:
             points = np.ascontiguousarray((T[:, :3] @ self._in_plane[part]).transpose(1, 0, 2))
         return self.camera.distortion.chart.placed(points, self.camera.distortion.sees)
 
-    def _projected(
+    def _project_corners(
         self, T: Array, part: slice, scale: float, huber: float | None, squares: Array | None = None
     ) -> "_Projected":
         """Project the corners of a part of the views; the arguments are those of `linearise`."""
         camera, seen = self.camera, None if self.seen is None else self.seen[part]
-        placed = self._placed(T, part)
+        placed = self._place_in_chart(T, part)
         outside = placed.outside
         distorted, jacobian = camera.distortion.distort_with_jacobian(placed.at)
-        residuals = distorted * self._focal
+        residuals = distorted * self._focal_lengths
         residuals -= self._from_centre[:, part]
         if scale != 1.0:
             residuals *= 1 / scale
@@ -226,15 +226,15 @@ class CornerTerm:
         if weight is not None:
             residuals *= weight
         over_depth = placed.nearness if weight is None else weight * placed.nearness
-        along = over_depth * (self._focal / scale)
+        along = over_depth * (self._focal_lengths / scale)
         slopes = np.empty((2, *placed.at.shape))
         np.multiply(jacobian[0], along[0], out=slopes[0])
         np.multiply(jacobian[1], along[1], out=slopes[1])
         return _Projected(cost, placed, distorted, residuals, slopes, weight)
 
-    def _fill(self, rows: Array, T: Array, found: "_Projected", scale: float) -> None:
+    def _fill_pose_rows(self, rows: Array, T: Array, found: "_Projected", scale: float) -> None:
         """Fill the first 6 + m and the last of weighted rows (r, v, 2, K)."""
-        both, Y, minus_X = rows.reshape(*rows.shape[:2], -1), *self._levers  # axes of the image, side by side
+        both, Y, minus_X = rows.reshape(*rows.shape[:2], -1), *self._lever_arms  # axes of the image, side by side
         np.matmul(np.swapaxes(T[:, :3, :3], 1, 2), found.by_translation(), out=np.swapaxes(both[:3], 0, 1))
         np.multiply(both[2], Y, out=both[3])
         np.multiply(both[2], minus_X, out=both[4])
@@ -254,7 +254,7 @@ class CornerTerm:
         if max(self.free) > 3 + len(coefficients):
             x, y = found.distorted
             r2 = x * x + y * y
-            coefficients += [(y, _NONE), (r2, _NONE), (_NONE, r2)]
+            coefficients += [(y, _NO_COST), (r2, _NO_COST), (_NO_COST, r2)]
         for k, parameter in enumerate(self.free):
             if parameter > 3:
                 dx, dy = coefficients[parameter - 4]
@@ -269,7 +269,7 @@ class CornerTerm:
                     rows[k, :, axis] = 1 / scale
 
 
-_NONE = np.zeros(1)
+_NO_COST = np.zeros(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,13 +302,15 @@ def _hessian_and_gradient(R: Array, found: _Projected, monomials: Array) -> tupl
         found: the corners.
         monomials: (K, 6), or (v, K, 6), of the corners' places.
     """
-    affine = _moments(found, monomials).take(_AFFINE, 1)  # (v, 9, 10): its Hessian, and its gradient beside it
+    affine = _moments_of_projected(found, monomials).take(
+        _PLACES_OF_AFFINE, 1
+    )  # (v, 9, 10): its Hessian, and its gradient beside it
     to_affine = (R.reshape(-1, 9) @ _TO_AFFINE).reshape(-1, 9, 6)
     turned = to_affine.transpose(0, 2, 1) @ affine
     return turned[:, :, :9] @ to_affine, turned[:, :, 9]
 
 
-def _moments(found: _Projected, monomials: Array) -> Array:
+def _moments_of_projected(found: _Projected, monomials: Array) -> Array:
     """Return the moments (v, 9 x 6) of the products of ``a = (x, y, -z)`` with itself and with the residual r.
 
     The products are those of `calibration.engine.geometry.lenses.charts.Placed.products`.
@@ -321,8 +323,8 @@ def _moments(found: _Projected, monomials: Array) -> Array:
     return moments.transpose(1, 0, 2).reshape(v, -1)
 
 
-def _affine() -> IntArray:
-    """Return where the Hessian and the gradient (9, 10) of the affine map are among `_moments`.
+def _places_in_moments() -> IntArray:
+    """Return where the Hessian and the gradient (9, 10) of the affine map are among `_moments_of_projected`.
 
     The map's elements are the camera's axes of ``d_0``, then of ``d_X`` and ``d_Y``.
     """
@@ -336,7 +338,7 @@ def _affine() -> IntArray:
 def _to_affine() -> Array:
     """Return the matrix (9, 54) from the elements of R to the map (9, 6) from a twist to the affine map.
 
-    The camera's z-axis is reversed there, as in `_moments`.
+    The camera's z-axis is reversed there, as in `_moments_of_projected`.
     """
     out = np.zeros((3, 3, 3, 3, 6))  # of R its row and column, then d_0, d_X or d_Y, the camera's axis, and the twist
     for axis, sign in enumerate((1, 1, -1)):
@@ -348,14 +350,14 @@ def _to_affine() -> Array:
     return out.reshape(9, 54)
 
 
-_AFFINE, _TO_AFFINE = _affine(), _to_affine()
+_PLACES_OF_AFFINE, _TO_AFFINE = _places_in_moments(), _to_affine()
 
 
 def side_by_side(terms: Sequence[CornerTerm]) -> CornerTerm:
     """Concatenate few views of several cameras and patterns to one term, to be linearised in one pass.
 
     Args:
-        terms: of cameras with the same model of distortion; about `CHUNK` labels together.
+        terms: of cameras with the same model of distortion; about `LABELS_PER_CHUNK` labels together.
     """
     counts = [len(term.pixels) for term in terms]
     K = max(term.pixels.shape[-1] for term in terms)

@@ -5,11 +5,11 @@ import numpy as np
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.geometry.cameras import Camera
 
-REACH = 6
+PIXELS_ON_EITHER_SIDE = 6
 """Number of pixels before and after a limit pixel that determine the border's direction."""
-STRAIGHT = np.cos(np.radians(20))
+MIN_COSINE_IF_STRAIGHT = np.cos(np.radians(20))
 """If the directions before and after a pixel differ by more, it is at a corner of the pattern, or at a gap. On a
-straight border they differ by at most a pixel's step in `REACH` each, 19 degrees.
+straight border they differ by at most a pixel's step in `PIXELS_ON_EITHER_SIDE` each, 19 degrees.
 """
 
 
@@ -34,22 +34,27 @@ def depth_border_rays(points: Array, limits: IntArray, camera: Camera) -> Array:
         (L, 3); NaN if the limit pixels around one do not locate the border: no step, a corner, a gap.
     """
     pixels = np.rint(camera.project(points[limits]))
-    step = _outward(pixels, camera.project(points).mean(axis=0))
+    step = _outward_steps(pixels, camera.project(points).mean(axis=0))
     x, y = camera.normalise(pixels + 0.5 * step).T
     z = np.where(np.isnan(x), np.nan, points[limits, 2])
     return np.stack([x * z, y * z, z], -1)
 
 
-def _outward(pixels: Array, centre: Array) -> Array:
+def _outward_steps(pixels: Array, centre: Array) -> Array:
     """Return the unit step (L, 2) along rows or columns out of a convex region at its border pixels; else NaN."""
-    if len(pixels) < 2 * REACH + 1:
+    if len(pixels) < 2 * PIXELS_ON_EITHER_SIDE + 1:
         return np.full_like(pixels, np.nan)
     order = np.argsort(np.arctan2(*(pixels - centre).T[::-1]), kind="stable")
     around = pixels[order]
-    after, before = np.roll(around, -REACH, axis=0) - around, around - np.roll(around, REACH, axis=0)
+    after, before = (
+        np.roll(around, -PIXELS_ON_EITHER_SIDE, axis=0) - around,
+        around - np.roll(around, PIXELS_ON_EITHER_SIDE, axis=0),
+    )
     along = after + before
     normal = np.stack([along[:, 1], -along[:, 0]], -1)  # outward: with y down, angles grow clockwise
-    straight = (after * before).sum(-1) > STRAIGHT * np.linalg.norm(after, axis=-1) * np.linalg.norm(before, axis=-1)
+    straight = (after * before).sum(-1) > MIN_COSINE_IF_STRAIGHT * np.linalg.norm(after, axis=-1) * np.linalg.norm(
+        before, axis=-1
+    )
     rows = np.abs(normal[:, 0]) > np.abs(normal[:, 1])
     step = np.where(np.stack([rows, ~rows], -1), np.sign(normal), 0.0)
     out = np.empty_like(pixels)

@@ -4,7 +4,7 @@ import numpy as np
 
 from calibration.base.arrays import Array
 
-MANY = 10_000
+MIN_NUMBERS_TO_NARROW = 10_000
 """Numbers from which those near the median are sorted out first."""
 
 
@@ -17,7 +17,9 @@ def median(values: Array) -> float:
     if not flat.size:
         return float("nan")
     low, high = (flat.size - 1) // 2, flat.size // 2
-    if flat.size > MANY:  # an estimate from every 50th number tells between which numbers the median is
+    if (
+        flat.size > MIN_NUMBERS_TO_NARROW
+    ):  # an estimate from every 50th number tells between which numbers the median is
         sample = np.sort(flat[::50])
         least, most = sample[int(0.4 * len(sample))], sample[int(0.6 * len(sample))]
         near = flat.compress((flat >= least) & (flat <= most))

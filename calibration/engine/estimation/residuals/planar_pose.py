@@ -14,8 +14,8 @@ from calibration.engine.estimation.residuals.median import median
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, transform
 
-_CHUNK = 128  # views at a time, so that the temporaries of a pass stay in the cache
-_FLAT = 1e-7  # ratio of the eigenvalues of a 2x2 moment matrix below which it counts as singular
+_VIEWS_PER_CHUNK = 128  # views at a time, so that the temporaries of a pass stay in the cache
+_MIN_EIGENVALUE_RATIO = 1e-7  # ratio of the eigenvalues of a 2x2 moment matrix below which it counts as singular
 
 
 def planar_poses(rays: Array, corners: Array, seen: BoolArray | None = None) -> Array:
@@ -37,13 +37,13 @@ def planar_poses(rays: Array, corners: Array, seen: BoolArray | None = None) -> 
         (V, 4, 4); NaN for a view with fewer than four seen corners, with all of them but at most
         one on a line, or whose image is a line or a point.
     """
-    parts = [slice(start, start + _CHUNK) for start in range(0, max(1, len(rays)), _CHUNK)]
+    parts = [slice(start, start + _VIEWS_PER_CHUNK) for start in range(0, max(1, len(rays)), _VIEWS_PER_CHUNK)]
     with np.errstate(divide="ignore", invalid="ignore"):
         if seen is None:
-            basis = _basis(corners, np.ones((1, len(corners)), bool))
-            return np.concatenate([_poses(rays[part], basis) for part in parts])
+            basis = _orthogonal_basis(corners, np.ones((1, len(corners)), bool))
+            return np.concatenate([_poses_of_chunk(rays[part], basis) for part in parts])
         known = np.where(seen[:, None], rays, 0.0)
-        return np.concatenate([_poses(known[part], _basis(corners, seen[part])) for part in parts])
+        return np.concatenate([_poses_of_chunk(known[part], _orthogonal_basis(corners, seen[part])) for part in parts])
 
 
 def determines_pose(corners: Array, seen: BoolArray) -> BoolArray:
@@ -54,7 +54,7 @@ def determines_pose(corners: Array, seen: BoolArray) -> BoolArray:
         seen: (V, K), which corners each view has.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        return _basis(corners, seen).usable
+        return _orthogonal_basis(corners, seen).usable
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class _Basis:
     """(V,): whether a homography is determined."""
 
 
-def _basis(corners: Array, seen: BoolArray) -> _Basis:
+def _orthogonal_basis(corners: Array, seen: BoolArray) -> _Basis:
     """Return the basis for views (V, K) of corners (K, 3)."""
     weights = seen.astype(float)
     count = weights.sum(-1)[:, None]
@@ -92,12 +92,12 @@ def _basis(corners: Array, seen: BoolArray) -> _Basis:
     np.multiply(q[:, 1], q[:, 1], out=monomials[:, 5])
     # with more than one corner off a line, the pattern is determined also as its own image, x = q1 and y = q2
     image = np.concatenate([q, monomials[:, 3:4] + monomials[:, 5:]], 1) * weights[:, None]
-    _, G = _fits(image @ monomials.swapaxes(1, 2), count)
-    usable = (count[:, 0] >= 4) & _regular(moments) & _regular(G[:, 1:, 1:])
+    _, G = _fit_numerators(image @ monomials.swapaxes(1, 2), count)
+    usable = (count[:, 0] >= 4) & _is_regular(moments) & _is_regular(G[:, 1:, 1:])
     return _Basis(weights, count, origin + middle, W / size, monomials, usable)
 
 
-def _poses(rays: Array, basis: _Basis) -> Array:
+def _poses_of_chunk(rays: Array, basis: _Basis) -> Array:
     """`planar_poses` for a chunk of views, whose rays (V, 2, K) are 0 where a corner is not seen.
 
     All sums over corners are those of x, y and x^2 + y^2 of the rays times the monomials: products of matrices, and
@@ -115,8 +115,8 @@ def _poses(rays: Array, basis: _Basis) -> Array:
         sums = (factors.reshape(-1, rays.shape[-1]) @ basis.monomials[0].T).reshape(-1, 3, 6)
     else:
         sums = factors @ basis.monomials.swapaxes(1, 2)
-    fits, G = _fits(sums, count)
-    c = -_solve2(G[:, 1:, 1:], G[:, 1:, 0])
+    fits, G = _fit_numerators(sums, count)
+    c = -_solve_2x2(G[:, 1:, 1:], G[:, 1:, 0])
     H = np.ones((len(rays), 3, 3))  # columns for 1, q1, q2
     H[:, 2, 1:] = c
     H[:, :2] = fits[:, :, 0] + c[:, :1, None] * fits[:, :, 1] + c[:, 1:, None] * fits[:, :, 2]
@@ -134,12 +134,12 @@ def _poses(rays: Array, basis: _Basis) -> Array:
     T[:, 3, 3] = 1.0
 
     spread = sums[:, 2, 0] / count[:, 0]
-    usable = basis.usable & (spread > 1e-16 * (1 + (centre * centre).sum(-1))) & _regular(S)
+    usable = basis.usable & (spread > 1e-16 * (1 + (centre * centre).sum(-1))) & _is_regular(S)
     T[~usable] = np.nan
     return T
 
 
-def _fits(sums: Array, count: Array) -> tuple[Array, Array]:
+def _fit_numerators(sums: Array, count: Array) -> tuple[Array, Array]:
     """Fit ``x h3 = h1``, ``y h3 = h2`` to the corners of each view, for any h3.
 
     Args:
@@ -168,7 +168,7 @@ def _inverse_sqrt(S: Array) -> Array:
     return root
 
 
-def _solve2(S: Array, r: Array) -> Array:
+def _solve_2x2(S: Array, r: Array) -> Array:
     """Solve symmetric 2x2 systems (..., 2, 2), (..., 2)."""
     a, b, c = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
     adjugate = np.stack([c * r[..., 0] - b * r[..., 1], a * r[..., 1] - b * r[..., 0]], -1)
@@ -176,10 +176,10 @@ def _solve2(S: Array, r: Array) -> Array:
     return solution
 
 
-def _regular(S: Array) -> BoolArray:
+def _is_regular(S: Array) -> BoolArray:
     """Return a mask of the symmetric 2x2 matrices that are finite and not nearly singular."""
     a, b, c = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
-    regular: BoolArray = a * c - b * b > _FLAT * (a + c) ** 2
+    regular: BoolArray = a * c - b * b > _MIN_EIGENVALUE_RATIO * (a + c) ** 2
     return regular
 
 
@@ -225,10 +225,10 @@ def mean_pose(T: Array, weights: ArrayLike | None = None) -> Array:
         middle = middle + step
         if np.abs(step).max() < 1e-6:
             break
-    return transform(rotations.nearest(middle.reshape(3, 3)), _median(T[:, :3, 3], w))
+    return transform(rotations.nearest(middle.reshape(3, 3)), _weighted_median(T[:, :3, 3], w))
 
 
-def _median(values: Array, weights: Array) -> Array:
+def _weighted_median(values: Array, weights: Array) -> Array:
     """Weighted median of each column of (n, d); the mean of two values if they tie."""
     order = values.argsort(0, kind="stable")
     ranked, share = np.take_along_axis(values, order, 0), weights[order].cumsum(0) / weights.sum()

@@ -67,29 +67,29 @@ class PoseTerm:
 
     def magnitudes(self, T: Array) -> Array:
         """(V, 1): distance in m, or angle in rad, weighted."""
-        norms: Array = np.linalg.norm(self._weighted(self._residuals(T)[:, None]), axis=-1)
+        norms: Array = np.linalg.norm(self._weight_rows(self._residuals_at(T)[:, None]), axis=-1)
         return norms
 
     def along_and_across(self, T: Array) -> tuple[Array, Array]:
         """Return the squared residuals (V,) along the line of sight and across."""
-        residuals = self._residuals(T)
-        along = (residuals * self._sights).sum(-1) ** 2
+        residuals = self._residuals_at(T)
+        along = (residuals * self._lines_of_sight).sum(-1) ** 2
         return along, (residuals**2).sum(-1) - along
 
     @cached_property
-    def _sights(self) -> Array:
+    def _lines_of_sight(self) -> Array:
         """(V, 3): unit vectors along the line of sight; 0 of a pattern that is at the sensor itself."""
         t = self.measured[:, :3, 3]
         return np.asarray(t / np.maximum(np.linalg.norm(t, axis=-1, keepdims=True), AT_SENSOR))
 
-    def _weighted(self, rows: Array) -> Array:
+    def _weight_rows(self, rows: Array) -> Array:
         """Weight rows (V, k, 3) so that noise is the same in all directions, of the same mean square."""
         if self.along == 1.0:
             return rows
-        part = rows @ self._sights[..., None] * self._sights[:, None]
+        part = rows @ self._lines_of_sight[..., None] * self._lines_of_sight[:, None]
         return np.asarray(np.sqrt((2 + self.along**2) / 3) * (rows + (1 / self.along - 1) * part))
 
-    def _residuals(self, T: Array) -> Array:
+    def _residuals_at(self, T: Array) -> Array:
         """(V, 3): m, or a rotation vector, in the sensor's frame."""
         if self.kind == "pose_translation":
             return np.asarray(T[:, :3, 3] - self.measured[:, :3, 3])
@@ -101,11 +101,11 @@ class PoseTerm:
         A twist (dt, dw) moves the position by ``R dt``. It changes the rotation vector r by ``R dw`` to first order in
         r, and along r exactly: the gradient has no error.
         """
-        residuals = self._residuals(T)
+        residuals = self._residuals_at(T)
         rows = np.zeros((len(T), 7, 3))
         first = 0 if self.kind == "pose_translation" else 3
         rows[:, first : first + 3] = np.swapaxes(T[:, :3, :3], 1, 2)
         rows[:, 6] = residuals
-        rows = self._weighted(rows) / scale
+        rows = self._weight_rows(rows) / scale
         cost, weight = robust((rows[:, 6] ** 2).sum(-1, keepdims=True), huber)
         return cost, rows if weight is None else rows * weight[:, None]

@@ -24,7 +24,7 @@ from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.estimation.residuals.residuals import Linearised, chunks, robust, spread, squeezed
 from calibration.engine.geometry.cameras import Camera
 
-GRAZING = 0.05
+MIN_COSINE_OF_INCIDENCE = 0.05
 """Cosine of incidence below which the intersection of a ray and a plane is unreliable (3 degrees)."""
 
 
@@ -52,20 +52,20 @@ class _Rays:
         return int(self.rays.shape[-1])
 
     @cached_property
-    def _ends(self) -> IntArray:
+    def _end_of_points(self) -> IntArray:
         """(V,): the place after each view's last point; at least 1."""
         last = self.present.shape[-1] - self.present[:, ::-1].argmax(-1)
         return np.where(self.present.any(-1), last, 1)
 
     @cached_property
-    def _order(self) -> IntArray:
+    def _order_by_end(self) -> IntArray:
         """(V,): the views by the place after their last point, so that in a chunk few places are empty."""
-        return np.argsort(self._ends, kind="stable")
+        return np.argsort(self._end_of_points, kind="stable")
 
     @cached_property
-    def _ordered(self) -> Self:
+    def _in_order_of_ends(self) -> Self:
         """The term of the views in this order."""
-        return self.take(self._order)
+        return self.take(self._order_by_end)
 
     @property
     def points(self) -> Array:
@@ -97,12 +97,12 @@ class RangeTerm(_Rays):
     def linearise(self, T: Array, scale: float, huber: float | None, squares: Array | None = None) -> Linearised:
         """See `calibration.engine.estimation.residuals.views.Term`."""
         cost, H, g = np.empty(len(T)), np.zeros((len(T), 6, 6)), np.zeros((len(T), 6))
-        threshold, variance, ordered = None if huber is None else huber * scale, scale * scale, self._ordered
+        threshold, variance, ordered = None if huber is None else huber * scale, scale * scale, self._in_order_of_ends
         for part in chunks(len(T), self.length):
-            views, there = self._order[part], slice(0, int(ordered._ends[part].max()))
+            views, there = self._order_by_end[part], slice(0, int(ordered._end_of_points[part].max()))
             meeting = _Meeting(T[views], ordered.rays[part, :, there], ordered.ranges[part, there])
             present = ordered.present[part, there]
-            cost[views], rows, squared = self._rows(meeting, present, threshold)
+            cost[views], rows, squared = self._rows_of_distances(meeting, present, threshold)
             H[views, 2:5, 2:5], g[views, 2:5] = squeezed(rows)
             if squares is not None:
                 squares[views, there] = np.where(present, squared, np.nan)
@@ -112,7 +112,9 @@ class RangeTerm(_Rays):
     def rows(self, T: Array, views: slice, scale: float, huber: float | None, spare: int = 0) -> tuple[Array, Array]:
         """See `calibration.engine.estimation.residuals.views.Term`."""
         meeting = _Meeting(T, self.rays[views], self.ranges[views])
-        rows = self._rows(meeting, self.present[views], None if huber is None else huber * scale)[1] / scale
+        rows = (
+            self._rows_of_distances(meeting, self.present[views], None if huber is None else huber * scale)[1] / scale
+        )
         out = np.empty((7 + spare, len(T), 1, self.length))
         out[:2] = out[5] = 0.0
         out[2:5, :, 0], out[-1, :, 0] = np.swapaxes(rows[:, :3], 0, 1), rows[:, 3]
@@ -124,7 +126,9 @@ class RangeTerm(_Rays):
         return np.where(self.present, np.abs(meeting.height * meeting.slope), np.nan)
 
     @staticmethod
-    def _rows(meeting: "_Meeting", present: BoolArray, threshold: float | None) -> tuple[Array, Array, Array]:
+    def _rows_of_distances(
+        meeting: "_Meeting", present: BoolArray, threshold: float | None
+    ) -> tuple[Array, Array, Array]:
         """Return cost (v,), weighted rows (v, 4, L) and squared residuals (v, L), all of residuals in m.
 
         The rows are those by dt_z, dw_x and dw_y, and the residuals.
@@ -188,7 +192,7 @@ class BorderTerm(_Rays):
         """Return cost (V,) and rows (V, 7, L), as derived in `linearise`; places on the border (V, 3, L)."""
         meeting = _Meeting(T, self.rays, self.ranges)
         u, q, x = meeting.directions, meeting.points, meeting.hits
-        signed, mx, my = self._distances(x)
+        signed, mx, my = self._distances_to_border(x)
         along = mx * u[:, 0] + my * u[:, 1]
         square = meeting.slope**2
         by_height = along * meeting.cosine * square  # -m . dx by dh and by dc
@@ -211,10 +215,10 @@ class BorderTerm(_Rays):
 
     def magnitudes(self, T: Array) -> Array:
         """(V, L): distance to the nearest border line over the range, rad; NaN without a ray."""
-        signed, _, _ = self._distances(_Meeting(T, self.rays, self.ranges).hits)
+        signed, _, _ = self._distances_to_border(_Meeting(T, self.rays, self.ranges).hits)
         return np.where(self.present, np.abs(signed) / self.ranges, np.nan)
 
-    def _distances(self, places: Array) -> tuple[Array, Array, Array]:
+    def _distances_to_border(self, places: Array) -> tuple[Array, Array, Array]:
         """Return the signed distance (V, L) of places (V, 3, L) to the nearest border line, positive outside.
 
         And x and y (V, L) of that line's outward normal.
@@ -245,24 +249,24 @@ class _Meeting:
         """(v, L)."""
         self.height = ranges * self.cosine + self._origin[:, 2]
         """(v, L): height of the measured point over the plane, m; with the cosine's sign for points behind it."""
-        self.slope = 1.0 / np.sqrt(self.cosine * self.cosine + GRAZING**2)
+        self.slope = 1.0 / np.sqrt(self.cosine * self.cosine + MIN_COSINE_OF_INCIDENCE**2)
         """(v, L): slightly less than 1 / |cosine|."""
 
     @cached_property
-    def _reach(self) -> Array:
+    def _length_to_plane(self) -> Array:
         """(v, L): length of the rays to the plane, m."""
         return np.asarray(self._ranges - self.height * self.cosine * (self.slope * self.slope))
 
     @property
     def in_plane(self) -> tuple[Array, Array]:
         """The intersections of the rays with the plane: their x and y (v, L)."""
-        x, y = (self._origin[:, i] + self._reach * self.directions[:, i] for i in range(2))
+        x, y = (self._origin[:, i] + self._length_to_plane * self.directions[:, i] for i in range(2))
         return x, y
 
     @cached_property
     def hits(self) -> Array:
         """(v, 3, L): the intersections."""
-        hits: Array = self._origin + self._reach[:, None] * self.directions
+        hits: Array = self._origin + self._length_to_plane[:, None] * self.directions
         return hits
 
     @property

@@ -13,10 +13,10 @@ import numpy as np
 
 from calibration.base.arrays import Array
 
-CHUNK = 19200
+LABELS_PER_CHUNK = 19200
 """Labels per chunk: enough to be worth the calls on them, while their numbers fit into a cache; and BLAS starts no
 threads for their product with the (4, 3) numbers of a pose (`calibration.engine.estimation.residuals.one_thread`)."""
-VIEWS = 384
+MAX_VIEWS_PER_CHUNK = 384
 """Most views per chunk, so that BLAS starts no threads for their rotations (v, 9) times (9, 54) numbers either."""
 
 Linearised = tuple[Array, Array, Array]
@@ -69,7 +69,7 @@ def squeezed(rows: Array) -> tuple[Array, Array]:
 
 
 def chunks(views: int, labels: int) -> Iterator[slice]:
-    """Yield parts of the views with about `CHUNK` labels each, at least one view and at most `VIEWS`."""
-    step = max(1, min(VIEWS, CHUNK // max(1, labels)))
+    """Yield parts of the views with about `LABELS_PER_CHUNK` labels each, of 1 to `MAX_VIEWS_PER_CHUNK` views."""
+    step = max(1, min(MAX_VIEWS_PER_CHUNK, LABELS_PER_CHUNK // max(1, labels)))
     for start in range(0, views, step):
         yield slice(start, min(start + step, views))

@@ -26,23 +26,23 @@ def border_rays(points: Array, limits: IntArray, views: IntArray | None = None) 
     """
     x, y, z = np.ascontiguousarray(points.T)
     views = np.zeros(len(points), int) if views is None else views
-    ring, azimuth = _rings(np.arctan2(np.sqrt(x * x + y * y), z), views), _azimuth(x, y, views)
+    ring, azimuth = _ring_numbers(np.arctan2(np.sqrt(x * x + y * y), z), views), _relative_azimuths(x, y, views)
     order = _sorted_within(ring, azimuth)
     turns = np.empty(len(points))
-    turns[order] = _turns(azimuth[order], ring[order])
+    turns[order] = _turns_by_half_a_step(azimuth[order], ring[order])
     cos, sin = np.cos(turns[limits]), np.sin(turns[limits])
     x, y, z = points[limits].T
     return np.stack([cos * x - sin * y, sin * x + cos * y, np.where(np.isnan(cos), np.nan, z)], -1)
 
 
-def _azimuth(x: Array, y: Array, views: IntArray) -> Array:
+def _relative_azimuths(x: Array, y: Array, views: IntArray) -> Array:
     """Return azimuths (N,) relative to the direction of their view's mean, contiguous for one across +-180 degrees."""
     u, v = (np.bincount(views, each)[views] for each in (x, y))
     azimuth: Array = np.arctan2(u * y - v * x, u * x + v * y)
     return azimuth
 
 
-def _rings(polar: Array, views: IntArray) -> IntArray:
+def _ring_numbers(polar: Array, views: IntArray) -> IntArray:
     """Return the number of the ring (N,) of each point: equal view and polar angle."""
     order = _sorted_within(views, polar)
     rings = np.zeros(len(polar), int)
@@ -55,7 +55,7 @@ def _sorted_within(groups: IntArray, angles: Array) -> IntArray:
     return np.argsort(angles + 8.0 * groups, kind="stable")
 
 
-def _turns(azimuth: Array, rings: IntArray) -> Array:
+def _turns_by_half_a_step(azimuth: Array, rings: IntArray) -> Array:
     """Return the turns (N,) of points by half their ring's median step: of the ends of rings, outwards; 0 of others.
 
     Args:

@@ -68,8 +68,8 @@ class Chain:
 
     def take(self, views: IntArray | slice) -> "Chain":
         """Return the chain of only some of the views."""
-        links = tuple(replace(link, after=_at(link.after, views)) for link in self.links)
-        return Chain(_at(self.before, views), links)
+        links = tuple(replace(link, after=_constant_of_views(link.after, views)) for link in self.links)
+        return Chain(_constant_of_views(self.before, views), links)
 
 
 class Term(Protocol):
@@ -159,5 +159,5 @@ def per_view(T: Array | None, views: int) -> Array:
     return np.ascontiguousarray(np.broadcast_to(np.eye(4) if T is None else T, (views, 4, 4)))
 
 
-def _at(constant: Array | None, views: slice | IntArray) -> Array | None:
+def _constant_of_views(constant: Array | None, views: slice | IntArray) -> Array | None:
     return constant[views] if constant is not None and constant.ndim == 3 else constant

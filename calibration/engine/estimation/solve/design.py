@@ -12,11 +12,11 @@ from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.solve.normal_equations import Weighting, linearise
 
-PRIOR = 0.1
+PRIOR_SIGMA = 0.1
 """Prior standard deviation before the first pose, so that there is a covariance from the start;
 in rad and in the unit of length.
 """
-_DIGITS = 6  # of a score: smaller differences are rounding errors, and the first of equal ones is taken
+_DIGITS_OF_SCORE = 6  # of a score: smaller differences are rounding errors, and the first of equal ones is taken
 
 
 def choose(
@@ -39,13 +39,13 @@ def choose(
     in_part = partial > 0
     left = np.ones(len(information), bool)
     shown = np.zeros(cells.shape[1], bool)
-    known = np.eye(information.shape[-1]) / PRIOR**2
+    known = np.eye(information.shape[-1]) / PRIOR_SIGMA**2
     while len(chosen) < count and left.any():
         wanted_in_part = bool(partial[chosen].sum() < share * len(chosen))
-        pool = _narrowed(left, in_part == wanted_in_part)
-        pool = _narrowed(pool, np.any(cells & ~shown, axis=-1))
+        pool = _narrow_pool(left, in_part == wanted_in_part)
+        pool = _narrow_pool(pool, np.any(cells & ~shown, axis=-1))
         index = np.flatnonzero(pool)
-        best = int(index[_variance(known + information[index], parameters).argmin()])
+        best = int(index[_sum_of_variances(known + information[index], parameters).argmin()])
         chosen.append(best)
         left[best] = False
         shown |= cells[best]
@@ -53,16 +53,16 @@ def choose(
     return chosen
 
 
-def _narrowed(pool: BoolArray, wish: BoolArray) -> BoolArray:
+def _narrow_pool(pool: BoolArray, wish: BoolArray) -> BoolArray:
     """Restrict a pool (N,) to those that fulfil a wish (N,); unchanged if none does."""
     some: BoolArray = pool & wish
     return some if some.any() else pool
 
 
-def _variance(information: Array, parameters: int) -> Array:
+def _sum_of_variances(information: Array, parameters: int) -> Array:
     """Return the sum of the variances (N,) of the first parameters, rounded so that machines agree."""
     variance = np.linalg.inv(information).diagonal(axis1=1, axis2=2)[:, :parameters].sum(-1)
-    unit = 10.0 ** (np.floor(np.log10(variance)) + 1 - _DIGITS)
+    unit = 10.0 ** (np.floor(np.log10(variance)) + 1 - _DIGITS_OF_SCORE)
     rounded: Array = np.round(variance / unit) * unit
     return rounded
 

@@ -15,29 +15,29 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.estimation.residuals.corner_residuals import LENS, CornerTerm
-from calibration.engine.estimation.residuals.one_thread import MULTIPLICATIONS
+from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL, CornerTerm
+from calibration.engine.estimation.residuals.one_thread import MAX_MULTIPLICATIONS
 from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
 from calibration.engine.estimation.residuals.ray_residuals import BorderTerm
-from calibration.engine.estimation.residuals.residuals import CHUNK
+from calibration.engine.estimation.residuals.residuals import LABELS_PER_CHUNK
 from calibration.engine.estimation.residuals.views import Term
 from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.geometry.cameras import Camera
 
-POSE = 6
+POSE_COLUMNS = 6
 """Number of the first columns: the twist of the view's pose in the pattern's frame."""
-BENT = ("size_x", "size_y", "bow_x", "bow_y", "twist")
+COLUMNS_OF_BENT_PATTERN = ("size_x", "size_y", "bow_x", "bow_y", "twist")
 """Columns of a pattern: its relative length along x and along y; the height of its centre above its ends (m), bent
 about y or about x; the height of opposite corners (m)."""
-SHAPE = (*BENT, "border")
+COLUMNS_OF_PATTERN = (*COLUMNS_OF_BENT_PATTERN, "border")
 """Those, and the outward offset of its border (m), for sensors that see the border."""
-RANGING = ("bias", "scale", "elevation", "sweep_x", "sweep_y", "sweep_z")
+COLUMNS_OF_RANGES = ("bias", "scale", "elevation", "sweep_x", "sweep_y", "sweep_z")
 """Columns of a LiDAR or a depth camera: range offset (m) and scale, elevation offset of its beams
 (rad), and motion during a sweep (m per revolution, in its own frame)."""
-MEASURED = ("scale",)
+COLUMNS_OF_MEASURED_POSES = ("scale",)
 """Columns of measured poses: by what factor their translations are too long."""
-LABELS = 2 * CHUNK
-"""Labels per pass: more than `CHUNK`, as their rows do not fit into the second-level cache anyway."""
+LABELS_PER_PASS = 2 * LABELS_PER_CHUNK
+"""Labels per pass: more than `LABELS_PER_CHUNK`, as their rows do not fit into the second-level cache anyway."""
 
 
 @dataclass(frozen=True)
@@ -53,15 +53,15 @@ class ColumnNames:
     def of_sensor(self) -> tuple[str, ...]:
         """Names of the first columns after those of the pose."""
         if self.poses:
-            return MEASURED
-        return (*self.camera.parameters, *LENS) if self.camera else RANGING
+            return COLUMNS_OF_MEASURED_POSES
+        return (*self.camera.parameters, *ERRORS_BEYOND_LENS_MODEL) if self.camera else COLUMNS_OF_RANGES
 
     @cached_property
     def of_pattern(self) -> tuple[str, ...]:
         """Names of the columns after those."""
         if self.poses:
             return ()
-        return BENT if self.camera else SHAPE
+        return COLUMNS_OF_BENT_PATTERN if self.camera else COLUMNS_OF_PATTERN
 
 
 def products(
@@ -79,42 +79,46 @@ def products(
         weighting: standard deviations and loss of the residuals.
     """
     if camera is not None:
-        terms = [term.seen_with(camera, range(len(camera.parameters) + len(LENS))) for term in terms]
-    step = max(1, LABELS // max(term.length for term in terms))
+        terms = [
+            term.seen_with(camera, range(len(camera.parameters) + len(ERRORS_BEYOND_LENS_MODEL))) for term in terms
+        ]
+    step = max(1, LABELS_PER_PASS // max(term.length for term in terms))
     for start in range(0, len(T), step):
         views = slice(start, min(start + step, len(T)))
-        first, *others = (_products(_columns(term, pattern, T[views], views, weighting)) for term in terms)
+        first, *others = (
+            _products_of_rows(_columns_of_views(term, pattern, T[views], views, weighting)) for term in terms
+        )
         yield views, sum(others, first)
 
 
-def _products(rows: Array) -> Array:
+def _products_of_rows(rows: Array) -> Array:
     """Return the products (v, C, C) of rows (C, v, n); in parts, for which BLAS starts no threads."""
     C, _, n = rows.shape
-    step = max(1, MULTIPLICATIONS // C**2)
+    step = max(1, MAX_MULTIPLICATIONS // C**2)
     parts = (rows[..., start : start + step] for start in range(0, n, step))
     first, *others = (part.transpose(1, 0, 2) @ part.transpose(1, 2, 0) for part in parts)
     return sum(others, first)
 
 
-def _columns(term: Term, pattern: Pattern, T: Array, views: slice, weighting: Weighting) -> Array:
+def _columns_of_views(term: Term, pattern: Pattern, T: Array, views: slice, weighting: Weighting) -> Array:
     """Return all columns of v views as weighted rows (6 + E + 1, v, d L); the last are the residuals."""
     scale, huber = weighting.scales[term.kind], weighting.huber
     if isinstance(term, CornerTerm):
-        rows, places = term.rows(T, views, scale, huber, len(BENT))
-        _fill_bent(rows[-1 - len(BENT) : -1], rows[:3], places, pattern)
+        rows, places = term.rows(T, views, scale, huber, len(COLUMNS_OF_BENT_PATTERN))
+        _fill_bent(rows[-1 - len(COLUMNS_OF_BENT_PATTERN) : -1], rows[:3], places, pattern)
     elif isinstance(term, PoseTerm):
-        rows, _ = term.rows(T, views, scale, huber, len(MEASURED))
-        _fill_measured(rows[POSE], rows[:3], T, pattern)
+        rows, _ = term.rows(T, views, scale, huber, len(COLUMNS_OF_MEASURED_POSES))
+        _fill_measured(rows[POSE_COLUMNS], rows[:3], T, pattern)
     else:
-        rows, places = term.rows(T, views, scale, huber, len(RANGING) + len(SHAPE))
-        _fill_ranging(rows[POSE : POSE + len(RANGING)], rows[:3], T, places)
-        _fill_bent(rows[-1 - len(SHAPE) : -2], rows[:3], places, pattern)
+        rows, places = term.rows(T, views, scale, huber, len(COLUMNS_OF_RANGES) + len(COLUMNS_OF_PATTERN))
+        _fill_ranging(rows[POSE_COLUMNS : POSE_COLUMNS + len(COLUMNS_OF_RANGES)], rows[:3], T, places)
+        _fill_bent(rows[-1 - len(COLUMNS_OF_PATTERN) : -2], rows[:3], places, pattern)
         _fill_border(rows[-2], rows[:2], term, places)
     return rows.reshape(*rows.shape[:2], -1)
 
 
 def _fill_ranging(out: Array, pull: Array, T: Array, places: Array) -> None:
-    """Fill the columns of `RANGING` (6, v, 1, L).
+    """Fill the columns of `COLUMNS_OF_RANGES` (6, v, 1, L).
 
     They are computed at the expected ends of the rays, not at the measured ones: with noise in the column of the
     scale, it would explain the noise itself.
@@ -141,7 +145,7 @@ def _fill_measured(out: Array, pull: Array, T: Array, pattern: Pattern) -> None:
 
 
 def _fill_bent(out: Array, pull: Array, places: Array, pattern: Pattern) -> None:
-    """Fill the columns of `BENT` (5, v, d, L), of labels at some places (v, 3, L), or (1, 3, L), on the pattern."""
+    """Fill `COLUMNS_OF_BENT_PATTERN` (5, v, d, L), of labels at some places (v, 3, L), or (1, 3, L), on the pattern."""
     low, high = pattern.outline.min(0), pattern.outline.max(0)
     middle, half = pattern.outline.mean(0) - pattern.centre[:2], (high - low) / 2
     x, y = places[:, 0], places[:, 1]

@@ -11,7 +11,7 @@ from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.residuals import total_loss
 from calibration.engine.estimation.solve.normal_equations import NormalEquations, Squares, Weighting, assemble
 
-STALLED = 20
+MAX_STEPS_WITHOUT_DECREASE = 20
 """Number of steps without a noticeable decrease after which a minimisation has stalled."""
 
 
@@ -25,8 +25,8 @@ class Termination:
     relative_decrease: float = 1e-14
     """The same relative to the cost: below it rounding errors dominate."""
     stall: float = 0.01
-    """Decrease over `STALLED` steps below which it ends too: a distant pattern that faces its camera hardly determines
-    its own tilt, which could take thousands of steps that change nothing else."""
+    """Decrease over `MAX_STEPS_WITHOUT_DECREASE` steps below which it ends too: a distant pattern that faces its camera
+    hardly determines its own tilt, which could take thousands of steps that change nothing else."""
     iterations: int = 500
 
 
@@ -137,7 +137,10 @@ def minimise(
             if gain > 1e-4:
                 costs = [*costs, trial.equations.total] if wanted is now.weighting else []
                 now = trial
-                if len(costs) > STALLED and costs[-STALLED - 1] - costs[-1] < until.stall:
+                if (
+                    len(costs) > MAX_STEPS_WITHOUT_DECREASE
+                    and costs[-MAX_STEPS_WITHOUT_DECREASE - 1] - costs[-1] < until.stall
+                ):
                     return ended(iteration + 1, reached=True)
                 damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
                 continue
@@ -150,7 +153,7 @@ def minimise(
     return ended(until.iterations, reached=False)
 
 
-SETTLING = Termination(decrease=0.01, iterations=20)
+TERMINATION_OF_SETTLING = Termination(decrease=0.01, iterations=20)
 """Enough to compare a collection's costs at two minima."""
 
 
@@ -159,7 +162,7 @@ def settle(
     values: Values,
     weighting: Weighting,
     which: BoolArray,
-    until: Termination = SETTLING,
+    until: Termination = TERMINATION_OF_SETTLING,
     below: Array | None = None,
 ) -> tuple[Values, Array]:
     """Minimise over the local blocks of some collections (N,), each by itself, with the shared ones fixed.

@@ -9,7 +9,7 @@ from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
 from calibration.engine.estimation.residuals.views import Term
-from calibration.engine.estimation.solve.noise_levels import FLOORS, standard_deviation
+from calibration.engine.estimation.solve.noise_levels import MIN_SIGMA_OF_KIND, standard_deviation
 
 ISOTROPIC_VIEWS = 10
 """Views with the same noise in all directions as which it is expected to be so: few views cannot tell."""
@@ -35,7 +35,7 @@ def with_noise_along_sight(problem: Problem, values: Values, robust: bool) -> Pr
         return problem
     along, across = (np.concatenate(each) for each in zip(*squares, strict=True))
     one, two = (standard_deviation(each, size, 0.0, robust) ** 2 for each, size in ((along, 1), (across, 2)))
-    count, least = len(along), FLOORS["pose_translation"] ** 2
+    count, least = len(along), MIN_SIGMA_OF_KIND["pose_translation"] ** 2
     one, two = max(one, least), max(two, least)
     if abs(np.log(one / two)) < MIN_DIFFERENCE * np.sqrt(3 / count):  # 2 / n of the one, 2 / 2n of the other
         return problem

@@ -13,14 +13,14 @@ from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.median import median
 from calibration.engine.estimation.solve.normal_equations import Squares
 
-KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
-FLOORS: dict[NoiseKind, float] = {kind: 1e-6 if kind == "pixel" else 1e-8 for kind in KINDS}
+NOISE_KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
+MIN_SIGMA_OF_KIND: dict[NoiseKind, float] = {kind: 1e-6 if kind == "pixel" else 1e-8 for kind in NOISE_KINDS}
 """Lower limits of the standard deviations (px, m or rad); they limit the weight of exact data."""
-INLIERS = 3.0
+MAX_SIGMAS_OF_INLIERS = 3.0
 """Standard deviations within which labels are used for the estimate."""
 # For a squared Gaussian residual of 1, 2 or 3 dimensions: its median, and its mean below INLIERS^2
 # (d P(chi2_{d+2} < c) / P(chi2_d < c), with c = 9), both in squared standard deviations.
-_MEDIAN = {1: 0.4549364, 2: 1.3862944, 3: 2.3659739}
+_MEDIAN_OF_SQUARES = {1: 0.4549364, 2: 1.3862944, 3: 2.3659739}
 _TRUNCATED_MEAN = {1: 0.9733369, 2: 1.8988755, 3: 2.7534587}
 
 
@@ -60,7 +60,7 @@ class NoiseLevels:
 
     def given(self) -> dict[NoiseKind, float]:
         """The levels that are set."""
-        return {kind: level for kind in KINDS if (level := getattr(self, kind)) is not None}
+        return {kind: level for kind in NOISE_KINDS if (level := getattr(self, kind)) is not None}
 
 
 def estimate_scales(
@@ -92,12 +92,15 @@ def scales_of(
     """Estimate the standard deviations as `estimate_scales` does, from the squared residuals of all labels."""
     dimensions = {term.kind: term.dimension for group in problem.groups for term in group.terms}
     return {
-        kind: max(FLOORS[kind], standard_deviation(_finite(parts), dimensions[kind], parameters.get(kind, 0.0), robust))
+        kind: max(
+            MIN_SIGMA_OF_KIND[kind],
+            standard_deviation(_finite_numbers(parts), dimensions[kind], parameters.get(kind, 0.0), robust),
+        )
         for kind, parts in squares.items()
     }
 
 
-def _finite(parts: Sequence[Array]) -> Array:
+def _finite_numbers(parts: Sequence[Array]) -> Array:
     """Return the finite numbers of some arrays, (n,)."""
     numbers = np.concatenate([part.ravel() for part in parts])
     finite = np.isfinite(numbers)
@@ -118,9 +121,9 @@ def standard_deviation(squared: Array, dimension: int, parameters: float, robust
     freedom = max(1.0, len(squared) * dimension - parameters) / (len(squared) * dimension)
     if not robust:
         return float(np.sqrt(squared.mean() / dimension / freedom))
-    variance = median(squared) / _MEDIAN[dimension] / freedom
+    variance = median(squared) / _MEDIAN_OF_SQUARES[dimension] / freedom
     for _ in range(10):
-        limit = INLIERS**2 * variance * freedom
+        limit = MAX_SIGMAS_OF_INLIERS**2 * variance * freedom
         inside = int(np.count_nonzero(squared <= limit))
         total = float(np.minimum(squared, limit).sum()) - (len(squared) - inside) * limit  # of those inside, uncopied
         updated = total / inside / _TRUNCATED_MEAN[dimension] / freedom if inside else variance

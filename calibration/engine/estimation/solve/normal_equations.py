@@ -89,9 +89,14 @@ class NormalEquations:
         """
         N, P, C = self.right.shape
         try:
-            solved = np.asarray(np.linalg.solve(_damped(self.H_local, damping), self.right), float).reshape(N * P, C)
+            solved = np.asarray(np.linalg.solve(_with_damping(self.H_local, damping), self.right), float).reshape(
+                N * P, C
+            )
             reduced = sum_of_products(self.right.reshape(N * P, C), solved)
-            H_shared, g_shared = _damped(self.H_shared, damping) - reduced[:-1, :-1], self.g_shared - reduced[:-1, -1]
+            H_shared, g_shared = (
+                _with_damping(self.H_shared, damping) - reduced[:-1, :-1],
+                self.g_shared - reduced[:-1, -1],
+            )
             shared = -np.asarray(np.linalg.solve(H_shared, g_shared), float)
         except np.linalg.LinAlgError:
             return np.full(C - 1, np.nan), np.full((N, P), np.nan), np.nan
@@ -101,7 +106,7 @@ class NormalEquations:
 
     def local_step(self, damping: Array) -> Array:
         """Solve for the step of the local blocks alone, (N, P), each collection with its own damping (N,)."""
-        H = _damped(self.H_local, damping[:, None])
+        H = _with_damping(self.H_local, damping[:, None])
         return -np.asarray(np.linalg.solve(H, self.g_local[..., None])[..., 0], float)
 
     @cached_property
@@ -133,18 +138,18 @@ def assemble(problem: Problem, values: Values, weighting: Weighting, squares: Sq
     )
     table = table_of(problem.blocks, values)
     for batch in problem.batches:
-        if not _possible(problem, batch, values):
+        if not _has_valid_intrinsics(problem, batch, values):
             for part in batch.parts:
                 equations.cost[part.collections] = np.inf
             continue
         T, A = batch.linearise(table, values)
         cost, M, m = linearise(problem.terms(batch, values), T, weighting, squares)
-        _add(equations, batch, A, cost, M, m, problem.intrinsics_at(batch))
+        _add_batch(equations, batch, A, cost, M, m, problem.intrinsics_at(batch))
     fill_unobserved(equations.H_local)
     return _with_priors(equations, problem, values)
 
 
-def _possible(problem: Problem, batch: Batch, values: Values) -> bool:
+def _has_valid_intrinsics(problem: Problem, batch: Batch, values: Values) -> bool:
     """Whether the camera's intrinsics are valid."""
     if batch.intrinsics is None or (intrinsics := problem.blocks[batch.intrinsics].intrinsics) is None:
         return True
@@ -180,7 +185,7 @@ def linearise(
     return cost, M, m
 
 
-def _add(
+def _add_batch(
     equations: NormalEquations, batch: Batch, A: Array, cost: Array, M: Array, m: Array, intrinsics: slice
 ) -> None:
     """Add a batch of views to the equations; its free intrinsics are at ``intrinsics``."""
@@ -241,7 +246,7 @@ def diagonal_of(H: Array) -> Array:
     return H.reshape(*H.shape[:-2], P * P)[..., :: P + 1]
 
 
-def _damped(H: Array, damping: float | Array) -> Array:
+def _with_damping(H: Array, damping: float | Array) -> Array:
     """Return H with its diagonal multiplied by 1 + damping."""
     out = H.copy()
     diagonal_of(out)[:] *= 1 + damping

@@ -10,21 +10,21 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.estimation.problem.batches import table_of
 from calibration.engine.estimation.problem.blocks import Values
-from calibration.engine.estimation.problem.intrinsics import PIXELS, root_mean_square
+from calibration.engine.estimation.problem.intrinsics import PARAMETERS_IN_PIXELS, root_mean_square
 from calibration.engine.estimation.problem.motion import Motion
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.solve.normal_equations import NormalEquations, Weighting
 from calibration.engine.geometry.lenses import Distortion
 
-SINGULAR = 1e-12
+MIN_RELATIVE_INFORMATION = 1e-12
 """Information in one direction relative to the largest, below which it is rounding error."""
-HOPELESS = 0.25
+MIN_UNDETERMINED_SIGMA = 0.25
 """Standard deviation (in sizes of the pattern, and in rad) above which a direction is not determined."""
-MOVING = 0.3
+MIN_NAMED_MOTION = 0.3
 """Blocks and parameters of joints that move by more than this fraction of the largest motion are named too,"""
-INVOLVED = 0.02
+MIN_NAMED_MOTION_IF_UNDETERMINED = 0.02
 """and by more than this in a direction that is not determined: a joint rotates little if a distant pattern moves."""
-WEAK = 0.005
+MIN_WEAK_SIGMA = 0.005
 """Standard deviation (m or rad) above which a direction is reported as weak."""
 
 
@@ -50,9 +50,13 @@ class WeakDirection:
         """Describe transform and axis, or joint or intrinsics and parameters, in one phrase."""
         unit = {"translation": "mm", "rotation": "mrad", "ray": "mrad of a ray"}[self.kind]
         size = f"{1e3 * self.sigma:.3g} {unit}" if np.isfinite(self.sigma) else "without bound"
-        along = f" together with {_listed([self._name(other, names) for other in self.others])}" if self.others else ""
+        along = (
+            f" together with {_list_names([self._name_of_block(other, names) for other in self.others])}"
+            if self.others
+            else ""
+        )
         if self.block in self.parameters:
-            return f"{self._name(self.block, names)}{along}: {size}"
+            return f"{self._name_of_block(self.block, names)}{along}: {size}"
         x, y, z = np.round(self.axis, 2) + 0.0
         what = "moving along" if self.kind == "translation" else "turning about"
         return f"'{names[self.block]}' {what} ({x:g}, {y:g}, {z:g}) of its frame{along}: {size}"
@@ -68,12 +72,12 @@ class WeakDirection:
             lens: the camera's, if the block with the largest motion is one.
         """
         moving = self.parameters.get(self.block, ())
-        if not moving or self.kind != "ray" or moving[0] in PIXELS:
+        if not moving or self.kind != "ray" or moving[0] in PARAMETERS_IN_PIXELS:
             return ()
         groups = (tuple(name for name in group if name in moving) for group in lens.held_first)
         return next(filter(None, groups), ())
 
-    def _name(self, block: int, names: Sequence[str]) -> str:
+    def _name_of_block(self, block: int, names: Sequence[str]) -> str:
         parameters = self.parameters.get(block)
         return f"'{names[block]}' ({', '.join(parameters)})" if parameters else f"'{names[block]}'"
 
@@ -99,15 +103,17 @@ def open_directions(
     information, directions = np.linalg.eigh(unit[:, None] * S * unit)
     undetermined, weak = [], []
     for value, direction in zip(information, directions.T, strict=True):
-        singular = value <= SINGULAR * information[-1]
+        singular = value <= MIN_RELATIVE_INFORMATION * information[-1]
         sigma = np.inf if singular else 1 / np.sqrt(value)
-        hopeless = singular or sigma > HOPELESS
-        if not hopeless and sigma * largest <= WEAK:
+        hopeless = singular or sigma > MIN_UNDETERMINED_SIGMA
+        if not hopeless and sigma * largest <= MIN_WEAK_SIGMA:
             continue
-        named = _named(parts, direction, sigma, INVOLVED if hopeless else MOVING)
+        named = _name_direction(
+            parts, direction, sigma, MIN_NAMED_MOTION_IF_UNDETERMINED if hopeless else MIN_NAMED_MOTION
+        )
         if hopeless:
             undetermined.append(named)
-        elif named.sigma > WEAK and named.kind != "ray":
+        elif named.sigma > MIN_WEAK_SIGMA and named.kind != "ray":
             weak.append(named)
     return undetermined, weak if undetermined else weak + _weak_intrinsics(problem, equations)
 
@@ -126,13 +132,17 @@ def _weak_intrinsics(problem: Problem, equations: NormalEquations) -> list[WeakD
             bends, C = intrinsics.bends, covariance[block]
             sigma = float(np.sqrt(np.einsum("ian,ij,jan->", bends, C, bends) / bends.shape[-1]))
             own = root_mean_square(bends) * np.sqrt(np.diagonal(C))
-            most = [intrinsics.free[k] for k in np.argsort(-own, kind="stable") if own[k] > MOVING * own.max()]
-            if sigma > WEAK:
+            most = [
+                intrinsics.free[k] for k in np.argsort(-own, kind="stable") if own[k] > MIN_NAMED_MOTION * own.max()
+            ]
+            if sigma > MIN_WEAK_SIGMA:
                 weak.append(WeakDirection(block, "ray", np.zeros(3), sigma, (), {block: tuple(most)}))
     return weak
 
 
-def _named(parts: list[tuple[int, Motion]], direction: Array, sigma: float, moving_from: float) -> WeakDirection:
+def _name_direction(
+    parts: list[tuple[int, Motion]], direction: Array, sigma: float, moving_from: float
+) -> WeakDirection:
     """Name one direction (S,), in units of the motions of blocks, by the block and the axis with the largest motion.
 
     Others are named from ``moving_from`` times that motion.
@@ -156,7 +166,7 @@ def _named(parts: list[tuple[int, Motion]], direction: Array, sigma: float, movi
     )
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     """Format the first three names, and the number of others."""
     more = [f"{len(names) - 3} more"] if len(names) > 3 else []
     return " and ".join([*names[:3], *more])
@@ -196,11 +206,11 @@ def determined_parameters(
     most, *others = (kind for kind, _ in labels.most_common())
     observed = sum(np.count_nonzero(problem.collections_with(block)) for block in problem.local)
     total = problem.sizes[0] + 6.0 * observed - _known_beforehand(problem, values, equations)
-    shares = _shares(problem, values, equations, weighting, others) if others else {}
+    shares = _parameters_by_kind(problem, values, equations, weighting, others) if others else {}
     return {most: total - sum(shares.values()), **shares}
 
 
-def _shares(
+def _parameters_by_kind(
     problem: Problem,
     values: Values,
     equations: NormalEquations,

@@ -9,20 +9,20 @@ from typing import Annotated, Literal
 from calibration.base.records import UNIQUE, Converted, Misfit, Place, above, field, length, record
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.problem.assumptions import EXACT, OF_INTRINSICS, Assumptions
-from calibration.engine.estimation.problem.intrinsics import ALL, CalibratedIntrinsics
+from calibration.engine.estimation.problem.intrinsics import ALL_CAMERAS, CalibratedIntrinsics
 from calibration.engine.estimation.problem.intrinsics_file import read_intrinsics
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels
 
 
-def _assumed(found: Literal["exact"] | Assumptions, _: Place) -> Assumptions:
+def _as_assumptions(found: Literal["exact"] | Assumptions, _: Place) -> Assumptions:
     return EXACT if found == "exact" else found
 
 
-def _listed(found: tuple[str, ...] | str, _: Place) -> tuple[str, ...]:
+def _as_tuple(found: tuple[str, ...] | str, _: Place) -> tuple[str, ...]:
     return (found,) if isinstance(found, str) else found
 
 
-FREE = "free"
+FREE_LAGS = "free"
 """Instead of the names of sensors: the lags of all that can be told."""
 Start = Literal["linear", "given"]
 """Linear initial guess of the engine, or the noisy given one."""
@@ -72,7 +72,7 @@ class Options:
         default="known",
         option=False,
     )
-    lag: Annotated[Names, Converted(Names | Literal["free"], _listed)] = field(
+    lag: Annotated[Names, Converted(Names | Literal["free"], _as_tuple)] = field(
         "Sensors whose time offset to the transforms of their collections is calibrated too, with its error bar; free "
         "for all. Needs a dataset with velocities, as imports of bags in motion write them.",
         default=(),
@@ -84,7 +84,7 @@ class Options:
         default=(),
         option="What stays as it is: sensors, transforms, patterns, intrinsics-left-k3 ...",
     )
-    intrinsics: Annotated[Names, Converted(Names | Literal["all"], _listed)] = field(
+    intrinsics: Annotated[Names, Converted(Names | Literal["all"], _as_tuple)] = field(
         "Cameras whose intrinsics are calibrated too, with their error bars; all for every one.",
         default=(),
         option="Cameras whose intrinsics are calibrated too, or all.",
@@ -109,7 +109,7 @@ class Options:
         default="trusted",
         option="Whether sensors far from where the dataset puts them fail, or it is rough (trusted).",
     )
-    assume: Annotated[Assumptions, Converted(Literal["exact"] | Assumptions, _assumed)] = field(
+    assume: Annotated[Assumptions, Converted(Literal["exact"] | Assumptions, _as_assumptions)] = field(
         "How well what is held is known, as standard deviations; exact where all of it is, as in a simulation. The "
         "result's error bars contain it, and only what is off by more is suspicious.",
         default_factory=Assumptions,
@@ -126,7 +126,7 @@ class Options:
         for name in self.lens:
             if not self.frees_intrinsics_of(name):
                 raise Misfit(f"found '{name}', whose intrinsics are not calibrated: add it to 'intrinsics'", "lens")
-        free = set(self.intrinsics) == {ALL} and not any(name.startswith("intrinsics-") for name in self.hold)
+        free = set(self.intrinsics) == {ALL_CAMERAS} and not any(name.startswith("intrinsics-") for name in self.hold)
         given = [name for name in OF_INTRINSICS if getattr(self.assume, name) != getattr(Assumptions(), name)]
         if free and given and self.assume != EXACT:
             raise Misfit(
@@ -136,14 +136,14 @@ class Options:
 
     def frees_intrinsics_of(self, camera: str) -> bool:
         """Whether the intrinsics of a camera are calibrated."""
-        return camera in self.intrinsics or ALL in self.intrinsics
+        return camera in self.intrinsics or ALL_CAMERAS in self.intrinsics
 
     def free_lags_of(self, dataset: Dataset) -> tuple[str, ...]:
         """Return the sensors whose lag is calibrated.
 
         Where nothing but patterns moves, one sensor must give the time: of all, the anchored or the first one.
         """
-        if self.lag != (FREE,):
+        if self.lag != (FREE_LAGS,):
             return self.lag
         of_patterns = {(pattern.parent_link, pattern.link) for pattern in dataset.patterns.values()}
         clock = None if dataset.velocities.keys() - of_patterns else dataset.anchored or next(iter(dataset.sensors))

@@ -4,11 +4,11 @@ import numpy as np
 
 from calibration.base.arrays import Array
 
-FIRST = 3
+COLLECTIONS_TAKEN_AS_KNOWN = 3
 """Number of collections whose rotation is taken for known when branches are chosen."""
 MOST_COMPARED = 60
 """Limit of the number of collections that each is compared with, spread over all of them."""
-ROUNDS = 4
+MAX_ROUNDS = 4
 """Number of rounds in which the branches are chosen again."""
 
 
@@ -29,12 +29,12 @@ def rotations_that_agree(branches: Array, measured: Array) -> tuple[Array, float
     there = np.isfinite(branches[..., 0, 0])
     flat = np.nan_to_num(branches).reshape(N * b, 9)
     wanted = measured.reshape(N, 9) @ measured.reshape(N, 9).T
-    first = [each for each in range(min(FIRST, N) * b) if there.flat[each]]
+    first = [each for each in range(min(COLLECTIONS_TAKEN_AS_KNOWN, N) * b) if there.flat[each]]
     known = np.abs((flat @ flat[first].T).reshape(N, b, -1) - wanted[:, None, [each // b for each in first]])
     chosen = np.where(there[..., None], known, np.inf).argmin(1)  # (N, starts)
     some = np.unique(np.linspace(0, N - 1, min(N, MOST_COMPARED)).round().astype(int))
     every = some[:, None]
-    for _ in range(ROUNDS if b > 1 else 0):
+    for _ in range(MAX_ROUNDS if b > 1 else 0):
         now = flat.reshape(N, b, 9)[every, chosen[some]]  # (some, starts, 9)
         off = (flat @ now.reshape(-1, 9).T).reshape(N, b, len(some), -1).swapaxes(2, 3)
         off = np.abs(off - wanted[:, None, None, some])

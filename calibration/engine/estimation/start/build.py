@@ -45,10 +45,10 @@ class Setup:
 
     def block(self, edge: Edge) -> int:
         """Return the block of an edge."""
-        return self._blocks[edge]
+        return self._block_of_edge[edge]
 
     @cached_property
-    def _blocks(self) -> dict[Edge, int]:
+    def _block_of_edge(self) -> dict[Edge, int]:
         return {block.edge: i for i, block in enumerate(self.problem.blocks) if block.edge}
 
     @cached_property
@@ -87,10 +87,10 @@ def build(
             depends on a transform.
     """
     dataset, ignored = usable_labels(dataset)
-    blocks = (*_blocks(dataset), *intrinsics_blocks(dataset, intrinsics, intrinsics_covariance or {}))
+    blocks = (*_unknown_blocks(dataset), *intrinsics_blocks(dataset, intrinsics, intrinsics_covariance or {}))
     known = [pattern.name for pattern in dataset.patterns.values() if pattern.known_pose]
     blocks = held_blocks(dataset, blocks, (*hold, *known))
-    groups = tuple(_groups(dataset, blocks))
+    groups = tuple(_groups_of_views(dataset, blocks))
     gauge = free_gauge(dataset, groups, blocks)
     fixing = [dataset.sensors[gauge.sensor].edge] if gauge.sensor else []
     fixing += [(p.parent_link, p.link) for p in (dataset.patterns[name] for name in gauge.patterns)]
@@ -114,7 +114,7 @@ def build(
     return Setup(dataset, problem, gauge.sensor, gauge.patterns, ignored)
 
 
-def _blocks(dataset: Dataset) -> list[Block]:
+def _unknown_blocks(dataset: Dataset) -> list[Block]:
     """Return the blocks of all unknown transforms."""
     blocks: dict[Edge, Block] = {}
     for sensor in dataset.sensors.values():
@@ -129,7 +129,7 @@ def _blocks(dataset: Dataset) -> list[Block]:
     return [replace(block, edge=edge) for edge, block in blocks.items()]
 
 
-def _groups(dataset: Dataset, blocks: Sequence[Block]) -> Iterator[ViewGroup]:
+def _groups_of_views(dataset: Dataset, blocks: Sequence[Block]) -> Iterator[ViewGroup]:
     """Yield the views of each sensor and pattern."""
     intrinsics = {block.intrinsics.sensor: i for i, block in enumerate(blocks) if block.intrinsics}
     for pattern in dataset.patterns.values():
@@ -137,12 +137,14 @@ def _groups(dataset: Dataset, blocks: Sequence[Block]) -> Iterator[ViewGroup]:
             detections = dataset.detections(pattern.name, sensor.name)
             if detections:
                 collections = np.array([i for i, _ in detections])
-                chain = _chain(dataset, sensor, pattern, blocks, collections)
-                terms = _terms(sensor, pattern, [label for _, label in detections])
+                chain = _chain_of_views(dataset, sensor, pattern, blocks, collections)
+                terms = _terms_of_labels(sensor, pattern, [label for _, label in detections])
                 yield ViewGroup(sensor.name, pattern.name, collections, chain, terms, intrinsics.get(sensor.name))
 
 
-def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, blocks: Sequence[Block], collections: IntArray) -> Chain:
+def _chain_of_views(
+    dataset: Dataset, sensor: Sensor, pattern: Pattern, blocks: Sequence[Block], collections: IntArray
+) -> Chain:
     """Return the chain of ``T_sensor_pattern`` as constants and blocks; neighbouring constants are multiplied.
 
     The encoder position of a joint is a constant: it follows the joint's block.
@@ -176,13 +178,13 @@ def _chain(dataset: Dataset, sensor: Sensor, pattern: Pattern, blocks: Sequence[
             motion = motions.get(edge, _in_the_lag(dataset, sensor, edge, collections))
             if motion is not None and step.inverted:
                 constant = inverse(motion) if constant is None else constant @ inverse(motion)
-            follow_with(_simplified(constant))
+            follow_with(_simplify_constant(constant))
             links.append(Link(at[edge], step.inverted))
             constant = None if step.inverted else motion
         else:
             T = dataset.transform(*(edge if not step.inverted else edge[::-1]))[collections]
             constant = T if constant is None else constant @ T
-    follow_with(_simplified(constant))
+    follow_with(_simplify_constant(constant))
     own = (pattern.parent_link, pattern.link)
     centre = translation(pattern.centre)
     motion = _in_the_lag(dataset, sensor, own, collections)
@@ -198,14 +200,14 @@ def _in_the_lag(dataset: Dataset, sensor: Sensor, edge: Edge, collections: IntAr
     return dataset.moved_by_lag(sensor.name, edge, np.eye(4)[None])[collections]
 
 
-def _simplified(T: Array | None) -> Array | None:
+def _simplify_constant(T: Array | None) -> Array | None:
     """Reduce a constant (V, 4, 4) to (4, 4) if it is the same for all views, to None if it is the identity."""
     if T is None or np.abs(T - T[0]).max() > 0.0:
         return T
     return None if (T[0] == np.eye(4)).all() else T[0]
 
 
-def _terms(sensor: Sensor, pattern: Pattern, labels: list[Labels]) -> tuple[Term, ...]:
+def _terms_of_labels(sensor: Sensor, pattern: Pattern, labels: list[Labels]) -> tuple[Term, ...]:
     corners = [label for label in labels if isinstance(label, CornerLabels)]
     if corners:
         if sensor.camera is None:
@@ -219,10 +221,10 @@ def _terms(sensor: Sensor, pattern: Pattern, labels: list[Labels]) -> tuple[Term
 
 
 def _point_terms(sensor: Sensor, pattern: Pattern, labels: list[PointLabels]) -> tuple[Term, ...]:
-    ranges, present, rays = _padded([label.points for label in labels])
+    ranges, present, rays = _pad_points([label.points for label in labels])
     range_kind, border_kind = sensor.modality.point_data.noise
     terms: list[Term] = [RangeTerm(rays, ranges, present, range_kind)]
-    ranges, present, rays = _padded(_border_rays(sensor, labels))
+    ranges, present, rays = _pad_points(_border_rays(sensor, labels))
     if present.any():
         corners = pattern.outline - pattern.centre[:2]
         along = np.roll(corners, -1, axis=0) - corners
@@ -245,7 +247,7 @@ def _border_rays(sensor: Sensor, labels: list[PointLabels]) -> list[Array]:
     return np.split(rays, np.cumsum([len(each) for each in limits])[:-1])
 
 
-def _padded(points: list[Array]) -> tuple[Array, BoolArray, Array]:
+def _pad_points(points: list[Array]) -> tuple[Array, BoolArray, Array]:
     """Convert points (n, 3) of each view to lengths (V, L), mask of present ones (V, L), unit directions (V, 3, L).
 
     NaN points are not present, nor are those at the origin, which LiDARs store for rays without a return.

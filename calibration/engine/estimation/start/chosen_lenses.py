@@ -34,11 +34,11 @@ def with_chosen_lenses(dataset: Dataset, options: Options) -> ChosenLenses:
     for name in options.lens:
         if name not in dataset.sensors or dataset.sensors[name].camera is None:
             raise InputError(
-                f"{dataset.path}: lens: found '{name}', expected a camera ({', '.join(_cameras(dataset))})"
+                f"{dataset.path}: lens: found '{name}', expected a camera ({', '.join(_cameras_to_choose(dataset))})"
             )
     cameras, choices = {}, {}
-    for name in _cameras(dataset):
-        camera, views = dataset.sensors[name].camera, _views(dataset, name)
+    for name in _cameras_to_choose(dataset):
+        camera, views = dataset.sensors[name].camera, _views_of_camera(dataset, name)
         if camera is None or not views or not options.frees_intrinsics_of(name):
             continue
         named = options.lens.get(name)
@@ -75,11 +75,11 @@ def fitting_lens(
     return choice
 
 
-def _cameras(dataset: Dataset) -> list[str]:
+def _cameras_to_choose(dataset: Dataset) -> list[str]:
     return [name for name, sensor in dataset.sensors.items() if sensor.modality.has_corners]
 
 
-def _views(dataset: Dataset, camera: str) -> list[tuple[Pattern, CornerLabels]]:
+def _views_of_camera(dataset: Dataset, camera: str) -> list[tuple[Pattern, CornerLabels]]:
     return [
         (dataset.patterns[pattern], labels)
         for collection in dataset.collections

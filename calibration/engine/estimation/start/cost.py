@@ -9,13 +9,13 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.solve.least_squares import Termination, minimise, settle
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels
 from calibration.engine.estimation.solve.normal_equations import Weighting
-from calibration.engine.estimation.solve.optimisation import HUBER
+from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import Setup, build
 from calibration.engine.estimation.start.flipped_patterns import unflipped
 from calibration.engine.estimation.start.guesses import guess_with_patterns
 
-_NEAR = Termination(decrease=1e-3, iterations=30)
+_TERMINATION_NEARBY = Termination(decrease=1e-3, iterations=30)
 """Enough to compare the patterns' poses with their mirror images."""
 
 
@@ -41,9 +41,9 @@ def cost_of(dataset: Dataset, options: Options, levels: NoiseLevels) -> float:
     with solvable(dataset.path), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         setup = _with_patterns_alone(build(dataset, options.hold))
         problem, everywhere = setup.problem, np.ones(setup.problem.collections, bool)
-        weighting = Weighting(levels.given(), HUBER if options.loss == "huber" else None)
+        weighting = Weighting(levels.given(), HUBER_THRESHOLD if options.loss == "huber" else None)
         start = guess_with_patterns(setup)
-        values, cost = settle(problem, start, weighting, everywhere, _NEAR)
+        values, cost = settle(problem, start, weighting, everywhere, _TERMINATION_NEARBY)
         if not np.isfinite(cost).all():
             return np.inf
         values, _ = unflipped(problem, values, weighting, cost)

@@ -13,12 +13,12 @@ from calibration.engine.estimation.solve.least_squares import settle
 from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.geometry.transforms import inverse
 
-SUSPICIOUS = 1.5
+MIN_SUSPICIOUS_COST_RATIO = 1.5
 """Collections whose cost per residual exceeds this multiple of the median are tried with the pattern flipped."""
-AMBIGUOUS = 4.0
+MAX_AMBIGUOUS_RESIDUAL = 4.0
 """So are collections whose labels, for every camera, would have residuals below this on average (squared, in
 standard deviations) if the pattern were mirrored for that camera: few and distant ones."""
-BETTER = 0.1
+MIN_DECREASE = 0.1
 """Minimum decrease of its collection's cost by a flipped pose (and 1 %): less is rounding error."""
 
 
@@ -44,14 +44,14 @@ def unflipped(problem: Problem, values: Values, weighting: Weighting, cost: Arra
         for term in group.terms:
             expected[group.collections] += term.counts * term.dimension
     ratio = cost / np.maximum(expected, 1)
-    suspicious = ratio > SUSPICIOUS * median(ratio[expected > 0])
-    suspicious |= _ambiguous(problem, values, weighting)
+    suspicious = ratio > MIN_SUSPICIOUS_COST_RATIO * median(ratio[expected > 0])
+    suspicious |= _ambiguous_collections(problem, values, weighting)
     flipped = np.zeros(problem.collections, bool)
     which = np.flatnonzero(suspicious)
     starts = _mirrored_in_each_camera(problem, values, suspicious) if problem.local and len(which) else []
     if not starts:
         return values, flipped
-    enough = 0.99 * cost[which] - BETTER
+    enough = 0.99 * cost[which] - MIN_DECREASE
     settled, settled_cost = _best_settled(problem, starts, which, weighting, enough)
     better = settled_cost < enough
     flipped[which[better]] = True
@@ -93,14 +93,14 @@ def _best_settled(
 def _mirrored_in_each_camera(problem: Problem, values: Values, which: BoolArray) -> list[Values]:
     """Return the values with the pattern mirrored for each of the cameras that see it in some collections (N,)."""
     groups = (group for group in problem.seen_in(which).groups if isinstance(group.terms[0], CornerTerm))
-    return [mirrored for group in groups if (mirrored := _mirrored(problem, group, values)) is not None]
+    return [mirrored for group in groups if (mirrored := _mirror_pattern(problem, group, values)) is not None]
 
 
-def _ambiguous(problem: Problem, values: Values, weighting: Weighting) -> BoolArray:
+def _ambiguous_collections(problem: Problem, values: Values, weighting: Weighting) -> BoolArray:
     """Return a mask (N,) of collections where every camera sees nearly the same if the pattern is mirrored for it."""
     possible, seen = np.ones(problem.collections, bool), np.zeros(problem.collections, bool)
     for group in problem.groups:
-        if isinstance(group.terms[0], CornerTerm) and _moving(problem, group) is not None:
+        if isinstance(group.terms[0], CornerTerm) and _only_moving_link(problem, group) is not None:
             seen[group.collections] = True
             left = possible[group.collections]
             views = group if left.all() else group.take(np.flatnonzero(left))
@@ -114,19 +114,19 @@ def _nearly_same(problem: Problem, group: ViewGroup, values: Values, weighting: 
     term = problem.terms(group, values)[0]
     magnitudes = term.magnitudes(mirrored_poses(problem.poses(group, values), np.zeros(3)))
     squares = np.nan_to_num(magnitudes / weighting.scales[term.kind], copy=False) ** 2
-    same: BoolArray = squares.sum(-1) < AMBIGUOUS * term.counts * term.dimension
+    same: BoolArray = squares.sum(-1) < MAX_AMBIGUOUS_RESIDUAL * term.counts * term.dimension
     return same
 
 
-def _moving(problem: Problem, group: ViewGroup) -> int | None:
+def _only_moving_link(problem: Problem, group: ViewGroup) -> int | None:
     """Return the position in a group's chain of the only link that moves; None if none or several do."""
     moving = [k for k, link in enumerate(group.chain.links) if link.block in problem.local]
     return moving[0] if len(moving) == 1 else None
 
 
-def _mirrored(problem: Problem, group: ViewGroup, values: Values) -> Values | None:
+def _mirror_pattern(problem: Problem, group: ViewGroup, values: Values) -> Values | None:
     """Set the moving block in a group's chain such that the pattern is mirrored in each of its views."""
-    if (k := _moving(problem, group)) is None:
+    if (k := _only_moving_link(problem, group)) is None:
         return None
     links = group.chain.links
     mirrored = mirrored_poses(problem.poses(group, values), np.zeros(3))

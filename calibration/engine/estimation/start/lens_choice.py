@@ -25,7 +25,7 @@ from calibration.engine.estimation.residuals.residuals import robust
 from calibration.engine.estimation.residuals.views import Chain, Link, ViewGroup
 from calibration.engine.estimation.solve.least_squares import Termination
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels
-from calibration.engine.estimation.solve.optimisation import HUBER, optimise
+from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD, optimise
 from calibration.engine.estimation.solve.options import LensModel
 from calibration.engine.estimation.start.flipped_patterns import unflipped
 from calibration.engine.estimation.start.single_views import corner_term, refined_poses
@@ -37,11 +37,11 @@ SIMPLEST_FIRST: tuple[type[Distortion], ...] = tuple(MODELS.values())
 """Models in the order in which they are preferred, if they fit as well as each other."""
 MIN_WIDE_ANGLE = np.radians(60.0)
 """Angle of a corner from the optical axis, from which models of wide lenses are compared too."""
-SIGNIFICANT = 2.5
+MIN_SIGNIFICANT_SCORE = 2.5
 """Standard score from which another model fits better."""
 MAX_NOISE_RATIO = 1.5
 """Ratio of a model's robust noise to the best one's from which it is worse, whatever single views say."""
-NEGLIGIBLE = 0.25
+MAX_NEGLIGIBLE_SHARE = 0.25
 """Fraction of the best model's RMS by which another one may err, without being worse for it."""
 FIELDS_OF_VIEW = (20, 30, 45, 60, 75, 90, 105, 120, 140, 160, 180, 200, 220)
 """Degrees over the longer side of the image: the least squares begins with the best of them."""
@@ -49,7 +49,7 @@ MOST_STARTS = 4
 """Number of fields of view from which a model is fitted, until it has a minimum."""
 WIDEST_PINHOLE = 130
 """Degrees: a wider field of view is no start of a model that is a pinhole without its coefficients."""
-ROUGHLY = Termination(decrease=1e-2, iterations=15)
+TERMINATION_OF_COMPARISON = Termination(decrease=1e-2, iterations=15)
 """Enough to compare fields of view."""
 PIXEL_DECIMALS, COEFFICIENT_DECIMALS = 3, 6
 """Decimals of a fitted lens, which is a guess: the last digits would differ between processors."""
@@ -57,7 +57,7 @@ GUESSED_ZERO = ("k3",)
 """Coefficients that plumb_bob has and Kalibr's radtan has not."""
 MAX_PINHOLE_ANGLE = np.radians(85.0)
 """Limit of the angle at which a pinhole is fitted to another lens."""
-RADII = 50
+NUMBER_OF_RADII = 50
 """Number of radii at which a rational lens is fitted to another one."""
 
 
@@ -88,7 +88,7 @@ class LensFit:
 
     def costs(self, noise: float) -> Array:
         """Return the robust cost (V,) of each view, with this standard deviation of the labels, px."""
-        return np.concatenate([robust(np.nan_to_num(each / noise) ** 2, HUBER)[0] for each in self.residuals])
+        return np.concatenate([robust(np.nan_to_num(each / noise) ** 2, HUBER_THRESHOLD)[0] for each in self.residuals])
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def choose_lens(
     Returns:
         The choice; None if no model has a minimum.
     """
-    terms = _terms(Camera(1.0, 1.0, 0.0, 0.0, width, height), views)
+    terms = _terms_of_views(Camera(1.0, 1.0, 0.0, 0.0, width, height), views)
     fits: list[LensFit] = []
     with np.errstate(all="ignore"):  # a model that diverges is left out
         for model in sorted(models, key=lambda each: (each.is_wide, SIMPLEST_FIRST.index(each))):
@@ -135,11 +135,11 @@ def choose_lens(
                 continue
             found = [_from_best_start(model, width, height, terms)]
             if model is Rational:
-                found += [_fitted(start, terms) for fit in fits if (start := _rational_like(fit.camera, terms))]
+                found += [_fit_lens(start, terms) for fit in fits if (start := _rational_like(fit.camera, terms))]
             fits += sorted(filter(None, found), key=lambda fit: fit.rms)[:1]
         if not fits:
             return None
-        choice = _simplest(fits)
+        choice = _choose_simplest(fits)
         model = type(choice.chosen.camera.distortion)
         guess = _from_best_start(model, width, height, terms, GUESSED_ZERO) if model is PlumbBob else None
     return replace(choice, guess=guess.camera if guess else choice.chosen.camera)
@@ -148,10 +148,10 @@ def choose_lens(
 def _is_wide(fits: Sequence[LensFit], terms: Sequence[CornerTerm]) -> bool:
     """Whether the lens sees corners far to the side, by the model that fits best so far."""
     camera = min(fits, key=lambda fit: fit.rms).camera
-    return bool(camera.distortion.chart.angle(_radii(camera, terms)).max(initial=0.0) > MIN_WIDE_ANGLE)
+    return bool(camera.distortion.chart.angle(_radii_of_corners(camera, terms)).max(initial=0.0) > MIN_WIDE_ANGLE)
 
 
-def _radii(camera: Camera, terms: Sequence[CornerTerm]) -> Array:
+def _radii_of_corners(camera: Camera, terms: Sequence[CornerTerm]) -> Array:
     """Return the lengths (n,) of the corners' coordinates in the lens's chart."""
     return np.concatenate([np.hypot(*_seen_rays(term.seen_with(camera, ()))) for term in terms])
 
@@ -163,7 +163,7 @@ def _seen_rays(term: CornerTerm) -> Array:
     return np.asarray(rays[:, seen])
 
 
-def _simplest(fits: Sequence[LensFit]) -> LensChoice:
+def _choose_simplest(fits: Sequence[LensFit]) -> LensChoice:
     """Choose the simplest model that does not fit significantly worse than the best."""
     noise = min(fit.noise for fit in fits)
     costs = {fit.order: fit.costs(noise) for fit in fits}
@@ -171,19 +171,19 @@ def _simplest(fits: Sequence[LensFit]) -> LensChoice:
     best = min(fits, key=lambda fit: float(costs[fit.order].sum() + price[fit.order]))
 
     def fits_worse(fit: LensFit) -> bool:
-        if fit.rms**2 - best.rms**2 < (NEGLIGIBLE * best.rms) ** 2:
+        if fit.rms**2 - best.rms**2 < (MAX_NEGLIGIBLE_SHARE * best.rms) ** 2:
             return False
         if fit.noise > MAX_NOISE_RATIO * best.noise:  # one view that it does not fit at all hides all others
             return True
         more = costs[fit.order] - costs[best.order]
         excess = more.sum() + price[fit.order] - price[best.order]
-        return bool(excess > SIGNIFICANT * np.sqrt(len(more)) * more.std())
+        return bool(excess > MIN_SIGNIFICANT_SCORE * np.sqrt(len(more)) * more.std())
 
     chosen = next(fit for fit in fits if fit is best or not fits_worse(fit))
     return LensChoice(chosen, tuple(fit for fit in fits if fit is not chosen), chosen.camera)
 
 
-def _terms(camera: Camera, views: Sequence[tuple[Pattern, CornerLabels]]) -> list[CornerTerm]:
+def _terms_of_views(camera: Camera, views: Sequence[tuple[Pattern, CornerLabels]]) -> list[CornerTerm]:
     """Return the views that determine a pose, pattern by pattern."""
     terms = []
     for pattern in dict.fromkeys(pattern for pattern, _ in views):
@@ -199,11 +199,11 @@ def _from_best_start(
     model: type[Distortion], width: int, height: int, terms: Sequence[CornerTerm], held: Sequence[str] = ()
 ) -> LensFit | None:
     """Fit a model from the field of view that fits best, or else from the next ones; None without a minimum."""
-    starts = _starts(model, width, height, terms)[:MOST_STARTS]
-    return next((fit for start in starts if (fit := _fitted(start, terms, held)) is not None), None)
+    starts = _starts_of_model(model, width, height, terms)[:MOST_STARTS]
+    return next((fit for start in starts if (fit := _fit_lens(start, terms, held)) is not None), None)
 
 
-def _starts(
+def _starts_of_model(
     model: type[Distortion], width: int, height: int, terms: Sequence[CornerTerm]
 ) -> list[tuple[Camera, list[Array]]]:
     """Return cameras without coefficients, and their poses ``T_camera_centre``; those that fit best come first."""
@@ -215,16 +215,16 @@ def _starts(
             continue
         f = max(width, height) / 2 / float(lens.distort(np.array([model.chart.radius(half)]), np.zeros(1))[0][0])
         camera = Camera(f, f, (width - 1) / 2, (height - 1) / 2, width, height, lens)
-        poses, rms = _posed(camera, terms)
+        poses, rms = _poses_and_rms(camera, terms)
         found.append((float(np.median(rms)), (camera, poses)))
     return [start for rms, start in sorted(found, key=lambda each: each[0]) if np.isfinite(rms)]
 
 
-def _posed(camera: Camera, terms: Sequence[CornerTerm]) -> tuple[list[Array], Array]:
+def _poses_and_rms(camera: Camera, terms: Sequence[CornerTerm]) -> tuple[list[Array], Array]:
     """Return the poses of each term's views, and the RMS (V,) of all views, px; infinite where there is no pose."""
     poses, rms = [], []
     for term in (term.seen_with(camera, ()) for term in terms):
-        T, own = refined_poses(term, term.linear_poses, until=ROUGHLY)
+        T, own = refined_poses(term, term.linear_poses, until=TERMINATION_OF_COMPARISON)
         poses.append(T)
         rms.append(np.where(np.isfinite(own), own, np.inf))
     return poses, np.concatenate(rms)
@@ -237,19 +237,21 @@ def _rational_like(camera: Camera, terms: Sequence[CornerTerm]) -> tuple[Camera,
     linear, for each radius r.
     """
     chart = camera.distortion.chart
-    angles = np.minimum(chart.angle(_radii(camera, terms)), MAX_PINHOLE_ANGLE)
-    r = np.linspace(0, float(np.tan(angles.max(initial=0.0))), RADII + 1)[1:]
+    angles = np.minimum(chart.angle(_radii_of_corners(camera, terms)), MAX_PINHOLE_ANGLE)
+    r = np.linspace(0, float(np.tan(angles.max(initial=0.0))), NUMBER_OF_RADII + 1)[1:]
     at = r if chart is IN_FRONT else np.arctan(r)
     s = camera.distortion.distort(at, np.zeros_like(at))[0] / r
     powers = np.stack([r**2, r**4, r**6], -1)
     k1, k2, k3, k4, k5, k6 = np.linalg.lstsq(np.hstack([powers, -s[:, None] * powers]), s - 1, rcond=None)[0].tolist()
     lens = Rational(k1, k2, 0.0, 0.0, k3, k4, k5, k6)
     rational = Camera(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, lens)
-    poses, rms = _posed(rational, terms)
+    poses, rms = _poses_and_rms(rational, terms)
     return (rational, poses) if np.isfinite(rms).all() else None
 
 
-def _fitted(start: tuple[Camera, list[Array]], terms: Sequence[CornerTerm], held: Sequence[str] = ()) -> LensFit | None:
+def _fit_lens(
+    start: tuple[Camera, list[Array]], terms: Sequence[CornerTerm], held: Sequence[str] = ()
+) -> LensFit | None:
     """Minimise over intrinsics, but some that are held, and poses; None without a minimum."""
     camera, poses = start
     T = np.concatenate(poses)
@@ -259,7 +261,7 @@ def _fitted(start: tuple[Camera, list[Array]], terms: Sequence[CornerTerm], held
     rays = np.concatenate([_seen_rays(term) for term in terms], 1)
     parameters = tuple(each for each in camera.parameters if each not in held)
     free = FreeIntrinsics("camera", camera, parameters, rays)
-    problem = _problem(free, terms)
+    problem = _problem_of_camera(free, terms)
     found = optimise(problem, (T, camera.intrinsics), NoiseLevels(), robust=True)
     values: Values = found.optimum.values
     values, _ = unflipped(problem, values, found.weighting, found.optimum.equations.cost)
@@ -278,7 +280,7 @@ def _fitted(start: tuple[Camera, list[Array]], terms: Sequence[CornerTerm], held
     return LensFit(exact.with_intrinsics(rounded), residuals, found.weighting.scales["pixel"])
 
 
-def _problem(free: FreeIntrinsics, terms: Sequence[CornerTerm]) -> Problem:
+def _problem_of_camera(free: FreeIntrinsics, terms: Sequence[CornerTerm]) -> Problem:
     """Return the problem of one camera, with a pose for each view and all intrinsics free."""
     counts = [len(term.counts) for term in terms]
     views = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1])

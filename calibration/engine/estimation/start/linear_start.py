@@ -82,7 +82,7 @@ def pattern_poses(setup: Setup, values: Values) -> Values:
     Raises:
         InputError: no camera sees a fixed pattern.
     """
-    return _solved(setup, values, _free_patterns(setup))
+    return _solve_for_blocks(setup, values, _free_patterns(setup))
 
 
 def local_poses(setup: Setup, values: Values) -> Values:
@@ -91,7 +91,7 @@ def local_poses(setup: Setup, values: Values) -> Values:
     Raises:
         InputError: no camera view determines one of them.
     """
-    return _solved(setup, values, set(setup.problem.local))
+    return _solve_for_blocks(setup, values, set(setup.problem.local))
 
 
 def place_gauge_patterns(setup: Setup, values: Values) -> Values:
@@ -102,7 +102,7 @@ def place_gauge_patterns(setup: Setup, values: Values) -> Values:
     fixed = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.gauge_patterns}
     if not fixed:
         return values
-    placed = _solved(setup, values, _free_patterns(setup) | fixed)
+    placed = _solve_for_blocks(setup, values, _free_patterns(setup) | fixed)
     return tuple(placed[i] if i in fixed else value for i, value in enumerate(values))
 
 
@@ -112,7 +112,7 @@ def _free_patterns(setup: Setup) -> set[int]:
     return {i for i in patterns if not setup.problem.blocks[i].held}
 
 
-def _solved(setup: Setup, values: Values, unknown: set[int]) -> Values:
+def _solve_for_blocks(setup: Setup, values: Values, unknown: set[int]) -> Values:
     """Return the values with those of some blocks solved for, from the labels alone."""
     search = _Search(setup, values, unknown)
     while search.find():
@@ -144,11 +144,11 @@ class _Search:
         """
         if all(known.all() for known in self._known):
             return False
-        if self._moving() or self._averaged():
+        if self._solve_moving() or self._solve_by_average():
             return True
         sights = [*self._sights, *self._over_moving_patterns()]
-        too_poor = self._robot_world(sights)
-        if too_poor is None or self._planes(sights):
+        too_poor = self._solve_robot_world(sights)
+        if too_poor is None or self._solve_by_planes(sights):
             return True
         if too_poor:
             raise UndeterminedError(too_poor)
@@ -158,7 +158,9 @@ class _Search:
         """Take one more block from the guess, an additional transform first."""
         patterns = self.setup.dataset.patterns
         blocks = self.problem.blocks
-        moving = [b for b in self.problem.local if blocks[b].name not in patterns and self._missing(b).any()]
+        moving = [
+            b for b in self.problem.local if blocks[b].name not in patterns and self._collections_missing(b).any()
+        ]
         unknown = [*(b for b in self.problem.shared if not self._known[b].any()), *moving]
         if not unknown:
             return False
@@ -166,7 +168,7 @@ class _Search:
         block = min(unknown, key=lambda b: ((blocks[b].edge in sensors) + 2 * (blocks[b].name in patterns), b))
         self.guessed.append(blocks[block].name)
         self.left_to_guess.add(block)
-        self._set(block, self._transforms[block])
+        self._set_block(block, self._transforms[block])
         return True
 
     def found(self) -> Values:
@@ -176,7 +178,7 @@ class _Search:
             InputError: a pattern's pose is unknown in a used collection, or in all.
         """
         for i, block in enumerate(self.problem.blocks):
-            missing = self._missing(i)
+            missing = self._collections_missing(i)
             if missing.any():
                 key = self.setup.dataset.keys[int(missing.argmax())]
                 raise InputError(
@@ -186,12 +188,12 @@ class _Search:
         each = zip(self.problem.blocks, self._transforms, self._start, strict=True)
         return tuple(T if isinstance(block.parameters, Pose) else start for block, T, start in each)
 
-    def _missing(self, block: int) -> BoolArray:
+    def _collections_missing(self, block: int) -> BoolArray:
         """Return a mask (N,) of the collections whose views depend on a block that is unknown there."""
         missing: BoolArray = self.problem.collections_with(block) & ~self._known[block]
         return missing
 
-    def _moving(self) -> bool:
+    def _solve_moving(self) -> bool:
         """Solve for the moving patterns and transforms per collection that a camera sees through a known chain.
 
         Of several views the one with most labels is used.
@@ -202,7 +204,7 @@ class _Search:
             for sight in self._sights:
                 at = [k for k, link in enumerate(sight.chain.links) if link.block == local]
                 missing = ~self._known[local][sight.collections]
-                if at and missing.any() and sight.seen is not None and set(self._unknown(sight)) <= set(at):
+                if at and missing.any() and sight.seen is not None and set(self._unknown_links(sight)) <= set(at):
                     candidates, usable = self._solved_for(sight, sight.seen, at[0])
                     better = usable & missing
                     better &= sight.counts > best[sight.collections]
@@ -213,11 +215,11 @@ class _Search:
             found = found or bool((best > 0).any())
         return found
 
-    def _averaged(self) -> bool:
+    def _solve_by_average(self) -> bool:
         """Solve for the shared block that most camera views determine directly."""
         votes: dict[int, list[Array]] = {}
         for sight in self._sights:
-            unknown = self._unknown_shared(sight)
+            unknown = self._unknown_shared_links(sight)
             if len(unknown) == 1 and sight.seen is not None:
                 candidates, usable = self._solved_for(sight, sight.seen, unknown[0])
                 if usable.any():
@@ -225,14 +227,14 @@ class _Search:
         if not votes:
             return False
         block = max(sorted(votes), key=lambda b: sum(len(c) for c in votes[b]))
-        self._set(block, mean_pose(np.concatenate(votes[block])))
+        self._set_block(block, mean_pose(np.concatenate(votes[block])))
         return True
 
     def _over_moving_patterns(self) -> Iterator[Sight]:
         """Yield views that combine two sensors' views of the same moving pattern with an unknown pose."""
         cameras = []
         for sight in self._sights:
-            last, unknown = len(sight.chain.links) - 1, self._unknown(sight)
+            last, unknown = len(sight.chain.links) - 1, self._unknown_links(sight)
             moving = sight.chain.links[last].block in self.problem.local
             if moving and sight.seen is not None and len(unknown) > 1 and unknown[-1] == last:
                 cameras.append((sight, sight.seen))
@@ -243,46 +245,50 @@ class _Search:
             same = (s for s in self._sights if s.points is not None and s.pattern == camera.pattern)
             yield from (sight.through(camera, seen) for sight in same)
 
-    def _robot_world(self, sights: Sequence[Sight]) -> str | None:
+    def _solve_robot_world(self, sights: Sequence[Sight]) -> str | None:
         """Solve for two unknowns X and Y from ``T = U X B Y V``; None on success, else the reason of the failure."""
         problems = []
         for sight in sights:
-            unknown = self._unknown_shared(sight)
+            unknown = self._unknown_shared_links(sight)
             if len(unknown) == 2 and sight.seen is not None:
-                U, B, V = (self._between(sight, *ends) for ends in ((-1, unknown[0]), unknown, (unknown[1], None)))
+                U, B, V = (
+                    self._product_between(sight, *ends) for ends in ((-1, unknown[0]), unknown, (unknown[1], None))
+                )
                 A = inverse(U) @ sight.seen @ inverse(V)
-                usable = self._usable(sight, unknown) & np.isfinite(A[:, 0, 0])
+                usable = self._usable_views(sight, unknown) & np.isfinite(A[:, 0, 0])
                 if usable.any():
                     problems.append(([sight.chain.links[k] for k in unknown], A[usable], B[usable]))
         why_not = ""
         for (first, second), A, B in sorted(problems, key=lambda problem: -len(problem[1])):
             solution = solve_robot_world_robustly(A, B)
-            too_poor = self._too_poor(first, second, solution, len(A))
+            too_poor = self._why_motion_is_too_poor(first, second, solution, len(A))
             if not too_poor:
                 for link, T in ((first, solution.X), (second, solution.Y)):
-                    self._set(link.block, inverse(T) if link.inverted else T)
+                    self._set_block(link.block, inverse(T) if link.inverted else T)
                 return None
             why_not = why_not or too_poor
         return why_not
 
-    def _planes(self, sights: Sequence[Sight]) -> bool:
+    def _solve_by_planes(self, sights: Sequence[Sight]) -> bool:
         """Solve for a block in the chain of a LiDAR or a depth camera, from its planes and the patterns' known poses.
 
         All views that determine the same block are used together.
         """
         together: dict[tuple[int, bool, bool], list[tuple[RangeTerm, Array, Array]]] = {}
         for sight in sights:
-            unknown = self._unknown_shared(sight)
+            unknown = self._unknown_shared_links(sight)
             if len(unknown) == 1 and sight.points is not None:
                 link = sight.chain.links[unknown[0]]
-                before, after, usable = self._around(sight, unknown[0])
+                before, after, usable = self._split_at_link(sight, unknown[0])
                 if usable.any():
                     planar = self.setup.dataset.sensors[sight.sensor].modality.is_planar
                     views = (sight.points.take(np.flatnonzero(usable)), before[usable], after[usable])
                     together.setdefault((link.block, link.inverted, planar), []).append(views)
-        return any(self._aligned(*key, views) for key, views in together.items())
+        return any(self._align_block(*key, views) for key, views in together.items())
 
-    def _aligned(self, block: int, inverted: bool, planar: bool, views: list[tuple[RangeTerm, Array, Array]]) -> bool:
+    def _align_block(
+        self, block: int, inverted: bool, planar: bool, views: list[tuple[RangeTerm, Array, Array]]
+    ) -> bool:
         """Whether views ``T_sensor_pattern = before X after``, X a block or its inverse, have determined the block."""
         terms = [term for term, _, _ in views]
         before, after = (np.concatenate(parts) for parts in list(zip(*views, strict=True))[1:])
@@ -299,10 +305,10 @@ class _Search:
             if by_guess:
                 self.left_to_guess.add(block)
         if X is not None:
-            self._set(block, inverse(X) if inverted else X)
+            self._set_block(block, inverse(X) if inverted else X)
         return X is not None
 
-    def _too_poor(self, first: Link, second: Link, solution: RobotWorld, views: int) -> str:
+    def _why_motion_is_too_poor(self, first: Link, second: Link, solution: RobotWorld, views: int) -> str:
         """Return the reason why a motion cannot separate the two unknowns; empty if it can."""
         blocks = [self.problem.blocks[link.block] for link in (first, second)]
         what = f"{self.setup.dataset.path}: '{blocks[0].name}' and '{blocks[1].name}' cannot be told apart"
@@ -324,21 +330,21 @@ class _Search:
 
     # ------------------------------------------------------------------------------------------
 
-    def _set(self, block: int, T: Array) -> None:
+    def _set_block(self, block: int, T: Array) -> None:
         self._transforms[block] = T
         self._known[block][:] = True
 
-    def _unknown(self, sight: Sight) -> list[int]:
+    def _unknown_links(self, sight: Sight) -> list[int]:
         """Return the positions in a chain of the links that are unknown in all of its collections."""
         return [k for k, link in enumerate(sight.chain.links) if not self._known[link.block][sight.collections].any()]
 
-    def _unknown_shared(self, sight: Sight) -> list[int]:
+    def _unknown_shared_links(self, sight: Sight) -> list[int]:
         """Return the same if all of them are of different shared blocks; else none."""
-        unknown = self._unknown(sight)
+        unknown = self._unknown_links(sight)
         blocks = {sight.chain.links[k].block for k in unknown}
         return unknown if len(blocks) == len(unknown) and not blocks & set(self.problem.local) else []
 
-    def _usable(self, sight: Sight, unknown: list[int]) -> BoolArray:
+    def _usable_views(self, sight: Sight, unknown: list[int]) -> BoolArray:
         """Return a mask (V,) of the views in which all other links are known."""
         usable = np.ones(len(sight.collections), bool)
         for k, link in enumerate(sight.chain.links):
@@ -346,18 +352,22 @@ class _Search:
                 usable &= self._known[link.block][sight.collections]
         return usable
 
-    def _between(self, sight: Sight, start: int, end: int | None) -> Array:
+    def _product_between(self, sight: Sight, start: int, end: int | None) -> Array:
         """Return the product (V, 4, 4) between two links of a chain; -1 is its start, None its end."""
         part = sight.chain.part(start, len(sight.chain.links) if end is None else end)
         return part.poses(self._transforms, sight.collections)
 
-    def _around(self, sight: Sight, k: int) -> tuple[Array, Array, BoolArray]:
+    def _split_at_link(self, sight: Sight, k: int) -> tuple[Array, Array, BoolArray]:
         """Split a chain at one link: ``T = before * link * after`` (V, 4, 4 each), with a mask (V,) of known ones."""
-        before, after = self._between(sight, -1, k), self._between(sight, k, None)
-        return before, after, self._usable(sight, [k]) & np.isfinite(after[:, 0, 0]) & np.isfinite(before[:, 0, 0])
+        before, after = self._product_between(sight, -1, k), self._product_between(sight, k, None)
+        return (
+            before,
+            after,
+            self._usable_views(sight, [k]) & np.isfinite(after[:, 0, 0]) & np.isfinite(before[:, 0, 0]),
+        )
 
     def _solved_for(self, sight: Sight, seen: Array, k: int) -> tuple[Array, BoolArray]:
         """Solve each view for the block of a link; return the values, and a mask of the valid ones."""
-        before, after, usable = self._around(sight, k)
+        before, after, usable = self._split_at_link(sight, k)
         X = inverse(before) @ seen @ inverse(after)
         return inverse(X) if sight.chain.links[k].inverted else X, usable & np.isfinite(seen[:, 0, 0])

@@ -12,7 +12,7 @@ from calibration.engine.estimation.residuals.median import median
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import inverse, transform
 
-SINGULAR = 1e-3
+MIN_SINGULAR_VALUE_RATIO = 1e-3
 """Singular value of the normals relative to the largest, below which they do not determine a direction."""
 
 
@@ -95,7 +95,7 @@ def _solve_translation(n: Array, distance: Array, root: Array, guess: Array) -> 
         t, and whether they leave a direction to the guess, which has no effect otherwise, not even on the last bit.
     """
     weighted = n * root[:, None]
-    t, _, rank, _ = np.linalg.lstsq(weighted, distance * root, rcond=SINGULAR)
+    t, _, rank, _ = np.linalg.lstsq(weighted, distance * root, rcond=MIN_SINGULAR_VALUE_RATIO)
     if rank < 3:
-        t = guess + np.linalg.lstsq(weighted, (distance - n @ guess) * root, rcond=SINGULAR)[0]
+        t = guess + np.linalg.lstsq(weighted, (distance - n @ guess) * root, rcond=MIN_SINGULAR_VALUE_RATIO)[0]
     return np.asarray(t, float), bool(rank < 3)

@@ -15,9 +15,9 @@ from calibration.engine.estimation.residuals.median import median
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, transform
 
-REWEIGHTED = 10
+MAX_REWEIGHTINGS = 10
 """Number of times that a robot-world problem is solved again with less weight on views that do not fit,"""
-FITTING = 0.03
+MAX_MISFIT_IF_FITTING = 0.03
 """as long as their mean misfit exceeds this (rad, and translations relative to the distance)."""
 
 
@@ -68,7 +68,7 @@ def solve_robot_world(A: Array, B: Array, weights: ArrayLike | None = None) -> R
     Raises:
         ValueError: there is no pose.
     """
-    w = _weights(A, weights)
+    w = _normalised_weights(A, weights)
     RA, RB = A[:, :3, :3], B[:, :3, :3]
     # R_A = R_X R_B R_Y: maximise sum w <R_A R_Y^T, R_X R_B> = vec(R_X)^T K vec(R_Y^T)
     K = np.einsum("n,nij,nkl->ikjl", w, RA, RB).reshape(9, 9)
@@ -77,18 +77,18 @@ def solve_robot_world(A: Array, B: Array, weights: ArrayLike | None = None) -> R
     sign = np.sign(np.linalg.det(X)) or 1.0  # both singular vectors may be negated together
     R_X, R_Yt = rotations.nearest(sign * X), rotations.nearest(sign * Yt)
     # t_A = R_X t_B + t_X + R_A R_Y^T t_Y
-    t_X, t_Y = _translations(A, B, w, R_X, RA @ R_Yt)
-    return RobotWorld(transform(R_X, t_X), transform(R_Yt.T, t_Y), _spectrum(singular, RB, w))
+    t_X, t_Y = _solve_translations(A, B, w, R_X, RA @ R_Yt)
+    return RobotWorld(transform(R_X, t_X), transform(R_Yt.T, t_Y), _spectrum_of_rotations(singular, RB, w))
 
 
 def solve_robot_world_robustly(A: Array, B: Array) -> RobotWorld:
     """Solve like `solve_robot_world`, reweighted a few times so that single wrong or flipped views have no effect."""
     solution = first = solve_robot_world(A, B)
     size = median(np.linalg.norm(A[:, :3, 3], axis=-1))
-    for _ in range(REWEIGHTED):
+    for _ in range(MAX_REWEIGHTINGS):
         translation, rotation = distance(A, solution.X @ B @ solution.Y)
         miss = translation / size + rotation
-        if miss.mean() <= FITTING:
+        if miss.mean() <= MAX_MISFIT_IF_FITTING:
             break
         solution = solve_robot_world(A, B, 1 / np.maximum(miss, 0.5 * median(miss) + 1e-9) ** 2)
     return solution._replace(spectrum=first.spectrum)
@@ -102,7 +102,7 @@ def solve_li(A: Array, B: Array, weights: ArrayLike | None = None) -> RobotWorld
     calibration using dual-quaternions and Kronecker product", 2010). Arguments, result and errors
     as `solve_robot_world`.
     """
-    w = _weights(A, weights)
+    w = _normalised_weights(A, weights)
     n = len(A)
     root = np.sqrt(w)[:, None, None]
     RA, RB, eye = A[:, :3, :3], B[:, :3, :3], np.eye(3)
@@ -119,11 +119,11 @@ def solve_li(A: Array, B: Array, weights: ArrayLike | None = None) -> RobotWorld
     R_Z, R_X = (rotations.nearest(part.reshape(3, 3)) for part in (solution[:9], solution[9:18]))
     Z = transform(R_Z, solution[18:21])
     K = np.einsum("n,nij,nkl->ikjl", w, RA, RB).reshape(9, 9)
-    spectrum = _spectrum(np.linalg.svd(K, compute_uv=False), RB, w)
+    spectrum = _spectrum_of_rotations(np.linalg.svd(K, compute_uv=False), RB, w)
     return RobotWorld(transform(R_X, solution[21:]), inverse(Z), spectrum)
 
 
-def _weights(A: Array, weights: ArrayLike | None) -> Array:
+def _normalised_weights(A: Array, weights: ArrayLike | None) -> Array:
     """Return weights (n,) that sum to 1."""
     if not len(A):
         raise ValueError("a robot-world problem without poses")
@@ -132,7 +132,7 @@ def _weights(A: Array, weights: ArrayLike | None) -> Array:
     return normalised
 
 
-def _translations(A: Array, B: Array, w: Array, R_X: Array, R: Array) -> tuple[Array, Array]:
+def _solve_translations(A: Array, B: Array, w: Array, R_X: Array, R: Array) -> tuple[Array, Array]:
     """Solve for t_X and t_Y in ``t_A = R_X t_B + t_X + R t_Y`` by least squares, R (n, 3, 3)."""
     system = np.concatenate([np.broadcast_to(np.eye(3), R.shape), R], -1)
     right = A[:, :3, 3] - B[:, :3, 3] @ R_X.T
@@ -141,7 +141,7 @@ def _translations(A: Array, B: Array, w: Array, R_X: Array, R: Array) -> tuple[A
     return solution[:3], solution[3:]
 
 
-def _spectrum(singular: Array, RB: Array, w: Array) -> Spectrum:
+def _spectrum_of_rotations(singular: Array, RB: Array, w: Array) -> Spectrum:
     """Compute the spectrum from the singular values of the Kronecker product and the rotations of B.
 
     The motion spreads a direction a of B's child frame to R_B a, whose mean has the length

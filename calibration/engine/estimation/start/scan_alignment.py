@@ -10,18 +10,18 @@ from calibration.engine.estimation.residuals.median import median
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, inverse, transform
 
-FLAT = 1e-6
+MAX_FLAT_SPREAD_RATIO = 1e-6
 """Points are coplanar if their spread across a plane is less than this times that along it."""
-SINGULAR = 1e-7
+MIN_SINGULAR_VALUE_RATIO = 1e-7
 """Singular value of the equations relative to the largest, below which it is rounding error."""
-UNIT = (0.5, 2.0)
+COLUMN_LENGTH_LIMITS = (0.5, 2.0)
 """Limits of the lengths of the rotation's estimated columns; outside, the equations do not determine it."""
-OBLIQUE = 0.7
+MAX_COSINE_OF_COLUMNS = 0.7
 """Limit of the cosines between these columns."""
-ALIKE = 0.01
+MIN_SINGULAR_VALUE_RATIO_OF_MOTION = 0.01
 """If a motion of the points changes their distances to the planes by less than this times another one, the
 planes do not determine it: their tilts hardly differ (rad)."""
-REWEIGHTED = 15
+NUMBER_OF_REWEIGHTINGS = 15
 """Number of times that the equations are solved, with less weight on outliers."""
 
 
@@ -56,11 +56,11 @@ def align_scans(points: Array, normals: Array, offsets: Array) -> Array | None:
     _, spread, axes = np.linalg.svd(points - middle, full_matrices=False)
     axes[2] *= np.sign(np.linalg.det(axes))
     T_local_points = transform(axes, -axes @ middle)
-    columns = 2 if spread[2] <= FLAT * spread[0] else 3
-    T_planes_local = _linear(apply(T_local_points, points), normals, offsets, columns)
+    columns = 2 if spread[2] <= MAX_FLAT_SPREAD_RATIO * spread[0] else 3
+    T_planes_local = _solve_linearly(apply(T_local_points, points), normals, offsets, columns)
     if T_planes_local is None:
         return None
-    T = _refined(T_planes_local, apply(T_local_points, points), normals, offsets)
+    T = _refine_by_distances(T_planes_local, apply(T_local_points, points), normals, offsets)
     return None if T is None else T @ T_local_points
 
 
@@ -80,51 +80,55 @@ def scan_equations(points: Array, before: Array, after: Array) -> tuple[Array, A
     return moved, normals, (normals * after[:, :3, 3]).sum(-1)
 
 
-def _linear(points: Array, normals: Array, offsets: Array, columns: int) -> Array | None:
+def _solve_linearly(points: Array, normals: Array, offsets: Array, columns: int) -> Array | None:
     """Solve without the refinement, from points relative to their mean, whose last axes may be zero."""
     scale = float(np.sqrt((points**2).sum(-1).mean()))
     factors = [points[:, k, None] / scale * normals for k in range(columns)]
     A = np.concatenate([*factors, normals], -1)  # (n, 9 or 12)
     singular = np.linalg.svd(A, compute_uv=False)
-    if singular[-1] <= SINGULAR * singular[0]:
+    if singular[-1] <= MIN_SINGULAR_VALUE_RATIO * singular[0]:
         return None
     weight = np.ones(len(A))
-    for _ in range(REWEIGHTED):
+    for _ in range(NUMBER_OF_REWEIGHTINGS):
         root = np.sqrt(weight)
         solution = np.linalg.lstsq(A * root[:, None], offsets * root, rcond=None)[0]
-        weight = _weight(A @ solution - offsets)
+        weight = _weights_of_distances(A @ solution - offsets)
     R = solution[:-3].reshape(columns, 3).T / scale
     lengths = np.linalg.norm(R, axis=0)
     cosines = (R.T @ R) / (lengths[:, None] * lengths) - np.eye(columns)
-    if not (lengths.min() > UNIT[0] and lengths.max() < UNIT[1] and np.abs(cosines).max() < OBLIQUE):
+    if not (
+        lengths.min() > COLUMN_LENGTH_LIMITS[0]
+        and lengths.max() < COLUMN_LENGTH_LIMITS[1]
+        and np.abs(cosines).max() < MAX_COSINE_OF_COLUMNS
+    ):
         return None
     if columns == 2:
         R = np.column_stack([R, np.cross(R[:, 0], R[:, 1])])
     return transform(rotations.nearest(R), solution[-3:])
 
 
-def _refined(T: Array, points: Array, normals: Array, offsets: Array) -> Array | None:
+def _refine_by_distances(T: Array, points: Array, normals: Array, offsets: Array) -> Array | None:
     """Refine by Gauss-Newton on the distances of the points to their planes, reweighted to their absolute values."""
-    J = _jacobian(T, points, normals)
+    J = _jacobian_of_distances(T, points, normals)
     J[:, 3:] /= np.sqrt((points**2).sum(-1).mean())
     singular = np.linalg.svd(J, compute_uv=False)
-    if singular[-1] < ALIKE * singular[0]:
+    if singular[-1] < MIN_SINGULAR_VALUE_RATIO_OF_MOTION * singular[0]:
         return None
-    for _ in range(REWEIGHTED):
+    for _ in range(NUMBER_OF_REWEIGHTINGS):
         miss = (normals * apply(T, points)).sum(-1) - offsets
-        root = np.sqrt(_weight(miss))
-        step = np.linalg.lstsq(_jacobian(T, points, normals) * root[:, None], -miss * root, rcond=None)[0]
+        root = np.sqrt(_weights_of_distances(miss))
+        step = np.linalg.lstsq(_jacobian_of_distances(T, points, normals) * root[:, None], -miss * root, rcond=None)[0]
         T = T @ transform(rotations.exp(step[3:]), step[:3])
     return T
 
 
-def _jacobian(T: Array, points: Array, normals: Array) -> Array:
+def _jacobian_of_distances(T: Array, points: Array, normals: Array) -> Array:
     """Jacobian (n, 6) of the points' distances to their planes by a twist of the points' frame."""
     back = normals @ T[:3, :3]
     return np.concatenate([back, np.cross(points, back)], -1)
 
 
-def _weight(miss: Array) -> Array:
+def _weights_of_distances(miss: Array) -> Array:
     """Return weights (n,) that make squared distances count as their absolute values, down to half their median."""
     size = np.abs(miss)
     weight: Array = 1.0 / np.maximum(size, 0.5 * median(size) + 1e-9)

@@ -17,11 +17,11 @@ from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
 from calibration.engine.estimation.residuals.median import median
 from calibration.engine.estimation.residuals.planar_pose import mirrored_poses
 from calibration.engine.estimation.residuals.views import Chain, Link, ViewGroup
-from calibration.engine.estimation.solve.least_squares import SETTLING, Termination, settle
+from calibration.engine.estimation.solve.least_squares import TERMINATION_OF_SETTLING, Termination, settle
 from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.geometry.cameras import Camera
 
-THOROUGHLY = Termination(decrease=1e-12, iterations=100)
+TERMINATION_AT_PRECISION = Termination(decrease=1e-12, iterations=100)
 """To machine precision: written results must not depend on where a solver stops."""
 MEDIAN_OF_TWO = np.sqrt(2 * np.log(2))
 """Median length of a residual of two coordinates, in standard deviations of one (Rayleigh's distribution)."""
@@ -46,7 +46,7 @@ def corner_term(camera: Camera, pattern: Pattern, views: Sequence[CornerLabels])
 
 
 def refined_poses(
-    term: CornerTerm, T: Array, huber: float | None = None, until: Termination = THOROUGHLY
+    term: CornerTerm, T: Array, huber: float | None = None, until: Termination = TERMINATION_AT_PRECISION
 ) -> tuple[Array, Array]:
     """Refine the pose of each view by least squares in pixels, which never makes a view worse.
 
@@ -60,10 +60,12 @@ def refined_poses(
         The poses (V, 4, 4), and the root mean square error (V,) of each view in pixels, of the robust
         loss where there is one; NaN for a pattern behind the camera.
     """
-    return _refined([term], T, huber, until)
+    return _refine_together([term], T, huber, until)
 
 
-def _refined(terms: Sequence[CornerTerm], T: Array, huber: float | None, until: Termination) -> tuple[Array, Array]:
+def _refine_together(
+    terms: Sequence[CornerTerm], T: Array, huber: float | None, until: Termination
+) -> tuple[Array, Array]:
     """`refined_poses` of the views of several cameras together, one after the other."""
     chain = Chain(None, (Link(0, inverted=False),))
     counts = np.concatenate([term.counts for term in terms])
@@ -104,7 +106,9 @@ def robust_poses(terms: Sequence[CornerTerm]) -> list[Array]:
     bad = [_fitted_badly(term, T) for term, T in zip(terms, poses, strict=True)]
     if some := [i for i, views in enumerate(bad) if len(views)]:
         start = np.concatenate([poses[i][bad[i]] for i in some])
-        refined, _ = _refined([terms[i].take(bad[i]) for i in some], start, huber=2.0, until=SETTLING)
+        refined, _ = _refine_together(
+            [terms[i].take(bad[i]) for i in some], start, huber=2.0, until=TERMINATION_OF_SETTLING
+        )
         for i, T in zip(some, np.split(refined, np.cumsum([len(bad[i]) for i in some])[:-1]), strict=True):
             poses[i][bad[i]] = T
     return poses
@@ -134,7 +138,7 @@ def noise_inside_views(problem: Problem, values: Values) -> dict[str, float]:
     for group in problem.groups:
         term, *_ = problem.terms(group, values)
         if isinstance(term, CornerTerm):
-            T, _ = refined_poses(term, term.linear_poses, huber=1.0, until=SETTLING)
+            T, _ = refined_poses(term, term.linear_poses, huber=1.0, until=TERMINATION_OF_SETTLING)
             residuals = term.magnitudes(T)
             noise = median(residuals[np.isfinite(residuals)]) / MEDIAN_OF_TWO
             found[group.sensor] = max(noise, found.get(group.sensor, 0.0))

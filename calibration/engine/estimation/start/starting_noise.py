@@ -76,7 +76,11 @@ def _noisy_transforms(dataset: Dataset, noise: StartingNoise) -> dict[Edge, Arra
     for edge in _noisy_edges(dataset):
         T = dataset.transform(*edge)
         moving = edge in dataset.moving_transforms
-        noisy[edge] = np.stack([_moved(each, noise, rng) for each in T]) if moving else _moved(T[0], noise, rng)
+        noisy[edge] = (
+            np.stack([_with_noise_added(each, noise, rng) for each in T])
+            if moving
+            else _with_noise_added(T[0], noise, rng)
+        )
     return noisy
 
 
@@ -86,7 +90,7 @@ def _noisy_edges(dataset: Dataset) -> list[Edge]:
     return [edge for edge in dict.fromkeys(edges) if edge != anchored]
 
 
-def _moved(T: Array, noise: StartingNoise, rng: "np.random.Generator") -> Array:
+def _with_noise_added(T: Array, noise: StartingNoise, rng: "np.random.Generator") -> Array:
     direction = rng.uniform(-1.0, 1.0, 3)
     signs = rng.choice([-1.0, 1.0], 3)
     t = T[:3, 3] + noise.translation * direction / np.linalg.norm(direction)

@@ -58,7 +58,7 @@ def _from_the_other_end(dataset: Dataset) -> Iterator[View]:
     for pattern in dataset.patterns.values():
         if pattern.kind not in UNMARKED:
             continue
-        views = [each for sensor in dataset.sensors if (each := _views(dataset, pattern, sensor)) is not None]
+        views = [each for sensor in dataset.sensors if (each := _views_of_board(dataset, pattern, sensor)) is not None]
         if pattern.fixed:
             for each in views:
                 yield from _turned_views(dataset, each, each.at, _by_the_robot(dataset, each, pattern), each.R)
@@ -70,7 +70,7 @@ def _from_the_other_end(dataset: Dataset) -> Iterator[View]:
                 yield from _turned_views(dataset, each, each.at[own], same, each.R[own], np.swapaxes(first.R[at], 1, 2))
 
 
-def _views(dataset: Dataset, pattern: Pattern, sensor: str) -> _Views | None:
+def _views_of_board(dataset: Dataset, pattern: Pattern, sensor: str) -> _Views | None:
     camera = dataset.sensors[sensor].camera
     labels = [
         (i, label)

@@ -16,7 +16,7 @@ from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.solve.design import informations
 from calibration.engine.estimation.solve.normal_equations import Weighting
-from calibration.engine.estimation.solve.observability import SINGULAR
+from calibration.engine.estimation.solve.observability import MIN_RELATIVE_INFORMATION
 from calibration.engine.estimation.start.build import Setup, build
 from calibration.engine.geometry.transforms import inverse, translation
 from calibration.robot.simulation.motion.expected import expected_dataset
@@ -143,6 +143,6 @@ def _pose_standard_deviations(found: Information, system: System) -> dict[int, t
 def _parameter_variances(information: Array) -> Array:
     """Return the variance (D,) of each parameter from the information (D, D); infinite if it is not determined."""
     values, directions = np.linalg.eigh(information)
-    open_ = values <= SINGULAR * values[-1]
+    open_ = values <= MIN_RELATIVE_INFORMATION * values[-1]
     variance: Array = (directions[:, ~open_] ** 2 / values[~open_]).sum(-1)
     return np.where((np.abs(directions[:, open_]) > _PART).any(-1), np.inf, variance)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.engine.estimation.solve.design import PRIOR, choose
+from calibration.engine.estimation.solve.design import PRIOR_SIGMA, choose
 from tests.properties import at_most
 
 SEEDS = st.integers(0, 10_000)
@@ -34,7 +34,7 @@ def best(information: Array, count: int, parameters: int = 4) -> list[int]:
 
 
 def variance(information: Array, chosen: list[int], parameters: int = 4) -> float:
-    known = np.eye(information.shape[-1]) / PRIOR**2 + information[chosen].sum(0)
+    known = np.eye(information.shape[-1]) / PRIOR_SIGMA**2 + information[chosen].sum(0)
     return float(np.trace(np.linalg.inv(known)[:parameters, :parameters]))
 
 
