@@ -2,8 +2,9 @@
 
 It imports `calibration.base` only.
 
-- ``workflow``: the GitHub runner: groups, annotations, outputs, progress;
-- ``git``, ``github``: the repository and its commits; pull requests and the one comment on them;
+- ``workflow``: what a step tells its CI service or a terminal: groups, annotations, outputs, progress;
+- ``git``: the repository and its commits;
+- ``github``: GitHub as a CI service, and the one comment on a pull request; ``services.py`` names the services;
 - ``report``, ``pages``: results of any work and their one publisher; one page that opens offline;
 - ``introspection``: rule files, and the report of rules over tables;
 - ``docker``, ``registries``, ``image``: the Docker Engine, registries, and an image from its specification;

@@ -9,26 +9,14 @@ import click
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
 from calibration.base.text import one_line
+from calibration.ci.github.service import WORKFLOW_FILE, first_workflow
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import boolean_option, path
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.first_configuration import FirstConfiguration, first_configuration
 
 SUITE = "OWNER/calibration-ci@v1"
-CONFIGURATION, WORKFLOW = Path("calibration.yml"), Path(".github", "workflows", "calibration.yml")
-_WORKFLOW = """# Written by `calibration init`: calibrates what calibration.yml names, on every push and pull request.
-name: Calibration
-on:
-  push: {{branches: [main]}}
-  pull_request:
-permissions: {{}}
-jobs:
-  robot:
-    uses: {suite}/.github/workflows/pipeline.yml@{version}
-    permissions: {{contents: read, pull-requests: write}}
-    with:
-      comment: keep   # one comment on the pull request, written anew by every run; a fork's has the summary alone
-"""
+CONFIGURATION = Path("calibration.yml")
 
 
 @click.command("init")
@@ -58,7 +46,7 @@ def init(
     repository, at, version = suite.partition("@")
     if not at or repository.count("/") != 1 or any(not (c.isalnum() or c in "/._-@") for c in suite):
         raise InputError(f"suite: found '{suite}', expected OWNER/REPOSITORY@VERSION")
-    configuration, workflow = output / CONFIGURATION, output / WORKFLOW
+    configuration, workflow = output / CONFIGURATION, output / WORKFLOW_FILE
     for file in (configuration, workflow):
         if file.exists() and not overwrite:
             raise InputError(f"{file}: there is such a file already: move it, or add --overwrite")
@@ -66,7 +54,7 @@ def init(
     written = although or not first.reasons
     if written:
         write_atomically(configuration, first.text)
-        write_atomically(workflow, _WORKFLOW.format(suite=repository, version=version))
+        write_atomically(workflow, first_workflow(repository, version))
         read_configuration(configuration)
     with stop_commands(runner):
         for each in _said(first, dataset, configuration, workflow, suite=suite, written=written):

@@ -11,6 +11,7 @@ from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
 from calibration.base.records import read
 from calibration.ci.git.event import Event
+from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner, set_outputs, stop_commands
 from calibration.commands.parameters import (
     DEFAULT_ARTIFACT_NAME,
@@ -94,7 +95,7 @@ def plan_matrix(settings: PlanSettings, runner: Runner) -> ExitCode:
         InputError: the configuration is wrong, there is nothing to do, or the matrix is too large.
         InfrastructureError: the outputs cannot be written.
     """
-    plan = plan_of(settings, Event.from_environment(os.environ))
+    plan = plan_of(settings, event_of(os.environ))
     outputs = plan_outputs(plan)
     with stop_commands(runner):  # names of systems are untrusted
         for job, runs in plan.jobs.items():

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from calibration.base.errors import CalibrationError
-from calibration.ci.git.event import Event
 from calibration.ci.git.repository import Repository
+from calibration.ci.services import event_of
 from calibration.pipeline.results import CommitOfRun
 
 
@@ -16,9 +16,9 @@ def commit_of_run(folder: Path, environment: Mapping[str, str]) -> CommitOfRun |
     """
     try:
         commit = Repository.around(folder.resolve()).newest()
-        branch = Event.from_environment(environment).at("pull_request", "head", "sha")
+        branch = event_of(environment).pull_request_commit
     except CalibrationError:
         return None
     if commit is None:
         return None
-    return CommitOfRun(branch if isinstance(branch, str) else commit.hash, commit.date)
+    return CommitOfRun(branch or commit.hash, commit.date)

@@ -7,6 +7,7 @@ from pathlib import Path
 from calibration.base.errors import CalibrationError
 from calibration.ci.git.event import Event
 from calibration.ci.git.repository import Repository
+from calibration.ci.services import event_of
 from calibration.engine.baseline.document import LARGEST, Baseline, parse_baseline, read_baseline
 from calibration.engine.baseline.settings import BaselineSettings
 from calibration.engine.baseline.update import BaselineUpdate, updates
@@ -58,7 +59,7 @@ def _against_base(
     """Return the update with the changes of the base's file; an unreadable base is reported in it."""
     try:
         path = repository.path(settings.file)
-        commit = _base(repository, Event.from_environment(environment))
+        commit = _base(repository, event_of(environment))
         if path is None or commit is None:
             return found
         found = replace(found, base=commit)

@@ -11,7 +11,7 @@ from defusedxml.ElementTree import fromstring
 
 from calibration.base.errors import ExitCode, InputError
 from calibration.ci.report import Report
-from calibration.ci.workflow.annotations import Level
+from calibration.ci.workflow.annotation import Level
 from calibration.engine.baseline.verdict import UNMOVED
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.what_does_not_fit import NOTHING

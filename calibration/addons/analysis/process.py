@@ -30,9 +30,9 @@ from calibration.base.temporary_folder import temporary_folder
 from calibration.base.text import did_you_mean, shorten
 from calibration.ci.execution.sizes import parse_seconds
 from calibration.ci.git.changes import find_base
-from calibration.ci.git.event import Event
 from calibration.ci.git.repository import Repository
 from calibration.ci.report import FILES, Report, count_of, publish, remove_results
+from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner
 
 _PACKAGES = {
@@ -161,7 +161,7 @@ def _base(settings: AnalysisSettings, repository: Repository) -> tuple[str | Non
             raise InputError("base and base-sarif exclude each other: a commit, or the findings of an earlier analysis")
         return None, ()
     try:
-        return find_base(repository, settings.base, Event.from_environment(os.environ).bases), ()
+        return find_base(repository, settings.base, event_of(os.environ).bases), ()
     except InputError as error:
         if settings.base is not None:
             raise

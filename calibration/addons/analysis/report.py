@@ -12,7 +12,7 @@ from calibration.addons.analysis.ros_graph import JSON_FILE, PICTURE_FILE, RosGr
 from calibration.addons.analysis.sarif import FILE as SARIF_FILE
 from calibration.base.text import shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, count_of, outcome_of_check, verdict_of
-from calibration.ci.workflow.annotations import Annotation, Level
+from calibration.ci.workflow.annotation import Annotation, Level
 
 TITLE = "static-analysis"
 MOST_ROWS = 100

@@ -20,16 +20,16 @@ def find_commit(given: str | None, event: Event, repository: Repository) -> tupl
             raise InputError(f"commit: found {shorten(one_line(given))!r}, expected a hash of 40 hexadecimal digits")
         return given.lower(), "as given"
     head = repository.head()
-    pull_request = event.at("pull_request", "head", "sha")
+    pull_request = event.pull_request_commit
     candidates = [
-        (pull_request if event.name != "pull_request_target" else None, "the pull request's last"),
-        (event.at("workflow_run", "head_sha"), "that of the workflow that this one follows"),
+        (None if event.checks_out_base else pull_request, "the pull request's last"),
+        (event.followed_commit, "that of the workflow that this one follows"),
     ]
-    if event.name == "pull_request_target" and head is not None:
-        merged = isinstance(pull_request, str) and pull_request in repository.parents(head)
+    if event.checks_out_base and head is not None:
+        merged = pull_request is not None and pull_request in repository.parents(head)
         candidates.append((pull_request if merged else head, "the one that is checked out"))
-    candidates += [(event.sha, "GITHUB_SHA"), (head, "the one that is checked out")]
+    candidates += [(event.commit, "GITHUB_SHA"), (head, "the one that is checked out")]
     for sha, source in candidates:
-        if isinstance(sha, str) and is_commit(sha):
+        if sha is not None and is_commit(sha):
             return sha, source
     raise InputError("commit is not given, and there is no checkout: set commit, or check out the repository")

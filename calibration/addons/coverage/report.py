@@ -11,7 +11,7 @@ from calibration.addons.coverage.results import Results
 from calibration.base.errors import ExitCode
 from calibration.base.text import one_line, shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, outcome_of_check, verdict_of
-from calibration.ci.workflow.annotations import Annotation, Level
+from calibration.ci.workflow.annotation import Annotation, Level
 
 TITLE = "coverage-upload"
 LCOV = "lcov.info"

@@ -29,6 +29,7 @@ from calibration.ci.git.changes import changed_lines, files_without_lines, find_
 from calibration.ci.git.event import Event
 from calibration.ci.git.repository import Repository
 from calibration.ci.report import FILES, publish, remove_results
+from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner, set_outputs
 
 FOR_SERVICE = ("project_token", "api_token", "partial", "final", "dry_run")
@@ -107,7 +108,7 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
     _check(settings)
     settings = replace(settings, service=settings.service or "none")
     repository = Repository.around(settings.directory)
-    event = Event.from_environment(os.environ)
+    event = event_of(os.environ)
     commit, source = find_commit(settings.commit, event, repository)
     runner.log(f"commit {commit} ({source})")
     service, skipped = _service(settings, event)

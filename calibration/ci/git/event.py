@@ -1,92 +1,27 @@
-"""The GitHub event that started the workflow."""
+"""What started a run, in terms of git."""
 
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Self
-
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
-from calibration.base.text import one_line
-from calibration.ci.git.repository import is_commit
-
-MAX_BYTES = 64 * 1024 * 1024
-_DEPENDABOT = "dependabot[bot]"
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Event:
-    """Event that started the workflow; empty outside of GitHub."""
+    """What started the run, as its CI service tells; nothing is known on a terminal."""
 
     name: str = ""
-    sha: str = ""
-    """GITHUB_SHA."""
-    actor: str = ""
-    body: Mapping[str, Any] = field(default_factory=dict)
-    repository: str | None = None
-    """GITHUB_REPOSITORY, OWNER/NAME."""
-
-    @classmethod
-    def from_environment(cls, environment: Mapping[str, str]) -> Self:
-        """Read the event from the runner's variables and its event file.
-
-        Raises:
-            InputError: the event file cannot be read.
-        """
-        if environment.get("GITHUB_ACTIONS") != "true":
-            return cls()
-        body: object = {}
-        if path := environment.get("GITHUB_EVENT_PATH"):
-            try:
-                body = json.loads(read_bytes(path, MAX_BYTES, "the event of GitHub"))
-            except (ValueError, RecursionError) as error:
-                raise InputError(f"{path} (GITHUB_EVENT_PATH): this is not JSON: {one_line(str(error))}") from None
-        return cls(
-            environment.get("GITHUB_EVENT_NAME", ""),
-            environment.get("GITHUB_SHA", ""),
-            environment.get("GITHUB_ACTOR", ""),
-            body if isinstance(body, dict) else {},
-            environment.get("GITHUB_REPOSITORY") or None,
-        )
-
-    def at(self, *keys: str) -> Any:
-        """Return a part of the event by its path of keys; None if it is missing."""
-        part: Any = self.body
-        for key in keys:
-            part = part.get(key) if isinstance(part, dict) else None
-        return part
-
-    @property
-    def by_stranger(self) -> str | None:
-        """Reason why GitHub gives the run neither secrets nor a write token; None if it does.
-
-        A pull request is from a stranger if its branch is in another repository. That the repository itself is a fork
-        does not matter: a team may work in a fork of its own.
-        """
-        if self.actor == _DEPENDABOT or self.at("pull_request", "user", "login") == _DEPENDABOT:
-            return "Dependabot started it, which is given no secrets of Actions"
-        if self.name.startswith("pull_request") and self.name != "pull_request_target" and self.at("pull_request"):
-            ours = self.at("pull_request", "base", "repo", "full_name") or self.repository
-            if self.at("pull_request", "head", "repo", "full_name") != ours:  # missing if the fork was deleted
-                return "it is a pull request from a fork, which is given no secrets"
-        return None
-
-    @property
-    def without_secrets(self) -> str | None:
-        """Reason why the workflow of the event has no access to the team's secrets; None if it has."""
-        if self.by_stranger is None and self.at("repository", "fork") is True:
-            return "it runs in a fork, which has no secrets of the original"
-        return self.by_stranger
-
-    @property
-    def bases(self) -> list[str]:
-        """Candidates for the commit that a change is compared with, in order of preference.
-
-        Target of the pull request, commit before the push, main branch of the repository.
-        """
-        hashes = [self.at("pull_request", "base", "sha"), self.at("merge_group", "base_sha")]
-        if self.name == "push":
-            hashes.append(self.at("before"))
-        found = [sha for sha in hashes if isinstance(sha, str) and is_commit(sha) and sha.strip("0")]
-        branch = self.at("repository", "default_branch")
-        return [*found, f"refs/remotes/origin/{branch}"] if isinstance(branch, str) and branch else found
+    """The service's own name: push, pull_request; empty on a terminal."""
+    commit: str = ""
+    """Hash of the commit that the service runs on; of a pull request it may be a merge made for testing."""
+    pull_request_commit: str | None = None
+    """Hash of the last commit of the pull request's branch."""
+    followed_commit: str | None = None
+    """Hash of the commit of the earlier run that this one follows."""
+    checks_out_base: bool = False
+    """Whether the checkout of a pull request is its base, unless the workflow asks for another commit."""
+    by_stranger: str | None = None
+    """Reason why the run has neither secrets nor a write token; None if it has."""
+    without_secrets: str | None = None
+    """Reason why the run has no access to the team's secrets; None if it has."""
+    without_comment: str | None = None
+    """Reason why the run cannot write comments; None if it can."""
+    bases: tuple[str, ...] = ()
+    """Commits or branches that a change may be compared with, in order of preference."""

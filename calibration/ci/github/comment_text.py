@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 from calibration.ci.github.comments import LONGEST
 from calibration.ci.report.brief import Brief
-from calibration.ci.workflow.summary import escape_markdown, markdown_table
+from calibration.ci.workflow.markdown import escape_markdown, markdown_table
 
 ROWS_SHOWN = 40
 LONGEST_TEXT = LONGEST - 4096

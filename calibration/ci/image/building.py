@@ -29,8 +29,7 @@ from calibration.ci.registries.push import push_image
 from calibration.ci.registries.reference import DOCKER_HUB, parse_reference
 from calibration.ci.registries.registry import RegistryClient
 from calibration.ci.workflow import Runner, group, stop_commands
-from calibration.ci.workflow.advance import Advance
-from calibration.ci.workflow.progress import progress
+from calibration.ci.workflow.progress import Advance, progress
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -9,6 +9,7 @@ from urllib.parse import urlsplit, urlunsplit
 from calibration.base.errors import CalibrationError
 from calibration.ci.git.repository import Repository
 from calibration.ci.image.content_key import KEY_LABEL, SPECIFICATION_LABEL
+from calibration.ci.services import service_of
 
 SOURCE = "org.opencontainers.image.source"
 REVISION = "org.opencontainers.image.revision"
@@ -23,9 +24,7 @@ def build_labels(
     images have a date of creation.
     """
     variables = os.environ if environment is None else environment
-    server, repository = variables.get("GITHUB_SERVER_URL"), variables.get("GITHUB_REPOSITORY")
-    source = f"{server}/{repository}" if server and repository else ""
-    revision = variables.get("GITHUB_SHA") or ""
+    source, revision = service_of(variables).origin(variables)
     if not (source and revision):
         with suppress(CalibrationError):  # no git, or no checkout
             checkout = Repository.around(folder)

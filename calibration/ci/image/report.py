@@ -55,8 +55,7 @@ def report(result: BuildResult, source: Path, runner: Runner) -> Report:
     """
     failure = result.failure
     lines = failure.lines if failure else ()
-    on_terminal = not runner.github and runner.stdout.isatty()
-    annotated = "\n".join((*result.reasons, *(lines if runner.github else ())))
+    annotated = "\n".join((*result.reasons, *(lines if runner.service.annotates_lines else ())))
     return Report(
         title=TITLE,
         verdict=verdict_of(failure is None),
@@ -72,7 +71,7 @@ def report(result: BuildResult, source: Path, runner: Runner) -> Report:
         },
         annotations=(Annotation(annotated, file=source),) if failure else (),
         blocks=(
-            Code("\n".join(lines), only=None if on_terminal else "summary"),
+            Code("\n".join(lines), only=None if runner.on_terminal else "summary"),
             Table(
                 ("", ""),
                 tuple(

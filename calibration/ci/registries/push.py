@@ -15,7 +15,7 @@ from calibration.ci.registries.credentials import Credentials
 from calibration.ci.registries.promotion import tag_image
 from calibration.ci.registries.reference import Reference, is_digest, parse_reference
 from calibration.ci.registries.registry import RegistryClient, denied
-from calibration.ci.workflow.advance import Advance
+from calibration.ci.workflow.progress import Advance
 
 if TYPE_CHECKING:
     from docker import DockerClient

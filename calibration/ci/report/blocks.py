@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from calibration.base.text import one_line
-from calibration.ci.workflow.summary import code_block, escape_markdown
+from calibration.ci.workflow.markdown import code_block, escape_markdown
 
 MOST_LINES = 1000
 """Default limit of lines or rows of a block; files of results contain all."""

@@ -11,11 +11,9 @@ from calibration.base.files import follow_no_links
 from calibration.base.text import one_line
 from calibration.ci.report.report import SUMMARY_FILE, Report
 from calibration.ci.report.results_json import RESULTS_FILE
-from calibration.ci.workflow.annotations import annotate
-from calibration.ci.workflow.groups import stop_commands
-from calibration.ci.workflow.outputs import OutputValue, set_outputs
 from calibration.ci.workflow.runner import Runner
-from calibration.ci.workflow.summary import add_summary
+from calibration.ci.workflow.step import add_summary, annotate, set_outputs, stop_commands
+from calibration.ci.workflow.step_files import OutputValue
 
 MOST_CHARACTERS = 100_000
 """Limit of an output that is a list or a mapping: as an environment variable of a later step it may have 128 KiB."""

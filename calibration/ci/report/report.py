@@ -15,9 +15,9 @@ from calibration.ci.report.junit import junit_xml
 from calibration.ci.report.outcome import Outcome
 from calibration.ci.report.results_json import RESULTS_FILE, results_document, results_text
 from calibration.ci.report.table import Table
-from calibration.ci.workflow.annotations import Annotation, Level
-from calibration.ci.workflow.outputs import OutputValue
-from calibration.ci.workflow.summary import escape_markdown
+from calibration.ci.workflow.annotation import Annotation, Level
+from calibration.ci.workflow.markdown import escape_markdown
+from calibration.ci.workflow.step_files import OutputValue
 
 SUMMARY_FILE, JUNIT_FILE = "summary.md", "junit.xml"
 FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from calibration.base.text import aligned
 from calibration.ci.report.blocks import MOST_LINES, Block, cut
-from calibration.ci.workflow.summary import markdown_table
+from calibration.ci.workflow.markdown import markdown_table
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,19 @@
-"""Interface to the GitHub runner, independent of calibration.
+"""The runner of a step and its CI service: groups, annotations, masks, outputs, summary, progress.
 
-Everything here works outside of GitHub too: annotations become plain lines, outputs and summaries are
-not written if the runner provides no file for them.
+`runner.py` has the interface of a service, and the plain terminal; `calibration.ci.services` names the others.
 """
 
-from calibration.ci.workflow.annotations import Annotation, Level, annotate, report_error
-from calibration.ci.workflow.groups import group, stop_commands
-from calibration.ci.workflow.masks import add_mask
-from calibration.ci.workflow.outputs import set_outputs
+from calibration.ci.workflow.annotation import Annotation, Level
 from calibration.ci.workflow.runner import Runner
-from calibration.ci.workflow.summary import add_summary
+from calibration.ci.workflow.step import (
+    add_mask,
+    add_summary,
+    annotate,
+    group,
+    report_error,
+    set_outputs,
+    stop_commands,
+)
 
 __all__ = [
     "Annotation",

@@ -2,14 +2,21 @@
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from typing import Protocol
 
 from calibration.base.errors import InputError
 from calibration.base.text import one_line
-from calibration.ci.workflow.advance import Advance
 from calibration.ci.workflow.runner import Runner
 
-LINES = 40
+MAX_LOG_LINES = 40
 """Limit of lines in a log: with more steps, only every n-th step and those worth a message get a line."""
+
+
+class Advance(Protocol):
+    """Call by which work reports its progress, after each step."""
+
+    def __call__(self, done: int, total: int, line: str, *, important: bool = False) -> None:
+        """Report the number of finished steps, and a message about the last one, which may contain untrusted text."""
 
 
 @contextmanager
@@ -24,7 +31,7 @@ def progress(runner: Runner, title: str, bar: bool = True, kept: str = "") -> It
             after bad input, which the same command would find again.
     """
     finished = 0
-    with _shown(runner, title, bar) as show:
+    with _show_progress(runner, title, bar) as show:
 
         def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
             nonlocal finished
@@ -41,19 +48,36 @@ def progress(runner: Runner, title: str, bar: bool = True, kept: str = "") -> It
             raise
 
 
-def _shown(runner: Runner, title: str, bar: bool) -> AbstractContextManager[Advance]:
-    if not bar or runner.github or not runner.stdout.isatty():
-        return _lines(runner)
-    from calibration.ci.workflow import progress_bar  # imports rich, which is slow
-
-    return progress_bar.bar(runner, title)
+def _show_progress(runner: Runner, title: str, bar: bool) -> AbstractContextManager[Advance]:
+    return _show_bar(runner, title) if bar and runner.on_terminal else _show_lines(runner)
 
 
 @contextmanager
-def _lines(runner: Runner) -> Iterator[Advance]:
+def _show_lines(runner: Runner) -> Iterator[Advance]:
     def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
-        every = -(-total // LINES)
+        every = -(-total // MAX_LOG_LINES)
         if important or done % every == 0 or done == total:
             runner.log(f"[{done:>{len(str(total))}}/{total}] {one_line(line)}")
 
     yield advance
+
+
+@contextmanager
+def _show_bar(runner: Runner, title: str) -> Iterator[Advance]:
+    """Show a bar during the block, and important messages above it."""
+    # Here, as rich is slow to import, and a log needs none of it.
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(file=runner.stdout)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    # no monitor thread, so that the steps may fork
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as shown:
+        task = shown.add_task(title, total=None)
+
+        def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
+            shown.update(task, completed=done, total=total, refresh=True)
+            if important:
+                console.print(one_line(line), markup=False, highlight=False)
+
+        yield advance

@@ -1,19 +1,184 @@
-"""Environment that the runner provides to a step."""
+"""The runner of a step, and the interface of the CI service that runs it: a plain terminal, if there is none."""
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self, TextIO
+from typing import Protocol, TextIO, TypeAlias
+
+from calibration.base.errors import InputError, brief
+from calibration.base.text import one_line
+from calibration.ci.git.event import Event
+from calibration.ci.workflow.annotation import Annotation
+from calibration.ci.workflow.step_files import OutputValue, append_outputs, append_summary
+
+MAX_PLAIN_ANNOTATIONS = 1000
+"""Maximum number of annotations that are printed as plain lines."""
+
+Environment: TypeAlias = Mapping[str, str]
+"""Environment variables of the step."""
+
+
+class PullRequestComments(Protocol):
+    """The comments of a run on its pull request."""
+
+    @property
+    def number(self) -> int:
+        """Number of the pull request."""
+
+    @property
+    def run_url(self) -> str:
+        """Address of the run's page."""
+
+    @property
+    def commit(self) -> str | None:
+        """Hash of the tested commit."""
+
+    def keep(self, name: str, text: str) -> str:
+        """Write the comment of this name, or replace its text; return what was done, for the log."""
+
+    def remove(self, name: str) -> int:
+        """Delete the comment of this name; return how many there were."""
+
+
+class Service(Protocol):
+    """A CI service: how a step talks to it. It has no state; streams and files are the runner's.
+
+    Subclass `Terminal` and override what differs; a line in `calibration.ci.services.SERVICES` makes it known.
+    """
+
+    @property
+    def interactive(self) -> bool:
+        """Whether somebody may watch a terminal: progress bars, and lines of concurrent programs side by side."""
+
+    @property
+    def annotates_lines(self) -> bool:
+        """Whether annotations are shown at a line of a file, and may have several lines themselves."""
+
+    @property
+    def token_variable(self) -> str:
+        """Environment variable with a token that may write comments."""
+
+    def runs_here(self, environment: Environment) -> bool:
+        """Return whether this service runs the step."""
+
+    def runner(self, environment: Environment) -> "Runner":
+        """Return the runner that the environment describes; an empty variable counts as unset."""
+
+    def event(self, environment: Environment) -> Event:
+        """Return what started the run; raises `InputError` if the service's description of it is unreadable."""
+
+    def origin(self, environment: Environment) -> tuple[str, str]:
+        """Return the repository's address and the hash of the commit; empty if they are not known."""
+
+    def group(self, runner: "Runner", title: str) -> AbstractContextManager[None]:
+        """Fold the output of the block under a title of one line."""
+
+    def stop_commands(self, runner: "Runner", stream: TextIO) -> AbstractContextManager[None]:
+        """Let no line of the block's output be executed as a command of the service."""
+
+    def annotate(self, runner: "Runner", annotations: Iterable[Annotation]) -> None:
+        """Show messages at files and lines of the commit."""
+
+    def announce_error(self, runner: "Runner", message: str) -> None:
+        """Announce the error that ends the command, which stands on stderr already."""
+
+    def mask(self, runner: "Runner", forms: Iterable[str]) -> None:
+        """Hide every form of a secret in the log from now on."""
+
+    def set_outputs(self, runner: "Runner", values: Mapping[str, OutputValue]) -> None:
+        """Set outputs of the step, for later steps."""
+
+    def add_summary(self, runner: "Runner", markdown: str) -> None:
+        """Add Markdown to the page of the run."""
+
+    def comments(self, environment: Environment, token: str | None, api_url: str | None) -> PullRequestComments | None:
+        """Return the comments on the pull request of the run; None if it has none that is open at this commit."""
+
+
+class Terminal:
+    """No CI service: plain lines, and no commands. Outputs and summary are written if the environment names a file."""
+
+    interactive = True
+    annotates_lines = False
+    token_variable = "GITHUB_TOKEN"  # noqa: S105 (the name of a variable)
+
+    def runs_here(self, environment: Environment) -> bool:
+        """Return True: it is what remains."""
+        return True
+
+    def runner(self, environment: Environment) -> "Runner":
+        """Read GitHub's variables, by which a caller without a service can have the files too."""
+
+        def path(name: str) -> Path | None:
+            return Path(environment[name]) if environment.get(name) else None
+
+        return Runner(
+            self,
+            workspace=path("GITHUB_WORKSPACE"),
+            output_file=path("GITHUB_OUTPUT"),
+            summary_file=path("GITHUB_STEP_SUMMARY"),
+            debug=environment.get("RUNNER_DEBUG") == "1",
+            pull_request=environment.get("GITHUB_EVENT_NAME", "").startswith("pull_request"),
+        )
+
+    def event(self, environment: Environment) -> Event:
+        """Return that nothing is known."""
+        return Event()
+
+    def origin(self, environment: Environment) -> tuple[str, str]:
+        """Return that nothing is known."""
+        return "", ""
+
+    @contextmanager
+    def group(self, runner: "Runner", title: str) -> Iterator[None]:
+        """Print the title only."""
+        runner.log(title)
+        yield
+
+    def stop_commands(self, runner: "Runner", stream: TextIO) -> AbstractContextManager[None]:
+        """Do nothing: no line is a command."""
+        return nullcontext()
+
+    def annotate(self, runner: "Runner", annotations: Iterable[Annotation]) -> None:
+        """Print lines ``error: file:line: message`` on stderr."""
+        lines = [_plain_line(annotation) for annotation in annotations]
+        if (dropped := len(lines) - MAX_PLAIN_ANNOTATIONS) > 0:
+            lines[MAX_PLAIN_ANNOTATIONS:] = [f"and {dropped} more"]
+        print("".join(f"{line}\n" for line in lines), end="", file=runner.stderr, flush=True)
+
+    def announce_error(self, runner: "Runner", message: str) -> None:
+        """Do nothing: stderr has it."""
+
+    def mask(self, runner: "Runner", forms: Iterable[str]) -> None:
+        """Do nothing: a terminal hides nothing, so secrets are redacted before they are printed."""
+
+    def set_outputs(self, runner: "Runner", values: Mapping[str, OutputValue]) -> None:
+        """Append ``NAME=VALUE`` to the runner's file, if it has one."""
+        append_outputs(runner.output_file, values)
+
+    def add_summary(self, runner: "Runner", markdown: str) -> None:
+        """Append it to the runner's file, if it has one."""
+        append_summary(runner.summary_file, markdown)
+
+    def comments(self, environment: Environment, token: str | None, api_url: str | None) -> PullRequestComments | None:
+        """Raise `InputError`: the service has no comments, or we do not know them."""
+        raise InputError("comment: this CI service has no comments that we can write, expected GitHub Actions")
+
+
+def _plain_line(annotation: Annotation) -> str:
+    place = "" if annotation.file is None else f"{annotation.file}:"
+    place += f"{annotation.line}:" if place and annotation.line is not None else ""
+    return brief(one_line(f"{annotation.level}: {place}{' ' if place else ''}{annotation.message}"))
 
 
 @dataclass(frozen=True)
 class Runner:
-    """Runner of a step: its environment variables, and its output streams."""
+    """Runner of a step: its CI service, what its environment variables name, and its output streams."""
 
-    github: bool = False
-    """Whether a GitHub runner (or act) reads the log, so that workflow commands have an effect."""
+    service: Service = field(default_factory=lambda: TERMINAL)
     workspace: Path | None = None
     """The checkout; annotations name files relative to it."""
     output_file: Path | None = None
@@ -25,30 +190,26 @@ class Runner:
     pull_request: bool = False
     """Whether the run is for an unmerged pull request."""
     stdout: TextIO = field(default_factory=lambda: sys.stdout, repr=False, compare=False)
-    """Stream of the log and the workflow commands."""
+    """Stream of the log and the service's commands."""
     stderr: TextIO = field(default_factory=lambda: sys.stderr, repr=False, compare=False)
     """Stream of errors, one line each."""
 
     @classmethod
-    def from_environment(cls, environment: Mapping[str, str]) -> Self:
-        """Read the runner's environment variables; an empty variable counts as unset."""
+    def from_environment(cls, environment: Environment) -> "Runner":
+        """Return the runner of the service that runs this step."""
+        from calibration.ci.services import service_of  # here, as the services import this module
 
-        def path(name: str) -> Path | None:
-            return Path(environment[name]) if environment.get(name) else None
+        return service_of(environment).runner(environment)
 
-        return cls(
-            github=environment.get("GITHUB_ACTIONS") == "true",
-            workspace=path("GITHUB_WORKSPACE"),
-            output_file=path("GITHUB_OUTPUT"),
-            summary_file=path("GITHUB_STEP_SUMMARY"),
-            debug=environment.get("RUNNER_DEBUG") == "1",
-            pull_request=environment.get("GITHUB_EVENT_NAME", "").startswith("pull_request"),
-        )
+    @property
+    def on_terminal(self) -> bool:
+        """Whether somebody watches the log on a terminal."""
+        return self.service.interactive and self.stdout.isatty()
 
     def log(self, text: str = "") -> None:
         """Print a line to the log immediately.
 
-        Untrusted text may contain workflow commands: print it inside
+        Untrusted text may contain commands of the service: print it inside
         :func:`calibration.ci.workflow.stop_commands`.
         """
         print(text, file=self.stdout, flush=True)
@@ -61,3 +222,6 @@ class Runner:
             if resolved.is_relative_to(workspace):
                 return resolved.relative_to(workspace).as_posix()
         return str(path)
+
+
+TERMINAL: Service = Terminal()

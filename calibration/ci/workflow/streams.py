@@ -5,12 +5,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from calibration.base.text import one_line, shorten, without_escapes
-from calibration.ci.workflow.groups import group, stop_commands
 from calibration.ci.workflow.runner import Runner
+from calibration.ci.workflow.step import group, stop_commands
 
-MOST_SHOWN = 4 * 1024**2
+MAX_SHOWN_CHARACTERS = 4 * 1024**2
 """Limit of characters of one stream; the rest is not shown."""
-LONGEST_LINE = 2000
+MAX_LINE_CHARACTERS = 2000
 """Limit of characters of a line."""
 
 
@@ -21,11 +21,11 @@ class LogStream:
         self.title = one_line(title)
         self.live = live
         self.waiting: list[str] = []
-        """Number of lines that have not been printed yet."""
+        """Lines that have not been printed yet."""
         self.closed = False
         self.printed = False
         self._display = display
-        self._room = MOST_SHOWN
+        self._room = MAX_SHOWN_CHARACTERS
 
     def line(self, text: str) -> None:
         """Print a line as soon as its stream may be shown."""
@@ -44,7 +44,7 @@ class LogStream:
 class LogDisplay:
     """Shows the output lines of several concurrent programs.
 
-    On a terminal each line starts with the program's title. On GitHub each program has a
+    On a terminal each line starts with the program's title. In the log of a CI service each program has a
     group; only one group can be open, so one program is shown live, and the lines of the others
     follow in one piece when they have ended. Workflow commands are disabled in all of it.
     """
@@ -54,13 +54,13 @@ class LogDisplay:
         self._lock = threading.RLock()
         self._streams: list[LogStream] = []
         self._group: ExitStack | None = None
-        """The open group on GitHub."""
+        """The open group in the log of a CI service."""
         self._in_group: LogStream | None = None
         self._paused = 0
         self._broken = False
 
     def open(self, title: str, *, live: bool = True) -> LogStream:
-        """Begin a stream; on GitHub one that is not ``live`` is shown only when it has ended."""
+        """Begin a stream; in the log of a CI service one that is not ``live`` is shown only when it has ended."""
         stream = LogStream(self, title, live)
         with self._lock:
             self._streams.append(stream)
@@ -104,11 +104,11 @@ class LogDisplay:
         if self._paused or self._broken:
             return
         try:
-            if self._runner.github:
-                self._print_in_groups()
-            else:
+            if self._runner.service.interactive:
                 for stream in self._streams:
                     self._print_waiting(stream, f"{stream.title} | ")
+            else:
+                self._print_in_groups()
         except (OSError, ValueError):  # closed pipe or stream: must not fail the program
             self._broken = True
         self._streams = [stream for stream in self._streams if stream.waiting or not stream.closed]
@@ -156,4 +156,4 @@ def tame(text: str) -> str:
     text = text.rstrip().rpartition("\r")[2].expandtabs(4)
     text = without_escapes(text)
     words = text.lstrip(" ")
-    return " " * min(len(text) - len(words), LONGEST_LINE // 4) + one_line(shorten(words, LONGEST_LINE))
+    return " " * min(len(text) - len(words), MAX_LINE_CHARACTERS // 4) + one_line(shorten(words, MAX_LINE_CHARACTERS))

@@ -147,7 +147,7 @@ def _page(found: Report, run: Run) -> str:
 
 def _places(reasons: Sequence[str], run: Run) -> dict[str, tuple[Path, int]]:
     """Return the lines of the rules or limits in the reasons, for a runner that annotates them."""
-    if run.config is None or not run.runner.github:
+    if run.config is None or not run.runner.service.annotates_lines:
         return {}
     found = {}
     for reason in reasons:

@@ -8,10 +8,13 @@ from calibration.addons.coverage.commit import find_commit
 from calibration.base.errors import InputError
 from calibration.ci.git.event import Event
 from calibration.ci.git.repository import Repository
+from calibration.ci.github.event import GitHubEvent
+from calibration.ci.services import event_of
 
 from .projects import commit, git
 
 A, B, C = "a" * 40, "b" * 40, "c" * 40
+MAIN = {"default_branch": "main"}
 
 
 def pull_request(head: str | None = "team/robot", base: str = "team/robot", sha: str = A) -> dict[str, Any]:
@@ -38,17 +41,17 @@ def repository(tmp_path: Path) -> Repository:
     ],
 )
 def test_the_commit_of_an_event(repository: Repository, name: str, body: dict[str, Any], expected: str) -> None:
-    assert find_commit(None, Event(name, C, body=body), repository)[0] == expected
-    assert find_commit("D" * 40, Event(name, C, body=body), repository) == ("d" * 40, "as given")
+    assert find_commit(None, GitHubEvent(name, C, body=body).facts, repository)[0] == expected
+    assert find_commit("D" * 40, GitHubEvent(name, C, body=body).facts, repository) == ("d" * 40, "as given")
 
 
 def test_a_pull_request_target_is_about_what_is_checked_out(repository: Repository) -> None:
     base = repository.head()
-    event = Event("pull_request_target", C, body=pull_request())
+    event = GitHubEvent("pull_request_target", C, body=pull_request()).facts
     assert find_commit(None, event, repository)[0] == base
     git(repository.root, "checkout", "-q", "-b", "theirs")
     theirs = commit(repository.root, {"b.py": "1\n"})
-    event = Event("pull_request_target", C, body=pull_request(sha=theirs))
+    event = GitHubEvent("pull_request_target", C, body=pull_request(sha=theirs)).facts
     assert find_commit(None, event, repository)[0] == theirs
     git(repository.root, "checkout", "-q", "main")
     git(repository.root, "merge", "-q", "--no-ff", "--no-edit", "theirs")  # refs/pull/1/merge
@@ -78,7 +81,7 @@ def test_a_teams_own_repository_may_be_a_fork() -> None:
     """GitHub says so of every pull request's head, whose branch may still be the team's."""
     body = pull_request()
     body["pull_request"]["head"]["repo"]["fork"] = True
-    event = Event("pull_request", body=body | {"repository": {"fork": True}})
+    event = GitHubEvent("pull_request", body=body | {"repository": {"fork": True}}).facts
     assert event.by_stranger is None
     assert event.without_secrets == "it runs in a fork, which has no secrets of the original"
 
@@ -92,51 +95,54 @@ def test_the_event_is_read_only_on_github(tmp_path: Path) -> None:
         "GITHUB_SHA": C,
         "GITHUB_ACTOR": "someone",
     }
-    assert Event.from_environment(variables) == Event()
-    event = Event.from_environment(variables | {"GITHUB_ACTIONS": "true"})
+    assert event_of(variables) == Event()
+    event = GitHubEvent.from_environment(variables | {"GITHUB_ACTIONS": "true"})
     assert (event.name, event.sha, event.actor) == ("pull_request", C, "someone")
     assert event.at("pull_request", "head", "sha") == A
     file.write_text("[1]")
-    assert Event.from_environment(variables | {"GITHUB_ACTIONS": "true"}).body == {}
+    assert GitHubEvent.from_environment(variables | {"GITHUB_ACTIONS": "true"}).body == {}
     file.write_text("{")
     with pytest.raises(InputError, match=r"\(GITHUB_EVENT_PATH\): this is not JSON"):
-        Event.from_environment(variables | {"GITHUB_ACTIONS": "true"})
+        GitHubEvent.from_environment(variables | {"GITHUB_ACTIONS": "true"})
     file.unlink()
     with pytest.raises(InputError, match="the event of GitHub was expected, but it cannot be read"):
-        Event.from_environment(variables | {"GITHUB_ACTIONS": "true"})
-    assert Event.from_environment({"GITHUB_ACTIONS": "true"}).body == {}
+        GitHubEvent.from_environment(variables | {"GITHUB_ACTIONS": "true"})
+    assert GitHubEvent.from_environment({"GITHUB_ACTIONS": "true"}).body == {}
 
 
 @pytest.mark.parametrize(
     ("event", "reason"),
     [
-        (Event("pull_request", body=pull_request()), None),
-        (Event("push", actor="someone", body={"repository": {"fork": False}}), None),
-        (Event("pull_request", body=pull_request(head="fork/robot")), "a pull request from a fork"),
-        (Event("pull_request", body=pull_request(head=None)), "a pull request from a fork"),
-        (Event("pull_request_review", body=pull_request(head="fork/robot")), "a pull request from a fork"),
-        (Event("pull_request_target", body=pull_request(head="fork/robot")), None),  # is given secrets
-        (Event("push", actor="dependabot[bot]"), "Dependabot"),
-        (Event("pull_request", body={"pull_request": {"user": {"login": "dependabot[bot]"}}}), "Dependabot"),
-        (Event("push", body={"repository": {"fork": True}}), "in a fork"),
-        (Event("pull_request", body=ACT, repository="me/robot"), "a pull request from a fork"),
+        (GitHubEvent("pull_request", body=pull_request()), None),
+        (GitHubEvent("push", actor="someone", body={"repository": {"fork": False}}), None),
+        (GitHubEvent("pull_request", body=pull_request(head="fork/robot")), "a pull request from a fork"),
+        (GitHubEvent("pull_request", body=pull_request(head=None)), "a pull request from a fork"),
+        (GitHubEvent("pull_request_review", body=pull_request(head="fork/robot")), "a pull request from a fork"),
+        (GitHubEvent("pull_request_target", body=pull_request(head="fork/robot")), None),  # is given secrets
+        (GitHubEvent("push", actor="dependabot[bot]"), "Dependabot"),
+        (GitHubEvent("pull_request", body={"pull_request": {"user": {"login": "dependabot[bot]"}}}), "Dependabot"),
+        (GitHubEvent("push", body={"repository": {"fork": True}}), "in a fork"),
+        (GitHubEvent("pull_request", body=ACT, repository="me/robot"), "a pull request from a fork"),
     ],
 )
-def test_who_is_given_no_secrets(event: Event, reason: str | None) -> None:
-    assert (event.without_secrets is None) if reason is None else (reason in (event.without_secrets or ""))
+def test_who_is_given_no_secrets(event: GitHubEvent, reason: str | None) -> None:
+    assert (event.facts.without_secrets is None) if reason is None else (reason in (event.facts.without_secrets or ""))
 
 
 @pytest.mark.parametrize(
     ("event", "bases"),
     [
-        (Event("pull_request", body=pull_request()), [B]),
-        (Event("push", body={"before": A, "repository": {"default_branch": "main"}}), [A, "refs/remotes/origin/main"]),
-        (Event("push", body={"before": "0" * 40}), []),  # a new branch
-        (Event("merge_group", body={"merge_group": {"base_sha": A}}), [A]),
-        (Event("schedule", body={"before": A}), []),
-        (Event("push", body={"before": "--evil", "repository": {"default_branch": 3}}), []),
-        (Event(), []),
+        (GitHubEvent("pull_request", body=pull_request()), [B]),
+        (
+            GitHubEvent("push", body={"before": A, "repository": {"default_branch": "main"}}),
+            [A, "refs/remotes/origin/main"],
+        ),
+        (GitHubEvent("push", body={"before": "0" * 40}), []),  # a new branch
+        (GitHubEvent("merge_group", body={"merge_group": {"base_sha": A}}), [A]),
+        (GitHubEvent("schedule", body={"before": A}), []),
+        (GitHubEvent("push", body={"before": "--evil", "repository": {"default_branch": 3}}), []),
+        (GitHubEvent(), []),
     ],
 )
-def test_what_a_change_is_compared_with(event: Event, bases: list[str]) -> None:
-    assert event.bases == bases
+def test_what_a_change_is_compared_with(event: GitHubEvent, bases: list[str]) -> None:
+    assert event.facts.bases == tuple(bases)

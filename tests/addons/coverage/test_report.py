@@ -16,9 +16,10 @@ from calibration.addons.coverage.report import remarks, report
 from calibration.addons.coverage.results import Change, Limit, Results, Span, Uploaded
 from calibration.addons.coverage.tests import Tests
 from calibration.base.errors import ExitCode
+from calibration.ci.github.service import GITHUB
 from calibration.ci.report.junit import junit_xml
 from calibration.ci.workflow import Runner, annotate
-from calibration.ci.workflow.annotations import Level
+from calibration.ci.workflow.annotation import Level
 
 SCHEMA = json.loads(Path(coverage.__file__ or "").with_name("results.schema.json").read_text())
 FILES = {
@@ -159,7 +160,7 @@ def test_every_line_without_a_test_is_counted_on_github_and_ten_are_shown() -> N
     files = Found(Mapped({"a.py": FileCoverage({line: line % 2 ^ 1 for line in range(1, 400)})}))
     change = replace(GOOD, found=files, change=Change("b", Rate(0, 200), lines))
     log = io.StringIO()
-    annotate(Runner(github=True, stdout=log), report(change).all_annotations())
+    annotate(Runner(GITHUB, stdout=log), report(change).all_annotations())
     shown = log.getvalue().splitlines()
     assert len(shown) == 10
     assert shown[-1] == "::warning::and 191 more: see the log and the summary"

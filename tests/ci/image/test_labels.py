@@ -9,7 +9,8 @@ OURS = {"ci.calibration.key": "k", "ci.calibration.specification": "s"}
 
 
 def test_on_github(tmp_path: Path) -> None:
-    variables = {"GITHUB_SERVER_URL": "https://github.com", "GITHUB_REPOSITORY": "team/robot", "GITHUB_SHA": "a" * 40}
+    variables = {"GITHUB_ACTIONS": "true", "GITHUB_SERVER_URL": "https://github.com", "GITHUB_REPOSITORY": "team/robot"}
+    variables["GITHUB_SHA"] = "a" * 40
     assert build_labels("k", "s", {"team": "x"}, tmp_path, variables) == OURS | {
         "org.opencontainers.image.source": "https://github.com/team/robot",
         "org.opencontainers.image.revision": "a" * 40,

@@ -2,10 +2,12 @@ import io
 
 import pytest
 
+from calibration.ci.github.service import GITHUB
 from calibration.ci.image.building import BuiltImage
 from calibration.ci.image.report import BuildResult, Failure, report
 from calibration.ci.report import Report
 from calibration.ci.workflow import Runner
+from calibration.ci.workflow.runner import TERMINAL
 
 
 def make(image: BuiltImage | None = None, runner: Runner | None = None, **fields: object) -> Report:
@@ -48,5 +50,5 @@ def test_a_terminal_is_shown_the_last_lines_of_the_step(terminal: bool, github: 
             return terminal
 
     failure = Failure("image r: step 1 of 1", ("one", "two"))
-    found = make(failure=failure, runner=Runner(github=github, stdout=Log()))
+    found = make(failure=failure, runner=Runner(GITHUB if github else TERMINAL, stdout=Log()))
     assert found.log() == ("one\ntwo" if terminal and not github else "")

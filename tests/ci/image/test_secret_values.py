@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from calibration.base.errors import InputError
+from calibration.ci.github.service import GITHUB
 from calibration.ci.image.secret_values import MAX_BYTES, read_secrets, refuse_secrets_in, secret_files
 from calibration.ci.image.specification import Secret
 from calibration.ci.workflow import Runner
@@ -14,7 +15,7 @@ VALUE = "hunter2-hunter2"
 
 def test_read_masked_and_hidden(tmp_path: Path) -> None:
     (tmp_path / "key").write_bytes(b"\xff" + VALUE.encode() + b"\n")
-    runner = Runner(github=True, stdout=io.StringIO())
+    runner = Runner(GITHUB, stdout=io.StringIO())
     found = read_secrets([Secret("a", "TOKEN"), Secret("b", file=tmp_path / "key")], runner, {"TOKEN": VALUE})
     assert [(secret.id, secret.value) for secret in found] == [
         ("a", VALUE.encode()),

@@ -7,6 +7,7 @@ import pytest
 
 from calibration.addons.aws_batch.ecr import ecr_credentials
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.ci.github.service import GITHUB
 from calibration.ci.registries.credentials import RegistrySettings
 from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.reference import ecr_host, is_ecr
@@ -60,7 +61,7 @@ def log() -> io.StringIO:
 
 @pytest.fixture
 def runner(log: io.StringIO) -> Runner:
-    return Runner(github=True, stdout=log)
+    return Runner(GITHUB, stdout=log)
 
 
 @pytest.mark.parametrize(

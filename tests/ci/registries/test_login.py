@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.ci.github.service import GITHUB
 from calibration.ci.registries.credentials import Credentials, RegistrySettings
 from calibration.ci.registries.login import registry_login
 from calibration.ci.workflow import Runner
@@ -32,7 +33,7 @@ def log() -> io.StringIO:
 
 @pytest.fixture
 def runner(log: io.StringIO) -> Runner:
-    return Runner(github=True, stdout=log)
+    return Runner(GITHUB, stdout=log)
 
 
 def login(registry: str) -> dict[str, dict[str, str]]:

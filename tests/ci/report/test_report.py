@@ -7,6 +7,7 @@ import pytest
 
 from calibration.base.errors import ExitCode, InfrastructureError
 from calibration.base.records import document_of
+from calibration.ci.github.service import GITHUB
 from calibration.ci.report import (
     Code,
     Lines,
@@ -119,7 +120,7 @@ def test_the_summary_has_the_verdict_then_reasons_then_blocks() -> None:
 def test_published(tmp_path: Path) -> None:
     out, err = io.StringIO(), io.StringIO()
     runner = Runner(
-        github=True, output_file=tmp_path / "o", summary_file=tmp_path / "s", stdout=out, stderr=err, workspace=tmp_path
+        GITHUB, output_file=tmp_path / "o", summary_file=tmp_path / "s", stdout=out, stderr=err, workspace=tmp_path
     )
     report = make(
         reasons=("::error::x",),
@@ -164,7 +165,7 @@ def test_an_output_has_no_more_entries_than_a_later_step_can_take(tmp_path: Path
     out = io.StringIO()
     entries = [{"file": f"{number}.csv"} for number in range(20_000)]
     outputs = {"values": entries, "rates": {str(number): 1.0 for number in range(20_000)}, "few": [1, 2]}
-    publish(make(outputs=outputs), Runner(github=True, output_file=tmp_path / "o", stdout=out))
+    publish(make(outputs=outputs), Runner(GITHUB, output_file=tmp_path / "o", stdout=out))
     found = dict(line.split("=", 1) for line in (tmp_path / "o").read_text().splitlines())
     assert all(len(value) <= 100_000 for value in found.values())
     values, rates = json.loads(found["values"]), json.loads(found["rates"])
@@ -186,7 +187,7 @@ def test_without_a_folder_nothing_is_written(tmp_path: Path) -> None:
 
 def test_the_verdicts_line_commands_nothing() -> None:
     out = io.StringIO()
-    publish(make(sentence="a\n::add-mask::b ##[add-mask]c"), Runner(github=True, stdout=out))
+    publish(make(sentence="a\n::add-mask::b ##[add-mask]c"), Runner(GITHUB, stdout=out))
     assert out.getvalue() == "fail: a ::add-mask::b ## [add-mask]c\n"
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from calibration.ci.github.service import GITHUB
 from calibration.ci.workflow import Runner
 
 
@@ -19,7 +20,7 @@ def workspace(tmp_path: Path) -> Path:
 def github(tmp_path: Path, workspace: Path) -> Runner:
     """Return a step's runner as GitHub makes it."""
     return Runner(
-        github=True,
+        GITHUB,
         workspace=workspace,
         output_file=tmp_path / "output",
         summary_file=tmp_path / "summary",

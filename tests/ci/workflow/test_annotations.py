@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calibration.ci.github.service import escape_data, escape_property, workflow_command
 from calibration.ci.workflow import Annotation, Level, Runner, annotate, report_error
-from calibration.ci.workflow.commands import escape_data, escape_property, workflow_command
 from tests.ci.workflow.conftest import complained, printed
 
 

@@ -6,8 +6,9 @@ from contextlib import suppress
 import pytest
 
 from calibration.base.errors import InfrastructureError, InputError
+from calibration.ci.github.service import GITHUB
 from calibration.ci.workflow import Runner
-from calibration.ci.workflow.progress import LINES, progress
+from calibration.ci.workflow.progress import MAX_LOG_LINES, progress
 from tests.ci.workflow.conftest import printed
 
 
@@ -37,7 +38,7 @@ def test_a_long_run_gets_few_lines_and_what_is_important(laptop: Runner) -> None
             advance(done, 1000, f"step {done}", important=done == 7)
 
     lines = printed(laptop).splitlines()
-    assert len(lines) == LINES + 1
+    assert len(lines) == MAX_LOG_LINES + 1
     assert lines[0] == "[   7/1000] step 7"
     assert lines[-1] == "[1000/1000] step 1000"
 
@@ -58,7 +59,7 @@ def test_a_terminal_gets_a_bar_that_goes_away_and_what_is_important() -> None:
 def test_no_bar_on_a_runner_s_terminal() -> None:
     terminal = Terminal()
 
-    with progress(Runner(github=True, stdout=terminal), "calibrating") as advance:
+    with progress(Runner(GITHUB, stdout=terminal), "calibrating") as advance:
         advance(1, 1, "fine")
 
     assert terminal.getvalue() == "[1/1] fine\n"

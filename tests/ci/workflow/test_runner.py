@@ -1,5 +1,6 @@
 from pathlib import Path
 
+from calibration.ci.github.service import GITHUB
 from calibration.ci.workflow import Runner
 
 
@@ -14,7 +15,7 @@ def test_reads_the_runners_variables() -> None:
             "GITHUB_EVENT_NAME": "pull_request_target",
         }
     )
-    assert runner == Runner(True, Path("/w"), Path("/t/out"), Path("/t/summary"), True, True)
+    assert runner == Runner(GITHUB, Path("/w"), Path("/t/out"), Path("/t/summary"), True, True)
 
 
 def test_off_github_there_is_nothing() -> None:

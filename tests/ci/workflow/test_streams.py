@@ -3,8 +3,8 @@ import threading
 import pytest
 
 from calibration.ci.workflow import Runner, annotate
-from calibration.ci.workflow.annotations import Annotation
-from calibration.ci.workflow.streams import LONGEST_LINE, MOST_SHOWN, LogDisplay, tame
+from calibration.ci.workflow.annotation import Annotation
+from calibration.ci.workflow.streams import MAX_LINE_CHARACTERS, MAX_SHOWN_CHARACTERS, LogDisplay, tame
 from tests.ci.workflow.conftest import printed
 from tests.ci.workflow.test_groups import obeyed
 
@@ -101,7 +101,7 @@ def test_nothing_is_said_of_programs_that_say_nothing(github: Runner) -> None:
         ("\tx", "    x"),
         ("bell\x07", "bell\\x07"),
         ("\x1b]0;title\x07text", "text"),
-        ("x" * 5000, "x" * (LONGEST_LINE - 1) + "…"),
+        ("x" * 5000, "x" * (MAX_LINE_CHARACTERS - 1) + "…"),
         ("", ""),
         (" " * 9999 + "x", " " * 500 + "x"),
     ],
@@ -113,11 +113,11 @@ def test_tamed(line: str, tamed: str) -> None:
 def test_too_much_is_cut_and_said(laptop: Runner) -> None:
     display = LogDisplay(laptop)
     stream = display.open("a")
-    for _ in range(MOST_SHOWN // LONGEST_LINE + 100):
-        stream.line("x" * LONGEST_LINE)
+    for _ in range(MAX_SHOWN_CHARACTERS // MAX_LINE_CHARACTERS + 100):
+        stream.line("x" * MAX_LINE_CHARACTERS)
     lines = printed(laptop).splitlines()
     assert lines[-1] == "a | (more is not shown here, see the file of the log)"
-    assert len(lines) < MOST_SHOWN // LONGEST_LINE + 5
+    assert len(lines) < MAX_SHOWN_CHARACTERS // MAX_LINE_CHARACTERS + 5
 
 
 def test_a_reader_that_is_gone_stops_nobody(laptop: Runner) -> None:

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.text import aligned, did_you_mean, one_line, shorten, without_escapes
-from calibration.ci.workflow.summary import markdown_table
+from calibration.ci.workflow.markdown import markdown_table
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from calibration.ci.execution.docker.backend import DockerBackend
 from calibration.ci.execution.docker.leftovers import find_leftovers
 from calibration.ci.execution.job import Container, Job, Limits, Mount, Readiness
 from calibration.ci.execution.outcome import End
+from calibration.ci.github.service import GITHUB
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay
 from tests.ci.workflow.test_groups import obeyed
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def test_in_a_group_per_container_on_github(tmp_path: Path) -> None:
-    runner = Runner(github=True, stdout=io.StringIO())
+    runner = Runner(GITHUB, stdout=io.StringIO())
     display = LogDisplay(runner)
     hostile = shell(
         "printf '::error::no\\n::stop-commands::x\\n##[error]no\\n\\033[31mred\\n'; sleep 0.3", "robot", after=("sim",)

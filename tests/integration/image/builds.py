@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from calibration.ci.github.service import GITHUB
 from calibration.ci.image.building import BuiltImage, build_image
 from calibration.ci.image.specification import parse_image_specification
 from calibration.ci.workflow import Runner
@@ -24,7 +25,7 @@ class Builds:
     engine: "DockerClient"
     folder: Path
     name: str
-    runner: Runner = field(default_factory=lambda: Runner(github=True, stdout=io.StringIO(), stderr=io.StringIO()))
+    runner: Runner = field(default_factory=lambda: Runner(GITHUB, stdout=io.StringIO(), stderr=io.StringIO()))
 
     def write(self, path: str, content: str, mode: int = 0o644) -> Path:
         file = self.folder / path

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from calibration.base.secret_forms import redact
 from calibration.base.text import one_line, shorten, without_escapes
 from calibration.ci.workflow import Runner
-from calibration.ci.workflow.advance import Advance
+from calibration.ci.workflow.progress import Advance
 
 LAST_LINES = 20
 LONGEST = 500
@@ -20,7 +20,7 @@ class BuildLog:
         self._runner = runner
         self._advance = advance
         self._secrets = secrets
-        self._shows_output = runner.github or not runner.stdout.isatty()  # a terminal has a progress bar
+        self._shows_output = not runner.on_terminal  # a terminal has a progress bar
         self._part = ""
         self.step_name = ""
         self.last_lines: deque[str] = deque(maxlen=LAST_LINES)

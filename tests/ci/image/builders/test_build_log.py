@@ -3,6 +3,7 @@ import io
 import pytest
 
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.ci.github.service import GITHUB
 from calibration.ci.image.builders.build_log import LAST_LINES, LONGEST, BuildLog
 from calibration.ci.image.builders.buildkit import BuildKitOutput
 from calibration.ci.image.builders.failure import BuildFailedError, build_problem
@@ -40,7 +41,7 @@ EARLY = """#1 [internal] load build definition from Dockerfile
 
 @pytest.fixture
 def runner() -> Runner:
-    return Runner(github=True, stdout=io.StringIO())
+    return Runner(GITHUB, stdout=io.StringIO())
 
 
 def make(runner: Runner, *secrets: str) -> BuildLog:

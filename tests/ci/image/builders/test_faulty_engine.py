@@ -6,6 +6,7 @@ import docker
 import pytest
 
 from calibration.base.errors import InfrastructureError
+from calibration.ci.github.service import GITHUB
 from calibration.ci.image.bases import fetch
 from calibration.ci.image.builders.build_log import BuildLog
 from calibration.ci.image.builders.engine import build_by_engine
@@ -20,7 +21,7 @@ STEP = {"stream": "Step 1/1 : RUN x"}
 
 
 def log() -> BuildLog:
-    return BuildLog(Runner(github=True), lambda *_, **__: None)
+    return BuildLog(Runner(GITHUB), lambda *_, **__: None)
 
 
 def build(*replies: Reply) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from calibration.base.errors import InfrastructureError
+from calibration.ci.github.service import GITHUB
 from calibration.ci.image.builders.build_log import BuildLog
 from calibration.ci.image.builders.buildkit import build_and_push, build_by_buildkit
 from calibration.ci.image.builders.failure import BuildFailedError
@@ -52,7 +53,7 @@ def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Program:
 
 @pytest.fixture
 def log() -> BuildLog:
-    return BuildLog(Runner(github=True, stdout=io.StringIO()), lambda *_, **__: None)
+    return BuildLog(Runner(GITHUB, stdout=io.StringIO()), lambda *_, **__: None)
 
 
 def request(**other: object) -> BuildRequest:

@@ -1,0 +1,17 @@
+"""The CI services that are known."""
+
+from calibration.ci.git.event import Event
+from calibration.ci.github.service import GITHUB
+from calibration.ci.workflow.runner import TERMINAL, Environment, Service
+
+SERVICES: list[Service] = [GITHUB]
+
+
+def service_of(environment: Environment) -> Service:
+    """Return the service that runs this step; the terminal if none does."""
+    return next((service for service in SERVICES if service.runs_here(environment)), TERMINAL)
+
+
+def event_of(environment: Environment) -> Event:
+    """Return what started the run; raises `InputError` if the service's description of it is unreadable."""
+    return service_of(environment).event(environment)
