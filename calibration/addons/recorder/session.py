@@ -4,6 +4,7 @@ A pose is a motion of length one, with the precision of a file, so that the prev
 be played. Saved poses are immutable and compared by identity.
 """
 
+import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +17,6 @@ from calibration.addons.recorder.handle import drag, find_handle, handle_pose
 from calibration.base.arrays import Array
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import read_bytes, write_atomically
-from calibration.base.json_text import json_text
 from calibration.engine.geometry.transforms import inverse
 from calibration.robot.simulation.description import MAX_BYTES
 from calibration.robot.simulation.motion.generation import generate_motion
@@ -189,7 +189,7 @@ class Session:
         Raises:
             InputError: no pose is saved.
         """
-        return json_text(motion_document(self.motion())) + "\n"
+        return json.dumps(motion_document(self.motion()), indent=2, sort_keys=True) + "\n"
 
     def export(self, path: Path, replace_file: bool = False) -> None:
         """Write the sequence to a file.

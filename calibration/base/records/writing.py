@@ -1,11 +1,11 @@
 """Conversion of records to documents and to text."""
 
+import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from calibration.base.json_text import json_text
 from calibration.base.records.declaration import fields_of, is_record, settings_of
 
 _PLAIN = frozenset({str, int, float, bool, type(None)})
@@ -30,7 +30,7 @@ def document_of(record: Any) -> dict[str, Any]:
 
 def text_of(record: Any) -> str:
     """Return a record's document as JSON text, indented by two."""
-    return json_text(document_of(record), sort_keys=False, allow_nan=False) + "\n"
+    return json.dumps(document_of(record), indent=2, allow_nan=False) + "\n"
 
 
 def value_of(value: Any) -> Any:

@@ -1,5 +1,6 @@
 """results.json, which begins with the same keys for every command: schema, verdict and reasons."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -7,7 +8,6 @@ from typing import Any, Literal, TypeVar
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.files import read_bytes
 from calibration.base.json_file import parse_json
-from calibration.base.json_text import json_text
 from calibration.base.records import field, read, result, value_of
 from calibration.base.verdict import Verdict
 
@@ -36,7 +36,7 @@ def results_document(verdict: Verdict, results: Any, reasons: Sequence[str] = ()
 
 def results_text(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> str:
     """Return the text of results.json; raises ``ValueError`` for a number that is not finite."""
-    return json_text(results_document(verdict, results, reasons), width=1, sort_keys=False, allow_nan=False) + "\n"
+    return json.dumps(results_document(verdict, results, reasons), indent=1, allow_nan=False) + "\n"
 
 
 def read_results_file(kind: type[_Record], path: Path, command: str) -> tuple[_Record, dict[str, Any]]:

@@ -11,10 +11,10 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.base.files import link_or_copy, write_atomically
-from calibration.base.json_text import Shared, json_text
 from calibration.engine.dataset.changes import KEY, reference_to
 from calibration.engine.dataset.configuration import FIRST_PATTERN
 from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.document_text import SharedTexts, document_text
 from calibration.engine.dataset.edges import is_constant, read_transforms, transform_documents
 from calibration.engine.dataset.joints import joint_document, joint_values
 from calibration.engine.dataset.lens_uncertainty import KEY as UNCERTAINTY
@@ -25,7 +25,7 @@ from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.dataset.sensors import LAG, camera_document, read_camera
 
 
-def write_document(document: Mapping[str, Any], path: Path | str, shared: Shared | None = None) -> None:
+def write_document(document: Mapping[str, Any], path: Path | str, shared: SharedTexts | None = None) -> None:
     """Write a document as ATOM does: JSON, keys sorted, indented by 2; the file is replaced in one step.
 
     Args:
@@ -40,10 +40,10 @@ def write_document(document: Mapping[str, Any], path: Path | str, shared: Shared
     write_atomically(path, _text(document, path, shared))
 
 
-def _text(document: Mapping[str, Any], path: Path | str, shared: Shared | None) -> str:
+def _text(document: Mapping[str, Any], path: Path | str, shared: SharedTexts | None) -> str:
     """Return the text of a document; the path is for messages."""
     try:
-        return f"{json_text(document, shared=shared)}\n"
+        return f"{document_text(document, shared)}\n"
     except RecursionError:
         raise InputError(f"{path}: cannot be written: the document is nested too deeply") from None
 
@@ -95,13 +95,13 @@ class DatasetWriter:
         self._patterns = {name: _geometry(dataset, pattern) for name, pattern in dataset.patterns.items()}
 
     @cached_property
-    def _shared(self) -> Shared:
+    def _shared(self) -> SharedTexts:
         parts = [*self._given.document.values(), self._configuration, *self._sensors.values(), *self._kinds.values()]
         for pattern in self._patterns.values():
             parts += pattern.values()
         for collection in self._collections.values():
             parts += [*collection.values(), *collection["transforms"].values()]
-        return Shared([*parts, *self._initial.values()])
+        return SharedTexts([*parts, *self._initial.values()])
 
     def write(self, dataset: Dataset, path: Path | str, images: bool = True) -> Path:
         """Write a dataset; see `write_dataset`."""
