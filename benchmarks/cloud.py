@@ -53,8 +53,8 @@ def measure(quick: bool) -> Iterator[Row]:
 
 def _run(count: int) -> dict[str, Any]:
     from tests.addons.aws_batch.client import Did, Tasks
-    from tests.aws.fixtures import started_aws
-    from tests.aws.services import Services
+    from tests.addons.aws_batch.fixtures import started_aws
+    from tests.addons.aws_batch.services import Services
 
     services = Services()
     try:

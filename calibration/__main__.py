@@ -15,27 +15,18 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import click
 
 from calibration import __version__
+from calibration.base.addons import LazyCommand, of_addons
 from calibration.base.errors import CalibrationError, ExitCode, solvable
 from calibration.base.garbage_collector import no_collector
 from calibration.base.process_end import run_process
 from calibration.base.signals import Terminated, terminate_cleanly
 from calibration.base.text import did_you_mean
 from calibration.ci.workflow import Runner, report_error, stop_commands
-
-
-class LazyCommand(NamedTuple):
-    """A command whose module is imported when it is called."""
-
-    target: str
-    """``module:attribute`` of the click command."""
-    help: str
-    """One-line description for the list of commands, kept here so that ``--help`` imports no command."""
-
 
 COMMANDS: Mapping[str, LazyCommand] = {
     "run": LazyCommand("calibration.commands.run:command", "Run the whole pipeline of calibration.yml."),
@@ -54,15 +45,6 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "build-image": LazyCommand(
         "calibration.commands.build_image:command", "Build the image with the team's software, if anything changed."
     ),
-    "coverage-upload": LazyCommand(
-        "calibration.commands.coverage_upload:command", "Run tests, check their coverage, and upload it."
-    ),
-    "static-analysis": LazyCommand(
-        "calibration.commands.static_analysis:command", "Check the code for errors; fail for those that a change adds."
-    ),
-    "record-motion": LazyCommand(
-        "calibration.commands.record_motion:command", "Record a motion sequence on a page in the browser."
-    ),
     "plan-matrix": LazyCommand("calibration.commands.plan_matrix:command", "Plan the jobs of a workflow."),
     "gather-results": LazyCommand(
         "calibration.commands.gather_results:command", "Merge the results of a workflow's jobs."
@@ -80,18 +62,13 @@ COMMANDS: Mapping[str, LazyCommand] = {
     "export": LazyCommand(
         "calibration.commands.export:command", "Write a calibration as URDF, launch files, camera_info and more."
     ),
-    "import-rigelfile": LazyCommand(
-        "calibration.commands.import_rigelfile:command", "Convert a Rigelfile to calibration.yml."
-    ),
-    "aws-policy": LazyCommand(
-        "calibration.commands.aws_policy:command", "Print the IAM policies that jobs on AWS Batch need."
-    ),
     "cleanup": LazyCommand(
         "calibration.commands.cleanup:command", "Remove what killed runs left in the Docker Engine or the cloud."
     ),
     "pattern": LazyCommand("calibration.commands.pattern:command", "Write a board to print, true to size."),
     "schema": LazyCommand("calibration.commands.schema:command", "Print the JSON Schema of a file."),
     "version": LazyCommand("calibration.commands.version:command", "Print the versions in use."),
+    **of_addons(lambda addon: addon.commands),
 }
 """Commands by name, in the order of ``--help``."""
 COMPLETION = "_CALIBRATION_COMPLETE"

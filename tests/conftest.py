@@ -37,7 +37,11 @@ with suppress(ImportError, AttributeError):
 
 register_profiles()
 
-pytest_plugins = ["tests.docker_engine", "tests.aws.fixtures", "tests.small"]
+pytest_plugins = [
+    "tests.docker_engine",
+    "tests.small",
+    *(f"tests.addons.{file.parent.name}.{file.stem}" for file in Path(__file__).parent.glob("addons/*/fixtures.py")),
+]
 
 PROJECT = Path(__file__).resolve().parents[1]
 NO_SHARED_DATA = "needs ../shared/data beside the project"
@@ -95,7 +99,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     waiting: list[pytest.Item] = []
     others: list[pytest.Item] = []
     for item in items:
-        (waiting if {*item.path.relative_to(PROJECT).parts} & WAITING else others).append(item)
+        (others if WAITING.isdisjoint(item.path.relative_to(PROJECT).parts) else waiting).append(item)
     files = list(dict.fromkeys(item.path for item in waiting))
     each_file = {file: [item for item in waiting if item.path == file] for file in files}
     ordered: list[pytest.Item] = []

@@ -1,6 +1,7 @@
 """Add-ons: features with few ties to the rest, each in a folder of its own.
 
-An add-on may import every other floor; no other floor imports an add-on.
+An add-on may import every other floor, and no other add-on; no other floor imports an add-on. Its ``__init__`` declares
+what it brings (`calibration.base.addons`), so that its folder can be deleted and the rest works without it.
 
 - ``analysis``: analysers run on a repository, their findings compared with the base;
 - ``aws_batch``: jobs of containers on AWS Batch, images in ECR;

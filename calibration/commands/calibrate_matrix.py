@@ -11,7 +11,7 @@ import click
 
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.records import at_least, changed, field, read, record
-from calibration.ci.execution.backends import AWS_BATCH, CONTAINERS, DOCKER, ExecutionTarget, check_backend
+from calibration.ci.execution.backends import CLOUDS, CLOUDS_TEXT, CONTAINERS, DOCKER, ExecutionTarget, check_backend
 from calibration.ci.introspection.rules_file import read_rules
 from calibration.ci.registries.credentials import RegistrySettings
 from calibration.ci.workflow import Runner
@@ -138,13 +138,13 @@ def target_of(
     """
     backend = settings.backend or (configuration.backend if configuration else DOCKER)
     check_backend(backend, CONTAINERS)
-    in_cloud = backend == AWS_BATCH and bool(matrix.software)
-    if not in_cloud and settings.backend == AWS_BATCH:
-        raise InputError(f"backend: found {AWS_BATCH}, which runs the team's own software: give image and command")
+    in_cloud = backend in CLOUDS and bool(matrix.software)
+    if not in_cloud and settings.backend in CLOUDS:
+        raise InputError(f"backend: found {backend}, which runs the team's own software: give image and command")
     if not in_cloud and (settings.run is not None or settings.resume):
-        raise InputError(f"{'run' if settings.run is not None else 'resume'}: is for the backend {AWS_BATCH}")
+        raise InputError(f"{'run' if settings.run is not None else 'resume'}: is for the backend {CLOUDS_TEXT}")
     if in_cloud and settings.registry_username is not None:
-        raise InputError(f"registry-username: {AWS_BATCH} pulls with its execution role; push the image to ECR")
+        raise InputError(f"registry-username: {backend} pulls with its execution role; push the image to ECR")
     return execution_target(
         backend if in_cloud else DOCKER,
         settings.aws_batch,

@@ -59,7 +59,7 @@ def run(settings: RunSettings, runner: Runner) -> ExitCode:
         simulations=configuration.simulations,
         image=_image(configuration.image, settings.push),
         baseline=configuration.baseline,
-        analysis=configuration.analysis,
+        sections=configuration.sections,
         target=configuration.target,
     )
     results = run_stages(asked, settings.only or STAGES)

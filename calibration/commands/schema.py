@@ -1,50 +1,35 @@
 """``schema``: print the JSON Schemas of files, for editors and other programs."""
 
 import sys
-from importlib import import_module
 from importlib.resources import files
-from typing import NamedTuple
 
 import click
 
+from calibration.base.addons import SchemaFile, import_attribute, of_addons
 from calibration.base.errors import ExitCode
 from calibration.base.records.schema import schema_text
 from calibration.ci.report import Head
-
-
-class Shipped(NamedTuple):
-    """A JSON Schema in the package, and the record that generates it (`make actions`)."""
-
-    package: str
-    file: str
-    record: str
-    """``module:class``; the module is relative to the package."""
-    command: str = ""
-    """Command whose results.json it describes."""
-
 
 _PIPELINE, _COLLECTION = "calibration.pipeline", "calibration.pipeline.collection"
 _CONVERGENCE, _SCENARIOS = "calibration.pipeline.convergence", "calibration.robot.simulation.scenarios"
 _RESULTS = "results.schema.json"
 SCHEMAS = {
-    "calibration.yml": Shipped(_PIPELINE, "calibration.schema.json", "configuration:Configuration"),
-    "baseline": Shipped("calibration.engine.baseline", "baseline.schema.json", "document:Baseline"),
-    "image": Shipped("calibration.ci.image", "image.schema.json", "specification:ImageDocument"),
-    "aws-batch": Shipped("calibration.addons.aws_batch", "batch.schema.json", "settings:BatchFile"),
-    "results": Shipped(_PIPELINE, _RESULTS, "distribution.gathering:RunResults", "calibrate-matrix and run"),
-    "convergence": Shipped(_CONVERGENCE, "convergence.schema.json", "results:ConvergenceResults", "convergence"),
-    "collection": Shipped(_COLLECTION, "collection.schema.json", "results:CollectionDocument", "collect-data-sim"),
-    "simulation.yml": Shipped("calibration.robot.simulation", "simulation.schema.json", "system:Simulation"),
-    "motion": Shipped("calibration.robot.simulation.motion", "motion.schema.json", "sequence:MotionFile"),
-    "import.yml": Shipped("calibration.robot.importing", "import.schema.json", "description:ImportDescription"),
-    "import-results": Shipped("calibration.robot.importing", _RESULTS, "results:ImportResults", "import-data"),
-    "look-results": Shipped("calibration.robot.importing", "look.schema.json", "look.results:LookResults", "look"),
-    "label-results": Shipped("calibration.robot.importing", "label.schema.json", "results:LabelResults", "label"),
-    "scenario-set": Shipped(_SCENARIOS, "scenario_set.schema.json", "parameters:ScenarioSetFile"),
-    "coverage": Shipped("calibration.addons.coverage", _RESULTS, "results:Results", "coverage-upload"),
-    "image-results": Shipped("calibration.ci.image", _RESULTS, "report:BuildResult", "build-image"),
-    "analysis": Shipped("calibration.addons.analysis", _RESULTS, "results:Results", "static-analysis"),
-    "introspection": Shipped("calibration.base.tables", _RESULTS, "result:Results", "introspect-csv"),
+    "calibration.yml": SchemaFile(_PIPELINE, "calibration.schema.json", "configuration:Configuration"),
+    "baseline": SchemaFile("calibration.engine.baseline", "baseline.schema.json", "document:Baseline"),
+    "image": SchemaFile("calibration.ci.image", "image.schema.json", "specification:ImageDocument"),
+    "results": SchemaFile(_PIPELINE, _RESULTS, "distribution.gathering:RunResults", "calibrate-matrix and run"),
+    "convergence": SchemaFile(_CONVERGENCE, "convergence.schema.json", "results:ConvergenceResults", "convergence"),
+    "collection": SchemaFile(_COLLECTION, "collection.schema.json", "results:CollectionDocument", "collect-data-sim"),
+    "simulation.yml": SchemaFile("calibration.robot.simulation", "simulation.schema.json", "system:Simulation"),
+    "motion": SchemaFile("calibration.robot.simulation.motion", "motion.schema.json", "sequence:MotionFile"),
+    "import.yml": SchemaFile("calibration.robot.importing", "import.schema.json", "description:ImportDescription"),
+    "import-results": SchemaFile("calibration.robot.importing", _RESULTS, "results:ImportResults", "import-data"),
+    "look-results": SchemaFile("calibration.robot.importing", "look.schema.json", "look.results:LookResults", "look"),
+    "label-results": SchemaFile("calibration.robot.importing", "label.schema.json", "results:LabelResults", "label"),
+    "scenario-set": SchemaFile(_SCENARIOS, "scenario_set.schema.json", "parameters:ScenarioSetFile"),
+    "image-results": SchemaFile("calibration.ci.image", _RESULTS, "report:BuildResult", "build-image"),
+    "introspection": SchemaFile("calibration.base.tables", _RESULTS, "result:Results", "introspect-csv"),
+    **of_addons(lambda addon: addon.schemas),
 }
 """JSON Schemas by name."""
 
@@ -61,8 +46,7 @@ def command(name: str) -> ExitCode:
 def generated(name: str) -> str:
     """Return the text of a schema, generated from its record."""
     shipped = SCHEMAS[name]
-    module, _, kind = shipped.record.partition(":")
-    record = getattr(import_module(f"{shipped.package}.{module}"), kind)
+    record = import_attribute(f"{shipped.package}.{shipped.record}")
     if shipped.command:
         return schema_text(record, f"results.json of {shipped.command}", Head)
     return schema_text(record, name)

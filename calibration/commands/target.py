@@ -4,7 +4,7 @@ from pathlib import Path
 
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes, write_atomically
-from calibration.ci.execution.backends import KINDS, ExecutionTarget, Sections, read_sections
+from calibration.ci.execution.backends import SECTIONS, ExecutionTarget, Sections, read_sections
 from calibration.ci.execution.run_names import new_run
 from calibration.ci.workflow import Runner
 
@@ -39,7 +39,7 @@ def execution_target(
         InputError: the section is missing or wrong, or the run to resume is unknown.
         InfrastructureError: the name of the run cannot be saved.
     """
-    if not KINDS[backend].settings:
+    if backend not in SECTIONS:
         return ExecutionTarget(backend, run=run)
     if file is not None or sections is None or sections.of(backend) is None:
         sections = read_sections(backend, file or DEFAULT_FILE)

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from calibration.addons.analysis.settings import AnalysisSettings
 from calibration.base.errors import InputError
 from calibration.base.records import (
     ByName,
@@ -25,7 +24,7 @@ from calibration.base.variables import with_variables
 from calibration.base.yaml_file import read_yaml
 from calibration.ci.execution.backends import (
     CONTAINERS,
-    KINDS,
+    SECTIONS,
     BackendName,
     ContainerBackend,
     ExecutionTarget,
@@ -173,9 +172,6 @@ class Configuration:
         "The accepted calibration that every cell is compared with; required: a system that has none fails.",
         default_factory=BaselineSettings,
     )
-    analysis: AnalysisSettings | None = field(
-        "Static analysis of the repository around this file, a stage of run; {} for the defaults.", default=None
-    )
     sections: Sections = field(flat=True, default_factory=Sections)
     systems: Annotated[tuple[System, ...], ByName(_NAME)] = field("The robots to calibrate, by name.", default=())
     simulations: Annotated[tuple[Simulation, ...], ByName(_NAME)] = field(
@@ -237,7 +233,7 @@ def _check_references(configuration: Configuration, path: Path) -> None:
     wanted: dict[str, str] = {"backend": configuration.backend}
     wanted |= {f"simulation.{each.name}.backend": each.backend or "" for each in configuration.simulations}
     for key, backend in wanted.items():
-        if backend in KINDS and KINDS[backend].settings and configuration.sections.of(backend) is None:
+        if backend in SECTIONS and configuration.sections.of(backend) is None:
             raise InputError(f"{path}: {key}: found {backend}, but there is no section {backend}")
     collected = {simulation.name for simulation in configuration.simulations}
     for system in configuration.systems:

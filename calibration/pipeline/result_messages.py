@@ -11,7 +11,7 @@ from calibration.engine.baseline.verdict import MOVED, exceeds
 from calibration.engine.diagnosis.finding import Severity
 from calibration.pipeline.matrix.cell import REPROJECTION
 from calibration.pipeline.matrix.cell_result import CellResult
-from calibration.pipeline.results import Analysed, ImageResult, Results
+from calibration.pipeline.results import ImageResult, Results
 
 NOT_CONVERGED = "it has not converged"
 
@@ -22,7 +22,7 @@ def verdict_sentence(results: Results) -> str:
     for things, what, verb in ((results.cells, "cell", "calibrated"), (results.collections, "dataset", "collected")):
         verdicts = Counter(thing.verdict for thing in things)
         count = count_of(len(things), what)
-        nothing = not results.judged and results.image is None and results.analysis is None
+        nothing = not results.judged and results.image is None and not results.of_stages.all
         counted = [(verdicts["fail"], "failed")] if verdicts["fail"] or (what == "cell" and nothing) else []
         counted += [(verdicts["undecided"], "undecided")] if verdicts["undecided"] else []
         if counted:
@@ -32,14 +32,8 @@ def verdict_sentence(results: Results) -> str:
             done.append(f"{count} {verb}")
     if results.image is not None and not results.judged:
         done.append("the image is built" if results.image.built else "the image is there")
-    if results.analysis is not None:
-        done.append(_analysis_sentence(results.analysis))
+    done += [each.sentence for each in results.of_stages.all]
     return ", ".join((*failed, *done))
-
-
-def _analysis_sentence(analysis: Analysed) -> str:
-    count = count_of(analysis.findings, "finding")
-    return f"{count} in the code" if analysis.new is None else f"{count} in the code, {analysis.new} new"
 
 
 def failures(results: Results) -> list[str]:

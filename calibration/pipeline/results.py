@@ -5,9 +5,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
+from calibration.base.addons import import_attribute, of_addons
 from calibration.base.errors import ExitCode, InputError, exit_code_of
-from calibration.base.records import computed, field, result
+from calibration.base.records import computed, field, result, with_fields
 from calibration.ci.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
 from calibration.ci.report.badge import FILE as BADGE
 from calibration.ci.report.brief import BRIEF_FILE
@@ -60,22 +62,6 @@ class ImageResult:
 
 
 @result(kw_only=True)
-class Analysed:
-    """Static analysis of the repository."""
-
-    findings: int = field("Number of findings that are not accepted.")
-    new: int | None = field("Those that the change brings in; null if there is no base to compare with.")
-    folder: str = field("The folder with its results, relative to the output folder.")
-    reasons: tuple[str, ...] = field("Limits that are exceeded.", default=())
-
-    @property
-    @computed()
-    def verdict(self) -> Verdict:
-        """Fail if a limit is exceeded."""
-        return verdict_of(not self.reasons)
-
-
-@result(kw_only=True)
 class Exported:
     """Exported files of a system."""
 
@@ -86,6 +72,40 @@ class Exported:
         "Formats that its data cannot have, transforms that moved to another joint.", default=()
     )
     reasons: tuple[str, ...] = field("Reason why it could not be exported.", default=())
+
+
+class StageResult(Protocol):
+    """Result of a stage of an add-on: a record of results, which is part of the verdict."""
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Reasons of a fail verdict."""
+
+    @property
+    def sentence(self) -> str:
+        """Return the result in a few words, for the verdict's line."""
+
+    def line(self, output: Path) -> str:
+        """Return its line of the report, such as where its own files are in the output folder."""
+
+
+@result
+@with_fields(
+    {
+        stage.section: (
+            import_attribute(stage.result.record) | None,
+            field(stage.result.help, default=None, omitted=True),
+        )
+        for stage in of_addons(lambda addon: addon.stages).values()
+    }
+)
+class StageResults:
+    """Results of the stages of add-ons, by their sections of calibration.yml."""
+
+    @property
+    def all(self) -> tuple[StageResult, ...]:
+        """Results of the stages that ran."""
+        return tuple(found for found in vars(self).values() if found is not None)
 
 
 @result
@@ -157,7 +177,7 @@ class Results:
         "The file of accepted calibrations, and what the change under test does to it.", default=None, omitted=True
     )
     exports: tuple[Exported, ...] = field("Exports of the systems that passed.", default=())
-    analysis: Analysed | None = field("Static analysis, where calibration.yml asks for it.", default=None, omitted=True)
+    of_stages: StageResults = field(flat=True, default_factory=StageResults)
     commit: CommitOfRun | None = field("The commit that was tested, in a checkout.", default=None, omitted=True)
 
     @property
@@ -183,14 +203,14 @@ class Results:
 
     @property
     def verdict(self) -> Verdict:
-        """Pass if all cells and collections passed; without any, if an image was built or code analysed.
+        """Pass if all cells and collections passed; without any, if an image was built or a stage of an add-on ran.
 
         Undecided if a cell is, and nothing failed.
         """
-        found = bool(self.judged or self.image is not None or self.analysis is not None)
+        found = bool(self.judged or self.image is not None or self.of_stages.all)
         comparable = self.baseline is None or not self.baseline.reasons
         whole = comparable and not any(each.reasons for each in self.exports)
-        whole = whole and (self.analysis is None or not self.analysis.reasons)
+        whole = whole and not any(each.reasons for each in self.of_stages.all)
         if not found or not whole or any(each.verdict == "fail" for each in self.judged):
             return "fail"
         return "undecided" if any(each.verdict == "undecided" for each in self.judged) else "pass"

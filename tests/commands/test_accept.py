@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from tests.addons.coverage.projects import git
 from tests.displaced import displace
+from tests.repositories import git
 
 ROOT = Path(__file__).parents[2]
 CONFIGURATION = """\

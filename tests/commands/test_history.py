@@ -15,8 +15,8 @@ import pytest
 from calibration.__main__ import main
 from calibration.engine.baseline.document import Baseline, write_baseline
 from calibration.engine.baseline.snapshot import Snapshot
-from tests.addons.coverage.projects import git
 from tests.engine.baseline.scenes import stereo, taken
+from tests.repositories import git
 
 PROJECT = Path(__file__).parents[2]
 FILE = "calibration-baseline.json"

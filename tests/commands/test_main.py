@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from calibration import __main__ as entry
-from calibration.__main__ import COMMANDS, LazyCommand, main, run_action
+from calibration.__main__ import COMMANDS, main, run_action
+from calibration.base.addons import LazyCommand
 from calibration.base.errors import ExitCode, InfrastructureError, InputError, UndeterminedError
 from calibration.commands import parameters
-from tests.addons.coverage.projects import needs_git
+from tests.repositories import needs_git
 
 
 @pytest.fixture(autouse=True)

@@ -14,8 +14,8 @@ import pytest
 import yaml
 
 from calibration.pipeline.results import read_results
-from tests.addons.coverage.projects import git
 from tests.ci.github.stand_in import TOKEN, GitHub, github
+from tests.repositories import git
 from tests.robot.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
 
 from .conftest import FORK, Repository, Run, calibration, commit

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.addons.coverage.projects import git
 from tests.ci.github.stand_in import TOKEN, GitHub, github
 from tests.displaced import displace
+from tests.repositories import git
 
 from .conftest import FORK, PROJECT, Repository, Run, calibration, commit
 from .pipeline import Caller

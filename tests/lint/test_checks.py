@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.addons.coverage.projects import needs_git
 from tests.e2e.conftest import tool
+from tests.repositories import needs_git
 
 from . import documents, shell, yaml_lines
 

@@ -10,8 +10,7 @@ import pytest
 from .yaml_lines import PROJECT
 
 PACKAGE = PROJECT / "calibration"
-UNCUT = {"commands", "pipeline", "ci"}
-"""Floors that still import add-ons by name."""
+
 ROW = re.compile(r"^\| `(\w+)` \| [^|]* \| ([^|]*) \|$", re.MULTILINE)
 
 
@@ -44,11 +43,22 @@ def test_the_top_level_has_few_names() -> None:
 
 @pytest.mark.parametrize("floor", floors())
 def test_a_floor_imports_only_those_that_its_row_names(floor: str) -> None:
-    allowed = {floor, *floors()[floor], *({"addons"} if floor in UNCUT else ())}
+    allowed = {floor, *floors()[floor]}
     found = [
         f"{file.relative_to(PROJECT)}:{line}: {'.'.join(parts)}"
         for file in sorted((PACKAGE / floor).rglob("*.py"))
         for line, parts in imported_modules(file)
         if parts[0] in floors() and parts[0] not in allowed
+    ]
+    assert found == []
+
+
+def test_no_addon_imports_another_one() -> None:
+    found = [
+        f"{file.relative_to(PROJECT)}:{line}: {'.'.join(parts)}"
+        for addon in (PACKAGE / "addons").iterdir()
+        for file in sorted(addon.rglob("*.py"))
+        for line, parts in imported_modules(file)
+        if parts[0] == "addons" and parts[1:2] != [addon.name]
     ]
     assert found == []

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from calibration.pipeline.commit_of_run import commit_of_run
-from tests.addons.coverage.projects import git
+from tests.repositories import git
 
 
 def test_the_checkout_s_commit_or_the_branch_s_of_a_pull_request(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import jsonschema
 import numpy as np
 import pytest
 
-from calibration.addons.recorder.preview import preview
 from calibration.engine.dataset.modalities import LIDAR2D
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import find_truth
@@ -128,12 +127,3 @@ def test_its_expected_noise_is_its_own(system: System) -> None:
     scales = expected_noise(system).scales
     assert scales["lidar2d_range"] == pytest.approx(np.hypot(0.01, 0.001 / 12**0.5))
     assert scales["lidar2d_border"] == pytest.approx(np.radians(0.25) / 12**0.5)
-
-
-def test_the_recorder_shows_its_points(system: System) -> None:
-    motion = read_motion(DATASETS / "rlbot" / "motion.json")
-    detected = detects(system, LIDAR, "pattern_1", place(system, motion))
-    view = preview(system, motion.take([int(detected.argmax())])).views[LIDAR]
-    assert view.detected
-    assert np.isfinite(view.points).all()
-    assert 10 < view.on_pattern.sum() < len(view.points)

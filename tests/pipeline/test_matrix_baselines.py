@@ -21,10 +21,10 @@ from calibration.pipeline.result_messages import baseline_line
 from calibration.pipeline.result_tables import changes_table
 from calibration.pipeline.results import Results
 from calibration.pipeline.system import NoiseGrid, System
-from tests.addons.coverage.projects import git
 from tests.displaced import displace
 from tests.engine.baseline.scenes import stereo, taken
 from tests.pipeline.matrix.test_cell_verdict import CELL
+from tests.repositories import git
 
 ROOT = Path(__file__).parents[2]
 FILE = "calibration-baseline.json"

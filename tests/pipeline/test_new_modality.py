@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from calibration.addons.recorder.preview import preview
 from calibration.base.records import record
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.modalities import LIDAR2D, MODALITIES, IndexedPoints, Modality, PointData
@@ -19,10 +18,8 @@ from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
-from calibration.robot.simulation.motion.sequence import read_motion
 from calibration.robot.simulation.sensors import SIMULATED_SENSORS, SimulatedLidar2d
 from calibration.robot.simulation.sensors.sensor import Data
-from calibration.robot.simulation.system import read_system
 from tests.pipeline.systems import with_scanner
 
 SONAR = "lidar_right"
@@ -69,13 +66,20 @@ class SimulatedSonar(SimulatedLidar2d):
         return {"first_rad": self.angle_min, "step_rad": self.step, "ranges_mm": ranges}
 
 
-def test_it_is_collected_calibrated_evaluated_and_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a system with a sonar, whose modality is registered."""
     monkeypatch.setitem(MODALITIES, SONAR2D.name, SONAR2D)
     monkeypatch.setitem(SIMULATED_SENSORS, SONAR2D.name, SimulatedSonar)
-    source, output = tmp_path / "system", tmp_path / "output"
-    source.mkdir()
-    config = with_scanner(source) / "config.yml"
+    folder = tmp_path / "system"
+    folder.mkdir()
+    config = with_scanner(folder) / "config.yml"
     config.write_text(config.read_text().replace("lidar2d", SONAR2D.name))
+    return folder
+
+
+def test_it_is_collected_calibrated_and_evaluated(source: Path, tmp_path: Path) -> None:
+    output = tmp_path / "output"
     assert collect_dataset(CollectionRequest(source, motion="generate:10"), output).verdict == "pass"
 
     described = json.loads((output / "dataset.json").read_text())["sensors"][SONAR]
@@ -85,6 +89,3 @@ def test_it_is_collected_calibrated_evaluated_and_shown(tmp_path: Path, monkeypa
     assert found.noise_levels.lidar2d_range == pytest.approx(0.01, rel=0.2)
     table = parse_evaluation(f"lidar-to-rgb:{SONAR}:rgb_left").run(found.dataset, find_truth(dataset))
     assert 0 < table.average("RMS (pix)") < 6
-    view = preview(read_system(source), read_motion(output / "motion.json").take([0])).views[SONAR]
-    assert view.detected
-    assert view.points is not None

@@ -12,7 +12,7 @@ import pytest
 from calibration.__main__ import main
 from calibration.pipeline.page import run_page
 from calibration.pipeline.page.worst_views import SHOWN
-from tests.addons.recorder.browser import CHROMIUM
+from tests.chromium import CHROMIUM
 
 pytest.importorskip("playwright")
 pytest.importorskip("axe_playwright_python")

@@ -7,5 +7,32 @@ Knows nothing of calibration, and runs nothing of what it analyses.
 - ``programs``, ``analysers``: the external programs, one module each, and their output as findings;
 - ``comparison``, ``suppressions``, ``limits``: new findings, accepted findings, and limits of their number;
 - ``sarif``, ``results``, ``report``: the output formats;
-- ``process``: the process of the command.
+- ``static_analysis``, ``process``: the command, and its process;
+- ``stage``, ``stage_result``: the stage analyse of a pipeline.
 """
+
+from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyCommand, SchemaFile
+
+ADDON = Addon(
+    commands={
+        "static-analysis": LazyCommand(
+            f"{__name__}.static_analysis:command", "Check the code for errors; fail for those that a change adds."
+        )
+    },
+    sections={
+        "analysis": DocumentSection(
+            f"{__name__}.settings:AnalysisSettings",
+            "Static analysis of the repository around this file, a stage of run; {} for the defaults.",
+        )
+    },
+    stages={
+        "analyse": AddonStage(
+            f"{__name__}.stage:analyse_stage",
+            section="analysis",
+            result=DocumentSection(
+                f"{__name__}.stage_result:Analysed", "Static analysis, where calibration.yml asks for it."
+            ),
+        )
+    },
+    schemas={"analysis": SchemaFile(__name__, "results.schema.json", "results:Results", "static-analysis")},
+)

@@ -1,7 +1,7 @@
 """AWS Batch: the backend ``aws-batch`` of `calibration.ci.execution.backends`.
 
-Its interface is `backend`, opened by name; `settings` (the section of calibration.yml), `policy` and `submitting`
-(leftovers of killed runs) serve commands. The other modules are private:
+Its interface is `ADDON`: `backend` and `leftovers` (of killed runs), opened by name, `settings` (the section of
+calibration.yml), `ecr` and the command `aws_policy`. The other modules are private:
 
 - before a run: `checks` of the jobs, `job_queue`, `costs`
 - requests: `inputs`, `documents`; jobs of one shape share a `definition`, and a `submission` in arrays
@@ -9,3 +9,23 @@ Its interface is `backend`, opened by name; `settings` (the section of calibrati
 - in the task: `inside`, which shares only `wire` (keys, variables, folders) and `documents` with the client
 - access to AWS: `session`, `store`, `workers`
 """
+
+from calibration.base.addons import Addon, BackendKind, DocumentSection, LazyCommand, SchemaFile
+
+ADDON = Addon(
+    commands={
+        "aws-policy": LazyCommand(
+            f"{__name__}.aws_policy:command", "Print the IAM policies that jobs on AWS Batch need."
+        )
+    },
+    sections={
+        "aws-batch": DocumentSection(
+            f"{__name__}.settings:BatchSettings", "Settings of AWS Batch, for containers that run there."
+        )
+    },
+    backends={
+        "aws-batch": BackendKind(f"{__name__}.backend:open_batch", f"{__name__}.leftovers:open_leftovers", resumes=True)
+    },
+    registry_logins={"ecr": f"{__name__}.ecr:ecr_credentials"},
+    schemas={"aws-batch": SchemaFile(__name__, "batch.schema.json", "settings:BatchFile")},
+)

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Self
 
 from calibration.addons.aws_batch.session import Aws
+from calibration.addons.aws_batch.settings import AWS_BATCH
 from calibration.addons.aws_batch.submitting import CloudLeftover, deregister, find_in_queue, find_old, terminate
-from calibration.ci.execution.backends import AWS_BATCH, Left, Leftovers, read_sections
+from calibration.ci.execution.backends import Left, Leftovers, read_sections
 from calibration.ci.execution.docker.labels import Owner
 
 

@@ -11,6 +11,8 @@ Platform = Literal["fargate", "ec2"]
 privileges and shared memory; tasks share the instance's network, so their ports may conflict."""
 Architecture = Literal["x86_64", "arm64"]
 
+AWS_BATCH = "aws-batch"
+"""Name of the backend, and of its section of calibration.yml."""
 _QUEUE = "[A-Za-z0-9][A-Za-z0-9_-]{0,127}"
 _FOLDER = "[A-Za-z0-9_][A-Za-z0-9_.=-]*"
 Region = Annotated[str, matching("[a-z]{2}(-[a-z]+)+-[0-9]", "the name of a region such as eu-west-1")]

@@ -2,7 +2,7 @@
 
 Independent of calibration.
 
-- ``upload``: the implementation of the command ``coverage-upload``;
+- ``coverage_upload``, ``upload``: the command ``coverage-upload``, and its implementation;
 - ``lines``: covered lines and branches of a file;
 - ``command``, ``tests``: the test command and its outcome; ``injection``: coverage.py in the team's own Python;
 - ``data_file``, ``formats``, ``junit``: the formats of coverage.py, other tools (Cobertura, LCOV) and pytest;
@@ -10,3 +10,14 @@ Independent of calibration.
 - ``commit``, ``codacy``: the commit that the coverage belongs to, and the service that receives it;
 - ``results``, ``report``, ``badge``: the verdict and its presentation.
 """
+
+from calibration.base.addons import Addon, LazyCommand, SchemaFile
+
+ADDON = Addon(
+    commands={
+        "coverage-upload": LazyCommand(
+            f"{__name__}.coverage_upload:command", "Run tests, check their coverage, and upload it."
+        )
+    },
+    schemas={"coverage": SchemaFile(__name__, "results.schema.json", "results:Results", "coverage-upload")},
+)

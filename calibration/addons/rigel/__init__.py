@@ -7,3 +7,13 @@ Formats: 0.3.0 (``application``, ``jobs``, ``sequences`` with stages), the older
 sequences as lists, ``{{ name }}``), and requests of RoboMaker's ``CreateSimulationJob``. Nothing in a Rigelfile
 is executed, and no environment variable is read.
 """
+
+from calibration.base.addons import Addon, LazyCommand
+
+ADDON = Addon(
+    commands={
+        "import-rigelfile": LazyCommand(
+            f"{__name__}.import_rigelfile:command", "Convert a Rigelfile to calibration.yml."
+        )
+    }
+)

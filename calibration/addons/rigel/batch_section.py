@@ -9,7 +9,7 @@ from calibration.addons.rigel.notes import Notes
 from calibration.addons.rigel.substitution import plain
 from calibration.base.errors import InputError
 from calibration.base.records import Place, flat_fields, read_as
-from calibration.ci.execution.backends import AWS_BATCH, KINDS
+from calibration.ci.execution.backends import SECTIONS
 
 NO_REGION, NO_BUCKET, TO_DO = "xx-todo-1", "todo", "TODO"
 """Placeholders for unknown values: syntactically valid names that do not exist."""
@@ -158,8 +158,11 @@ def _fits(key: str, value: str) -> bool:
 
 
 def _is(key: str, value: object) -> bool:
+    if "aws-batch" not in SECTIONS:  # the add-on is not installed, and so its limits of values are unknown
+        return True
+    settings, _ = SECTIONS["aws-batch"]
     try:
-        read_as(flat_fields(KINDS[AWS_BATCH].settings)[key].type, value, Place(""))
+        read_as(flat_fields(settings)[key].type, value, Place(""))
     except InputError:
         return False
     return True

@@ -55,6 +55,7 @@ from calibration.base.records.declaration import (
     record,
     result,
     unknown_key,
+    with_fields,
 )
 from calibration.base.records.place import Misfit, Place, shown
 from calibration.base.records.reading import changed, read, read_as
@@ -89,4 +90,5 @@ __all__ = [
     "text_of",
     "unknown_key",
     "value_of",
+    "with_fields",
 ]

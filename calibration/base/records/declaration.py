@@ -161,6 +161,22 @@ def result(cls: Any = None, /, **options: Any) -> Any:
     return declare if cls is None else declare(cls)
 
 
+def with_fields(fields: Mapping[str, tuple[Any, Any]]) -> Callable[[_Class], _Class]:
+    """Add fields to a class, below ``@record``, which are known only at run time, such as those of add-ons.
+
+    Args:
+        fields: type and `field` by name.
+    """
+
+    def add(cls: _Class) -> _Class:
+        cls.__annotations__ = {**cls.__annotations__, **{name: kind for name, (kind, _) in fields.items()}}
+        for name, (_, declared) in fields.items():
+            setattr(cls, name, declared)
+        return cls
+
+    return add
+
+
 def is_record(kind: Any) -> bool:
     """Return whether a type is a record."""
     return isinstance(kind, type) and hasattr(kind, _SETTINGS)

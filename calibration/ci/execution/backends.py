@@ -1,20 +1,19 @@
 """Registry of backends, and their interface for the rest of the package.
 
-A backend for jobs is an entry of `KINDS`: its factory, its section of calibration.yml, and the removal of leftovers
-of killed runs.
+A backend for jobs is an entry of `KINDS`: its factory, and the removal of leftovers of killed runs. Its settings are
+the section of calibration.yml that is named as it.
 """
 
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar
 
-from calibration.addons.aws_batch.settings import BatchSettings
+from calibration.base.addons import BackendKind, import_attribute, of_addons
 from calibration.base.errors import InputError
-from calibration.base.records import field, flat_fields, read, record
+from calibration.base.records import field, flat_fields, read, record, with_fields
 from calibration.base.text import did_you_mean
 from calibration.base.variables import with_variables
 from calibration.base.yaml_file import read_yaml
@@ -84,51 +83,47 @@ class Backend(Protocol[Work, Outcome]):
 JobBackend = Backend[Job, JobOutcome]
 
 
-@dataclass(frozen=True)
-class BackendKind:
-    """Registration of a backend for jobs; its modules are imported when it is opened."""
-
-    target: str
-    """``module:callable``, which creates the backend, a context manager, for a `ExecutionTarget`."""
-    leftovers: str
-    """``module:callable``, which creates its `Leftovers`."""
-    settings: Any = None
-    """Record of its section of calibration.yml, named as the backend; None if it has none."""
-    resumes: bool = False
-    """Whether results outlive the command, so that a run of the same name reuses them and runs only missing jobs."""
-
-
 EMBEDDED = "embedded"
 """Functions of this package, in processes of this machine."""
-DOCKER, AWS_BATCH = "docker", "aws-batch"
+DOCKER = "docker"
 KINDS: Mapping[str, BackendKind] = {
     DOCKER: BackendKind(
         "calibration.ci.execution.docker.backend:open_docker",
         "calibration.ci.execution.docker.leftovers:EngineLeftovers",
     ),
-    AWS_BATCH: BackendKind(
-        "calibration.addons.aws_batch.backend:open_batch",
-        "calibration.addons.aws_batch.leftovers:open_leftovers",
-        settings=BatchSettings,
-        resumes=True,
-    ),
+    **of_addons(lambda addon: addon.backends),
 }
-"""Backends for jobs of containers by name; register further ones here."""
+"""Backends for jobs of containers by name."""
 CONTAINERS = tuple(KINDS)
+CLOUDS = tuple(name for name, kind in KINDS.items() if kind.resumes)
+CLOUDS_TEXT = " or ".join(CLOUDS) or "of a cloud, and none is installed"
 BACKENDS = (EMBEDDED, *CONTAINERS)
-ContainerBackend = Literal["docker", "aws-batch"]
-BackendName = Literal["embedded", ContainerBackend]
+if TYPE_CHECKING:
+    ContainerBackend: TypeAlias = str
+    BackendName: TypeAlias = str
+else:
+    ContainerBackend = Literal[CONTAINERS]
+    BackendName = Literal[BACKENDS]
+SECTIONS = {
+    name: (import_attribute(section.record), section.help)
+    for name, section in of_addons(lambda addon: addon.sections).items()
+}
+"""Record and description of each section that an add-on has in calibration.yml."""
 
 
 @record
+@with_fields(
+    {
+        name.replace("-", "_"): (kind | None, field(description, default=None))
+        for name, (kind, description) in SECTIONS.items()
+    }
+)
 class Sections:
-    """Settings of backends, each in the section of calibration.yml that is named as the backend."""
+    """Sections of calibration.yml that add-ons bring; that of a backend has its name."""
 
-    aws_batch: BatchSettings | None = field("Settings of AWS Batch, for containers that run there.", default=None)
-
-    def of(self, backend: str) -> Any:
-        """Return the settings of a backend; None if the file has no section for it."""
-        return getattr(self, backend.replace("-", "_"), None)
+    def of(self, name: str) -> Any:
+        """Return the record of a section; None if the file has none of this name."""
+        return getattr(self, name.replace("-", "_"), None)
 
 
 def check_backend(name: str, known: tuple[str, ...] = BACKENDS) -> None:
@@ -138,7 +133,7 @@ def check_backend(name: str, known: tuple[str, ...] = BACKENDS) -> None:
         InputError: the message lists the known ones.
     """
     if name not in known:
-        expected = f"{', '.join(known[:-1])} or {known[-1]}"
+        expected = " or ".join(filter(None, (", ".join(known[:-1]), known[-1])))
         raise InputError(f"backend: found '{name}', expected {expected}{did_you_mean(name, known)}")
 
 
@@ -168,13 +163,12 @@ class ExecutionTarget:
         Raises:
             InputError: its section is missing, or the name of the run is invalid.
         """
-        kind = KINDS[self.backend]
-        if kind.settings and self.settings is None:
+        if self.backend in SECTIONS and self.settings is None:
             raise InputError(
                 f"backend: found {self.backend}, but its settings are missing: expected a section {self.backend} in "
                 "calibration.yml, or a file with one"
             )
-        backend: AbstractContextManager[JobBackend] = imported(kind.target)(self)
+        backend: AbstractContextManager[JobBackend] = import_attribute(KINDS[self.backend].target)(self)
         return backend
 
 
@@ -184,16 +178,10 @@ def read_sections(backend: str, path: Path) -> Sections:
     Raises:
         InputError: the file or the section is missing or wrong; the message names file and key.
     """
-    kind = KINDS[backend].settings
+    kind, _ = SECTIONS[backend]
     document = read_yaml(path, f"a file with a section {backend}")
     if not isinstance(document, dict) or backend not in document:
         required = ", ".join(key for key, each in flat_fields(kind).items() if each.required)
         raise InputError(f"{path}: missing {backend}: {required}")
-    where = f"{path}: {backend}"
-    return Sections(**{backend.replace("-", "_"): read(kind, with_variables(document[backend], where), where)})
-
-
-def imported(target: str) -> Any:
-    """Import ``module:attribute``."""
-    module, _, attribute = target.partition(":")
-    return getattr(import_module(module), attribute)
+    section = with_variables(document[backend], f"{path}: {backend}")
+    return read(Sections, {backend: section}, str(path))

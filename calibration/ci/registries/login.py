@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 from docker import auth, errors
 
+from calibration.base.addons import import_attribute, of_addons
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.text import one_line, shorten
 from calibration.ci.registries.credentials import Credentials, RegistrySettings
@@ -44,14 +45,17 @@ def _credentials(
 ) -> Credentials:
     if settings.username or settings.password_variable:
         return _from_settings(settings, registry, environment)
-    if settings.kind != "ecr":
-        found = _from_docker(registry, settings.insecure)
-        if found is not None:
-            return found
-    if settings.kind == "ecr" or is_ecr(registry):
-        from calibration.addons.aws_batch.ecr import ecr_credentials  # boto3 is needed only here
-
-        return ecr_credentials(name, runner, settings.create_repository, settings.insecure)
+    if settings.kind is None and (known := _from_docker(registry, settings.insecure)) is not None:
+        return known
+    if (kind := settings.kind or ("ecr" if is_ecr(registry) else None)) is not None:
+        logins = of_addons(lambda addon: addon.registry_logins)
+        if kind not in logins:
+            raise InputError(
+                f"{registry}: no add-on for registries of kind {kind} is installed: log in with docker login, or give "
+                "username and password-variable"
+            )
+        found: Credentials = import_attribute(logins[kind])(name, runner, settings.create_repository, settings.insecure)
+        return found
     return Credentials(registry, insecure=settings.insecure)
 
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.addons.analysis.settings import AnalysisSettings
+from calibration.base.addons import AddonStage, import_attribute, of_addons
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.text import did_you_mean
 from calibration.base.yaml_file import line_of
-from calibration.ci.execution.backends import ExecutionTarget, imported
+from calibration.ci.execution.backends import ExecutionTarget, Sections
 from calibration.ci.execution.folder_lock import locked
 from calibration.ci.report import Report, publish
 from calibration.ci.workflow import Runner
@@ -23,7 +23,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.page.run_page import accepted_history, report_page
 from calibration.pipeline.report import report, write_cells, write_results
-from calibration.pipeline.results import PAGE_FILE, Results, clear_results
+from calibration.pipeline.results import PAGE_FILE, Results, StageResult, clear_results
 
 if TYPE_CHECKING:
     from calibration.ci.image.specification import ImageSpecification
@@ -57,8 +57,8 @@ class Run:
     """Image of the stage build."""
     baseline: BaselineSettings | None = None
     """Baseline and allowed changes; None for no comparison."""
-    analysis: AnalysisSettings | None = None
-    """Settings of the stage analyse; None for no analysis."""
+    sections: Sections = field(default_factory=Sections)
+    """Sections of calibration.yml for the stages of add-ons."""
     target: ExecutionTarget = field(default_factory=ExecutionTarget)
     """Execution target of the containers, and settings of the others."""
     results: Results = field(default_factory=Results)
@@ -72,6 +72,11 @@ class Run:
         theirs = [container for each in self.simulations for container in each.applications.containers]
         return not all(container.image for container in (*software, *theirs))
 
+    def with_result(self, section: str, result: StageResult) -> "Run":
+        """Return the run with the result of an add-on's stage."""
+        of_stages = replace(self.results.of_stages, **{section: result})
+        return replace(self, results=replace(self.results, of_stages=of_stages))
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -83,6 +88,10 @@ class Stage:
     """Returns whether the stage has something to do in a run."""
 
 
+def _stage_of_addon(stage: AddonStage) -> Stage:
+    return Stage(stage.target, lambda run: run.sections.of(stage.section) is not None)
+
+
 STAGES: Mapping[str, Stage] = {
     "build": Stage("calibration.pipeline.stages.building:build_stage", lambda run: run.image is not None),
     "collect": Stage("calibration.pipeline.stages.collecting:collect_stage", lambda run: bool(run.simulations)),
@@ -92,7 +101,7 @@ STAGES: Mapping[str, Stage] = {
         "calibration.pipeline.stages.exporting:export_stage",
         lambda run: any(system.exports for system in run.matrix.systems),
     ),
-    "analyse": Stage("calibration.pipeline.stages.analysing:analyse_stage", lambda run: run.analysis is not None),
+    **{name: _stage_of_addon(stage) for name, stage in of_addons(lambda addon: addon.stages).items()},
     "promote": Stage(
         "calibration.pipeline.stages.building:promote_stage", lambda run: bool(run.image and run.image.promote)
     ),
@@ -124,13 +133,13 @@ def _run_stages(run: Run, stages: Collection[str]) -> Results:
     try:
         for name, stage in STAGES.items():
             if stage.applies(run) and (name in stages or (name == "build" and run.wants_image)):
-                run = imported(stage.target)(run)
+                run = import_attribute(stage.target)(run)
         write_cells(run.results, run.output, run.jobs)
         found = report(run.results, run.output, run.title)
         files = {**found.files, PAGE_FILE: _page(found, run)}
     except BaseException as error:  # signals too: the results of earlier stages are kept for another run
         # results of an earlier run are not replaced if only an image was built
-        if run.results.judged or run.results.analysis:
+        if run.results.judged or run.results.of_stages.all:
             why = str(error) if isinstance(error, CalibrationError) else "it was stopped"
             write_results(run.results, run.output, why)
         raise

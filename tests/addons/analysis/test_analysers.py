@@ -10,7 +10,7 @@ from calibration.addons.analysis.copies import Copy, may_be_analysed
 from calibration.addons.analysis.finding import Finding
 from calibration.addons.analysis.programs import module, run_program
 from calibration.base.errors import InfrastructureError
-from tests.addons.coverage.projects import write
+from tests.repositories import write
 
 WORKFLOW = """on: pull_request_target
 jobs:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from calibration.addons.analysis.comparison import Compared, compare
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.finding import Finding
-from tests.addons.coverage.projects import write
+from tests.repositories import write
 
 MARK = "eval("
 

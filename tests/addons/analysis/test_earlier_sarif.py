@@ -9,7 +9,7 @@ import pytest
 from calibration.__main__ import main
 from calibration.addons.analysis.earlier_sarif import read_earlier
 from calibration.base.errors import InputError
-from tests.addons.coverage.projects import commit
+from tests.repositories import commit
 
 BAD = "def calculated(text):\n    return eval(text)\n"
 

@@ -7,7 +7,7 @@ import pytest
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.finding import Finding
 from calibration.addons.analysis.metrics import CodeMetrics, grade_badge, grade_of, measure
-from tests.addons.coverage.projects import write
+from tests.repositories import write
 
 BODY = "".join(f"    total = total * {n} + table[{n}] - other[{n}]\n" for n in range(40))
 FUNCTION = "def {name}(total, table, other):\n" + BODY + "    return total\n\n\n"

@@ -17,9 +17,9 @@ from calibration.addons.aws_batch.wire import FIRST, JOBS_PER_FILE, LOCATION, OU
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
-from tests.aws.emulator.attempt import Attempt, Ended
-from tests.aws.emulator.instant import ended
-from tests.aws.fixtures import BUCKET, QUEUE, REGION, Aws
+from tests.addons.aws_batch.emulator.attempt import Attempt, Ended
+from tests.addons.aws_batch.emulator.instant import ended
+from tests.addons.aws_batch.fixtures import BUCKET, QUEUE, REGION, Aws
 
 SETTINGS = BatchSettings(
     region=REGION,

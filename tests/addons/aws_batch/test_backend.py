@@ -39,10 +39,10 @@ from tests.addons.aws_batch.client import (
     unpacked,
     wait_for,
 )
-from tests.aws.emulator.attempt import Attempt
-from tests.aws.emulator.faults import child
-from tests.aws.emulator.instant import ended, failed_to_start, host_lost
-from tests.aws.fixtures import BUCKET, Aws
+from tests.addons.aws_batch.emulator.attempt import Attempt
+from tests.addons.aws_batch.emulator.faults import child
+from tests.addons.aws_batch.emulator.instant import ended, failed_to_start, host_lost
+from tests.addons.aws_batch.fixtures import BUCKET, Aws
 
 pytestmark = pytest.mark.usefixtures("quick")
 

@@ -18,10 +18,10 @@ from calibration.ci.execution.outcome import End
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay
 from tests.addons.aws_batch.client import SETTINGS, Did, Tasks, container, job, jobs, run_jobs, wait_for
-from tests.aws.emulator.attempt import Attempt
-from tests.aws.emulator.instant import ended
-from tests.aws.fixtures import REGION
-from tests.aws.fixtures import Aws as FakeAws
+from tests.addons.aws_batch.emulator.attempt import Attempt
+from tests.addons.aws_batch.emulator.instant import ended
+from tests.addons.aws_batch.fixtures import REGION
+from tests.addons.aws_batch.fixtures import Aws as FakeAws
 
 pytestmark = pytest.mark.usefixtures("quick")
 GROUP = "/aws/batch/job"

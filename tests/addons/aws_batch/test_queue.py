@@ -24,9 +24,9 @@ from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.execution.docker.labels import Owner
 from calibration.ci.execution.job import Limits
 from tests.addons.aws_batch.client import SETTINGS, Tasks, container, job, jobs, running, wait_for
-from tests.aws.emulator.faults import named
-from tests.aws.fixtures import QUEUE, REGION
-from tests.aws.fixtures import Aws as FakeAws
+from tests.addons.aws_batch.emulator.faults import named
+from tests.addons.aws_batch.fixtures import QUEUE, REGION
+from tests.addons.aws_batch.fixtures import Aws as FakeAws
 
 pytestmark = pytest.mark.usefixtures("quick")
 

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from tests.addons.aws_batch.client import Did, Tasks
-from tests.aws.fixtures import Aws
+from tests.addons.aws_batch.fixtures import Aws
 
 JOBS = 300
 PROGRAM = """

@@ -12,8 +12,8 @@ from calibration.addons.aws_batch.aws_errors import AwsLostError, aws_errors
 from calibration.addons.aws_batch.session import Aws
 from calibration.addons.aws_batch.store import Store
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
-from tests.aws.fixtures import BUCKET, REGION
-from tests.aws.fixtures import Aws as FakeAws
+from tests.addons.aws_batch.fixtures import BUCKET, REGION
+from tests.addons.aws_batch.fixtures import Aws as FakeAws
 
 pytestmark = pytest.mark.usefixtures("quick")
 

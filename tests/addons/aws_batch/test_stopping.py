@@ -19,9 +19,9 @@ from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay
 from tests.addons.aws_batch.client import SETTINGS, Did, Tasks, job, jobs, run_jobs, running, wait_for
-from tests.aws.emulator.attempt import Attempt
-from tests.aws.emulator.faults import child, named
-from tests.aws.fixtures import Aws
+from tests.addons.aws_batch.emulator.attempt import Attempt
+from tests.addons.aws_batch.emulator.faults import child, named
+from tests.addons.aws_batch.fixtures import Aws
 
 pytestmark = pytest.mark.usefixtures("quick")
 

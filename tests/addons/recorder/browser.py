@@ -3,7 +3,6 @@
 import math
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -18,8 +17,8 @@ from playwright.sync_api import Locator, Page, expect, sync_playwright
 
 from calibration.addons.recorder.page import FIELD_OF_VIEW
 from calibration.base.arrays import Array
+from tests.chromium import CHROMIUM
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SOFTWARE_GRAPHICS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 PATIENCE = 60_000  # ms: a test that waits so long has failed
 SIZE = {"width": 1300, "height": 800}

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.commands import record_motion
+from calibration.addons.recorder import record_motion
 from tests.addons.recorder.conftest import DATASETS
 
 T2RGB = ("--system", str(DATASETS / "t2rgb"))

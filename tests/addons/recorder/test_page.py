@@ -18,8 +18,9 @@ from calibration.robot.simulation.system import System
 pytest.importorskip("playwright")
 from playwright.sync_api import expect
 
-from tests.addons.recorder.browser import CHROMIUM, browser, recorder
+from tests.addons.recorder.browser import browser, recorder
 from tests.addons.recorder.conftest import DATASETS
+from tests.chromium import CHROMIUM
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,8 +8,16 @@ from calibration.addons.recorder.preview import WIDTH, draw_corners, draw_depth,
 from calibration.addons.recorder.session import Session
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, translation
+from calibration.robot.simulation.motion.sequence import read_motion
+from calibration.robot.simulation.placement import place
 from calibration.robot.simulation.scene import Box, Scene
-from calibration.robot.simulation.system import System
+from calibration.robot.simulation.system import System, read_system
+from tests.pipeline.systems import with_scanner
+from tests.pipeline.test_lidar2d import LIDAR
+from tests.pipeline.test_new_modality import SONAR, source
+from tests.robot.simulation.conftest import DATASETS, detects
+
+__all__ = ["source"]
 
 
 def green(picture: np.ndarray) -> np.ndarray:
@@ -133,3 +142,20 @@ def test_a_pattern_far_away_is_lost(systems: dict[str, System]) -> None:
     assert T is not None
     session.drag(translation([30.0, 0.0, 0.0]) @ T)
     assert not preview(system, session.pose).kept
+
+
+def test_it_shows_the_points_of_a_2d_lidar(tmp_path: Path) -> None:
+    system = read_system(with_scanner(tmp_path))
+    motion = read_motion(DATASETS / "rlbot" / "motion.json")
+    detected = detects(system, LIDAR, "pattern_1", place(system, motion))
+    view = preview(system, motion.take([int(detected.argmax())])).views[LIDAR]
+    assert view.detected
+    assert np.isfinite(view.points).all()
+    assert 10 < view.on_pattern.sum() < len(view.points)
+
+
+def test_it_shows_a_modality_that_the_package_does_not_know(source: Path) -> None:
+    system = read_system(source)
+    view = preview(system, Session(system).pose).views[SONAR]
+    assert view.detected
+    assert view.points is not None

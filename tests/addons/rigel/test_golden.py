@@ -53,8 +53,10 @@ def test_our_own_reader_takes_it(name: str, tmp_path: Path, monkeypatch: pytest.
     configuration = read_configuration(path)
     assert configuration.systems
     assert "image" not in document or parse_image_specification(document["image"], tmp_path, "image").name
-    assert (configuration.sections.aws_batch is not None) == (name in ("robomaker", "simulation-job"))
-    assert all(each.backend == "aws-batch" for each in configuration.simulations if configuration.sections.aws_batch)
+    assert (configuration.sections.of("aws-batch") is not None) == (name in ("robomaker", "simulation-job"))
+    assert all(
+        each.backend == "aws-batch" for each in configuration.simulations if configuration.sections.of("aws-batch")
+    )
     if name == "matrix":
         assert configuration.noise.translations == configuration.noise.rotations == (0.0, 0.5)
         assert {system.name for system in configuration.systems} == {"calibrate_stereo", "calibrate_lidar"}

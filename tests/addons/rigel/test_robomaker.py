@@ -433,11 +433,13 @@ def test_what_is_left_to_do_makes_a_job_that_aws_batch_takes(
     configuration = read_configuration(tmp_path / "calibration.yml")
     [simulation] = configuration.simulations
     assert isinstance(simulation.request, ContainerRequest)
-    assert configuration.sections.aws_batch is not None
+    assert configuration.sections.of("aws-batch") is not None
     job = collection_job(simulation.request.applications.with_image("a"), "collection", "s", 1)
     check_jobs([job])
-    check_for_batch([job], configuration.sections.aws_batch)
+    check_for_batch([job], configuration.sections.of("aws-batch"))
     assert (
-        job_definition(shape_of(job, configuration.sections.aws_batch), configuration.sections.aws_batch)["type"]
+        job_definition(shape_of(job, configuration.sections.of("aws-batch")), configuration.sections.of("aws-batch"))[
+            "type"
+        ]
         == "container"
     )

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.base.errors import InputError
 from calibration.ci.git.repository import Repository
-from tests.addons.coverage.projects import git
+from tests.repositories import git
 
 FILE = "calibration-baseline.json"
 

@@ -19,7 +19,7 @@ import pytest
 from calibration.base.errors import CalibrationError, InputError
 from calibration.ci.git.repository import Repository
 from calibration.ci.image.labels import build_labels
-from tests.addons.coverage.projects import WHO, commit, git
+from tests.repositories import WHO, commit, git
 
 MISSING = "1" * 40
 FETCH = ("fetch", "--quiet", "origin", MISSING)

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from calibration.ci.image.labels import build_labels
-from tests.addons.coverage.projects import git
+from tests.repositories import git
 
 OURS = {"ci.calibration.key": "k", "ci.calibration.specification": "s"}
 

@@ -11,7 +11,7 @@ from calibration.addons.analysis.ros.check import check
 from calibration.addons.analysis.ros.mesh_checks import stl_size
 from calibration.addons.analysis.ros.tree import Tree
 from calibration.ci.git.repository import Repository
-from tests.addons.coverage.projects import commit
+from tests.repositories import commit
 
 
 def binary(*triangles: tuple[float, ...]) -> bytes:

@@ -24,11 +24,11 @@ from calibration.base.errors import ExitCode, InfrastructureError
 from calibration.ci.execution.extraction import RefusedError
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job
 from calibration.ci.execution.outcome import ArtifactFile, End
-from tests.aws.fixtures import BUCKET
+from tests.addons.aws_batch.fixtures import BUCKET
 from tests.docker_engine import wait_until
 
 if TYPE_CHECKING:
-    from tests.aws.fixtures import Aws
+    from tests.addons.aws_batch.fixtures import Aws
 
 _LARGE = 8 * 1024**2
 """Bytes; larger files are uploaded to S3 in parts."""

@@ -14,8 +14,8 @@ from calibration.addons.aws_batch.inside.watch import Timeouts, Watch
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import OUTPUT, Container, Job, Limits, Readiness
 from calibration.ci.execution.outcome import End
+from tests.addons.aws_batch.integration.inside.tasks import NONE, run_task, started
 from tests.docker_engine import PYTHON_IMAGE, wait_until
-from tests.integration.execution.batch_inside.tasks import NONE, run_task, started
 from tests.integration.execution.jobs import python, shell
 
 MIB = 1024**2

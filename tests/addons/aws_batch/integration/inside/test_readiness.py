@@ -6,8 +6,8 @@ import pytest
 pytest.importorskip("docker")
 
 from calibration.ci.execution.job import Container, Readiness
+from tests.addons.aws_batch.integration.inside.tasks import run_task
 from tests.docker_engine import free_port
-from tests.integration.execution.batch_inside.tasks import run_task
 from tests.integration.execution.jobs import python, shell
 
 SERVE = """

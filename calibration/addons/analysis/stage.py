@@ -1,11 +1,11 @@
 """Stage analyse: static analysis of the repository around the configuration."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from calibration.addons.analysis.process import analysed
+from calibration.addons.analysis.settings import AnalysisSettings
+from calibration.addons.analysis.stage_result import Analysed
 from calibration.ci.workflow import annotate
-from calibration.pipeline.results import Analysed
 from calibration.pipeline.stages.running import Run
 
 FOLDER = "static-analysis"
@@ -18,10 +18,9 @@ def analyse_stage(run: Run) -> Run:
         InputError: a setting is wrong, or there is nothing to analyse.
         InfrastructureError: an analyser is missing, fails or takes too long, or a file cannot be written.
     """
-    if run.analysis is None:
-        return run
+    settings: AnalysisSettings = run.sections.of("analysis")
     folder = run.output / FOLDER
-    report, found = analysed(run.analysis, run.config.parent if run.config else Path(), folder, run.runner)
+    report, found = analysed(settings, run.config.parent if run.config else Path(), folder, run.runner)
     report.write(folder)
     annotate(run.runner, report.annotations)
     result = Analysed(
@@ -30,4 +29,4 @@ def analyse_stage(run: Run) -> Run:
         folder=FOLDER,
         reasons=tuple(f"static analysis: {reason}" for reason in report.reasons),
     )
-    return replace(run, results=replace(run.results, analysis=result))
+    return run.with_result("analysis", result)

@@ -10,8 +10,8 @@ from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.ci.execution.backends import JobBackend
 from calibration.ci.execution.docker.backend import DockerBackend
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Mount, Readiness
-from tests.aws.emulator.faults import child
-from tests.aws.fixtures import BUCKET, QUEUE, REGION, Aws
+from tests.addons.aws_batch.emulator.faults import child
+from tests.addons.aws_batch.fixtures import BUCKET, QUEUE, REGION, Aws
 from tests.docker_engine import PYTHON_IMAGE
 
 ROBOT = f"""

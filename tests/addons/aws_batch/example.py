@@ -1,7 +1,7 @@
 """``make aws-example``: scenarios on an EMULATED AWS Batch, on this machine, without an account.
 
 What runs on AWS otherwise, the queue, the tasks with their two containers of ours, the bucket and the logs, is emulated
-here (`tests.aws.emulator`, and moto for the other services); containers are real ones of this machine's Docker Engine.
+here (`emulator`, and moto for the other services); containers are real ones of this machine's Docker Engine.
 """
 
 import argparse
@@ -12,10 +12,10 @@ from pathlib import Path
 
 import docker
 
-from tests.aws.fixtures import BUCKET, QUEUE, REGION, aws_in_containers, bridge_address
-from tests.aws.services import Services
+from tests.addons.aws_batch.fixtures import BUCKET, QUEUE, REGION, aws_in_containers, bridge_address
+from tests.addons.aws_batch.services import Services
 
-PROJECT = Path(__file__).resolve().parents[2]
+PROJECT = Path(__file__).resolve().parents[3]
 ROLE = "arn:aws:iam::123456789012:role/robots"
 
 

@@ -4,15 +4,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.aws.emulator.containers import LABEL
-from tests.aws.emulator.faults import child
-from tests.aws.fixtures import BUCKET, Aws, aws_in_containers
+from tests.addons.aws_batch.emulator.containers import LABEL
+from tests.addons.aws_batch.emulator.faults import child
+from tests.addons.aws_batch.fixtures import BUCKET, Aws, aws_in_containers
 from tests.docker_engine import PYTHON_IMAGE, wait_until
 
 if TYPE_CHECKING:
     from docker import DockerClient
 
-    from tests.aws.services import Services
+    from tests.addons.aws_batch.services import Services
 
 RESOURCES = [{"type": "VCPU", "value": "1"}, {"type": "MEMORY", "value": "64"}]
 LOST_HOSTS_ONLY = {

@@ -11,8 +11,10 @@ from calibration.ci.execution.docker.backend import DockerBackend
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Limits, Mount, Readiness
 from calibration.ci.execution.outcome import JobOutcome
 from tests.addons.aws_batch.client import SETTINGS, running
-from tests.aws.fixtures import Aws
+from tests.addons.aws_batch.fixtures import Aws
 from tests.docker_engine import PYTHON_IMAGE
+
+pytestmark = pytest.mark.usefixtures("python_image")
 
 
 def shell(text: str, name: str = "robot", **settings: object) -> Container:

@@ -9,7 +9,8 @@ import pytest
 from calibration.addons.coverage.junit import Tally
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.base.errors import InfrastructureError, InputError
-from tests.addons.coverage.projects import NAMING, TOKEN, commit, git, write
+from tests.addons.coverage.projects import NAMING, TOKEN
+from tests.repositories import commit, git, write
 
 from .conftest import Run
 
@@ -243,6 +244,6 @@ def test_git_knows_nothing_new(run: Run, root: Path, bare_python: str) -> None:
 def test_the_injected_programs_are_readable_for_old_pythons() -> None:
     import ast
 
-    folder = Path(__file__).parents[3] / "calibration/addons/coverage/injected"
+    folder = Path(__file__).parents[4] / "calibration/addons/coverage/injected"
     for path in folder.glob("*.py"):
         ast.parse(path.read_text(), feature_version=(3, 4))

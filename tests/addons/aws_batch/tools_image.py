@@ -22,7 +22,7 @@ NEEDED = ("numpy", "opencv-python-headless", "boto3", "click", "pyyaml", "defuse
 CLOUD_DATA = {"batch", "ecr", "logs", "s3", "sts"}
 """Services whose descriptions botocore keeps: all of them are 25 MB."""
 FOLDER = "/usr/local/lib/python{}.{}/dist-packages"
-PACKAGE = Path(__file__).resolve().parents[2] / "calibration"
+PACKAGE = Path(__file__).resolve().parents[3] / "calibration"
 COMPILED = "boto3, botocore.session, click, cv2, defusedxml.ElementTree, numpy.random, rich.console, yaml"
 """Modules whose bytecode is kept: every container would compile them anew."""
 ENTRY = "#!/usr/bin/python3\nimport sys\nfrom calibration.__main__ import main\nsys.exit(main())\n"

@@ -13,12 +13,12 @@ from calibration.ci.workflow import Runner
 from calibration.commands.target import RUN_FILE, execution_target, name_of_run
 from tests.addons.aws_batch.client import Did, Tasks
 from tests.addons.aws_batch.conftest import quick
-from tests.aws.emulator.attempt import Attempt
-from tests.aws.fixtures import BUCKET, QUEUE, REGION, Aws
+from tests.addons.aws_batch.emulator.attempt import Attempt
+from tests.addons.aws_batch.fixtures import BUCKET, QUEUE, REGION, Aws
 
 __all__ = ["quick"]
 
-T2RGB = Path(__file__).parents[2] / "datasets" / "t2rgb"
+T2RGB = Path(__file__).parents[3] / "datasets" / "t2rgb"
 ROLE = "arn:aws:iam::123456789012:role/robots"
 SECTION = (
     f"aws-batch: {{region: {REGION}, queue: '${{TEST_QUEUE}}', bucket: {BUCKET}, tools-image: 'team/tools:1', "
@@ -129,8 +129,8 @@ def test_a_section_that_has_been_read_counts_unless_a_file_is_given(tmp_path: Pa
     Path("cloud.yml").write_text(SECTION)
     runner = Runner.from_environment({})
     given = execution_target("aws-batch", Path("cloud.yml"), tmp_path, "r", False, runner).sections
-    assert given.aws_batch is not None
-    assert given.aws_batch.queue == QUEUE
+    assert given.of("aws-batch") is not None
+    assert given.of("aws-batch").queue == QUEUE
     assert execution_target("aws-batch", None, tmp_path, "r", False, runner, given).sections is given
     Path("cloud.yml").write_text(SECTION.replace("${TEST_QUEUE}", "another"))
     changed = execution_target("aws-batch", Path("cloud.yml"), tmp_path, "r", True, runner, given)

@@ -8,7 +8,7 @@ import pytest
 from calibration.base.errors import ExitCode, InputError
 from calibration.ci.workflow import Runner
 from calibration.commands.run import RunSettings, run
-from tests.addons.coverage.projects import git
+from tests.repositories import git
 
 CONFIGURATION = "systems: {robot: {dataset: robot}}\n"
 CODE = "def f():\n    return missing\n"

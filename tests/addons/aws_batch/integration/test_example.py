@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.aws import example
+from tests.addons.aws_batch import example
 
 
 def test_scenarios_run_without_an_account(

@@ -11,7 +11,7 @@ import pytest
 from calibration.__main__ import main, run_action
 from calibration.addons import analysis
 from calibration.addons.analysis import copies
-from tests.addons.coverage.projects import commit, git, write
+from tests.repositories import commit, git, write
 
 NAME = "static-analysis"
 SCHEMA = json.loads(Path(analysis.__file__ or "").with_name("results.schema.json").read_text())

@@ -14,12 +14,12 @@ import pytest
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import OUTPUT, Artifact
 from tests.addons.aws_batch import client
-from tests.aws.fixtures import Aws
+from tests.addons.aws_batch.fixtures import Aws
 
 if TYPE_CHECKING:
     from docker import DockerClient
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture(scope="module")

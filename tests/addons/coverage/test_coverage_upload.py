@@ -16,12 +16,14 @@ import jsonschema
 import pytest
 from defusedxml.ElementTree import parse
 
-from calibration.__main__ import COMMANDS, LazyCommand, main, run_action
+from calibration.__main__ import COMMANDS, main, run_action
 from calibration.addons import coverage
 from calibration.addons.coverage.upload import Settings
+from calibration.base.addons import LazyCommand
 from tests.addons.coverage import projects
-from tests.addons.coverage.projects import NAMING, TOKEN, commit, git, robot, write
+from tests.addons.coverage.projects import NAMING, TOKEN, robot
 from tests.processes import runs
+from tests.repositories import commit, git, write
 
 NAME = "coverage-upload"
 SCHEMA = json.loads(Path(coverage.__file__ or "").with_name("results.schema.json").read_text())
@@ -38,7 +40,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ]:
         monkeypatch.delenv(name)
     monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")  # so that remaining files are the command's
-    command = LazyCommand("calibration.commands.coverage_upload:command", "")
+    command = LazyCommand("calibration.addons.coverage.coverage_upload:command", "")
     monkeypatch.setitem(COMMANDS, NAME, command)  # type: ignore[index]
     root = robot(tmp_path / "p")
     write(tmp_path, {"c.xml": XML})
@@ -361,14 +363,14 @@ def test_the_tests_cannot_steal_the_token(server: projects.Codacy, tmp_path: Pat
     write(tmp_path, {"thief.py": THIEF})
     run = f"{sys.executable} {tmp_path / 'thief.py'} {hashlib.sha256(token.encode()).hexdigest()}"
     if action:  # as the runner does
-        step = f'exec bash "{Path(__file__).parents[2] / "actions/bootstrap.sh"}" {NAME}'
+        step = f'exec bash "{Path(__file__).parents[3] / "actions/bootstrap.sh"}" {NAME}'
         command = ["bash", "--noprofile", "--norc", "-e", "-o", "pipefail", "-c", step]
         given = {"INPUT_PROJECT_TOKEN": token, "INPUT_RUN": run, "INPUT_REPORTS": "../c.xml"}
         given |= {"INPUT_API_URL": server.url, "INPUT_PYTHON": sys.executable, "INPUT_SERVICE": "codacy"}
     else:
         command = [sys.executable, "-m", "calibration", NAME, "--run", run, "--reports", "../c.xml"]
         command += ["--api-url", server.url, "--service", "codacy"]
-        given = {"CODACY_PROJECT_TOKEN": token, "PYTHONPATH": str(Path(__file__).parents[2])}
+        given = {"CODACY_PROJECT_TOKEN": token, "PYTHONPATH": str(Path(__file__).parents[3])}
     done = subprocess.run(
         command,
         cwd=root,
@@ -533,7 +535,7 @@ def test_a_signal_stops_the_tests(root: Path, number: signal.Signals) -> None:
     commit(root, {"tests/test_naming.py": test})
     code = (
         "import sys; from calibration import __main__ as m; "
-        "m.COMMANDS['coverage-upload'] = m.LazyCommand('calibration.commands.coverage_upload:command', ''); "
+        "m.COMMANDS['coverage-upload'] = m.LazyCommand('calibration.addons.coverage.coverage_upload:command', ''); "
         "sys.exit(m.main())"
     )
     run = "pytest -s -q -p no:cacheprovider"

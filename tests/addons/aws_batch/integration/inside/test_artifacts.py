@@ -7,7 +7,7 @@ pytest.importorskip("docker")
 
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import OUTPUT, Artifact, Readiness
-from tests.integration.execution.batch_inside.tasks import run_task
+from tests.addons.aws_batch.integration.inside.tasks import run_task
 from tests.integration.execution.jobs import shell
 
 ALL = (Artifact(f"{OUTPUT}/*"),)

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.__main__ import main
 
-PROJECT = Path(__file__).resolve().parents[2]
+PROJECT = Path(__file__).resolve().parents[3]
 RIGELFILE = """
 application: {distro: noetic}
 jobs:

@@ -39,8 +39,8 @@ def test_each_has_its_place(tmp_path: Path, more: str, default: str) -> None:
     }
     target = configuration.target
     assert (target.backend, target.run, target.resume) == (default, None, False)
-    assert target.sections.aws_batch is not None
-    assert target.sections.aws_batch.queue == "robots"
+    assert target.sections.of("aws-batch") is not None
+    assert target.sections.of("aws-batch").queue == "robots"
 
 
 def test_the_default_is_this_machine(tmp_path: Path) -> None:

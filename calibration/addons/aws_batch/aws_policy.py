@@ -7,8 +7,9 @@ from pathlib import Path
 import click
 
 from calibration.addons.aws_batch.policy import HOLDERS, policy, trust
+from calibration.addons.aws_batch.settings import AWS_BATCH
 from calibration.base.errors import ExitCode
-from calibration.ci.execution.backends import AWS_BATCH, read_sections
+from calibration.ci.execution.backends import read_sections
 from calibration.commands.parameters import path
 
 _HOLDERS = ("caller", "job", "execution", "trust")
