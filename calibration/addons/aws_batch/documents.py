@@ -7,17 +7,16 @@ secrets: neither names nor values of secret variables, which AWS Batch sets in t
 """
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from calibration.base import json_file
-from calibration.base.errors import ExitCode, InfrastructureError
-from calibration.base.records import Constraint, Place, between, document_of, field, length, matching, read, record
+from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base.records import Converted, Place, between, document_of, field, length, read, record
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.extraction import RefusedError, path_parts
-from calibration.ci.execution.job import Artifact, Container, Job, Limits, Readiness
-from calibration.ci.execution.job_check import NAME
+from calibration.ci.execution.job import Container, Job, Limits, Relaxations
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End
 
 MOST_BYTES = 64 * 1024**2
@@ -28,13 +27,8 @@ _MOST_REASONS = 1000
 _LONGEST = 4096
 
 _Text = Annotated[str, length(most=_LONGEST)]
-_Texts = Annotated[tuple[Annotated[str, length(most=2**20)], ...], length(most=10_000)]
-_Seconds = Annotated[float, between(0, 1e9)]
+_Line = Annotated[str, Converted(_Text, lambda text, _: one_line(text))]
 _Count = Annotated[int, between(0, 2**63 - 1)]
-_Name = Annotated[str, matching(NAME.pattern, "the name of a container")]
-"""Container name, which is also used in file names."""
-_ExitCode = Annotated[int, between(0, 255)]
-_Few = length(most=1000)
 
 
 @record(case="snake", nulls=True)
@@ -48,53 +42,12 @@ class Input:
     writable: bool = field("Whether a container writes to it.", default=False)
 
 
-@record(case="snake", nulls=True)
-class _ReadinessEntry:
-    port: Annotated[int, between(1, 65535)] | None = field()
-    log: _Text | None = field()
-    file: _Text | None = field()
-    command: _Texts = field()
-    seconds: _Seconds = field()
-
-
-@record(case="snake", nulls=True)
-class _ArtifactEntry:
-    path: _Text = field()
-    required: bool = field()
-
-
-@record(case="snake", nulls=True)
-class _ContainerEntry:
-    name: _Name = field()
-    command: _Texts = field()
-    entrypoint: _Texts | None = field()
-    environment: Mapping[str, str] = field()
-    working_directory: _Text | None = field()
-    after: _Texts = field()
-    essential: bool = field()
-    success: Annotated[tuple[_ExitCode, ...], _Few] = field()
-    seconds: _Seconds | None = field()
-    memory: _Count | None = field()
-    readiness: _ReadinessEntry | None = field()
-    artifacts: Annotated[tuple[_ArtifactEntry, ...], _Few] = field()
-
-
-@record(case="snake", nulls=True)
-class _JobEntry:
-    job: _Text = field()
-    seconds: _Seconds | None = field()
-    artifact_bytes: _Count = field()
-    artifact_files: _Count = field()
-    containers: Annotated[tuple[_ContainerEntry, ...], _Few] = field()
-    mounts: Annotated[tuple[Input, ...], _Few] = field()
-
-
-@dataclass(frozen=True)
+@record
 class TaskJob:
-    """A job as the task reads it: its containers have no image, user, mounts or secrets."""
+    """A job as its task reads it: the containers have no image, user, mounts or secrets."""
 
-    job: Job
-    inputs: tuple[Input, ...] = ()
+    job: Job = field(flat=True)
+    inputs: tuple[Input, ...] = field("Initial content of the job's volumes.", default=())
 
 
 def mount_targets(job: Job) -> tuple[str, ...]:
@@ -103,21 +56,38 @@ def mount_targets(job: Job) -> tuple[str, ...]:
 
 
 def job_entry(job: Job, inputs: Iterable[Input], memory: int | None = None) -> dict[str, Any]:
-    """Return the entry of a job.
+    """Return the entry of a job: what its task needs, in the form of an entry of calibration.yml.
 
     Args:
         job: the job.
         inputs: content of its volumes.
         memory: default memory of a container, bytes.
     """
-    containers = tuple(_entry_of(container, memory) for container in job.containers)
-    entry = _JobEntry(job.name, job.seconds, job.artifact_bytes, job.artifact_files, containers, tuple(inputs))
-    return document_of(entry)
+    needed = tuple(_needed_by_task(container, memory) for container in job.containers)
+    by_name = {container.name: document_of(container, defaults=False) for container in needed}
+    return {
+        **document_of(TaskJob(replace(job, containers=()), tuple(inputs)), defaults=False),
+        "containers": by_name,
+    }
+
+
+def _needed_by_task(container: Container, memory: int | None) -> Container:
+    """Return a container without what AWS Batch sets: image, user, mounts, and the values and names of secrets."""
+    return replace(
+        container,
+        image="",
+        user=None,
+        mounts=(),
+        secrets=frozenset(),
+        environment={k: v for k, v in container.environment.items() if k not in container.secrets},
+        limits=Limits(memory=container.limits.memory or memory, seconds=container.limits.seconds),
+        relaxations=Relaxations(),
+    )
 
 
 def jobs_document(entries: Sequence[dict[str, Any]]) -> bytes:
     """Return the file for a list of jobs, reproducible byte for byte."""
-    return json.dumps(entries, separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
+    return json.dumps(entries, separators=(",", ":"), allow_nan=False).encode()
 
 
 def read_job(data: bytes, index: int, where: str) -> TaskJob:
@@ -134,15 +104,10 @@ def read_job(data: bytes, index: int, where: str) -> TaskJob:
     document = parse_json(data, MOST_BYTES, where)
     if not isinstance(document, list) or not 0 <= index < len(document):
         raise InfrastructureError(f"{where}: there is no job {index} in it")
-    entry = read(_JobEntry, document[index], f"{where}: job {index}", error=InfrastructureError)
-    job = Job(
-        name=entry.job,
-        seconds=entry.seconds,
-        artifact_bytes=entry.artifact_bytes,
-        artifact_files=entry.artifact_files,
-        containers=tuple(map(_container_of, entry.containers)),
-    )
-    return TaskJob(job, entry.mounts)
+    try:
+        return read(TaskJob, document[index], f"{where}: job {index}")
+    except InputError as error:
+        raise InfrastructureError(str(error)) from None
 
 
 def parse_json(data: bytes, most: int, where: str) -> object:
@@ -159,80 +124,23 @@ def parse_json(data: bytes, most: int, where: str) -> object:
         raise InfrastructureError(f"{where}: this is no JSON: {shorten(str(error), 200)}") from None
 
 
-def _entry_of(container: Container, memory: int | None) -> _ContainerEntry:
-    names = {each.name for each in fields(_ContainerEntry)}
-    own = {name: value for name, value in vars(container).items() if name in names}
-    readiness = container.readiness
-    return _ContainerEntry(
-        **own
-        | {
-            "environment": {k: v for k, v in container.environment.items() if k not in container.secrets},
-            "seconds": container.limits.seconds,
-            "memory": memory if container.limits.memory is None else container.limits.memory,
-            "readiness": None if readiness is None else _ReadinessEntry(**vars(readiness)),
-            "artifacts": tuple(_ArtifactEntry(**vars(artifact)) for artifact in container.artifacts),
-        }
-    )
-
-
-def _container_of(entry: _ContainerEntry) -> Container:
-    own = vars(entry).copy()
-    limits = Limits(memory=own.pop("memory"), seconds=own.pop("seconds"))
-    return Container(
-        **own
-        | {
-            "image": "",
-            "limits": limits,
-            "readiness": None if entry.readiness is None else Readiness(**vars(entry.readiness)),
-            "artifacts": tuple(Artifact(**vars(artifact)) for artifact in entry.artifacts),
-        }
-    )
-
-
 @record(case="snake", nulls=True)
-class _EndEntry:
-    name: _Text = field()
-    end: Annotated[str, Constraint(lambda value: value in set(End), " or ".join(End), whole=True)] = field()
-    exit_code: _ExitCode | None = field()
-    signal: Annotated[str, matching("SIG[A-Z0-9+]{1,20}", "a signal's name")] | None = field()
-    seconds: _Seconds = field()
-
-
-@record(case="snake", nulls=True)
-class _FileEntry:
-    path: Annotated[str, length(most=64 * 1024)] = field()
-    container: _Text = field()
-    size: _Count = field()
-    sha256: Annotated[str, matching("[0-9a-f]{64}", "64 hexadecimal digits")] = field()
-
-
-@record(case="snake", nulls=True)
-class _OutcomeEntry:
-    schema: Literal[1] = field()
-    job: _Text = field()
-    attempt: _Count = field()
-    exit_code: Annotated[int, between(0, max(ExitCode))] = field()
-    reasons: Annotated[tuple[_Text, ...], length(most=_MOST_REASONS)] = field()
-    seconds: _Seconds = field()
-    containers: tuple[_EndEntry, ...] = field()
-    artifacts: tuple[_FileEntry, ...] = field()
-    left_out: tuple[_Text, ...] = field()
-
-
-@dataclass(frozen=True)
 class TaskOutcome:
     """Outcome of one attempt at a job."""
 
-    job: str
-    attempt: int
-    """Counted from 1."""
-    exit_code: ExitCode
-    reasons: tuple[str, ...] = ()
-    seconds: float = 0.0
-    containers: tuple[ContainerOutcome, ...] = ()
-    """Without logs and images, which the task does not know."""
-    artifacts: tuple[ArtifactFile, ...] = ()
-    left_out: tuple[str, ...] = ()
+    job: _Text = field("Name of the job.")
+    attempt: _Count = field("Number of the attempt, from 1.")
+    exit_code: Annotated[
+        ExitCode, Converted(Annotated[int, between(0, max(ExitCode))], lambda code, _: ExitCode(code))
+    ] = field("Exit code of the job, 0 if it passed.")
+    reasons: Annotated[tuple[_Line, ...], length(most=_MOST_REASONS)] = field("Reasons of the failure.", default=())
+    seconds: Annotated[float, between(0, 1e9)] = field("Duration.", default=0.0)
+    containers: tuple[ContainerOutcome, ...] = field(
+        "Outcomes of the containers, without logs and images, which the task does not know.", default=()
+    )
+    artifacts: tuple[ArtifactFile, ...] = field("Uploaded files.", default=())
+    left_out: tuple[_Line, ...] = field("Notes on artifacts that were not copied.", default=())
+    schema: Literal[1] = field("Version of the form.", default=1)
 
 
 def most_bytes(job: Job) -> int:
@@ -242,20 +150,14 @@ def most_bytes(job: Job) -> int:
 
 def outcome_document(outcome: TaskOutcome) -> bytes:
     """Return the file of an outcome."""
-    entry = _OutcomeEntry(
-        schema=1,
-        job=outcome.job,
-        attempt=outcome.attempt,
-        exit_code=int(outcome.exit_code),
+    short = replace(
+        outcome,
         reasons=tuple(shorten(reason, _LONGEST) for reason in outcome.reasons[:_MOST_REASONS]),
         seconds=round(outcome.seconds, 3),
-        containers=tuple(
-            _EndEntry(c.name, c.end.value, c.exit_code, c.signal, round(c.seconds, 3)) for c in outcome.containers
-        ),
-        artifacts=tuple(_FileEntry(**vars(file)) for file in outcome.artifacts),
+        containers=tuple(replace(each, seconds=round(each.seconds, 3)) for each in outcome.containers),
         left_out=tuple(shorten(note, _LONGEST) for note in outcome.left_out),
     )
-    return json.dumps(document_of(entry), indent=1, allow_nan=False).encode()
+    return json.dumps(document_of(short), indent=1, allow_nan=False).encode()
 
 
 def read_outcome(data: bytes, job: Job, attempt: int, where: str) -> TaskOutcome:
@@ -271,27 +173,15 @@ def read_outcome(data: bytes, job: Job, attempt: int, where: str) -> TaskOutcome
         InfrastructureError: the document is invalid, or inconsistent with the job or in itself.
     """
     place = Place(where, error=InfrastructureError)
-    entry = read(_OutcomeEntry, parse_json(data, most_bytes(job), where), where, error=InfrastructureError)
-    for key, found, expected in (("job", entry.job, job.name), ("attempt", entry.attempt, attempt)):
+    outcome = read(TaskOutcome, parse_json(data, most_bytes(job), where), where, error=InfrastructureError)
+    for key, found, expected in (("job", outcome.job, job.name), ("attempt", outcome.attempt, attempt)):
         if found != expected:
             raise place.below(key).unexpected(found, repr(expected))
-    for key in ("artifacts", "left_out"):
-        if len(getattr(entry, key)) > job.artifact_files:
-            raise place.below(key).unexpected(list(getattr(entry, key)), f"at most {job.artifact_files}")
-    outcome = TaskOutcome(
-        job=job.name,
-        attempt=attempt,
-        exit_code=ExitCode(entry.exit_code),
-        reasons=tuple(map(one_line, entry.reasons)),
-        seconds=entry.seconds,
-        containers=tuple(
-            ContainerOutcome(c.name, End(c.end), c.exit_code, c.signal, c.seconds) for c in entry.containers
-        ),
-        artifacts=tuple(ArtifactFile(**vars(file)) for file in entry.artifacts),
-        left_out=tuple(map(one_line, entry.left_out)),
-    )
+    for key, count in (("artifacts", len(outcome.artifacts)), ("left_out", len(outcome.left_out))):
+        if count > job.artifact_files:
+            raise place.below(key).fault(f"found {count}, expected at most {job.artifact_files}")
     if (outcome.exit_code == ExitCode.PASS) != (not outcome.reasons):
-        raise place.below("exit_code").unexpected(entry.exit_code, "0 without reasons, another with some")
+        raise place.below("exit_code").unexpected(int(outcome.exit_code), "0 without reasons, another with some")
     _check_containers(outcome, job, where)
     _check_artifacts(outcome, job, where)
     return outcome

@@ -5,13 +5,14 @@ It is independent of the backend that runs it.
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from calibration.base.errors import InputError
 from calibration.base.records import (
     UNIQUE,
+    ByName,
     Converted,
     Place,
     above,
@@ -187,22 +188,28 @@ class Container:
     relaxations: Relaxations = field(flat=True, default_factory=Relaxations)
 
 
-@dataclass(frozen=True)
+CONTAINER_NAME = matching("[A-Za-z0-9][A-Za-z0-9_.-]{0,62}", "the name of a container")
+"""Also its host name, and part of file names."""
+
+
+@record(nulls=True)
 class Job:
     """Containers that run together."""
 
-    name: str
-    """Unique among the jobs of a run; also the name of its folder, so it may contain slashes, but no parts of dots."""
-    containers: tuple[Container, ...]
-    network: Network = "private"
-    seconds: float | None = 3600.0
-    """Time limit, after which the job is stopped and has failed."""
-    artifact_bytes: int = 2 * 1024**3
-    """Size limit of the artifacts."""
-    artifact_files: int = 20_000
-    own_network: bool = False
-    """Use a private network even for a single container of a run: for software that
-    finds its peers by multicast, as ROS 2 does."""
+    name: Text = field("Name of the job, unique among those of a run.")
+    """Also the name of its folder, so it may contain slashes, but no parts of dots."""
+    containers: Annotated[tuple[Container, ...], ByName(CONTAINER_NAME)] = field("The containers, by name.")
+    network: Network = field(NETWORK_HELP, default="private")
+    seconds: Seconds | None = field(
+        "Time limit, after which the job is stopped and has failed.", default=3600.0, key="timeout"
+    )
+    artifact_bytes: Annotated[int, at_least(0)] = field("Size limit of the artifacts.", default=2 * 1024**3)
+    artifact_files: Annotated[int, at_least(0)] = field("Limit of the number of artifacts.", default=20_000)
+    own_network: bool = field(
+        "Use a private network even for a single container of a run: for software that finds its peers by multicast, "
+        "as ROS 2 does.",
+        default=False,
+    )
 
 
 def with_secrets(container: Container, where: str, environment: Mapping[str, str] | None = None) -> Container:

@@ -10,10 +10,8 @@ from pathlib import Path
 from calibration.base.errors import InputError
 from calibration.base.text import did_you_mean, shorten
 from calibration.ci.execution.globs import Glob
-from calibration.ci.execution.job import OUTPUT, Container, Job, Limits, Mount, Readiness
+from calibration.ci.execution.job import CONTAINER_NAME, OUTPUT, Container, Job, Limits, Mount, Readiness
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,62}")
-"""Container name, which is also its host name, and part of file names."""
 _JOB_NAME_PART = r"[A-Za-z0-9_+=,@][A-Za-z0-9_+=,@ .:-]{0,127}"
 _VARIABLE = r"[^=\0]+"
 _ENGINE_SOCKETS = ("/var/run/docker.sock", "/run/docker.sock")
@@ -100,7 +98,7 @@ def start_order(job: Job) -> tuple[Container, ...]:
 
 
 def _check_container(container: Container, where: str) -> None:
-    if not NAME.fullmatch(container.name):
+    if not CONTAINER_NAME.holds(container.name):
         raise InputError(f"{where}: this is no name for a container: letters, digits, _ . and -, at most 63")
     if not container.image.strip():
         raise InputError(f"{where}: it has no image")

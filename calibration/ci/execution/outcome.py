@@ -3,9 +3,10 @@
 import enum
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from calibration.base.errors import ExitCode
+from calibration.base.records import Converted, between, field, length, matching, record
 
 
 class End(enum.StrEnum):
@@ -28,32 +29,31 @@ class End(enum.StrEnum):
     """Unknown, because the connection to the engine was lost."""
 
 
-@dataclass(frozen=True)
+@record(case="snake", nulls=True)
 class ContainerOutcome:
     """Outcome of one container: its end, exit code, duration and log."""
 
-    name: str
-    end: End
-    exit_code: int | None = None
-    signal: str | None = None
-    """``SIGKILL``, if a signal killed it."""
-    seconds: float = 0.0
+    name: Annotated[str, length(most=4096)] = field("Name of the container.")
+    end: Annotated[End, Converted(Literal[tuple(map(str, End))], lambda end, _: End(end))] = field("How it ended.")
+    exit_code: Annotated[int, between(0, 255)] | None = field("Its exit code, if it exited.", default=None)
+    signal: Annotated[str, matching("SIG[A-Z0-9+]{1,20}", "a signal's name")] | None = field(
+        "Signal that killed it, such as SIGKILL.", default=None
+    )
+    seconds: Annotated[float, between(0, 1e9)] = field("Duration.", default=0.0)
     log: Path | None = None
     """File with its output."""
     image: str = ""
     """Id of its image, if the backend knows it."""
 
 
-@dataclass(frozen=True)
+@record(case="snake")
 class ArtifactFile:
     """A file copied out of a container."""
 
-    path: str
-    """Path relative to the job's artifacts."""
-    container: str
-    size: int
-    """Bytes."""
-    sha256: str
+    path: Annotated[str, length(most=64 * 1024)] = field("Path relative to the job's artifacts.")
+    container: Annotated[str, length(most=4096)] = field("Name of the container.")
+    size: Annotated[int, between(0, 2**63 - 1)] = field("Size in bytes.")
+    sha256: Annotated[str, matching("[0-9a-f]{64}", "64 hexadecimal digits")] = field("Digest of its content.")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import math
 import re
-from typing import Annotated
+from typing import Annotated, TypeGuard
 
 from calibration.base.errors import InputError
 from calibration.base.records import Converted
@@ -35,13 +35,16 @@ def parse_seconds(value: object, where: str) -> float:
     Raises:
         InputError: it is not a time above 0; the message names the key.
     """
-    text = str(value).strip().lower() if _is_amount(value) else ""
-    if re.fullmatch(r"[0-9]+(\.[0-9]+)?", text):
-        text += "s"
-    if re.fullmatch(_TIMES, text):
-        found = math.fsum(float(number) * _SECONDS[unit] for number, unit in re.findall(_TIME, text))
-        if 0 < found <= _MOST_SECONDS:
-            return found
+    found = 0.0
+    if isinstance(value, str) and len(value) < 100:
+        text = value.strip().lower()
+        text += "s" if re.fullmatch(r"[0-9]+(\.[0-9]+)?", text) else ""
+        if re.fullmatch(_TIMES, text):
+            found = math.fsum(float(number) * _SECONDS[unit] for number, unit in re.findall(_TIME, text))
+    elif _is_amount(value):
+        found = float(value)
+    if 0 < found <= _MOST_SECONDS:
+        return found
     raise InputError(f"{where}: found {value!r}, expected a time such as 90s, 10m or 1h30m, of at most a year")
 
 
@@ -59,5 +62,5 @@ def describe_bytes(count: int) -> str:
     return f"{amount:.4g} {units[0]}"
 
 
-def _is_amount(value: object) -> bool:
+def _is_amount(value: object) -> TypeGuard[str | float]:
     return isinstance(value, str | int | float) and not isinstance(value, bool) and len(str(value)) < 100

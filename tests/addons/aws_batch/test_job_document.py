@@ -53,9 +53,8 @@ def document(**changes: Any) -> bytes:
     return jobs_document([{**job_entry(FULL, INPUTS), **changes}])
 
 
-def container(**changes: Any) -> dict[str, Any]:
-    first: dict[str, Any] = job_entry(FULL, ())["containers"][1]
-    return {**first, **changes}
+def robot(**changes: Any) -> dict[str, Any]:
+    return {"robot": {**job_entry(FULL, ())["containers"]["robot"], **changes}}
 
 
 def test_a_task_has_the_job_without_properties_of_its_definition() -> None:
@@ -92,14 +91,17 @@ def test_volumes_are_numbered_by_their_targets() -> None:
     [
         (b"{}", "f: there is no job 0 in it"),
         (b"[]", "f: there is no job 0 in it"),
-        (b"[1]", "f: job 0: found 1, expected keys: job, seconds"),
+        (b"[1]", "f: job 0: found 1, expected keys: name, "),
         (document(more=1), "f: job 0: unknown key 'more'"),
-        (document(seconds=-1), "f: job 0: seconds: found -1"),
-        (document(containers=[container(name="../x")]), "containers.0.name: found '../x', expected the name of a"),
-        (document(containers=[container(name="a\nb")]), "expected the name of a container"),
-        (document(containers=[container(success=[256])]), "success.0: found 256"),
-        (document(containers=[container(readiness={"port": 0})]), "readiness.port: found 0"),
-        (document(mounts=[{"volume": -1}]), "mounts.0.volume: found -1"),
+        (document(timeout=-1), "f: job 0: timeout: found -1"),
+        (
+            document(containers={"../x": {}}),
+            "job 0: containers: found the name '../x', expected the name of a container",
+        ),
+        (document(containers={"a\nb": {}}), "expected the name of a container"),
+        (document(containers=robot(success=[256])), "containers.robot.success.0: found 256"),
+        (document(containers=robot(ready={"port": 0})), "containers.robot.ready.port: found 0"),
+        (document(inputs=[{"volume": -1}]), "inputs.0.volume: found -1"),
     ],
 )
 def test_invalid_documents_are_refused(data: bytes, message: str) -> None:
@@ -108,7 +110,8 @@ def test_invalid_documents_are_refused(data: bytes, message: str) -> None:
     assert message in str(caught.value)
 
 
-TEXTS = st.text(max_size=20)
+ARGUMENTS = st.text(st.characters(exclude_characters="\0"), max_size=20)
+VARIABLES = st.text(st.characters(exclude_characters="="), min_size=1, max_size=20)
 
 
 @given(
@@ -116,14 +119,14 @@ TEXTS = st.text(max_size=20)
         Container,
         name=st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,10}", fullmatch=True),
         image=st.just(""),
-        command=st.lists(TEXTS, max_size=3).map(tuple),
-        entrypoint=st.none() | st.lists(TEXTS, max_size=2).map(tuple),
-        environment=st.dictionaries(TEXTS, TEXTS, max_size=3),
+        command=st.lists(ARGUMENTS, max_size=3).map(tuple),
+        entrypoint=st.none() | st.lists(ARGUMENTS, max_size=2).map(tuple),
+        environment=st.dictionaries(VARIABLES, st.text(max_size=20), max_size=3),
         limits=st.builds(
             Limits,
             memory=st.none() | st.integers(1, 2**40),
             cpus=st.none(),
-            seconds=st.none() | st.floats(0, 1e9),
+            seconds=st.none() | st.floats(0, 1e7, exclude_min=True),
         ),
         essential=st.booleans(),
         success=st.lists(st.integers(0, 255), max_size=3).map(tuple),
@@ -136,7 +139,7 @@ def test_round_trip(container: Container) -> None:
 
 def test_the_same_jobs_are_the_same_bytes() -> None:
     assert document() == document()
-    assert json.loads(document())[0]["job"] == "set/3"
+    assert json.loads(document())[0]["name"] == "set/3"
 
 
 @pytest.mark.parametrize(
