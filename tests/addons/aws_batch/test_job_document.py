@@ -96,7 +96,7 @@ def test_volumes_are_numbered_by_their_targets() -> None:
         (document(timeout=-1), "f: job 0: timeout: found -1"),
         (
             document(containers={"../x": {}}),
-            "job 0: containers: found the name '../x', expected the name of a container",
+            "containers: found the name '../x', expected the name of a container",
         ),
         (document(containers={"a\nb": {}}), "expected the name of a container"),
         (document(containers=robot(success=[256])), "containers.robot.success.0: found 256"),
