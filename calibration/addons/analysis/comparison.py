@@ -48,7 +48,9 @@ def compare(
     unchanged = [finding for finding in now if not is_open(finding)]
     open_now = with_content([finding for finding in now if is_open(finding)], copy)
     open_before = with_content(earlier, base)
-    open_now, open_before, matched = _matched(open_now, open_before, lambda each: (each.finding.rule, each.content))
+    open_now, open_before, matched = _match_by_key(
+        open_now, open_before, lambda each: (each.finding.rule, each.content)
+    )
     unchanged += matched
     texts: dict[str, str] = {}
 
@@ -73,7 +75,7 @@ def compare(
     return Compared(tuple(new), tuple(unchanged), tuple(each.finding for each in open_before))
 
 
-def _matched(
+def _match_by_key(
     now: Sequence[Located], earlier: Sequence[Located], key: Callable[[Located], tuple[str, str]]
 ) -> tuple[list[Located], list[Located], list[Finding]]:
     """Return the current and earlier findings without a partner, and the current ones with a partner.

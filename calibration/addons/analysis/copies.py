@@ -12,21 +12,21 @@ from calibration.ci.git.repository import Repository
 MAX_BYTES = 1_000_000
 """Limit of a file's size in bytes; larger ones are generated."""
 MAX_FILES = 50_000
-_DATA = (
+_DATA_SUFFIXES = (
     *(".dae", ".gif", ".jpeg", ".jpg", ".obj", ".pdf", ".png", ".stl", ".svg"),
     *(".bag", ".db3", ".gz", ".mcap", ".npy", ".npz", ".pcd", ".ply", ".zip"),
 )
 """Suffixes of data files, which are skipped without a report."""
-_ANALYSED = (
+_ANALYSED_SUFFIXES = (
     *(".bash", ".launch", ".py", ".pyi", ".sdf", ".sh", ".srdf", ".test", ".urdf", ".xacro", ".xml"),
     *(".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".yaml", ".yml", ".action", ".msg", ".srv"),
 )
 """Suffixes of files that an analyser may look at; with those without a suffix, and `_ANALYSED_NAMES`, they count."""
 _ANALYSED_NAMES = ("CMakeLists.txt", "dataset.json", "setup.cfg")
-_MESHES = ".stl"
+_MESH_SUFFIX = ".stl"
 """Suffix of data files that are copied, for checks of the files that name them."""
 MAX_MESH_BYTES = 20_000_000
-_DEEPEST = 4000
+_MAX_PATH_LENGTH = 4000
 """Limit of a path's length in characters."""
 
 
@@ -89,7 +89,7 @@ def chosen_files(paths: Sequence[str], asked: Sequence[str], settings: Collectio
 def may_be_analysed(path: str) -> bool:
     """Whether a file may be one that an analyser looks at, by its name."""
     name = PurePosixPath(path)
-    return name.suffix.lower() in ("", *_ANALYSED) or name.name in _ANALYSED_NAMES
+    return name.suffix.lower() in ("", *_ANALYSED_SUFFIXES) or name.name in _ANALYSED_NAMES
 
 
 def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
@@ -105,14 +105,14 @@ def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
     analysed = 0
     for path in paths:
         suffix = PurePosixPath(path).suffix.lower()
-        if suffix == _MESHES and _unfit(path) is None and _copied_mesh(repository, folder, path):
+        if suffix == _MESH_SUFFIX and _why_name_is_unfit(path) is None and _copied_mesh(repository, folder, path):
             meshes.append(path)
-        if suffix in _DATA:
+        if suffix in _DATA_SUFFIXES:
             continue
         analysed += may_be_analysed(path)
         if analysed > MAX_FILES:
             raise InputError(f"{repository.root}: more than {MAX_FILES} files are to be analysed: name folders (paths)")
-        if why := _unfit(path):
+        if why := _why_name_is_unfit(path):
             left_out[path] = why
             continue
         try:
@@ -123,7 +123,7 @@ def copied(repository: Repository, folder: Path, paths: Iterable[str]) -> Copy:
         if _is_binary(data):
             left_out[path] = "this is no text"
             continue
-        _write(folder / path, data)
+        _write_file(folder / path, data)
         kept.append(path)
     return Copy(folder, tuple(kept), left_out, tuple(repository.tracked()), tuple(repository.links()), tuple(meshes))
 
@@ -134,7 +134,7 @@ def _copied_mesh(repository: Repository, folder: Path, path: str) -> bool:
         data = read_bytes(repository.root / path, MAX_MESH_BYTES, "a mesh")
     except InputError:
         return False
-    _write(folder / path, data)
+    _write_file(folder / path, data)
     return True
 
 
@@ -164,14 +164,14 @@ def before(now: Copy, repository: Repository, commit: str, folder: Path, changed
         (folder / path).unlink(missing_ok=True)
         present.pop(path, None)
         try:
-            data = None if _unfit(path) else repository.content(commit, path, MAX_BYTES)
+            data = None if _why_name_is_unfit(path) else repository.content(commit, path, MAX_BYTES)
         except InputError:
             present[path] = None
             continue  # a link, a folder, or too large
         if data is not None:
             present[path] = None
         if data is not None and not _is_binary(data):
-            _write(folder / path, data)
+            _write_file(folder / path, data)
             kept.append(path)
     meshes = tuple(path for path in now.meshes if (folder / path).exists())
     return Copy(folder, tuple(kept), present=tuple(present), opaque=now.opaque, meshes=meshes)
@@ -181,12 +181,12 @@ def _is_binary(data: bytes) -> bool:
     return b"\0" in data[:8000]
 
 
-def _unfit(path: str) -> str | None:
-    if "\n" in path or "\t" in path or "\r" in path or len(path) > _DEEPEST or not path.isprintable():
+def _why_name_is_unfit(path: str) -> str | None:
+    if "\n" in path or "\t" in path or "\r" in path or len(path) > _MAX_PATH_LENGTH or not path.isprintable():
         return "its name has characters that do not print"
     return None
 
 
-def _write(path: Path, data: bytes) -> None:
+def _write_file(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)

@@ -13,7 +13,7 @@ from calibration.addons.analysis.sarif import FINGERPRINT, fingerprints
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 
-MAX_BYTES = 100_000_000
+MAX_SARIF_BYTES = 100_000_000
 
 
 def read_earlier(path: Path) -> list[tuple[str, Finding]]:
@@ -22,16 +22,16 @@ def read_earlier(path: Path) -> list[tuple[str, Finding]]:
     Raises:
         InputError: it cannot be read, or is no such file.
     """
-    data = read_bytes(path, MAX_BYTES, "the findings of an earlier analysis (findings.sarif)")
+    data = read_bytes(path, MAX_SARIF_BYTES, "the findings of an earlier analysis (findings.sarif)")
     try:
-        return [_entry(result) for run in json.loads(data)["runs"] for result in run["results"]]
+        return [_read_result(result) for run in json.loads(data)["runs"] for result in run["results"]]
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
         raise InputError(
             f"{path}: findings.sarif of an earlier static-analysis was expected, found another document"
         ) from None
 
 
-def _entry(result: dict[str, Any]) -> tuple[str, Finding]:
+def _read_result(result: dict[str, Any]) -> tuple[str, Finding]:
     place = result["locations"][0]["physicalLocation"]
     severity = result["level"]
     line = place["region"]["startLine"]

@@ -20,7 +20,7 @@ Category = Literal[
 CATEGORIES: tuple[Category, ...] = Category.__args__  # type: ignore[attr-defined]
 Severity = Literal["error", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = Severity.__args__  # type: ignore[attr-defined]
-_NO_CONTENT = re.compile(r"[\s,;()'\"\\]+")
+_FORMATTING_CHARACTERS = re.compile(r"[\s,;()'\"\\]+")
 """Characters that formatters move, add and remove."""
 
 
@@ -52,7 +52,7 @@ class Located:
 
 def plain_content(text: str) -> str:
     """Return a text without spaces, line ends, quotes, commas and parentheses."""
-    return _NO_CONTENT.sub("", text)
+    return _FORMATTING_CHARACTERS.sub("", text)
 
 
 def located(finding: Finding, lines: Sequence[str]) -> Located:

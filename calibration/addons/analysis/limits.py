@@ -10,11 +10,11 @@ from calibration.base.errors import InputError
 from calibration.base.text import did_you_mean, shorten
 from calibration.ci.report import Check, at_most
 
-EVERY = "all"
+EVERY_FINDING = "all"
 MOST_FILES = 20
 """Limit of the files that are named for a limit of each file."""
-_LIMIT = re.compile(r"([a-z -]+)=([0-9]{1,9})")
-_KINDS = (EVERY, *SEVERITIES, *CATEGORIES)
+_LIMIT_TEXT = re.compile(r"([a-z -]+)=([0-9]{1,9})")
+_KINDS_OF_FINDINGS = (EVERY_FINDING, *SEVERITIES, *CATEGORIES)
 
 
 @dataclass(frozen=True)
@@ -27,23 +27,27 @@ class Limit:
 
     def check(self, findings: Sequence[Finding], what: str) -> Check:
         """Check the number of findings; ``what`` describes them in the message: new, all."""
-        return at_most(f"{what} findings{self._shown}", sum(map(self._concerns, findings)), self.most)
+        return at_most(
+            f"{what} findings{self._kind_in_parentheses}", sum(map(self._concerns_finding, findings)), self.most
+        )
 
     def check_files(self, findings: Sequence[Finding]) -> list[Check]:
         """Check the number of findings of each file: those with too many, the worst first, or else the worst one."""
-        counts = Counter(finding.path for finding in findings if self._concerns(finding)).most_common(MOST_FILES)
+        counts = Counter(finding.path for finding in findings if self._concerns_finding(finding)).most_common(
+            MOST_FILES
+        )
         broken = [each for each in counts if each[1] > self.most]
         return [
-            at_most(f"findings{self._shown} of {shorten(path)}", count, self.most)
+            at_most(f"findings{self._kind_in_parentheses} of {shorten(path)}", count, self.most)
             for path, count in broken or counts[:1]
         ]
 
-    def _concerns(self, finding: Finding) -> bool:
-        return self.kind in (EVERY, finding.severity, finding.category)
+    def _concerns_finding(self, finding: Finding) -> bool:
+        return self.kind in (EVERY_FINDING, finding.severity, finding.category)
 
     @property
-    def _shown(self) -> str:
-        return "" if self.kind == EVERY else f" ({self.kind})"
+    def _kind_in_parentheses(self) -> str:
+        return "" if self.kind == EVERY_FINDING else f" ({self.kind})"
 
 
 def parse_limits(texts: Sequence[str], option: str) -> list[Limit]:
@@ -54,12 +58,14 @@ def parse_limits(texts: Sequence[str], option: str) -> list[Limit]:
     """
     limits = []
     for text in texts:
-        match = _LIMIT.fullmatch(text.strip())
+        match = _LIMIT_TEXT.fullmatch(text.strip())
         if match is None:
             raise InputError(f"{option}: found {shorten(text)!r}, expected a limit such as error=0 or all=100")
         kind = match[1].strip()
-        if kind not in _KINDS:
-            known = ", ".join(_KINDS)
-            raise InputError(f"{option}: found {kind!r}, expected one of {known}{did_you_mean(kind, _KINDS)}")
+        if kind not in _KINDS_OF_FINDINGS:
+            known = ", ".join(_KINDS_OF_FINDINGS)
+            raise InputError(
+                f"{option}: found {kind!r}, expected one of {known}{did_you_mean(kind, _KINDS_OF_FINDINGS)}"
+            )
         limits.append(Limit(kind, int(match[2])))
     return limits

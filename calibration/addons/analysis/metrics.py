@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 from calibration.addons.analysis.analysers.analyser import arguments
-from calibration.addons.analysis.analysers.cpp import SUFFIXES
+from calibration.addons.analysis.analysers.cpp import CPP_SUFFIXES
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.finding import Finding
 from calibration.addons.analysis.programs import module, run_program
@@ -15,15 +15,17 @@ from calibration.base.errors import InfrastructureError
 from calibration.ci.report.badge import BAD, FAIR, GOOD, drawn_badge
 
 BADGE_FILE = "badge.svg"
-_WEIGHTS = {"error": 5.0, "warning": 1.0, "note": 0.2}
+_WEIGHT_OF_SEVERITY = {"error": 5.0, "warning": 1.0, "note": 0.2}
 """Weights of findings by severity."""
-_GRADES = (("A", 1.0), ("B", 5.0), ("C", 10.0), ("D", 20.0), ("E", 40.0))
+_MAX_WEIGHT_OF_GRADE = (("A", 1.0), ("B", 5.0), ("C", 10.0), ("D", 20.0), ("E", 40.0))
 """Grades, each with the largest weight of findings in a thousand lines; F beyond them."""
-_MOST_COMPLEX, _MOST_DUPLICATE = 10.0, 10.0
+_MAX_COMPLEX_PERCENT, _MAX_DUPLICATE_PERCENT = 10.0, 10.0
 """Limits in percent, beyond each of which the grade is one worse."""
-_TOTALS = re.compile(r"^Total nloc .*\n-+\n\s*(\d+)\s+[\d.]+\s+([\d.]+)\s+[\d.]+\s+(\d+)\s+(\d+)\s", re.MULTILINE)
-_DUPLICATE = re.compile(r"^Total duplicate rate: ([\d.]+)%", re.MULTILINE)
-_COLOURS = {"A": GOOD, "B": GOOD, "C": FAIR, "D": FAIR}
+_TOTALS_OF_OUTPUT = re.compile(
+    r"^Total nloc .*\n-+\n\s*(\d+)\s+[\d.]+\s+([\d.]+)\s+[\d.]+\s+(\d+)\s+(\d+)\s", re.MULTILINE
+)
+_DUPLICATE_RATE = re.compile(r"^Total duplicate rate: ([\d.]+)%", re.MULTILINE)
+_COLOUR_OF_GRADE = {"A": GOOD, "B": GOOD, "C": FAIR, "D": FAIR}
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class CodeMetrics:
 
     def graded(self, findings: Sequence[Finding], lines: int) -> Metrics:
         """Return the metrics with the grade of findings in so many lines that are not empty."""
-        weight = 1000 * sum(_WEIGHTS[each.severity] for each in findings) / max(lines, 1)
+        weight = 1000 * sum(_WEIGHT_OF_SEVERITY[each.severity] for each in findings) / max(lines, 1)
         complex_percent = 100 * self.complex_functions / max(self.functions, 1)
         return Metrics(
             functions=self.functions,
@@ -55,12 +57,12 @@ def measure(copy: Copy, paths: Sequence[str], seconds: float) -> CodeMetrics:
     Raises:
         InfrastructureError: lizard fails, or takes too long.
     """
-    code = [path for path in paths if PurePosixPath(path).suffix.lower() in (*SUFFIXES, ".py")]
+    code = [path for path in paths if PurePosixPath(path).suffix.lower() in (*CPP_SUFFIXES, ".py")]
     if not code:
         return CodeMetrics()
     command = [*module("lizard"), "-Eduplicate", *arguments(code)]
     output = run_program("lizard", command, copy.root, seconds, (0, 1)).output  # 1: there are complex functions
-    totals, share = _TOTALS.search(output), _DUPLICATE.search(output)
+    totals, share = _TOTALS_OF_OUTPUT.search(output), _DUPLICATE_RATE.search(output)
     if totals is None or share is None:
         raise InfrastructureError("lizard: its totals were expected at the end of its output, found none")
     return CodeMetrics(int(totals[3]), float(totals[2]), int(totals[4]), float(share[1]))
@@ -74,12 +76,12 @@ def grade_of(weight: float, complex_percent: float, duplicate_percent: float) ->
         complex_percent: share of functions that are too complex.
         duplicate_percent: share of duplicate code.
     """
-    grades = [name for name, _ in _GRADES] + ["F"]
-    place = sum(weight > most for _, most in _GRADES)
-    place += (complex_percent > _MOST_COMPLEX) + (duplicate_percent > _MOST_DUPLICATE)
+    grades = [name for name, _ in _MAX_WEIGHT_OF_GRADE] + ["F"]
+    place = sum(weight > most for _, most in _MAX_WEIGHT_OF_GRADE)
+    place += (complex_percent > _MAX_COMPLEX_PERCENT) + (duplicate_percent > _MAX_DUPLICATE_PERCENT)
     return grades[min(place, len(grades) - 1)]
 
 
 def grade_badge(grade: str) -> str:
     """Return the badge of a grade as SVG."""
-    return drawn_badge("static analysis", grade, _COLOURS.get(grade, BAD))
+    return drawn_badge("static analysis", grade, _COLOUR_OF_GRADE.get(grade, BAD))

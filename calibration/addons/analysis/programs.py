@@ -107,7 +107,7 @@ def run_program(
                 process.communicate()
         size = output.seek(0, os.SEEK_END)
         if process.returncode not in codes:
-            how = f"failed with exit code {process.returncode}: {_last(errors)}"
+            how = f"failed with exit code {process.returncode}: {_last_message(errors)}"
             raise ProgramFailedError(f"{name} {how}", process.returncode)
         if size > MAX_OUTPUT:
             raise InfrastructureError(f"{name}: found {size} bytes of findings, expected at most {MAX_OUTPUT}")
@@ -124,11 +124,11 @@ def json_output(name: str, result: ProgramResult) -> Any:
     try:
         return json.loads(result.output)
     except ValueError:
-        how = f"failed with exit code {result.code} and wrote no findings: {_last(result.errors)}"
+        how = f"failed with exit code {result.code} and wrote no findings: {_last_message(result.errors)}"
         raise ProgramFailedError(f"{name} {how}", result.code) from None
 
 
-def _last(errors: str) -> str:
+def _last_message(errors: str) -> str:
     """Return what a program says, up to the lines that it quotes: they may be of a file outside of the repository."""
     said = _QUOTED_CODE.split(errors, maxsplit=1)[0]
     return shorten(one_line(" ".join(said.split())), 400) or "it gave no reason"

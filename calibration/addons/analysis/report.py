@@ -9,16 +9,16 @@ from calibration.addons.analysis.finding import CATEGORIES, SEVERITIES, Finding
 from calibration.addons.analysis.metrics import BADGE_FILE, grade_badge
 from calibration.addons.analysis.results import Graph, Metrics, Results
 from calibration.addons.analysis.ros_graph import JSON_FILE, PICTURE_FILE, RosGraph
-from calibration.addons.analysis.sarif import FILE as SARIF_FILE
+from calibration.addons.analysis.sarif import SARIF_FILE
 from calibration.base.text import shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, count_of, outcome_of_check, verdict_of
 from calibration.ci.workflow.annotation import Annotation, Level
 
 TITLE = "static-analysis"
-MOST_ROWS = 100
-MOST_FILES = 20
-_LEVELS = {"error": Level.ERROR, "warning": Level.WARNING, "note": Level.NOTICE}
-_HEADER = ("place", "severity", "category", "rule", "finding")
+MAX_FINDINGS_SHOWN = 100
+MAX_FILES_SHOWN = 20
+_LEVEL_OF_SEVERITY = {"error": Level.ERROR, "warning": Level.WARNING, "note": Level.NOTICE}
+_HEADER_OF_FINDINGS = ("place", "severity", "category", "rule", "finding")
 
 
 def report(results: Results, sarif: str, graph: RosGraph | None, root: Path, folder: Path | None) -> Report:
@@ -35,15 +35,22 @@ def report(results: Results, sarif: str, graph: RosGraph | None, root: Path, fol
     return Report(
         title=TITLE,
         verdict=verdict_of(not results.problems),
-        sentence=_sentence(results),
+        sentence=_verdict_sentence(results),
         reasons=tuple(results.problems),
         results=results,
         annotations=tuple(
-            Annotation(finding.message, _LEVELS[finding.severity], root / finding.path, finding.line, finding.rule)
+            Annotation(
+                finding.message, _LEVEL_OF_SEVERITY[finding.severity], root / finding.path, finding.line, finding.rule
+            )
             for finding in gravest_first(results.new)
         ),
         blocks=(
-            Table(_HEADER, _rows(results.new), MOST_ROWS, title=f"{len(results.new)} new" if results.base else "New"),
+            Table(
+                _HEADER_OF_FINDINGS,
+                _rows_of_findings(results.new),
+                MAX_FINDINGS_SHOWN,
+                title=f"{len(results.new)} new" if results.base else "New",
+            ),
             Table(
                 ("category", *SEVERITIES, "all"),
                 tuple(
@@ -53,15 +60,25 @@ def report(results: Results, sarif: str, graph: RosGraph | None, root: Path, fol
                 ),
                 title="Findings",
             ),
-            Table(("file", "findings"), _files(results), title="Files with most findings"),
-            *_metrics(results.metrics),
-            *_graph(results.graph),
+            Table(("file", "findings"), _files_with_most_findings(results), title="Files with most findings"),
+            *_metrics_table(results.metrics),
+            *_graph_blocks(results.graph),
             Lines(results.remarks),
-            Lines(tuple(f"not analysed: {path}: {why}" for path, why in results.left_out.items()), most=MOST_FILES),
-            Table(_HEADER, _rows(results.unchanged), MOST_ROWS, title="Not new", folded=True),
-            Table(_HEADER, _rows(results.fixed), MOST_ROWS, title="Fixed", folded=True),
+            Lines(
+                tuple(f"not analysed: {path}: {why}" for path, why in results.left_out.items()), most=MAX_FILES_SHOWN
+            ),
+            Table(
+                _HEADER_OF_FINDINGS,
+                _rows_of_findings(results.unchanged),
+                MAX_FINDINGS_SHOWN,
+                title="Not new",
+                folded=True,
+            ),
+            Table(
+                _HEADER_OF_FINDINGS, _rows_of_findings(results.fixed), MAX_FINDINGS_SHOWN, title="Fixed", folded=True
+            ),
         ),
-        suites={TITLE: _outcomes(results)},
+        suites={TITLE: _junit_cases(results)},
         outputs={
             "new": len(results.new),
             "fixed": len(results.fixed),
@@ -84,7 +101,7 @@ def gravest_first(findings: Sequence[Finding]) -> list[Finding]:
     return sorted(findings, key=lambda each: (SEVERITIES.index(each.severity), each.category != "security", each.place))
 
 
-def _sentence(results: Results) -> str:
+def _verdict_sentence(results: Results) -> str:
     parts = [*results.problems] or [count_of(len(results.findings), "finding")]
     if results.base is not None and not results.problems:
         parts = [f"{len(results.new)} new, {len(results.fixed)} fixed, {len(results.unchanged)} not new"]
@@ -93,19 +110,19 @@ def _sentence(results: Results) -> str:
     return "; ".join([*parts, f"{count_of(results.files, 'file')} analysed"])
 
 
-def _rows(findings: Sequence[Finding]) -> tuple[tuple[str, ...], ...]:
+def _rows_of_findings(findings: Sequence[Finding]) -> tuple[tuple[str, ...], ...]:
     return tuple(
         (each.place, each.severity, each.category, each.rule, shorten(each.message, 200))
         for each in gravest_first(findings)
     )
 
 
-def _files(results: Results) -> tuple[tuple[str, str], ...]:
+def _files_with_most_findings(results: Results) -> tuple[tuple[str, str], ...]:
     counts = Counter(finding.path for finding in results.findings)
-    return tuple((path, str(count)) for path, count in counts.most_common(MOST_FILES))
+    return tuple((path, str(count)) for path, count in counts.most_common(MAX_FILES_SHOWN))
 
 
-def _metrics(metrics: Metrics | None) -> tuple[Table, ...]:
+def _metrics_table(metrics: Metrics | None) -> tuple[Table, ...]:
     if metrics is None:
         return ()
     rows = (
@@ -118,18 +135,18 @@ def _metrics(metrics: Metrics | None) -> tuple[Table, ...]:
     return (Table(("metric", "value", ""), rows, title="Metrics"),)
 
 
-def _graph(graph: Graph | None) -> tuple[Table | Lines, ...]:
+def _graph_blocks(graph: Graph | None) -> tuple[Table | Lines, ...]:
     """Return the blocks about the graph: what a change connects or cuts."""
     if graph is None:
         return ()
     rows = [*(("connected", each) for each in graph.connected), *(("cut", each) for each in graph.cut)]
     size = f"{count_of(graph.nodes, 'ROS node')}, {count_of(graph.connections, 'connection')}, see {PICTURE_FILE}"
     unresolved = f"; {len(graph.unresolved)} names are known only at run time" if graph.unresolved else ""
-    table = Table(("change", "connection"), tuple(rows), MOST_ROWS, title="ROS graph")
+    table = Table(("change", "connection"), tuple(rows), MAX_FINDINGS_SHOWN, title="ROS graph")
     return (table, Lines((f"{size}{unresolved}",)))
 
 
-def _outcomes(results: Results) -> list[Outcome]:
+def _junit_cases(results: Results) -> list[Outcome]:
     """Return the cases of JUnit: each limit, and each analyser, which passes where it has run."""
     limits = [replace(outcome_of_check(check, TITLE), name=f"{check.subject}") for check in results.checks]
     return [*limits, *(Outcome(name=f"{tool.name} {tool.version}".strip(), group=TITLE) for tool in results.tools)]

@@ -9,10 +9,10 @@ from urllib.parse import quote
 
 from calibration.addons.analysis.finding import Finding, Located
 
-FILE = "findings.sarif"
-SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+SARIF_FILE = "findings.sarif"
+SARIF_SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 FINGERPRINT = "ruleAndContent/v1"
-_LEVELS = {"error": "error", "warning": "warning", "note": "note"}
+_LEVEL_OF_SEVERITY = {"error": "error", "warning": "warning", "note": "note"}
 
 
 def fingerprints(findings: Iterable[Located]) -> list[str]:
@@ -43,18 +43,20 @@ def sarif(
     """
     entries = list(zip(findings, fingerprints(findings), strict=True))
     runs = [
-        _run(name, version, [each for each in entries if _tool(each[0]) == name], new, suppressed or {})
+        _run_document(
+            name, version, [each for each in entries if _analyser_of_finding(each[0]) == name], new, suppressed or {}
+        )
         for name, version in sorted(versions.items())
     ]
-    log = {"$schema": SCHEMA, "version": "2.1.0", "runs": runs}
+    log = {"$schema": SARIF_SCHEMA, "version": "2.1.0", "runs": runs}
     return json.dumps(log, indent=1, ensure_ascii=True) + "\n"
 
 
-def _tool(each: Located) -> str:
+def _analyser_of_finding(each: Located) -> str:
     return each.finding.rule.partition("/")[0]
 
 
-def _run(
+def _run_document(
     name: str,
     version: str,
     entries: Sequence[tuple[Located, str]],
@@ -62,32 +64,32 @@ def _run(
     suppressed: Mapping[Finding, str],
 ) -> dict[str, Any]:
     rules = {each.finding.rule: each.finding for each, _ in entries}
-    driver: dict[str, Any] = {"name": name, "rules": [_rule(rules[rule]) for rule in sorted(rules)]}
+    driver: dict[str, Any] = {"name": name, "rules": [_rule_document(rules[rule]) for rule in sorted(rules)]}
     if version:
         driver["version"] = version
     return {
         "tool": {"driver": driver},
         "automationDetails": {"id": f"static-analysis/{name}/"},
         "columnKind": "unicodeCodePoints",
-        "results": [_result(each.finding, fingerprint, new, suppressed) for each, fingerprint in entries],
+        "results": [_result_document(each.finding, fingerprint, new, suppressed) for each, fingerprint in entries],
     }
 
 
-def _rule(finding: Finding) -> dict[str, Any]:
+def _rule_document(finding: Finding) -> dict[str, Any]:
     return {
         "id": finding.rule,
-        "defaultConfiguration": {"level": _LEVELS[finding.severity]},
+        "defaultConfiguration": {"level": _LEVEL_OF_SEVERITY[finding.severity]},
         "properties": {"tags": [finding.category]},
     }
 
 
-def _result(
+def _result_document(
     finding: Finding, fingerprint: str, new: frozenset[Finding] | None, suppressed: Mapping[Finding, str]
 ) -> dict[str, Any]:
     uri = quote(finding.path.encode("utf-8", "surrogateescape"))
     entry: dict[str, Any] = {
         "ruleId": finding.rule,
-        "level": _LEVELS[finding.severity],
+        "level": _LEVEL_OF_SEVERITY[finding.severity],
         "message": {"text": finding.message or finding.rule},
         "locations": [{"physicalLocation": {"artifactLocation": {"uri": uri}, "region": {"startLine": finding.line}}}],
         "partialFingerprints": {FINGERPRINT: fingerprint},

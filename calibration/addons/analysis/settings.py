@@ -4,7 +4,7 @@ from pathlib import Path
 
 from calibration.base.records import field, record
 
-SUPPRESSIONS = ".static-analysis.yml"
+SUPPRESSIONS_FILE = ".static-analysis.yml"
 """Default path of the accepted findings, in the root of the repository."""
 
 
@@ -26,7 +26,7 @@ class AnalysisSettings:
     )
     max_total: tuple[str, ...] = field("Most findings, new or not, in the same form (no limit).", default=())
     max_file: tuple[str, ...] = field("Most findings of any one file, in the same form (no limit).", default=())
-    suppressions: Path | None = field(f"File of what is accepted ({SUPPRESSIONS}, if there is one).", default=None)
+    suppressions: Path | None = field(f"File of what is accepted ({SUPPRESSIONS_FILE}, if there is one).", default=None)
     metrics: bool = field(
         "Measure complexity and duplication, and grade the code; 10 s for 100 000 lines.", default=False
     )

@@ -8,7 +8,7 @@ from calibration.addons.analysis.stage_result import Analysed
 from calibration.ci.workflow import annotate
 from calibration.pipeline.stages.running import Run
 
-FOLDER = "static-analysis"
+STAGE_FOLDER = "static-analysis"
 
 
 def analyse_stage(run: Run) -> Run:
@@ -19,14 +19,14 @@ def analyse_stage(run: Run) -> Run:
         InfrastructureError: an analyser is missing, fails or takes too long, or a file cannot be written.
     """
     settings: AnalysisSettings = run.sections.of("analysis")
-    folder = run.output / FOLDER
+    folder = run.output / STAGE_FOLDER
     report, found = analysed(settings, run.config.parent if run.config else Path(), folder, run.runner)
     report.write(folder)
     annotate(run.runner, report.annotations)
     result = Analysed(
         findings=len(found.findings),
         new=None if found.base is None else len(found.new),
-        folder=FOLDER,
+        folder=STAGE_FOLDER,
         reasons=tuple(f"static analysis: {reason}" for reason in report.reasons),
     )
     return run.with_result("analysis", result)

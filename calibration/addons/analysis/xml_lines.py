@@ -7,10 +7,10 @@ from xml.etree.ElementTree import Element
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import ParseError, XMLParser
 
-LINE = "{calibration}line"
+LINE_KEY = "{calibration}line"
 """Key of an element's line, which cannot be an attribute of a document."""
 
-DEEPEST = 100
+MAX_ELEMENT_DEPTH = 100
 """Limit of elements inside one another; readers of elements are recursive."""
 
 
@@ -26,10 +26,10 @@ class _Parser(XMLParser):
 
     def _start(self, tag: str, attributes: Sequence[str]) -> Element:
         self._depth += 1
-        if self._depth > DEEPEST:
-            raise ValueError(f"more than {DEEPEST} elements are inside one another")
+        if self._depth > MAX_ELEMENT_DEPTH:
+            raise ValueError(f"more than {MAX_ELEMENT_DEPTH} elements are inside one another")
         element: Element = super()._start(tag, attributes)  # type: ignore[misc]
-        element.set(LINE, str(self.parser.CurrentLineNumber))
+        element.set(LINE_KEY, str(self.parser.CurrentLineNumber))
         return element
 
 
@@ -46,9 +46,9 @@ def parse_xml(data: bytes) -> Element | None:
 
 def line_of(element: Element) -> int:
     """Return the line of an element, from 1."""
-    return int(element.get(LINE, "1"))
+    return int(element.get(LINE_KEY, "1"))
 
 
 def attributes_of(element: Element) -> dict[str, str]:
     """Return the attributes that the document gives an element."""
-    return {name: value for name, value in element.items() if name != LINE}
+    return {name: value for name, value in element.items() if name != LINE_KEY}

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import PurePosixPath
 
 from calibration.addons.analysis.analysers.analyser import Analyser, arguments, in_repository
-from calibration.addons.analysis.analysers.cpp import SUFFIXES
+from calibration.addons.analysis.analysers.cpp import CPP_SUFFIXES
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.finding import Finding
 from calibration.addons.analysis.programs import module, run_program
 
-MOST_PATHS = 15
+MAX_COMPLEXITY = 15
 """Limit of a function's cyclomatic complexity, lizard's default."""
 
 
@@ -22,15 +22,15 @@ class Lizard(Analyser):
 
     def wants(self, path: str, copy: Copy) -> bool:
         """Select Python, C and C++ files by suffix."""
-        return PurePosixPath(path).suffix.lower() in (*SUFFIXES, ".py")
+        return PurePosixPath(path).suffix.lower() in (*CPP_SUFFIXES, ".py")
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
         """Run lizard and parse its output."""
         result = run_program(self.name, [*module("lizard"), "--csv", *arguments(files)], copy.root, seconds, (0,))
         found = []
         for row in csv.reader(io.StringIO(result.output)):
-            if len(row) >= 10 and row[1].isdigit() and int(row[1]) > MOST_PATHS:
-                message = f"{row[7]} has a cyclomatic complexity of {row[1]}, at most {MOST_PATHS} was expected"
+            if len(row) >= 10 and row[1].isdigit() and int(row[1]) > MAX_COMPLEXITY:
+                message = f"{row[7]} has a cyclomatic complexity of {row[1]}, at most {MAX_COMPLEXITY} was expected"
                 path = in_repository(row[6], copy)
                 found.append(Finding(path, int(row[9]), "lizard/complexity", "complexity", "warning", message))
         return found

@@ -8,11 +8,21 @@ from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.finding import Category, Finding, Severity
 from calibration.addons.analysis.programs import program, run_program
 
-SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx")
-_UNRESOLVED = ("unknownMacro", "syntaxError", "internalAstError", "preprocessorErrorDirective")
+CPP_SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx")
+_RULES_OF_MISSING_HEADERS = ("unknownMacro", "syntaxError", "internalAstError", "preprocessorErrorDirective")
 """Errors of cppcheck due to missing headers: the code itself need not be wrong."""
-_UNUSED = ("unreadVariable", "unusedVariable", "unusedFunction", "unusedPrivateFunction", "unusedStructMember")
-_CATEGORIES: dict[str, Category] = {"performance": "performance", "portability": "compatibility", "style": "style"}
+_UNUSED_CODE = (
+    "unreadVariable",
+    "unusedVariable",
+    "unusedFunction",
+    "unusedPrivateFunction",
+    "unusedStructMember",
+)
+_CATEGORY_OF_KIND: dict[str, Category] = {
+    "performance": "performance",
+    "portability": "compatibility",
+    "style": "style",
+}
 
 
 class Cppcheck(Analyser):
@@ -23,7 +33,7 @@ class Cppcheck(Analyser):
 
     def wants(self, path: str, copy: Copy) -> bool:
         """Select C and C++ files by suffix."""
-        return PurePosixPath(path).suffix.lower() in SUFFIXES
+        return PurePosixPath(path).suffix.lower() in CPP_SUFFIXES
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
         """Run cppcheck and parse its standard error, one finding per line."""
@@ -31,13 +41,13 @@ class Cppcheck(Analyser):
         command += ["--max-configs=2", r"--template={file}\t{line}\t{severity}\t{id}\t{message}"]
         result = run_program(self.name, [*command, *arguments(files)], copy.root, seconds, (0,))
         parts = [line.split("\t", 4) for line in result.errors.splitlines()]
-        return [_finding(each, copy) for each in parts if len(each) == 5 and each[0] and each[1].isdigit()]
+        return [_finding_of_line(each, copy) for each in parts if len(each) == 5 and each[0] and each[1].isdigit()]
 
 
-def _finding(parts: list[str], copy: Copy) -> Finding:
+def _finding_of_line(parts: list[str], copy: Copy) -> Finding:
     file, line, kind, rule, message = parts
     severity: Severity = "error" if kind == "error" else "warning" if kind == "warning" else "note"
-    category: Category = "unused code" if rule in _UNUSED else _CATEGORIES.get(kind, "error-prone")
-    if rule in _UNRESOLVED:
+    category: Category = "unused code" if rule in _UNUSED_CODE else _CATEGORY_OF_KIND.get(kind, "error-prone")
+    if rule in _RULES_OF_MISSING_HEADERS:
         severity = "note"
     return Finding(in_repository(file, copy), max(int(line), 1), f"cppcheck/{rule}", category, severity, message)

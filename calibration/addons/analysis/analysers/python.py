@@ -9,10 +9,10 @@ from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.finding import Category, Finding, Severity
 from calibration.addons.analysis.programs import module, run_program
 
-_RULES = "E,W,F,B,S,PERF,C4,ARG,UP"
-_NOT = "S101,E501"
+_SELECTED_RULES = "E,W,F,B,S,PERF,C4,ARG,UP"
+_IGNORED_RULES = "S101,E501"
 """Ignored rules: asserts, which tests need; line length, which a formatter decides."""
-_CATEGORIES: tuple[tuple[tuple[str, ...], Category], ...] = (
+_CATEGORY_OF_PREFIX: tuple[tuple[tuple[str, ...], Category], ...] = (
     (("S",), "security"),
     (("F401", "F811", "F841", "F842", "ARG", "ERA"), "unused code"),
     (("SIM", "SLF", "SLOT"), "style"),
@@ -23,7 +23,7 @@ _CATEGORIES: tuple[tuple[tuple[str, ...], Category], ...] = (
     (("UP", "FA", "YTT"), "compatibility"),
 )
 """Categories by prefix of the rule; the first match counts, else style."""
-_ERRORS = ("E9", "F5", "F63", "F7", "F82", "PLE", "invalid-syntax")
+_PREFIXES_OF_ERRORS = ("E9", "F5", "F63", "F7", "F82", "PLE", "invalid-syntax")
 
 
 class Ruff(Analyser):
@@ -43,9 +43,9 @@ class Ruff(Analyser):
         command = [*module("ruff"), "check", "--no-cache", "--no-fix", "--exit-zero", "--force-exclude"]
         command += ["--output-format", "json"]
         if not _has_settings(copy):
-            command += ["--select", _RULES, "--ignore", _NOT]
+            command += ["--select", _SELECTED_RULES, "--ignore", _IGNORED_RULES]
         result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
-        return [_finding(entry, copy) for entry in json.loads(result.output or "[]")]
+        return [_finding_of_entry(entry, copy) for entry in json.loads(result.output or "[]")]
 
 
 def _has_settings(copy: Copy) -> bool:
@@ -55,18 +55,20 @@ def _has_settings(copy: Copy) -> bool:
     return (copy.root / "pyproject.toml").is_file() and "[tool.ruff" in copy.text("pyproject.toml")
 
 
-def _finding(entry: dict[str, object], copy: Copy) -> Finding:
+def _finding_of_entry(entry: dict[str, object], copy: Copy) -> Finding:
     code = str(entry.get("code") or "invalid-syntax")
     place = entry.get("location")
     line = int(place.get("row", 1)) if isinstance(place, dict) else 1
     path = in_repository(str(entry["filename"]), copy)
-    category = _category(code)
-    severity: Severity = "error" if code.startswith(_ERRORS) else "note" if category == "style" else "warning"
+    category = _category_of_rule(code)
+    severity: Severity = (
+        "error" if code.startswith(_PREFIXES_OF_ERRORS) else "note" if category == "style" else "warning"
+    )
     return Finding(path, line, f"ruff/{code}", category, severity, str(entry["message"]))
 
 
-def _category(code: str) -> Category:
-    for begins, category in _CATEGORIES:
+def _category_of_rule(code: str) -> Category:
+    for begins, category in _CATEGORY_OF_PREFIX:
         if code.startswith(begins):
             return category
     return "style"

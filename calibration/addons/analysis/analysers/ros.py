@@ -14,11 +14,11 @@ from calibration.addons.analysis.finding import Finding
 from calibration.addons.analysis.programs import run_program
 from calibration.base.temporary_folder import temporary_folder
 
-_FILES = re.compile(
+_CHECKED_FILES = re.compile(
     r"(.*/)?(package\.xml|CMakeLists\.txt|setup\.(py|cfg)|calibration\.yml|config\.yml|dataset\.json)"
     r"|.*\.(launch|launch\.xml|test|urdf|xacro|msg|srv|action|py|cpp|cc|cxx|c|h|hpp|hh|hxx|yaml|yml)"
 )
-_START = (
+_PROGRAM_OF_CHECKS = (
     "import runpy, sys; sys.path.insert(0, sys.argv.pop(1)); "
     "runpy.run_module('calibration.addons.analysis.ros', run_name='__main__', alter_sys=True)"
 )
@@ -34,7 +34,9 @@ class Ros(Analyser):
 
     def wants(self, path: str, copy: Copy) -> bool:
         """Select the files that checks report on, if there is a package."""
-        return bool(_FILES.fullmatch(path)) and any(each.rpartition("/")[2] == "package.xml" for each in copy.present)
+        return bool(_CHECKED_FILES.fullmatch(path)) and any(
+            each.rpartition("/")[2] == "package.xml" for each in copy.present
+        )
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
         """Check all files together, and keep what is found in ``files``."""
@@ -58,5 +60,7 @@ def run_in_process(what: str, copy: Copy, seconds: float) -> Any:
         task = folder / "task.json"
         task.write_text(json.dumps([what, str(copy.root), copy.present, copy.opaque]), encoding="ascii")
         home = str(Path(calibration.__file__).parents[1])
-        result = run_program(Ros.name, [sys.executable, "-I", "-c", _START, home, str(task)], copy.root, seconds, (0,))
+        result = run_program(
+            Ros.name, [sys.executable, "-I", "-c", _PROGRAM_OF_CHECKS, home, str(task)], copy.root, seconds, (0,)
+        )
     return json.loads(result.output)

@@ -9,8 +9,8 @@ from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.finding import Category, Finding, Severity
 from calibration.addons.analysis.programs import json_output, program, run_program
 
-_SHELL = re.compile(r"#!.*\b(sh|bash|dash|ksh)\b")
-_SEVERITIES: dict[str, Severity] = {"error": "error", "warning": "warning"}
+_SHELL_IN_FIRST_LINE = re.compile(r"#!.*\b(sh|bash|dash|ksh)\b")
+_SEVERITY_OF_LEVEL: dict[str, Severity] = {"error": "error", "warning": "warning"}
 
 
 class Shellcheck(Analyser):
@@ -22,7 +22,7 @@ class Shellcheck(Analyser):
     def wants(self, path: str, copy: Copy) -> bool:
         """Select shell scripts by suffix, or by their first line."""
         suffix = PurePosixPath(path).suffix
-        return suffix in (".sh", ".bash") or (not suffix and bool(_SHELL.match(copy.first_line(path))))
+        return suffix in (".sh", ".bash") or (not suffix and bool(_SHELL_IN_FIRST_LINE.match(copy.first_line(path))))
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
         """Run shellcheck; files whose first line names no shell are checked as bash."""
@@ -32,15 +32,15 @@ class Shellcheck(Analyser):
             if group:
                 command = [program("shellcheck"), "--format=json1", *options, "--", *arguments(group)]
                 result = run_program(self.name, command, copy.root, seconds, (0, 1))
-                found += [_finding(entry, copy) for entry in json_output(self.name, result)["comments"]]
+                found += [_finding_of_entry(entry, copy) for entry in json_output(self.name, result)["comments"]]
         return found
 
 
-def _finding(entry: dict[str, object], copy: Copy) -> Finding:
+def _finding_of_entry(entry: dict[str, object], copy: Copy) -> Finding:
     level, code = str(entry["level"]), int(str(entry["code"]))
     category: Category = "unused code" if code == 2034 else "compatibility" if 3000 <= code < 4000 else "error-prone"
     if level == "style":
         category = "style"
     path, line = in_repository(str(entry["file"]), copy), int(str(entry["line"]))
-    severity = _SEVERITIES.get(level, "note")
+    severity = _SEVERITY_OF_LEVEL.get(level, "note")
     return Finding(path, max(line, 1), f"shellcheck/SC{code}", category, severity, str(entry["message"]))

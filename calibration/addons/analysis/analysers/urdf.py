@@ -10,8 +10,8 @@ from calibration.addons.analysis.finding import Finding, Severity
 from calibration.addons.analysis.xml_lines import line_of, parse_xml
 from calibration.base.text import did_you_mean, shorten
 
-_LIMITED = ("revolute", "prismatic")
-_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_JOINTS_WITH_LIMITS = ("revolute", "prismatic")
+_MOMENTS_OF_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _Found = tuple[Element, str, Severity, str]
 """Element, rule, severity, message."""
 
@@ -32,12 +32,12 @@ class Urdf(Analyser):
             root = parse_xml((copy.root / path).read_bytes())
             if root is None:
                 continue
-            for element, rule, severity, message in _faults(root):
+            for element, rule, severity, message in _find_faults(root):
                 found.append(Finding(path, line_of(element), f"urdf/{rule}", "error-prone", severity, message))
         return found
 
 
-def _faults(root: Element) -> Iterator[_Found]:
+def _find_faults(root: Element) -> Iterator[_Found]:
     if root.tag != "robot":
         return
     links, joints = root.findall("link"), root.findall("joint")
@@ -83,12 +83,12 @@ def _tree_faults(root: Element, links: Sequence[str], joints: Sequence[Element])
 def _limit_faults(joint: Element) -> Iterator[_Found]:
     kind, name = joint.get("type", ""), shorten(joint.get("name", ""))
     limit = joint.find("limit")
-    if kind not in _LIMITED:
+    if kind not in _JOINTS_WITH_LIMITS:
         return
     if limit is None:
         yield joint, "no-limits", "error", f"joint {name!r} is {kind} and has no <limit>"
         return
-    lower, upper = _number(limit.get("lower", "0")), _number(limit.get("upper", "0"))
+    lower, upper = _parse_number(limit.get("lower", "0")), _parse_number(limit.get("upper", "0"))
     if lower is None or upper is None or lower > upper:
         fault = f"found {shorten(limit.get('lower', '0'))} to {shorten(limit.get('upper', '0'))}"
         yield limit, "limits", "error", f"limits of joint {name!r}: {fault}, expected two numbers in their order"
@@ -98,12 +98,12 @@ def _limit_faults(joint: Element) -> Iterator[_Found]:
 
 def _inertia_faults(inertial: Element, link: str) -> Iterator[_Found]:
     mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    if mass is not None and not (_number(mass.get("value", "")) or 0) > 0:
+    if mass is not None and not (_parse_number(mass.get("value", "")) or 0) > 0:
         found = shorten(mass.get("value", "nothing"))
         yield mass, "mass", "error", f"mass of link {link!r}: found {found}, expected a number above 0"
     if inertia is None:
         return
-    values = [_number(inertia.get(name, "0")) for name in _INERTIA]
+    values = [_parse_number(inertia.get(name, "0")) for name in _MOMENTS_OF_INERTIA]
     if not _is_positive_definite(values):
         fault = "is not positive definite, which that of a body is"
         yield inertia, "inertia", "error", f"the inertia of link {link!r} {fault}"
@@ -112,7 +112,7 @@ def _inertia_faults(inertial: Element, link: str) -> Iterator[_Found]:
 def _is_positive_definite(values: Sequence[float | None]) -> bool:
     """Whether a symmetric matrix is positive definite by its leading minors; from its six numbers, row by row."""
     numbers = [value for value in values if value is not None]
-    if len(numbers) < len(_INERTIA):
+    if len(numbers) < len(_MOMENTS_OF_INERTIA):
         return False
     xx, xy, xz, yy, yz, zz = numbers
     second = xx * yy - xy * xy
@@ -120,7 +120,7 @@ def _is_positive_definite(values: Sequence[float | None]) -> bool:
     return xx > 0 and second > 0 and third > 0
 
 
-def _number(text: str) -> float | None:
+def _parse_number(text: str) -> float | None:
     try:
         number = float(text)
     except ValueError:

@@ -12,8 +12,8 @@ from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.finding import Finding, Severity
 from calibration.addons.analysis.programs import program, run_program
 
-_FILES = re.compile(r"\.github/workflows/[^/]+\.ya?ml|(.*/)?action\.ya?ml")
-_SEVERITIES: dict[str, Severity] = {"High": "error", "Medium": "warning"}
+_WORKFLOWS_AND_ACTIONS = re.compile(r"\.github/workflows/[^/]+\.ya?ml|(.*/)?action\.ya?ml")
+_SEVERITY_OF_LEVEL: dict[str, Severity] = {"High": "error", "Medium": "warning"}
 
 
 class Zizmor(Analyser):
@@ -24,13 +24,15 @@ class Zizmor(Analyser):
 
     def wants(self, path: str, copy: Copy) -> bool:
         """Select workflows and actions; invalid YAML is reported by yamllint."""
-        return bool(_FILES.fullmatch(path)) and _is_mapping(copy.text(path))
+        return bool(_WORKFLOWS_AND_ACTIONS.fullmatch(path)) and _is_mapping(copy.text(path))
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
         """Run zizmor and parse its output."""
         command = [program("zizmor"), "--offline", "--no-exit-codes", "--no-progress", "--quiet", "--format", "json-v1"]
         result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
-        return [_finding(entry, copy) for entry in json.loads(result.output or "[]") if not entry.get("ignored")]
+        return [
+            _finding_of_entry(entry, copy) for entry in json.loads(result.output or "[]") if not entry.get("ignored")
+        ]
 
 
 def _is_mapping(text: str) -> bool:
@@ -41,11 +43,11 @@ def _is_mapping(text: str) -> bool:
         return False
 
 
-def _finding(entry: dict[str, Any], copy: Copy) -> Finding:
+def _finding_of_entry(entry: dict[str, Any], copy: Copy) -> Finding:
     places = entry["locations"]
     primary = next((each for each in places if each["symbolic"].get("kind") == "Primary"), places[0])
     path = in_repository(primary["symbolic"]["key"]["Local"]["verbatim_path"], copy)
     line = primary["concrete"]["location"]["start_point"]["row"] + 1
-    severity = _SEVERITIES.get(entry["determinations"]["severity"], "note")
+    severity = _SEVERITY_OF_LEVEL.get(entry["determinations"]["severity"], "note")
     message = f"{entry['desc']}: {primary['symbolic'].get('annotation', '')}"
     return Finding(path, line, f"zizmor/{entry['ident']}", "security", severity, message)

@@ -10,7 +10,7 @@ from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.finding import Finding
 from calibration.base.text import one_line, shorten
 
-_SUFFIXES = (".xml", ".launch", ".urdf", ".xacro", ".sdf", ".srdf")
+_XML_SUFFIXES = (".xml", ".launch", ".urdf", ".xacro", ".sdf", ".srdf")
 
 
 class XmlFiles(Analyser):
@@ -20,14 +20,14 @@ class XmlFiles(Analyser):
 
     def wants(self, path: str, copy: Copy) -> bool:
         """Select XML files by suffix."""
-        return path.endswith(_SUFFIXES)
+        return path.endswith(_XML_SUFFIXES)
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
         """Parse each file."""
-        return [finding for path in files if (finding := _check(copy, path)) is not None]
+        return [finding for path in files if (finding := _check_file(copy, path)) is not None]
 
 
-def _check(copy: Copy, path: str) -> Finding | None:
+def _check_file(copy: Copy, path: str) -> Finding | None:
     try:
         for _, element in iterparse(copy.root / path, ("end",)):
             element.clear()

@@ -8,9 +8,9 @@ from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.finding import Category, Finding, Severity
 from calibration.addons.analysis.programs import module, run_program
 
-_LINE = re.compile(r"(.+?):(\d+):(\d+): \[(error|warning)\] (.*?)(?: \(([a-z-]+)\))?")
-_RULES = "{extends: relaxed, rules: {line-length: disable, new-line-at-end-of-file: disable}}"
-_WRONG = ("syntax", "key-duplicates", "anchors")
+_LINE_OF_OUTPUT = re.compile(r"(.+?):(\d+):(\d+): \[(error|warning)\] (.*?)(?: \(([a-z-]+)\))?")
+_DEFAULT_CONFIGURATION = "{extends: relaxed, rules: {line-length: disable, new-line-at-end-of-file: disable}}"
+_RULES_OF_ERRORS = ("syntax", "key-duplicates", "anchors")
 """Rules of errors that change the meaning; the others are style."""
 
 
@@ -27,17 +27,22 @@ class Yamllint(Analyser):
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
         """Run yamllint and parse its output."""
         own = any((copy.root / name).is_file() for name in self.settings)
-        command = [*module("yamllint"), "--format", "parsable", *([] if own else ["--config-data", _RULES])]
+        command = [
+            *module("yamllint"),
+            "--format",
+            "parsable",
+            *([] if own else ["--config-data", _DEFAULT_CONFIGURATION]),
+        ]
         # 1 is also the exit code of a Python program that crashes: then there is a traceback
         result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0, 1))
         if "Traceback" in result.errors:
             run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
-        found = (_LINE.fullmatch(line) for line in result.output.splitlines())
-        return [_finding(match, copy) for match in found if match]
+        found = (_LINE_OF_OUTPUT.fullmatch(line) for line in result.output.splitlines())
+        return [_finding_of_line(match, copy) for match in found if match]
 
 
-def _finding(match: re.Match[str], copy: Copy) -> Finding:
+def _finding_of_line(match: re.Match[str], copy: Copy) -> Finding:
     rule = match[6] or "syntax"
-    category: Category = "error-prone" if rule in _WRONG else "style"
-    severity: Severity = "error" if rule in _WRONG else "note"
+    category: Category = "error-prone" if rule in _RULES_OF_ERRORS else "style"
+    severity: Severity = "error" if rule in _RULES_OF_ERRORS else "note"
     return Finding(in_repository(match[1], copy), int(match[2]), f"yamllint/{rule}", category, severity, match[5])

@@ -16,11 +16,11 @@ def main(task: Path) -> None:
     """Check the files that a task names."""
     what, root, present, opaque = json.loads(task.read_text(encoding="ascii"))
     tree = Tree(Path(root), present, opaque)
-    found: object = [dataclasses.asdict(each) for each in check(tree)] if what == "findings" else _graph(tree)
+    found: object = [dataclasses.asdict(each) for each in check(tree)] if what == "findings" else _graph_document(tree)
     json.dump(found, sys.stdout)
 
 
-def _graph(tree: Tree) -> object:
+def _graph_document(tree: Tree) -> object:
     graphs = build_graphs(Repository(tree))
     return {**summary_of(graphs), "picture": picture(graphs)}
 

@@ -7,15 +7,15 @@ from collections.abc import Iterator
 from calibration.addons.analysis.finding import Finding
 from calibration.addons.analysis.ros.cmake import Argument, Command
 from calibration.addons.analysis.ros.faults import fault, quoted
-from calibration.addons.analysis.ros.interfaces import SUFFIXES, Unreadable, lines_of
+from calibration.addons.analysis.ros.interfaces import FOLDER_OF_SUFFIX, Unreadable, lines_of
 from calibration.addons.analysis.ros.known import BUILT_IN_TYPES
 from calibration.addons.analysis.ros.package import Package
 from calibration.addons.analysis.ros.repository import Repository
 from calibration.addons.analysis.ros.setup_script import parse_python
 from calibration.base.text import did_you_mean
 
-_SOURCES = (".cpp", ".cc", ".cxx", ".c")
-_INSTALL = (
+_SOURCE_SUFFIXES = (".cpp", ".cc", ".cxx", ".c")
+_INSTALL_KEYWORDS = (
     *("TARGETS", "FILES", "PROGRAMS", "DIRECTORY", "DESTINATION", "PERMISSIONS", "CONFIGURATIONS", "COMPONENT"),
     *("RENAME", "OPTIONAL", "ARCHIVE", "LIBRARY", "RUNTIME", "OBJECTS", "FRAMEWORK", "BUNDLE", "PRIVATE_HEADER"),
     *("PUBLIC_HEADER", "RESOURCE", "INCLUDES", "EXPORT", "FILES_MATCHING", "PATTERN", "REGEX", "EXCLUDE", "TYPE"),
@@ -23,7 +23,7 @@ _INSTALL = (
     *("MESSAGE_NEVER", "EXCLUDE_FROM_ALL", "SCRIPT", "CODE"),
 )
 """Keywords of ``install``."""
-_CONSUMERS = (
+_COMMANDS_WITHOUT_TARGET = (
     *("install", "target_link_libraries", "target_include_directories", "target_compile_features", "add_dependencies"),
     *("target_compile_definitions", "target_compile_options", "set_target_properties", "ament_target_dependencies"),
     *("catkin_package", "ament_export_libraries", "ament_export_targets", "rclcpp_components_register_node"),
@@ -40,18 +40,18 @@ _INTERFACE_KEYWORDS = (
     "SKIP_INSTALL",
     "ADD_LINTER_TESTS",
 )
-_LISTS = {"add_message_files": "msg", "add_service_files": "srv", "add_action_files": "action"}
+_KIND_OF_INTERFACE_LIST = {"add_message_files": "msg", "add_service_files": "srv", "add_action_files": "action"}
 _ROS2_FIELD = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 
 
 def check_builds(repository: Repository) -> Iterator[Finding]:
     """Check every package."""
     for package in repository.packages:
-        yield from _sources(package)
-        yield from _targets(package)
-        yield from _found(package)
-        yield from _interfaces(package)
-        yield from _fields(package, repository)
+        yield from _check_sources(package)
+        yield from _check_targets(package)
+        yield from _check_found_packages(package)
+        yield from _check_interface_lists(package)
+        yield from _check_fields(package, repository)
         yield from _entry_points(package)
 
 
@@ -60,27 +60,27 @@ def made_words(package: Package) -> frozenset[str]:
     return frozenset(
         word
         for each in package.cmake
-        if each.name not in _CONSUMERS
+        if each.name not in _COMMANDS_WITHOUT_TARGET
         for text in each.texts
         for word in (text, text.rpartition("/")[2])
     )
 
 
-def _sources(package: Package) -> Iterator[Finding]:
+def _check_sources(package: Package) -> Iterator[Finding]:
     for command in package.commands("add_executable", "add_library"):
         for each in command.arguments[1:]:
-            if each.text.endswith(_SOURCES):
-                yield from _exists(package, command, each)
+            if each.text.endswith(_SOURCE_SUFFIXES):
+                yield from _check_existence(package, command, each)
     made = made_words(package)
     for command in package.commands("install", "catkin_install_python"):
         kinds = ("FILES", "PROGRAMS", "DIRECTORY") if command.name == "install" else ("PROGRAMS",)
         if command.texts[:1] and command.texts[0] in kinds and "OPTIONAL" not in command.texts:
-            for each in command.after(command.texts[0], _INSTALL):
+            for each in command.after(command.texts[0], _INSTALL_KEYWORDS):
                 if each.text.rpartition("/")[2] not in made:
-                    yield from _exists(package, command, each)
+                    yield from _check_existence(package, command, each)
 
 
-def _exists(package: Package, command: Command, argument: Argument) -> Iterator[Finding]:
+def _check_existence(package: Package, command: Command, argument: Argument) -> Iterator[Finding]:
     place = command.place(argument.text)
     if place is None or package.tree.has(place):
         return
@@ -93,14 +93,14 @@ def _exists(package: Package, command: Command, argument: Argument) -> Iterator[
     yield fault("no-such-source", command.path, argument.line, message)
 
 
-def _targets(package: Package) -> Iterator[Finding]:
-    built = {each.texts[0] for each in package.cmake if each.name not in _CONSUMERS and each.texts}
+def _check_targets(package: Package) -> Iterator[Finding]:
+    built = {each.texts[0] for each in package.cmake if each.name not in _COMMANDS_WITHOUT_TARGET and each.texts}
     made = made_words(package)
     if any("$" in each for each in built if each) or any(path.endswith(".cmake") for path in package.files):
         return
     for command in package.cmake:
         if command.name == "install":
-            names = command.after("TARGETS", _INSTALL)
+            names = command.after("TARGETS", _INSTALL_KEYWORDS)
         elif command.name == "catkin_package":
             names = command.after("LIBRARIES", _PACKAGE_KEYWORDS)
         elif command.name in ("target_link_libraries", "ament_target_dependencies", "target_include_directories"):
@@ -114,7 +114,7 @@ def _targets(package: Package) -> Iterator[Finding]:
                 yield fault("no-such-target", command.path, each.line, message)
 
 
-def _found(package: Package) -> Iterator[Finding]:
+def _check_found_packages(package: Package) -> Iterator[Finding]:
     """Yield dependencies of targets and interfaces that CMake has not found before."""
     if not package.is_ros2 or "ament_auto_find_build_dependencies" in package.build_words:
         return
@@ -139,17 +139,17 @@ def _not_found(command: Command, names: list[Argument], found: set[str]) -> Iter
             yield fault("not-found-in-cmake", command.path, each.line, message)
 
 
-def _interfaces(package: Package) -> Iterator[Finding]:
+def _check_interface_lists(package: Package) -> Iterator[Finding]:
     """Check lists of interfaces against the files."""
     listed: set[str] = set()
-    complete = set(SUFFIXES.values())
-    calls = package.commands(*_LISTS, "rosidl_generate_interfaces")
+    complete = set(FOLDER_OF_SUFFIX.values())
+    calls = package.commands(*_KIND_OF_INTERFACE_LIST, "rosidl_generate_interfaces")
     for command in calls:
         if command.name == "rosidl_generate_interfaces":
-            entries = [each for each in command.arguments[1:] if each.text.endswith((*SUFFIXES, ".idl"))]
+            entries = [each for each in command.arguments[1:] if each.text.endswith((*FOLDER_OF_SUFFIX, ".idl"))]
             folder, unknown = "", any("$" in text for text in command.texts[1:])
         else:
-            kind = _LISTS[command.name]
+            kind = _KIND_OF_INTERFACE_LIST[command.name]
             folder = next((each.text for each in command.after("DIRECTORY", _INTERFACE_KEYWORDS)), kind) + "/"
             entries = command.after("FILES", _INTERFACE_KEYWORDS)
             unknown = not entries or any("$" in each.text for each in entries)
@@ -161,16 +161,21 @@ def _interfaces(package: Package) -> Iterator[Finding]:
                 continue
             listed.add(place)
             if not package.tree.has(place):
-                names = [path.rpartition("/")[2] for path in package.files if path.endswith(tuple(SUFFIXES))]
+                names = [path.rpartition("/")[2] for path in package.files if path.endswith(tuple(FOLDER_OF_SUFFIX))]
                 message = f"{command.name} names {quoted(each.text)}, which does not exist"
                 hint = did_you_mean(each.text.rpartition("/")[2], names)
                 yield fault("no-such-interface", command.path, each.line, message + hint)
     if not package.cmake or "*" in {each.name for each in calls}:
         return
     for path in package.files:
-        suffix = next((each for each in SUFFIXES if path.endswith(each)), None)
+        suffix = next((each for each in FOLDER_OF_SUFFIX if path.endswith(each)), None)
         where = path.removeprefix(package.inside("")).rpartition("/")[0]
-        if suffix and where == SUFFIXES[suffix] in complete and path not in listed and _has_no_other(package, path):
+        if (
+            suffix
+            and where == FOLDER_OF_SUFFIX[suffix] in complete
+            and path not in listed
+            and _has_no_other(package, path)
+        ):
             yield fault(
                 "interface-not-built", path, 1, "CMakeLists.txt does not name this file, so nothing is generated"
             )
@@ -184,10 +189,12 @@ def _has_no_other(package: Package, path: str) -> bool:
     )
 
 
-def _fields(package: Package, repository: Repository) -> Iterator[Finding]:
+def _check_fields(package: Package, repository: Repository) -> Iterator[Finding]:
     interfaces = {path.rpartition("/")[2].partition(".")[0] for path in package.files if path.endswith(".msg")}
     for path in package.files:
-        if not path.endswith(tuple(SUFFIXES)) or path.split("/")[-2:-1] not in ([kind] for kind in SUFFIXES.values()):
+        if not path.endswith(tuple(FOLDER_OF_SUFFIX)) or path.split("/")[-2:-1] not in (
+            [kind] for kind in FOLDER_OF_SUFFIX.values()
+        ):
             continue
         for each in lines_of(package.tree.text(path)):
             if isinstance(each, Unreadable):
@@ -233,14 +240,14 @@ def _entry_points(package: Package) -> Iterator[Finding]:
         module = parse_python(tree.text(file))
         if module is None or not each.function or "." in each.function:
             continue
-        names = list(_defined(module))
+        names = list(_defined_names(module))
         if each.function not in names and "*" not in names:
             hint = did_you_mean(each.function, names)
             message = f"{each.name} is to call {quoted(each.function)}, which {file} does not define{hint}"
             yield fault("no-such-entry-point", each.path, each.line, message)
 
 
-def _defined(module: ast.Module) -> Iterator[str]:
+def _defined_names(module: ast.Module) -> Iterator[str]:
     """Yield the names that a module defines outside of functions and classes, and ``*`` for what is not written."""
     for node in module.body:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):

@@ -6,22 +6,22 @@ from dataclasses import dataclass, field
 
 from calibration.addons.analysis.ros.tree import Tree, join
 
-_TOKEN = re.compile(r'\s+|\(|\)|(?:\\[\s\S]|\$\{[^}\s]{0,200}\}|[^\s()"#\\])+|["#\\]')
-_BRACKET = re.compile(r"\[(=*)\[")
-_VARIABLE = re.compile(r"\$\{([A-Za-z0-9_./+-]+)\}")
-_LONGEST = 2_000
+_TOKEN_OUTSIDE_QUOTES = re.compile(r'\s+|\(|\)|(?:\\[\s\S]|\$\{[^}\s]{0,200}\}|[^\s()"#\\])+|["#\\]')
+_OPENING_BRACKET = re.compile(r"\[(=*)\[")
+_VARIABLE_REFERENCE = re.compile(r"\$\{([A-Za-z0-9_./+-]+)\}")
+_MAX_EXPANDED_LENGTH = 2_000
 """Limit of characters of an argument in which variables are expanded."""
-_LONGEST_LIST = 20_000
+_MAX_LIST_LENGTH = 20_000
 """Limit of characters of a variable's values."""
-_MOST_STEPS = 300_000
+_MAX_STEPS = 300_000
 """Limit of commands and their arguments, with those of unrolled loops and included folders."""
-_DEEPEST = 20
+_MAX_LOOP_DEPTH = 20
 """Limit of loops in loops."""
-_FOLDERS = ("CMAKE_CURRENT_SOURCE_DIR", "CMAKE_CURRENT_LIST_DIR")
-_ROOTS = ("CMAKE_SOURCE_DIR", "PROJECT_SOURCE_DIR")
-_TOP = "/repository"
+_FOLDER_VARIABLES = ("CMAKE_CURRENT_SOURCE_DIR", "CMAKE_CURRENT_LIST_DIR")
+_ROOT_VARIABLES = ("CMAKE_SOURCE_DIR", "PROJECT_SOURCE_DIR")
+_REPOSITORY_ROOT = "/repository"
 """Stands for the root of the repository in absolute paths."""
-_ENDS = {"foreach": "endforeach", "function": "endfunction", "macro": "endmacro"}
+_END_OF_BLOCK = {"foreach": "endforeach", "function": "endfunction", "macro": "endmacro"}
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,13 @@ class Command:
 
     def place(self, text: str) -> str | None:
         """Return the path in the repository of a path in the command; None if it is outside, or not known."""
-        if "$" in text or "*" in text or (text.startswith("/") and not text.startswith(_TOP)):
+        if "$" in text or "*" in text or (text.startswith("/") and not text.startswith(_REPOSITORY_ROOT)):
             return None
-        return join("", text.removeprefix(_TOP)) if text.startswith(_TOP) else join(self.folder, text)
+        return (
+            join("", text.removeprefix(_REPOSITORY_ROOT))
+            if text.startswith(_REPOSITORY_ROOT)
+            else join(self.folder, text)
+        )
 
     def after(self, keyword: str, keywords: Sequence[str]) -> list[Argument]:
         """Return the arguments between a keyword and the next one of ``keywords``."""
@@ -89,7 +93,7 @@ class _State:
         kept, size = [], 0
         for value in values:
             size += len(value) + 1
-            if size > _LONGEST_LIST:
+            if size > _MAX_LIST_LENGTH:
                 kept.append("${" + name + "}")  # the rest is unknown
                 break
             kept.append(value)
@@ -102,38 +106,38 @@ def read_cmake(tree: Tree, folder: str) -> list[Command]:
     Loops over written values are unrolled; bodies of functions and macros are left out.
     """
     state = _State(tree)
-    _include(state, folder)
+    _include_folder(state, folder)
     return state.commands
 
 
-def _include(state: _State, folder: str) -> None:
+def _include_folder(state: _State, folder: str) -> None:
     path = f"{folder}/CMakeLists.txt" if folder else "CMakeLists.txt"
     if path in state.seen or path not in state.tree.present or len(state.seen) > 200:
         return
     state.seen[path] = None
     commands = [Command(name, arguments, path, line, folder) for name, arguments, line in parse(state.tree.text(path))]
     root = next(iter(state.seen)).rpartition("/")[0]
-    for name, value in (*((each, folder) for each in _FOLDERS), *((each, root) for each in _ROOTS)):
-        state.variables[name] = [f"{_TOP}/{value}"]
-    _run(state, commands, 0)
+    for name, value in (*((each, folder) for each in _FOLDER_VARIABLES), *((each, root) for each in _ROOT_VARIABLES)):
+        state.variables[name] = [f"{_REPOSITORY_ROOT}/{value}"]
+    _run_commands(state, commands, 0)
 
 
-def _run(state: _State, commands: Sequence[Command], depth: int) -> None:
+def _run_commands(state: _State, commands: Sequence[Command], depth: int) -> None:
     at = 0
-    while at < len(commands) and state.steps < _MOST_STEPS:
+    while at < len(commands) and state.steps < _MAX_STEPS:
         state.steps += 1
         command = commands[at]
-        if (end := _ENDS.get(command.name)) is not None:
-            last = _end(commands, at, command.name, end)
-            if command.name == "foreach" and depth < _DEEPEST:
-                _unroll(state, command, commands[at + 1 : last], depth)
+        if (end := _END_OF_BLOCK.get(command.name)) is not None:
+            last = _find_end(commands, at, command.name, end)
+            if command.name == "foreach" and depth < _MAX_LOOP_DEPTH:
+                _unroll_loop(state, command, commands[at + 1 : last], depth)
             at = last + 1
             continue
-        _one(state, command)
+        _run_command(state, command)
         at += 1
 
 
-def _end(commands: Sequence[Command], at: int, name: str, end: str) -> int:
+def _find_end(commands: Sequence[Command], at: int, name: str, end: str) -> int:
     depth = 0
     for index in range(at, len(commands)):
         depth += (commands[index].name == name) - (commands[index].name == end)
@@ -142,9 +146,9 @@ def _end(commands: Sequence[Command], at: int, name: str, end: str) -> int:
     return len(commands)
 
 
-def _unroll(state: _State, command: Command, body: Sequence[Command], depth: int) -> None:
+def _unroll_loop(state: _State, command: Command, body: Sequence[Command], depth: int) -> None:
     """Run the body of a loop for each value; once with an unknown value if the values are not written."""
-    words = [each.text for each in _expanded(command.arguments, state.variables)]
+    words = [each.text for each in _expand_variables(command.arguments, state.variables)]
     if not words:
         return
     variable, values = words[0], words[1:]
@@ -157,7 +161,7 @@ def _unroll(state: _State, command: Command, body: Sequence[Command], depth: int
             elif kind == "LISTS":
                 values += state.variables.get(each.text, ["${" + each.text + "}"])
             else:
-                values += [one.text for one in _expanded([each], state.variables)]
+                values += [one.text for one in _expand_variables([each], state.variables)]
     before = state.variables.get(variable)
     for value in values[:500] or ["${" + variable + "}"]:
         if value == "${" + variable + "}":
@@ -165,8 +169,8 @@ def _unroll(state: _State, command: Command, body: Sequence[Command], depth: int
         else:
             state.variables[variable] = [value]
         state.steps += 1
-        _run(state, body, depth + 1)
-        if state.steps >= _MOST_STEPS:
+        _run_commands(state, body, depth + 1)
+        if state.steps >= _MAX_STEPS:
             break
     if before is None:
         state.variables.pop(variable, None)
@@ -174,8 +178,8 @@ def _unroll(state: _State, command: Command, body: Sequence[Command], depth: int
         state.variables[variable] = before
 
 
-def _one(state: _State, command: Command) -> None:
-    arguments = _expanded(command.arguments, state.variables)
+def _run_command(state: _State, command: Command) -> None:
+    arguments = _expand_variables(command.arguments, state.variables)
     state.steps += len(arguments)
     expanded = Command(command.name, tuple(arguments), command.path, command.line, command.folder)
     state.commands.append(expanded)
@@ -195,22 +199,22 @@ def _one(state: _State, command: Command) -> None:
     elif command.name == "add_subdirectory" and words:
         below = expanded.place(words[0])
         if below is not None:
-            _include(state, below)
-            for name in _FOLDERS:
-                state.variables[name] = [f"{_TOP}/{command.folder}"]
+            _include_folder(state, below)
+            for name in _FOLDER_VARIABLES:
+                state.variables[name] = [f"{_REPOSITORY_ROOT}/{command.folder}"]
 
 
-def _expanded(arguments: Sequence[Argument], variables: Mapping[str, list[str]]) -> list[Argument]:
+def _expand_variables(arguments: Sequence[Argument], variables: Mapping[str, list[str]]) -> list[Argument]:
     found: list[Argument] = []
     for each in arguments:
-        whole = _VARIABLE.fullmatch(each.text)
+        whole = _VARIABLE_REFERENCE.fullmatch(each.text)
         if whole and whole[1] in variables and not each.is_quoted:
             found += [Argument(value, each.line) for value in variables[whole[1]]]
             continue
         text = each.text
         for _ in range(5):
-            new = _VARIABLE.sub(lambda match: ";".join(variables.get(match[1], [match[0]])), text)
-            if new == text or len(new) > _LONGEST:
+            new = _VARIABLE_REFERENCE.sub(lambda match: ";".join(variables.get(match[1], [match[0]])), text)
+            if new == text or len(new) > _MAX_EXPANDED_LENGTH:
                 break
             text = new
         parts = [text] if each.is_quoted else [part for part in text.split(";") if part]
@@ -222,7 +226,7 @@ def parse(text: str) -> Iterator[tuple[str, tuple[Argument, ...], int]]:
     """Yield name, arguments and line of every command; the rest of a file that does not parse is left out."""
     name, line, depth = "", 0, 0
     arguments: list[Argument] = []
-    for kind, token, at in _tokens(text):
+    for kind, token, at in _split_tokens(text):
         if kind == "(":
             depth += 1
         elif kind == ")":
@@ -237,12 +241,12 @@ def parse(text: str) -> Iterator[tuple[str, tuple[Argument, ...], int]]:
             arguments.append(Argument(token, at, kind == "text"))
 
 
-def _tokens(text: str) -> Iterator[tuple[str, str, int]]:
+def _split_tokens(text: str) -> Iterator[tuple[str, str, int]]:
     """Yield kind (``(``, ``)``, word, or text in quotes), text and line; stop at an open quote or bracket."""
     at, line = 0, 1
     while at < len(text):
         comment = text[at] == "#"
-        bracket = _BRACKET.match(text, at + comment)
+        bracket = _OPENING_BRACKET.match(text, at + comment)
         if bracket:
             end = text.find(f"]{bracket[1]}]", bracket.end())
             if end < 0:
@@ -262,7 +266,7 @@ def _tokens(text: str) -> Iterator[tuple[str, str, int]]:
             yield "text", text[at + 1 : end], line
             end += 1
         else:
-            token = _TOKEN.match(text, at)
+            token = _TOKEN_OUTSIDE_QUOTES.match(text, at)
             if token is None:
                 return
             end = token.end()

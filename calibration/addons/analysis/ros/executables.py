@@ -10,12 +10,12 @@ from calibration.addons.analysis.ros.package import Package
 from calibration.addons.analysis.ros.setup_script import parse_python
 from calibration.addons.analysis.ros.tree import join
 
-_SOURCES = (".cpp", ".cc", ".cxx", ".c")
-_HEADERS = (".h", ".hpp", ".hh", ".hxx")
-_INCLUDED = re.compile(r"#\s*include\s*[<\"](?:[^>\"\n]*/)?([\w-]+)\.h")
+_SOURCE_SUFFIXES = (".cpp", ".cc", ".cxx", ".c")
+_HEADER_SUFFIXES = (".h", ".hpp", ".hh", ".hxx")
+_INCLUDED_HEADER = re.compile(r"#\s*include\s*[<\"](?:[^>\"\n]*/)?([\w-]+)\.h")
 """Name of an included header, without folders and suffix."""
 _LINK_KEYWORDS = ("PUBLIC", "PRIVATE", "INTERFACE")
-_ALWAYS = ("package.xml",)
+_ALWAYS_INSTALLED = ("package.xml",)
 """Files that the build tools install themselves."""
 
 
@@ -33,16 +33,18 @@ def find_executables(package: Package) -> Executables:
     """Return what ``run`` and launch files can start."""
     files: dict[str, tuple[str, ...]] = {}
     complete = not any(path.endswith(".cmake") for path in package.files)
-    linked = _linked(package)
-    sources = {each.texts[0]: _sources(package, each) for each in package.commands("add_library") if each.texts}
+    linked = _libraries_of_targets(package)
+    sources = {
+        each.texts[0]: _sources_of_target(package, each) for each in package.commands("add_library") if each.texts
+    }
     for command in package.commands("add_executable", "ament_auto_add_executable", "cs_add_executable"):
         if not command.arguments or not command.arguments[0].is_known:
             complete = False
             continue
         name = command.texts[0]
-        own = _sources(package, command)
+        own = _sources_of_target(package, command)
         libraries = [path for each in linked.get(name, ()) for path in sources.get(each, ())]
-        files[name] = _with_headers(package, (*own, *_included(package, own, libraries)))
+        files[name] = _with_headers(package, (*own, *_included_sources(package, own, libraries)))
     for command in package.commands("rclcpp_components_register_node"):
         for name in [each.text for each in command.after("EXECUTABLE", ("PLUGIN", "EXECUTOR", "RESOURCE_INDEX"))]:
             files[name] = _with_headers(package, sources.get(command.texts[0], ()))
@@ -59,18 +61,18 @@ def find_executables(package: Package) -> Executables:
                 files[place.rpartition("/")[2]] = (place,)
     if not package.is_ros2:  # roslaunch takes any executable file below the package's folder
         for path in package.files:
-            if not path.endswith((*_SOURCES, *_HEADERS)):
+            if not path.endswith((*_SOURCE_SUFFIXES, *_HEADER_SUFFIXES)):
                 files.setdefault(path.rpartition("/")[2], (path,))
     if package.setup is not None:
         complete = complete and package.setup.is_known
         for entry in package.setup.entry_points:
-            module = _module(package, entry.module)
+            module = _find_module(package, entry.module)
             files[entry.name] = (module,) if module else ()
         complete = complete and (package.build_type != "ament_python" or bool(package.setup.entry_points))
     return Executables({name: paths for name, paths in files.items() if name}, complete)
 
 
-def _linked(package: Package) -> dict[str, list[str]]:
+def _libraries_of_targets(package: Package) -> dict[str, list[str]]:
     """Return the libraries of each target, with those of its libraries."""
     direct: dict[str, list[str]] = {}
     for command in package.commands("target_link_libraries"):
@@ -89,17 +91,17 @@ def _linked(package: Package) -> dict[str, list[str]]:
     return whole
 
 
-def _sources(package: Package, command: Command) -> tuple[str, ...]:
-    places = (command.place(each) for each in command.texts[1:] if each.endswith(_SOURCES))
+def _sources_of_target(package: Package, command: Command) -> tuple[str, ...]:
+    places = (command.place(each) for each in command.texts[1:] if each.endswith(_SOURCE_SUFFIXES))
     return tuple(each for each in places if each is not None and each in package.tree.present)
 
 
-def _included(package: Package, own: Sequence[str], others: Sequence[str]) -> list[str]:
+def _included_sources(package: Package, own: Sequence[str], others: Sequence[str]) -> list[str]:
     """Return those of other sources whose header some source includes, directly or not: a linked one may be unused."""
     used: dict[str, None] = {}
     open_paths = list(own)
     while open_paths:
-        stems = set(_INCLUDED.findall(package.tree.text(open_paths.pop())))
+        stems = set(_INCLUDED_HEADER.findall(package.tree.text(open_paths.pop())))
         found = [each for each in others if each not in used and each.rpartition("/")[2].rpartition(".")[0] in stems]
         used |= dict.fromkeys(found)
         open_paths += found
@@ -109,11 +111,11 @@ def _included(package: Package, own: Sequence[str], others: Sequence[str]) -> li
 def _with_headers(package: Package, sources: Sequence[str]) -> tuple[str, ...]:
     """Return sources, and the headers of the package that have the name of one."""
     stems = {path.rpartition("/")[2].rpartition(".")[0] for path in sources}
-    headers = (path for path in package.files if path.endswith(_HEADERS))
+    headers = (path for path in package.files if path.endswith(_HEADER_SUFFIXES))
     return (*sources, *(path for path in headers if path.rpartition("/")[2].rpartition(".")[0] in stems))
 
 
-def _module(package: Package, name: str) -> str | None:
+def _find_module(package: Package, name: str) -> str | None:
     place = name.replace(".", "/")
     candidates = [package.inside(f"{root}{place}{end}") for root in ("", "src/") for end in (".py", "/__init__.py")]
     return next((path for path in candidates if path in package.tree.present), None)
@@ -141,13 +143,13 @@ def with_imports(package: Package, path: str) -> tuple[str, ...]:
                 names = [node.module or "", *(f"{node.module}.{a.name}" for a in node.names)]
             elif isinstance(node, ast.Import):
                 names = [a.name for a in node.names]
-            open_paths += [place for name in names if (place := _module(package, name))]
+            open_paths += [place for name in names if (place := _find_module(package, name))]
     return tuple(found)
 
 
 def is_installed(package: Package, path: str) -> bool:
     """Whether a file of a package is installed, or may be; ``path`` is relative to the package."""
-    if path in _ALWAYS or path.rpartition("/")[2] in package.build_words:
+    if path in _ALWAYS_INSTALLED or path.rpartition("/")[2] in package.build_words:
         return True
     if package.build_type == "ament_python":
         text = package.build_text

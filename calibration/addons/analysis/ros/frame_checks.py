@@ -18,7 +18,7 @@ from calibration.base.text import did_you_mean
 
 _MOST_BYTES = 50_000_000
 _FRAME_KEYS = ("link", "parent_link", "child_link", "world_link")
-_LINK = re.compile(r"<link\s[^>]*name\s*=\s*[\"']([^\"']+)[\"']")
+_LINK_ELEMENT = re.compile(r"<link\s[^>]*name\s*=\s*[\"']([^\"']+)[\"']")
 
 
 @dataclass(frozen=True)
@@ -48,20 +48,20 @@ def check_frames(repository: Repository) -> Iterator[Finding]:
     """Check the configurations of calibrations, and the datasets that carry one."""
     published: frozenset[str] | None = None
     for path in repository.tree.files:
-        found = _configuration(repository, path)
+        found = _read_configuration(repository, path)
         if found is None:
             continue
         named, description_file = found
-        description = _description(repository, path, description_file)
+        description = _find_description(repository, path, description_file)
         if description is not None:
-            yield from _frames(path, named, description, _static_frames(repository))
+            yield from _check_frames(path, named, description, _static_frames(repository))
         if published is None:
             graphs = build_graphs(repository)
             published = frozenset(end.name for graph in graphs for end in graph.of("publisher"))
-        yield from _topics(path, named, published)
+        yield from _check_topics(path, named, published)
 
 
-def _configuration(repository: Repository, path: str) -> tuple[list[_Named], str] | None:
+def _read_configuration(repository: Repository, path: str) -> tuple[list[_Named], str] | None:
     """Return the frames and topics of a configuration, and its description; None if a file is none."""
     name = path.rpartition("/")[2]
     if not name.endswith((".yml", ".yaml")) and name != "dataset.json":
@@ -75,22 +75,22 @@ def _configuration(repository: Repository, path: str) -> tuple[list[_Named], str
         root = yaml.compose(text, Loader=yaml.SafeLoader)
     except (yaml.YAMLError, ValueError, RecursionError):
         return None
-    entries = _entries(root)
+    entries = _entries_of_mapping(root)
     description = next((str(value.value) for key, value in entries if key.value == "description_file"), "")
-    named = list(_named(root, 0))
+    named = list(_find_named(root, 0))
     return named, description
 
 
-def _entries(node: Any) -> list[tuple[Any, Any]]:
+def _entries_of_mapping(node: Any) -> list[tuple[Any, Any]]:
     return node.value if isinstance(node, yaml.MappingNode) else []
 
 
-def _named(node: Any, depth: int) -> Iterator[_Named]:
-    for key, value in _entries(node) if depth < 8 else ():
+def _find_named(node: Any, depth: int) -> Iterator[_Named]:
+    for key, value in _entries_of_mapping(node) if depth < 8 else ():
         if isinstance(value, yaml.ScalarNode) and key.value in (*_FRAME_KEYS, "topic_name") and value.value:
             yield _Named(key.value, str(value.value), key.start_mark.line + 1, id(node))
         elif key.value != "calibration_patterns":
-            yield from _named(value, depth + 1)
+            yield from _find_named(value, depth + 1)
 
 
 def _of_dataset(text: str) -> tuple[list[_Named], str] | None:
@@ -120,7 +120,7 @@ def _of_dataset(text: str) -> tuple[list[_Named], str] | None:
     return found, description if isinstance(description, str) else ""
 
 
-def _description(repository: Repository, path: str, text: str) -> _Description | None:
+def _find_description(repository: Repository, path: str, text: str) -> _Description | None:
     """Return the description that a configuration names, of a package or beside the configuration."""
     place = repository.place(text.strip()) or join(path.rpartition("/")[0], text.strip())
     if place is None or place not in repository.tree.present:
@@ -131,7 +131,7 @@ def _description(repository: Repository, path: str, text: str) -> _Description |
         return None
     is_xacro = place.endswith(".xacro") or "xacro" in content[:2000]
     if is_xacro:
-        links = frozenset(each for each in _LINK.findall(without_comments(content)) if "$" not in each)
+        links = frozenset(each for each in _LINK_ELEMENT.findall(without_comments(content)) if "$" not in each)
         return _Description(place, links, {}, is_complete=False)
     parents = {}
     for joint in root.iter("joint"):
@@ -152,7 +152,9 @@ def _static_frames(repository: Repository) -> frozenset[str]:
     )
 
 
-def _frames(path: str, named: list[_Named], description: _Description, others: frozenset[str]) -> Iterator[Finding]:
+def _check_frames(
+    path: str, named: list[_Named], description: _Description, others: frozenset[str]
+) -> Iterator[Finding]:
     links = description.links | others
     groups: dict[int, dict[str, _Named]] = {}
     for each in named:
@@ -175,7 +177,7 @@ def _frames(path: str, named: list[_Named], description: _Description, others: f
             yield fault("frame-parent", path, parent.line, message)
 
 
-def _topics(path: str, named: list[_Named], published: frozenset[str]) -> Iterator[Finding]:
+def _check_topics(path: str, named: list[_Named], published: frozenset[str]) -> Iterator[Finding]:
     for each in named:
         name = "/" + each.value.lstrip("/")
         if each.key == "topic_name" and name not in published and (hint := did_you_mean(name, published)):

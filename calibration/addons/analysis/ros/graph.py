@@ -84,7 +84,7 @@ class _Walk:
             return
         self.unresolved += launch.unresolved
         for start in launch.starts:
-            inner = _joined(namespace, start.namespace)
+            inner = _join_namespaces(namespace, start.namespace)
             changed = {"namespace": inner, "conditional": start.conditional or conditional}
             self.starts.append(Start(**{**vars(start), **changed}))
         for include in launch.includes:
@@ -93,11 +93,11 @@ class _Walk:
                 if include.file is None or "$(" in include.file:
                     self.unresolved.append(f"{include.path}:{include.line}: the included file")
                 continue
-            inner = _joined(namespace, include.namespace)
+            inner = _join_namespaces(namespace, include.namespace)
             self.through(included, inner, conditional or include.conditional, (*above, launch.path))
 
 
-def _joined(outer: str | None, inner: str | None) -> str | None:
+def _join_namespaces(outer: str | None, inner: str | None) -> str | None:
     if inner is None or (outer is None and not inner.startswith("/")):
         return None
     return inner.strip("/") if inner.startswith("/") else f"{outer}/{inner}".strip("/")
@@ -116,48 +116,48 @@ def build_graphs(repository: Repository) -> list[Graph]:
     }
     roots = [each for path, each in repository.launches.items() if path not in included and not _is_test(path)]
     started = {(each.package, each.executable) for launch in repository.launches.values() for each in launch.starts}
-    others = list(_others(repository, started))
+    others = list(_nodes_not_started(repository, started))
     graphs = []
     for root in roots:
         walk = _Walk(repository)
         walk.through(root, "", conditional=False)
-        nodes = [_node(repository, start) for start in walk.starts]
-        graphs.append(_graph(root.path, [*nodes, *others], walk.unresolved))
-    return graphs or [_graph("", others, [])]
+        nodes = [_node_of_start(repository, start) for start in walk.starts]
+        graphs.append(_connect_nodes(root.path, [*nodes, *others], walk.unresolved))
+    return graphs or [_connect_nodes("", others, [])]
 
 
 def _is_test(path: str) -> bool:
     return path.endswith(".test") or any(part in ("test", "tests") for part in path.split("/")[:-1])
 
 
-def _others(repository: Repository, started: set[tuple[str | None, str | None]]) -> Iterator[GraphNode]:
+def _nodes_not_started(repository: Repository, started: set[tuple[str | None, str | None]]) -> Iterator[GraphNode]:
     """Yield the executables that no launch file starts."""
     for package in repository.packages:
         for name, sources in repository.executables(package).files.items():
             is_code = any(path.endswith((".py", ".cpp", ".cc", ".cxx")) for path in sources)
             if (package.name, name) in started or not is_code or any(map(_is_test, sources)):
                 continue
-            calls, _, takes_any, names = _code(repository, package, sources)
+            calls, _, takes_any, names = _code_of_executable(repository, package, sources)
             if calls and names:
                 title = resolved("", names[0]) if len(set(names)) == 1 else None
                 yield GraphNode(title, package.name, name, None, calls, takes_any)
 
 
-def _node(repository: Repository, start: Start) -> GraphNode:
+def _node_of_start(repository: Repository, start: Start) -> GraphNode:
     package = repository.by_name.get(start.package or "")
     calls: tuple[Call, ...] = ()
     names: tuple[str, ...] = ()
     takes_any = True
     if package is not None and start.executable is not None:
         sources = repository.executables(package).files.get(start.executable, ())
-        calls, is_known, takes_any, names = _code(repository, package, sources)
+        calls, is_known, takes_any, names = _code_of_executable(repository, package, sources)
         takes_any = takes_any or not is_known
     name = start.name if start.is_named else names[0] if len(set(names)) == 1 else start.executable
     full = None if name is None or start.namespace is None else resolved(start.namespace, name)
     return GraphNode(full, start.package or "?", start.executable or "?", start, calls, takes_any, start.namespace)
 
 
-def _code(
+def _code_of_executable(
     repository: Repository, package: Package, sources: tuple[str, ...]
 ) -> tuple[tuple[Call, ...], bool, bool, tuple[str, ...]]:
     """Return the calls of an executable, whether its code is known, takes any parameter, and the names of its nodes."""
@@ -168,14 +168,14 @@ def _code(
     return calls, bool(names), any(code.takes_any_parameter for code in codes), names
 
 
-def _graph(root: str, nodes: list[GraphNode], unresolved: list[str]) -> Graph:
+def _connect_nodes(root: str, nodes: list[GraphNode], unresolved: list[str]) -> Graph:
     endpoints = []
     missing = list(unresolved)
     for node in nodes:
         for call in node.calls:
             if "parameter" in call.kind:
                 continue
-            endpoint = _endpoint(node, call)
+            endpoint = _endpoint_of_call(node, call)
             if endpoint is None:
                 missing.append(f"{call.path}:{call.line}: the name of a {call.kind}")
             else:
@@ -183,21 +183,21 @@ def _graph(root: str, nodes: list[GraphNode], unresolved: list[str]) -> Graph:
     return Graph(root, tuple(nodes), tuple(endpoints), tuple(dict.fromkeys(missing)))
 
 
-def _endpoint(node: GraphNode, call: Call) -> Endpoint | None:
+def _endpoint_of_call(node: GraphNode, call: Call) -> Endpoint | None:
     """Return the use of a name, after the remappings of the node; None if it is not known."""
     remappings = node.start.remappings if node.start else ()
     if call.name is None or node.name is None or any(each.old is None for each in remappings):
         return None
-    full, path, line = _resolved(node, call.name), call.path, call.line
+    full, path, line = _resolve_name(node, call.name), call.path, call.line
     for each in remappings:
-        if node.start and each.old and _resolved(node, each.old) == full:
-            full = None if each.new is None else _resolved(node, each.new)
+        if node.start and each.old and _resolve_name(node, each.old) == full:
+            full = None if each.new is None else _resolve_name(node, each.new)
             path, line = node.start.path, each.line
             break
     return None if full is None else Endpoint(node.title, full, call, path, line)
 
 
-def _resolved(node: GraphNode, name: str) -> str | None:
+def _resolve_name(node: GraphNode, name: str) -> str | None:
     if name.startswith("~"):
         return None if node.name is None else f"{node.name}/{name.lstrip('~/')}"
     return resolved(node.namespace, name)
@@ -207,16 +207,16 @@ def summary_of(graphs: list[Graph]) -> Mapping[str, object]:
     """Return the numbers and connections of all graphs together, and their document as text."""
     nodes = {(each.title, each.package, each.executable) for graph in graphs for each in graph.nodes}
     unresolved = dict.fromkeys(each for graph in graphs for each in graph.unresolved)
-    document = {"schema": 1, "graphs": [_document(each) for each in graphs]}
+    document = {"schema": 1, "graphs": [_document_of_graph(each) for each in graphs]}
     return {
         "nodes": len(nodes),
-        "connections": sorted({each for graph in graphs for each in _connections(graph)}),
+        "connections": sorted({each for graph in graphs for each in _describe_connections(graph)}),
         "unresolved": list(unresolved),
         "document": json.dumps(document, indent=1) + "\n",
     }
 
 
-def _connections(graph: Graph) -> Iterator[str]:
+def _describe_connections(graph: Graph) -> Iterator[str]:
     """Yield a line for each two nodes that a topic, service or action connects."""
     for _, giving, taking in CONNECTIONS:
         for giver in graph.of(giving):
@@ -225,7 +225,7 @@ def _connections(graph: Graph) -> Iterator[str]:
                     yield f"{giver.name}: {giver.node} -> {taker.node}"
 
 
-def _document(graph: Graph) -> Mapping[str, object]:
+def _document_of_graph(graph: Graph) -> Mapping[str, object]:
     found: dict[str, object] = {
         "launch": graph.root or None,
         "nodes": [

@@ -11,27 +11,27 @@ from calibration.addons.analysis.ros.parameters import parameters_of, private_pa
 from calibration.addons.analysis.ros.repository import Repository
 from calibration.base.text import did_you_mean
 
-_ALWAYS = ("/rosout", "/tf", "/tf_static", "/clock", "/parameter_events", "/robot_description")
+_TOPICS_OF_ROS = ("/rosout", "/tf", "/tf_static", "/clock", "/parameter_events", "/robot_description")
 """Topics that nodes of ROS itself publish."""
-_BUILT_IN = ("use_sim_time", "qos_overrides", "start_type_description_service", "use_intra_process_comms")
+_PARAMETERS_OF_ROS = ("use_sim_time", "qos_overrides", "start_type_description_service", "use_intra_process_comms")
 """Parameters that every node of ROS 2 takes."""
 
 
 def check_graph(repository: Repository) -> Iterator[Finding]:
     """Check the nodes of every launch file together."""
     for graph in build_graphs(repository):
-        yield from _names(graph)
+        yield from _check_node_names(graph)
         for title, giving, taking in CONNECTIONS:
             gives, takes = graph.of(giving), graph.of(taking)
-            yield from _types(title, gives, takes)
-            yield from _connections(title, gives, takes, graph)
-        yield from _qualities(graph)
+            yield from _check_types(title, gives, takes)
+            yield from _check_connections(title, gives, takes, graph)
+        yield from _check_qualities(graph)
         for node in graph.nodes:
-            yield from _parameters(node, repository)
-            yield from _remappings(node)
+            yield from _check_parameters(node, repository)
+            yield from _check_remappings(node)
 
 
-def _names(graph: Graph) -> Iterator[Finding]:
+def _check_node_names(graph: Graph) -> Iterator[Finding]:
     first: dict[str, GraphNode] = {}
     for node in graph.nodes:
         if node.start is None or node.start.conditional or node.name is None:
@@ -43,7 +43,7 @@ def _names(graph: Graph) -> Iterator[Finding]:
             yield fault("node-name-twice", node.start.path, node.start.line, message)
 
 
-def _types(title: str, gives: list[Endpoint], takes: list[Endpoint]) -> Iterator[Finding]:
+def _check_types(title: str, gives: list[Endpoint], takes: list[Endpoint]) -> Iterator[Finding]:
     for name in sorted({each.name for each in (*gives, *takes)}):
         ends = [each for each in (*gives, *takes) if each.name == name and each.call.type]
         counts = Counter(each.call.type for each in ends)
@@ -59,25 +59,27 @@ def _types(title: str, gives: list[Endpoint], takes: list[Endpoint]) -> Iterator
                 yield fault("topic-types", each.call.path, each.call.line, message)
 
 
-def _connections(title: str, gives: list[Endpoint], takes: list[Endpoint], graph: Graph) -> Iterator[Finding]:
+def _check_connections(title: str, gives: list[Endpoint], takes: list[Endpoint], graph: Graph) -> Iterator[Finding]:
     """Yield what takes from a name that nothing gives to, where a similar one is given to and not taken from."""
     given, taken = {each.name for each in gives}, {each.name for each in takes}
     started = {node.title for node in graph.nodes if node.start is not None} or {node.title for node in graph.nodes}
     for each in takes:
-        if each.name in given or each.name in _ALWAYS or each.node not in started:
+        if each.name in given or each.name in _TOPICS_OF_ROS or each.node not in started:
             continue
-        loose = [end.name for end in gives if end.name not in taken and _same(end.call.type, each.call.type)]
+        loose = [
+            end.name for end in gives if end.name not in taken and _may_be_same_type(end.call.type, each.call.type)
+        ]
         if hint := did_you_mean(each.name, loose):
             what = {"topics": "nothing publishes", "services": "nothing serves", "actions": "nothing serves"}[title]
             message = f"{what} {quoted(each.name)}{hint}"
             yield fault("not-connected", each.path, each.line, message)
 
 
-def _same(one: str | None, other: str | None) -> bool:
+def _may_be_same_type(one: str | None, other: str | None) -> bool:
     return one is None or other is None or one == other
 
 
-def _qualities(graph: Graph) -> Iterator[Finding]:
+def _check_qualities(graph: Graph) -> Iterator[Finding]:
     for taker in graph.of("subscriber"):
         wanted = taker.call.quality
         for giver in graph.of("publisher"):
@@ -95,7 +97,7 @@ def _qualities(graph: Graph) -> Iterator[Finding]:
                 yield fault("quality-of-service", taker.call.path, taker.call.line, message)
 
 
-def _parameters(node: GraphNode, repository: Repository) -> Iterator[Finding]:
+def _check_parameters(node: GraphNode, repository: Repository) -> Iterator[Finding]:
     """Yield parameters that are set for a node whose code has none of the name."""
     package = repository.by_name.get(node.package)
     calls = [each for each in node.calls if "parameter" in each.kind]
@@ -103,16 +105,16 @@ def _parameters(node: GraphNode, repository: Repository) -> Iterator[Finding]:
         return
     declares = [each for each in calls if each.kind == "declared parameter"] if package.is_ros2 else calls
     names = {(each.name or "").lstrip("~/") for each in declares}
-    for each in _set(node, repository, package.is_ros2):
+    for each in _parameters_set(node, repository, package.is_ros2):
         name = each.name.lstrip("~/")
         ends = {name[:at] for at, letter in enumerate(name) if letter in "./"} | {name}
-        if not ends & names and name.partition(".")[0] not in _BUILT_IN:
+        if not ends & names and name.partition(".")[0] not in _PARAMETERS_OF_ROS:
             hint = did_you_mean(name, names)
             message = f"{quoted(node.title)} has no parameter {quoted(name)}{hint}"
             yield fault("no-such-parameter", each.path, each.line, message)
 
 
-def _set(node: GraphNode, repository: Repository, is_ros2: bool) -> Iterator[Parameter]:
+def _parameters_set(node: GraphNode, repository: Repository, is_ros2: bool) -> Iterator[Parameter]:
     if node.start is None:
         return
     yield from node.start.parameters
@@ -127,7 +129,7 @@ def _set(node: GraphNode, repository: Repository, is_ros2: bool) -> Iterator[Par
             yield from private_parameters_of(path, text)
 
 
-def _remappings(node: GraphNode) -> Iterator[Finding]:
+def _check_remappings(node: GraphNode) -> Iterator[Finding]:
     """Yield remappings of names that the code does not use, where it uses a similar one that is not remapped."""
     uses = [each for each in node.calls if "parameter" not in each.kind]
     if node.start is None or not uses or any(each.name is None for each in uses):

@@ -4,9 +4,9 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-_FIELD = re.compile(r"([\w/]+(?:<=\d+)?)((?:\[(?:<=)?\d*\])?)\s+(\w+)\s*(.*)")
-_BOUND = re.compile(r"<=\d+")
-SUFFIXES = {".msg": "msg", ".srv": "srv", ".action": "action"}
+_FIELD_LINE = re.compile(r"([\w/]+(?:<=\d+)?)((?:\[(?:<=)?\d*\])?)\s+(\w+)\s*(.*)")
+_BOUND_OF_TEXT = re.compile(r"<=\d+")
+FOLDER_OF_SUFFIX = {".msg": "msg", ".srv": "srv", ".action": "action"}
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ def lines_of(text: str) -> Iterator[Field | Unreadable]:
         content = line.partition("#")[0].strip()
         if not content or content == "---":
             continue
-        match = _FIELD.fullmatch(content)
+        match = _FIELD_LINE.fullmatch(content)
         if match is None:
             yield Unreadable(content, number)
         else:
-            yield Field(_BOUND.sub("", match[1]), match[3], number, match[4].startswith("="))
+            yield Field(_BOUND_OF_TEXT.sub("", match[1]), match[3], number, match[4].startswith("="))
 
 
 def fields_of(text: str) -> list[Field]:

@@ -1,6 +1,6 @@
 """Names of ROS packages that are common, so that what uses them is recognised without them."""
 
-_NAMES = """
+_PACKAGE_NAMES = """
 actionlib actionlib_msgs amcl ament_cmake ament_cmake_auto ament_cmake_gtest ament_cmake_pytest
 ament_cmake_python ament_cmake_ros ament_index_cpp ament_lint_auto ament_lint_common angles ar_track_alvar
 bond bondcpp bondpy camera_calibration camera_calibration_parsers camera_info_manager catkin class_loader
@@ -26,7 +26,7 @@ tf2_geometry_msgs tf2_kdl tf2_msgs tf2_py tf2_ros tf2_sensor_msgs tf_conversions
 transmission_interface turtlesim unique_identifier_msgs urdf urdf_parser_plugin urdfdom_py usb_cam
 velodyne_driver velodyne_pointcloud vision_msgs visualization_msgs warehouse_ros xacro
 """
-PACKAGES = frozenset(_NAMES.split())
+COMMON_PACKAGES = frozenset(_PACKAGE_NAMES.split())
 """Names of packages; no other software has headers or Python modules of these names."""
 CORE_HEADERS = {
     **dict.fromkeys(("macros.h", "platform.h", "types.h", "exception.h", "header.h", "datatypes.h"), "cpp_common"),
@@ -37,9 +37,9 @@ CORE_HEADERS = {
 """Packages of headers in the folder ``ros``; the others are of roscpp."""
 CORE_PACKAGES = frozenset(("roscpp", "roscpp_core", "roscpp_serialization", "roscpp_traits", *CORE_HEADERS.values()))
 """Packages with headers in the folder ``ros``, of which each brings those of the ones below it."""
-_TYPES = """
+_BUILT_IN_NAMES = """
 bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 string wstring time duration
 Header
 """
-BUILT_IN_TYPES = frozenset(_TYPES.split())
+BUILT_IN_TYPES = frozenset(_BUILT_IN_NAMES.split())
 """Types of fields that belong to no package."""

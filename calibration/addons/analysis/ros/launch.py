@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 from calibration.addons.analysis.ros.tree import join
 
-_PACKAGE = re.compile(r"\$\((?:find|find-pkg-share)\s+([\w-]+)\)")
-_FOLDER = re.compile(r"\$\(dirname\)")
+_PACKAGE_SUBSTITUTION = re.compile(r"\$\((?:find|find-pkg-share)\s+([\w-]+)\)")
+_FOLDER_SUBSTITUTION = re.compile(r"\$\(dirname\)")
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ class Launch:
 
 def with_packages(text: str, path: str) -> str:
     """Return a text with ``package://name`` for the folders of packages; other substitutions stay ``$(...)``."""
-    text = _PACKAGE.sub(lambda match: f"package://{match[1]}", text)
-    return _FOLDER.sub(lambda _: f"repository://{path.rpartition('/')[0]}", text)
+    text = _PACKAGE_SUBSTITUTION.sub(lambda match: f"package://{match[1]}", text)
+    return _FOLDER_SUBSTITUTION.sub(lambda _: f"repository://{path.rpartition('/')[0]}", text)
 
 
 def known(text: str | None) -> str | None:

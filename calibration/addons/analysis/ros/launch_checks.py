@@ -11,35 +11,35 @@ from calibration.addons.analysis.ros.repository import Repository
 from calibration.addons.analysis.ros.tree import without_comments
 from calibration.base.text import did_you_mean
 
-_READ = (
+_SUFFIXES_READ_ONLY = (
     *(".launch", ".py", ".xml", ".yaml", ".yml", ".urdf", ".xacro", ".srdf", ".sdf", ".world", ".rviz", ".gazebo"),
     *(".stl", ".dae", ".obj", ".json", ".pgm"),
 )
 """Suffixes of files that launch files and descriptions read; others may be written."""
-_RESOURCE = re.compile(r"package://[\w-]+/[^\"'\s<>&]+|\$\(find[ \t]+[\w-]+\)/[^\"'\s<>&]+")
+_RESOURCE_PATH = re.compile(r"package://[\w-]+/[^\"'\s<>&]+|\$\(find[ \t]+[\w-]+\)/[^\"'\s<>&]+")
 
 
 def check_launches(repository: Repository) -> Iterator[Finding]:
     """Check every launch file and robot description."""
     for launch in repository.launches.values():
-        yield from _executables(launch, repository)
+        yield from _check_executables(launch, repository)
         for text, line in launch.files:
-            yield from _file(text, launch.path, line, repository)
+            yield from _check_file(text, launch.path, line, repository)
         for include in launch.includes:
-            yield from _include(include, repository)
-        yield from _arguments(launch)
-        yield from _cycle(launch, repository)
+            yield from _check_include(include, repository)
+        yield from _check_arguments(launch)
+        yield from _check_cycles(launch, repository)
     for package in repository.packages:
         for path in package.files:
             if path.endswith((".urdf", ".xacro")):
                 text = without_comments(repository.tree.text(path))
                 for number, content in enumerate(text.split("\n"), 1):
-                    for match in _RESOURCE.findall(content):
+                    for match in _RESOURCE_PATH.findall(content):
                         named = re.sub(r"\$\(find[ \t]+([\w-]+)\)", r"package://\1", match)
-                        yield from _file(named, path, number, repository)
+                        yield from _check_file(named, path, number, repository)
 
 
-def _executables(launch: Launch, repository: Repository) -> Iterator[Finding]:
+def _check_executables(launch: Launch, repository: Repository) -> Iterator[Finding]:
     for start in launch.starts:
         package = repository.by_name.get(start.package or "")
         if package is None or start.executable is None:
@@ -53,10 +53,10 @@ def _executables(launch: Launch, repository: Repository) -> Iterator[Finding]:
             yield fault("no-such-executable", start.path, start.line, message)
 
 
-def _file(text: str, path: str, line: int, repository: Repository) -> Iterator[Finding]:
+def _check_file(text: str, path: str, line: int, repository: Repository) -> Iterator[Finding]:
     named = package_of(text)
     package = repository.by_name.get(named[0]) if named else None
-    if named is None or package is None or not named[1].lower().endswith(_READ) or _is_test(path):
+    if named is None or package is None or not named[1].lower().endswith(_SUFFIXES_READ_ONLY) or _is_test(path):
         return
     inside = named[1]
     if inside.rpartition("/")[2] in package.build_words:  # generated, downloaded, or installed by name
@@ -75,7 +75,7 @@ def _file(text: str, path: str, line: int, repository: Repository) -> Iterator[F
         yield fault("not-installed", path, line, message)
 
 
-def _include(include: Include, repository: Repository) -> Iterator[Finding]:
+def _check_include(include: Include, repository: Repository) -> Iterator[Finding]:
     launch = repository.included(include)
     if launch is None or include.passes_all:
         return
@@ -91,7 +91,7 @@ def _include(include: Include, repository: Repository) -> Iterator[Finding]:
             yield fault("launch-argument", include.path, include.line, message)
 
 
-def _arguments(launch: Launch) -> Iterator[Finding]:
+def _check_arguments(launch: Launch) -> Iterator[Finding]:
     for name, line in launch.used:
         if name and name not in launch.arguments and re.fullmatch(r"\w+", name):
             hint = did_you_mean(name, launch.arguments)
@@ -101,7 +101,7 @@ def _arguments(launch: Launch) -> Iterator[Finding]:
             yield fault("launch-argument", launch.path, line, message)
 
 
-def _cycle(launch: Launch, repository: Repository) -> Iterator[Finding]:
+def _check_cycles(launch: Launch, repository: Repository) -> Iterator[Finding]:
     for include in launch.includes:
         if include.conditional:
             continue

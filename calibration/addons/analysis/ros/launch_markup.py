@@ -8,15 +8,15 @@ from xml.etree.ElementTree import Element
 import yaml
 
 from calibration.addons.analysis.ros.launch import Include, Launch, Parameter, Remapping, Start, known, with_packages
-from calibration.addons.analysis.xml_lines import LINE, attributes_of, line_of, parse_xml
+from calibration.addons.analysis.xml_lines import LINE_KEY, attributes_of, line_of, parse_xml
 
 _MOST_NODES = 20_000
-_DEEPEST = 50
-_ARGUMENT = ("$(arg ", "$(var ")
-_NODES = ("node", "test", "lifecycle_node")
-_TELLING = ("file", "exec", "from")
+_MAX_DEPTH = 50
+_ARGUMENT_SUBSTITUTIONS = ("$(arg ", "$(var ")
+_NODE_TAGS = ("node", "test", "lifecycle_node")
+_KEYS_WITH_LINE = ("file", "exec", "from")
 """Keys of YAML whose line is that of their element."""
-_NAMESPACES = ("push-ros-namespace", "push_ros_namespace")
+_NAMESPACE_TAGS = ("push-ros-namespace", "push_ros_namespace")
 
 
 @dataclass
@@ -51,7 +51,7 @@ class _Scope:
 def read_launch_xml(path: str, data: bytes) -> Launch | None:
     """Read a launch file in XML; None if it is no such file."""
     root = parse_xml(data)
-    return _read(path, root) if root is not None and root.tag == "launch" else None
+    return _read_launch(path, root) if root is not None and root.tag == "launch" else None
 
 
 def read_launch_yaml(path: str, text: str) -> Launch | None:
@@ -62,7 +62,7 @@ def read_launch_yaml(path: str, text: str) -> Launch | None:
         return None
     if not isinstance(node, yaml.MappingNode) or [key.value for key, _ in node.value] != ["launch"]:
         return None
-    return _read(path, _Elements().of(node.value[0][1]))
+    return _read_launch(path, _Elements().of(node.value[0][1]))
 
 
 class _Elements:
@@ -81,13 +81,13 @@ class _Elements:
         """Add the entries of a list, each ``tag: content``."""
         for entry in node.value if isinstance(node, yaml.SequenceNode) else ():
             for key, value in entry.value if isinstance(entry, yaml.MappingNode) else ():
-                self._add(parent, str(key.value), value, key.start_mark.line + 1, depth)
+                self._add_element(parent, str(key.value), value, key.start_mark.line + 1, depth)
 
-    def _add(self, parent: Element, tag: str, value: Any, line: int, depth: int) -> None:
+    def _add_element(self, parent: Element, tag: str, value: Any, line: int, depth: int) -> None:
         self._left -= 1
-        if self._left < 0 or depth > _DEEPEST:
+        if self._left < 0 or depth > _MAX_DEPTH:
             return
-        child = Element(tag, {LINE: str(line)})
+        child = Element(tag, {LINE_KEY: str(line)})
         parent.append(child)
         if isinstance(value, yaml.SequenceNode):  # a group
             self._add_entries(child, value, depth + 1)
@@ -96,21 +96,21 @@ class _Elements:
             name = str(key.value)
             if isinstance(inner, yaml.ScalarNode):
                 child.set(name, str(inner.value))
-                if name in _TELLING:
-                    child.set(LINE, str(key.start_mark.line + 1))
+                if name in _KEYS_WITH_LINE:
+                    child.set(LINE_KEY, str(key.start_mark.line + 1))
             elif isinstance(inner, yaml.SequenceNode):
                 for each in inner.value:
                     if isinstance(each, yaml.MappingNode):
-                        self._add(child, name, each, each.start_mark.line + 1, depth + 1)
+                        self._add_element(child, name, each, each.start_mark.line + 1, depth + 1)
 
 
-def _read(path: str, root: Element) -> Launch:
+def _read_launch(path: str, root: Element) -> Launch:
     found = _Found(path)
-    _children(root, _Scope(), found)
+    _read_children(root, _Scope(), found)
     for element in root.iter():
         for text in (*attributes_of(element).values(), element.text or ""):
             line = line_of(element)
-            found.used += [(name, line) for name in _used(text)]
+            found.used += [(name, line) for name in _used_arguments(text)]
             if "$(find" in text or "package://" in text:
                 found.files += [(each, line) for each in with_packages(text, path).split()]
     return Launch(
@@ -124,38 +124,38 @@ def _read(path: str, root: Element) -> Launch:
     )
 
 
-def _used(text: str) -> Iterator[str]:
-    for mark in _ARGUMENT:
+def _used_arguments(text: str) -> Iterator[str]:
+    for mark in _ARGUMENT_SUBSTITUTIONS:
         for part in text.split(mark)[1:]:
             yield part.partition(")")[0].strip()
 
 
-def _children(element: Element, scope: _Scope, found: _Found) -> None:
+def _read_children(element: Element, scope: _Scope, found: _Found) -> None:
     for child in element:
         inner = replace(scope, conditional=scope.conditional or bool({"if", "unless"} & set(child.keys())))
         text = {name: with_packages(value, found.path) for name, value in attributes_of(child).items()}
         tag, line = str(child.tag), line_of(child)
-        if tag in _NAMESPACES:
+        if tag in _NAMESPACE_TAGS:
             scope = scope.inside(known(text.get("namespace")))
         elif tag == "group":
-            _children(child, inner.inside(known(text["ns"])) if text.get("ns") else inner, found)
+            _read_children(child, inner.inside(known(text["ns"])) if text.get("ns") else inner, found)
         elif tag == "remap":
-            scope = replace(scope, remappings=(*scope.remappings, *_remapping(text, line)))
+            scope = replace(scope, remappings=(*scope.remappings, *_read_remapping(text, line)))
         elif tag == "arg" and "name" in text:
             found.arguments[text["name"]] = "default" in text or "value" in text
         elif tag == "include":
-            found.includes.append(_include(child, text, inner, found.path))
-        elif tag in _NODES:
-            found.starts.append(_start(child, text, inner, found.path))
+            found.includes.append(_read_include(child, text, inner, found.path))
+        elif tag in _NODE_TAGS:
+            found.starts.append(_read_start(child, text, inner, found.path))
         elif tag == "param" and known(text.get("name")):
             found.parameters.append(Parameter(text["name"], found.path, line))
 
 
-def _remapping(text: dict[str, str], line: int) -> tuple[Remapping, ...]:
+def _read_remapping(text: dict[str, str], line: int) -> tuple[Remapping, ...]:
     return (Remapping(known(text.get("from")), known(text.get("to")), line),)
 
 
-def _include(element: Element, text: dict[str, str], scope: _Scope, path: str) -> Include:
+def _read_include(element: Element, text: dict[str, str], scope: _Scope, path: str) -> Include:
     if text.get("ns"):
         scope = scope.inside(known(text["ns"]))
     given = {each.get("name", ""): line_of(each) for each in element if each.tag in ("arg", "let") and each.get("name")}
@@ -164,7 +164,7 @@ def _include(element: Element, text: dict[str, str], scope: _Scope, path: str) -
     )
 
 
-def _start(element: Element, text: dict[str, str], scope: _Scope, path: str) -> Start:
+def _read_start(element: Element, text: dict[str, str], scope: _Scope, path: str) -> Start:
     namespace = text.get("ns") or text.get("namespace")
     if namespace:
         scope = scope.inside(known(namespace))
@@ -172,7 +172,7 @@ def _start(element: Element, text: dict[str, str], scope: _Scope, path: str) -> 
     for child in element:
         inner = {name: with_packages(value, path) for name, value in attributes_of(child).items()}
         if child.tag == "remap":
-            remappings += _remapping(inner, line_of(child))
+            remappings += _read_remapping(inner, line_of(child))
         elif child.tag == "param" and "from" in inner:
             files.append(inner["from"])
         elif child.tag in ("param", "rosparam"):

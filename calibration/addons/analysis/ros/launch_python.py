@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 from calibration.addons.analysis.ros.launch import Include, Launch, Parameter, Remapping, Start, known
 from calibration.addons.analysis.ros.setup_script import parse_python
 
-_UNKNOWN = "$(?)"
-_NODES = ("Node", "LifecycleNode")
-_SHARE = ("get_package_share_directory", "get_package_share_path", "FindPackageShare")
-_JOINS = ("join", "PathJoinSubstitution", "joinpath")
-_SAME = (
+_UNKNOWN_PART = "$(?)"
+_NODE_CLASSES = ("Node", "LifecycleNode")
+_SHARE_FUNCTIONS = ("get_package_share_directory", "get_package_share_path", "FindPackageShare")
+_JOINING_FUNCTIONS = ("join", "PathJoinSubstitution", "joinpath")
+_IDENTITY_FUNCTIONS = (
     *("PythonLaunchDescriptionSource", "XMLLaunchDescriptionSource", "AnyLaunchDescriptionSource", "Path", "str"),
     *("YAMLLaunchDescriptionSource", "FrontendLaunchDescriptionSource", "TextSubstitution", "ParameterFile", "abspath"),
 )
@@ -37,118 +37,130 @@ def read_launch_python(path: str, source: str) -> Launch | None:
         if isinstance(node, ast.Assign) and len(node.targets) == 1 and isinstance(node.targets[0], ast.Name):
             name = node.targets[0].id
             file.values[name] = None if name in file.values else node.value
-    calls = [(node, _name(node.func)) for node in nodes if isinstance(node, ast.Call)]
+    calls = [(node, _name_of_function(node.func)) for node in nodes if isinstance(node, ast.Call)]
     pushed = any(name in ("PushRosNamespace", "PushROSNamespace") for _, name in calls)
     unresolved = [f"{path}: {name}" for _, name in calls if name in ("OpaqueFunction", "ComposableNodeContainer")]
-    starts = [_start(node, file) for node, name in calls if name in _NODES and _keyword(node, "package") is not None]
-    includes = [_include(node, file) for node, name in calls if name == "IncludeLaunchDescription"]
+    starts = [
+        _read_start(node, file)
+        for node, name in calls
+        if name in _NODE_CLASSES and _keyword_argument(node, "package") is not None
+    ]
+    includes = [_read_include(node, file) for node, name in calls if name == "IncludeLaunchDescription"]
     if pushed:
         unresolved.append(f"{path}: the namespaces that PushRosNamespace sets")
         starts = [replace(each, namespace=None) for each in starts]
         includes = [replace(each, namespace=None) for each in includes]
     declared = {
-        text: bool(_keyword(node, "default_value")) or len(node.args) > 1
+        text: bool(_keyword_argument(node, "default_value")) or len(node.args) > 1
         for node, name in calls
-        if name == "DeclareLaunchArgument" and (text := known(_text(_argument(node, 0, "name"), file)))
+        if name == "DeclareLaunchArgument"
+        and (text := known(_text_of_expression(_argument_of_call(node, 0, "name"), file)))
     }
     used = [
         (text, node.lineno)
         for node, name in calls
-        if name == "LaunchConfiguration" and (text := known(_text(_argument(node, 0, "variable_name"), file)))
+        if name == "LaunchConfiguration"
+        and (text := known(_text_of_expression(_argument_of_call(node, 0, "variable_name"), file)))
     ]
-    files = [(text, node.lineno) for node in nodes if isinstance(node, ast.expr) and (text := _file(node, file))]
+    files = [
+        (text, node.lineno)
+        for node in nodes
+        if isinstance(node, ast.expr) and (text := _file_of_expression(node, file))
+    ]
     return Launch(
         path, tuple(starts), tuple(includes), declared, tuple(used), tuple(dict.fromkeys(files)), (), tuple(unresolved)
     )
 
 
-def _name(function: ast.expr) -> str:
+def _name_of_function(function: ast.expr) -> str:
     return function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
 
 
-def _keyword(node: ast.Call, name: str) -> ast.expr | None:
+def _keyword_argument(node: ast.Call, name: str) -> ast.expr | None:
     return next((each.value for each in node.keywords if each.arg == name), None)
 
 
-def _argument(node: ast.Call, at: int, name: str) -> ast.expr | None:
-    return node.args[at] if len(node.args) > at else _keyword(node, name)
+def _argument_of_call(node: ast.Call, at: int, name: str) -> ast.expr | None:
+    return node.args[at] if len(node.args) > at else _keyword_argument(node, name)
 
 
-def _file(node: ast.expr, file: _File) -> str | None:
+def _file_of_expression(node: ast.expr, file: _File) -> str | None:
     """Return the path in a package that an outermost expression makes."""
-    if not isinstance(node, ast.Call | ast.BinOp) or (isinstance(node, ast.Call) and _name(node.func) in _SAME):
+    if not isinstance(node, ast.Call | ast.BinOp) or (
+        isinstance(node, ast.Call) and _name_of_function(node.func) in _IDENTITY_FUNCTIONS
+    ):
         return None
-    text = _text(node, file)
+    text = _text_of_expression(node, file)
     return text if text is not None and text.startswith("package://") and text.count("/") > 2 else None
 
 
-def _text(node: ast.expr | None, file: _File) -> str | None:
+def _text_of_expression(node: ast.expr | None, file: _File) -> str | None:
     """Return the value of an expression, with ``$(?)`` for parts that are not known; None if there is none."""
     if node is None:
         return None
     file.depth += 1
     try:
-        return _value(node, file) if file.depth < 30 else _UNKNOWN
+        return _evaluate_text(node, file) if file.depth < 30 else _UNKNOWN_PART
     finally:
         file.depth -= 1
 
 
-def _value(node: ast.expr, file: _File) -> str:
+def _evaluate_text(node: ast.expr, file: _File) -> str:
     if isinstance(node, ast.Constant):
-        return str(node.value) if isinstance(node.value, str) else _UNKNOWN
+        return str(node.value) if isinstance(node.value, str) else _UNKNOWN_PART
     if isinstance(node, ast.Name):
         value = file.values.get(node.id)
-        return _UNKNOWN if value is None else _text(value, file) or _UNKNOWN
+        return _UNKNOWN_PART if value is None else _text_of_expression(value, file) or _UNKNOWN_PART
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Div):
         between = "/" if isinstance(node.op, ast.Div) else ""
-        return between.join(_text(each, file) or "" for each in (node.left, node.right))
+        return between.join(_text_of_expression(each, file) or "" for each in (node.left, node.right))
     if isinstance(node, ast.List | ast.Tuple):
-        return "".join(_text(each, file) or "" for each in node.elts)
+        return "".join(_text_of_expression(each, file) or "" for each in node.elts)
     if isinstance(node, ast.Call):
-        return _called(node, file)
-    return _UNKNOWN
+        return _evaluate_call(node, file)
+    return _UNKNOWN_PART
 
 
-def _called(node: ast.Call, file: _File) -> str:
-    name = _name(node.func)
-    if name in _SHARE:
-        package = _text(_argument(node, 0, "package"), file)
-        return f"package://{package}" if known(package) else _UNKNOWN
-    if name in _JOINS:
+def _evaluate_call(node: ast.Call, file: _File) -> str:
+    name = _name_of_function(node.func)
+    if name in _SHARE_FUNCTIONS:
+        package = _text_of_expression(_argument_of_call(node, 0, "package"), file)
+        return f"package://{package}" if known(package) else _UNKNOWN_PART
+    if name in _JOINING_FUNCTIONS:
         given = (
             node.args[0].elts if len(node.args) == 1 and isinstance(node.args[0], ast.List | ast.Tuple) else node.args
         )
-        parts = [_text(each, file) or "" for each in given]
+        parts = [_text_of_expression(each, file) or "" for each in given]
         if name == "joinpath" and isinstance(node.func, ast.Attribute):
-            parts.insert(0, _text(node.func.value, file) or "")
+            parts.insert(0, _text_of_expression(node.func.value, file) or "")
         return "/".join(each.strip("/") if at else each.rstrip("/") for at, each in enumerate(parts))
-    if name in _SAME and node.args:
-        return _text(node.args[0], file) or ""
-    return _UNKNOWN
+    if name in _IDENTITY_FUNCTIONS and node.args:
+        return _text_of_expression(node.args[0], file) or ""
+    return _UNKNOWN_PART
 
 
-def _start(node: ast.Call, file: _File) -> Start:
-    parameters, files = _parameters(_keyword(node, "parameters"), file)
-    namespace = _keyword(node, "namespace")
-    arguments, executable = _keyword(node, "arguments"), _keyword(node, "executable")
+def _read_start(node: ast.Call, file: _File) -> Start:
+    parameters, files = _read_parameters(_keyword_argument(node, "parameters"), file)
+    namespace = _keyword_argument(node, "namespace")
+    arguments, executable = _keyword_argument(node, "arguments"), _keyword_argument(node, "executable")
     given = arguments.elts if isinstance(arguments, ast.List) else []
     return Start(
-        package=known(_text(_keyword(node, "package"), file)),
-        executable=known(_text(executable, file)),
-        name=known(_text(_keyword(node, "name"), file)),
+        package=known(_text_of_expression(_keyword_argument(node, "package"), file)),
+        executable=known(_text_of_expression(executable, file)),
+        name=known(_text_of_expression(_keyword_argument(node, "name"), file)),
         path=file.path,
         line=(executable or node).lineno,
-        namespace="" if namespace is None else known(_text(namespace, file)),
-        is_named=_keyword(node, "name") is not None,
-        conditional=_keyword(node, "condition") is not None,
-        remappings=tuple(_remappings(_keyword(node, "remappings"), file)),
+        namespace="" if namespace is None else known(_text_of_expression(namespace, file)),
+        is_named=_keyword_argument(node, "name") is not None,
+        conditional=_keyword_argument(node, "condition") is not None,
+        remappings=tuple(_read_remappings(_keyword_argument(node, "remappings"), file)),
         parameters=tuple(parameters),
         parameter_files=tuple(files),
-        arguments=tuple(_text(each, file) or "" for each in given),
+        arguments=tuple(_text_of_expression(each, file) or "" for each in given),
     )
 
 
-def _remappings(node: ast.expr | None, file: _File) -> Iterator[Remapping]:
+def _read_remappings(node: ast.expr | None, file: _File) -> Iterator[Remapping]:
     if node is None:
         return
     value = file.values.get(node.id) if isinstance(node, ast.Name) else node
@@ -157,11 +169,11 @@ def _remappings(node: ast.expr | None, file: _File) -> Iterator[Remapping]:
         return
     for each in value.elts:
         pair = each.elts if isinstance(each, ast.Tuple) and len(each.elts) == 2 else (None, None)
-        old, new = (known(_text(part, file)) for part in pair)
+        old, new = (known(_text_of_expression(part, file)) for part in pair)
         yield Remapping(old, new, each.lineno)
 
 
-def _parameters(node: ast.expr | None, file: _File) -> tuple[list[Parameter], list[str]]:
+def _read_parameters(node: ast.expr | None, file: _File) -> tuple[list[Parameter], list[str]]:
     if isinstance(node, ast.Name):
         node = file.values.get(node.id)
     found: list[Parameter] = []
@@ -169,28 +181,32 @@ def _parameters(node: ast.expr | None, file: _File) -> tuple[list[Parameter], li
     for each in node.elts if isinstance(node, ast.List) else ():
         value = file.values.get(each.id) if isinstance(each, ast.Name) else each
         if isinstance(value, ast.Dict):
-            names = [(key, known(_text(key, file))) for key in value.keys if key is not None]
+            names = [(key, known(_text_of_expression(key, file))) for key in value.keys if key is not None]
             found += [Parameter(name, file.path, key.lineno) for key, name in names if name]
-        elif (text := _text(each, file)) is not None and text != _UNKNOWN:
+        elif (text := _text_of_expression(each, file)) is not None and text != _UNKNOWN_PART:
             files.append(text)
     return found, files
 
 
-def _include(node: ast.Call, file: _File) -> Include:
-    source = _argument(node, 0, "launch_description_source")
-    given = _keyword(node, "launch_arguments")
+def _read_include(node: ast.Call, file: _File) -> Include:
+    source = _argument_of_call(node, 0, "launch_description_source")
+    given = _keyword_argument(node, "launch_arguments")
     if isinstance(given, ast.Call) and isinstance(given.func, ast.Attribute):  # {...}.items()
         given = given.func.value
     if isinstance(given, ast.Name):
         given = file.values.get(given.id)
     names: dict[str, int] = {}
     if isinstance(given, ast.Dict):
-        names = {text: key.lineno for key in given.keys if key is not None and (text := known(_text(key, file)))}
+        names = {
+            text: key.lineno
+            for key in given.keys
+            if key is not None and (text := known(_text_of_expression(key, file)))
+        }
     return Include(
-        file=_text(source, file),
+        file=_text_of_expression(source, file),
         path=file.path,
         line=(source or node).lineno,
         arguments=names,
-        conditional=_keyword(node, "condition") is not None,
+        conditional=_keyword_argument(node, "condition") is not None,
         passes_all=given is not None and not isinstance(given, ast.Dict),
     )

@@ -11,12 +11,12 @@ from calibration.addons.analysis.ros.repository import Repository
 from calibration.addons.analysis.ros.tree import join
 from calibration.addons.analysis.xml_lines import line_of, parse_xml
 
-LARGEST = 30.0
+MAX_MESH_SIZE = 30.0
 """m: links of robots are smaller, and those in millimetres that are read as metres are larger."""
-_VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
-_HEADER, _TRIANGLE = 84, 50
+_VERTEX_LINE = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
+_HEADER_BYTES, _TRIANGLE_BYTES = 84, 50
 """Bytes of a binary STL before its triangles, and of each."""
-_MOST_TRIANGLES = 200_000
+_MAX_TRIANGLES = 200_000
 
 
 def check_meshes(repository: Repository) -> Iterator[Finding]:
@@ -31,8 +31,8 @@ def check_meshes(repository: Repository) -> Iterator[Finding]:
                 continue
             if place not in sizes:
                 sizes[place] = stl_size(repository.tree.data(place))
-            size, scale = sizes[place], _scale(mesh.get("scale", "1 1 1"))
-            if size is not None and scale is not None and size * scale > LARGEST:
+            size, scale = sizes[place], _largest_factor(mesh.get("scale", "1 1 1"))
+            if size is not None and scale is not None and size * scale > MAX_MESH_SIZE:
                 message = f"the mesh {quoted(place)} is {size * scale:.3g} m long here, as if its unit were not metres"
                 yield fault("mesh-size", path, line_of(mesh), message)
 
@@ -41,12 +41,15 @@ def stl_size(data: bytes) -> float | None:
     """Return the longest side of a mesh's bounding box, in its own unit; None if there is none."""
     points: list[tuple[float, float, float]] = []
     try:
-        if len(data) >= _HEADER and len(data) == _HEADER + _TRIANGLE * struct.unpack_from("<I", data, 80)[0]:
-            end = _HEADER + _TRIANGLE * _MOST_TRIANGLES
-            for numbers in struct.iter_unpack("<12fH", data[_HEADER:end]):
+        if (
+            len(data) >= _HEADER_BYTES
+            and len(data) == _HEADER_BYTES + _TRIANGLE_BYTES * struct.unpack_from("<I", data, 80)[0]
+        ):
+            end = _HEADER_BYTES + _TRIANGLE_BYTES * _MAX_TRIANGLES
+            for numbers in struct.iter_unpack("<12fH", data[_HEADER_BYTES:end]):
                 points += [numbers[3:6], numbers[6:9], numbers[9:12]]
         else:
-            matches = _VERTEX.finditer(data)
+            matches = _VERTEX_LINE.finditer(data)
             points = [(float(x), float(y), float(z)) for x, y, z in (match.groups() for match in matches)]
     except (struct.error, ValueError):
         return None
@@ -54,7 +57,7 @@ def stl_size(data: bytes) -> float | None:
     return max(sides) if sides and all(map(math.isfinite, sides)) else None
 
 
-def _scale(text: str) -> float | None:
+def _largest_factor(text: str) -> float | None:
     """Return the largest of three factors; None if they are not three numbers."""
     try:
         factors = [abs(float(each)) for each in text.split()]

@@ -11,11 +11,11 @@ from calibration.addons.analysis.ros.setup_script import Setup, read_setup
 from calibration.addons.analysis.ros.tree import Tree, parents
 from calibration.addons.analysis.xml_lines import line_of, parse_xml
 
-FILE = "package.xml"
-_IGNORED = ("COLCON_IGNORE", "CATKIN_IGNORE", "AMENT_IGNORE")
+PACKAGE_FILE = "package.xml"
+_IGNORING_FILES = ("COLCON_IGNORE", "CATKIN_IGNORE", "AMENT_IGNORE")
 """Files whose folder the build tools skip."""
 BUILD_TAGS = ("depend", "build_depend", "build_export_depend", "buildtool_depend", "buildtool_export_depend")
-_TAGS = (*BUILD_TAGS, "exec_depend", "run_depend", "test_depend", "doc_depend", "group_depend")
+_DEPENDENCY_TAGS = (*BUILD_TAGS, "exec_depend", "run_depend", "test_depend", "doc_depend", "group_depend")
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Package:
     @property
     def path(self) -> str:
         """The path of package.xml."""
-        return self.inside(FILE)
+        return self.inside(PACKAGE_FILE)
 
     @cached_property
     def name(self) -> str:
@@ -59,7 +59,7 @@ class Package:
         return tuple(
             Dependency((each.text or "").strip(), each.tag, line_of(each), each.get("condition", ""))
             for each in self.xml
-            if each.tag in _TAGS and (each.text or "").strip()
+            if each.tag in _DEPENDENCY_TAGS and (each.text or "").strip()
         )
 
     @cached_property
@@ -134,9 +134,9 @@ def find_packages(tree: Tree) -> list[Package]:
     for path in sorted(tree.files, key=lambda each: each.count("/")):
         folder, _, name = path.rpartition("/")
         above = [folder, *parents(folder)] if folder else [""]
-        if name != FILE or any(each in roots for each in above):
+        if name != PACKAGE_FILE or any(each in roots for each in above):
             continue
-        if any(f"{each}/{mark}".lstrip("/") in tree.present for each in above for mark in _IGNORED):
+        if any(f"{each}/{mark}".lstrip("/") in tree.present for each in above for mark in _IGNORING_FILES):
             continue
         root = parse_xml(tree.data(path))
         if root is not None and root.tag == "package" and root.find("channel") is None:  # PHP's has a channel

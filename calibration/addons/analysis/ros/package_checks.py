@@ -10,9 +10,9 @@ from calibration.addons.analysis.ros.repository import Repository
 from calibration.addons.analysis.ros.uses import uses
 from calibration.addons.analysis.xml_lines import line_of
 
-_NEEDED = ("name", "version", "description", "maintainer", "license")
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
-_VERSION = re.compile(r"\d+\.\d+\.\d+")
+_REQUIRED_TAGS = ("name", "version", "description", "maintainer", "license")
+_PACKAGE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+_PACKAGE_VERSION = re.compile(r"\d+\.\d+\.\d+")
 _NEW_TAGS = ("depend", "exec_depend", "build_export_depend", "buildtool_export_depend", "doc_depend")
 _RUN_TAGS = ("depend", "exec_depend", "run_depend", "build_export_depend")
 
@@ -21,27 +21,27 @@ def check_packages(repository: Repository) -> Iterator[Finding]:
     """Check every package.xml, alone and against the files beside it."""
     first: dict[str, Package] = {}
     for package in repository.packages:
-        yield from _content(package)
-        yield from _names(package)
+        yield from _check_content(package)
+        yield from _check_names(package)
         if package.name and package.name in first:
             message = f"the package {quoted(package.name)} is in {quoted(first[package.name].folder or '.')} too"
             yield fault("package-twice", package.path, package.name_line, message)
         first.setdefault(package.name, package)
-        yield from _build_type(package)
-        yield from _dependencies(package, repository)
+        yield from _check_build_type(package)
+        yield from _check_dependencies(package, repository)
 
 
-def _content(package: Package) -> Iterator[Finding]:
-    for tag in _NEEDED:
+def _check_content(package: Package) -> Iterator[Finding]:
+    for tag in _REQUIRED_TAGS:
         element = package.xml.find(tag)
         if element is None or not "".join(element.itertext()).strip():
             message = f"expected <{tag}>, found {'none' if element is None else 'it empty'}"
             yield fault("package-xml", package.path, package.line_of(tag), message)
-    if package.name and not _NAME.fullmatch(package.name):
+    if package.name and not _PACKAGE_NAME.fullmatch(package.name):
         message = f"found the name {quoted(package.name)}, expected letters, digits and _"
         yield fault("package-xml", package.path, package.name_line, message)
     version = (package.xml.findtext("version") or "").strip()
-    if version and not _VERSION.fullmatch(version):
+    if version and not _PACKAGE_VERSION.fullmatch(version):
         message = f"found the version {quoted(version)}, expected three numbers such as 1.0.0"
         yield fault("package-xml", package.path, package.line_of("version"), message)
     for each in package.xml.findall("maintainer"):
@@ -57,7 +57,7 @@ def _content(package: Package) -> Iterator[Finding]:
             yield fault("package-xml", package.path, dependency.line, message)
 
 
-def _names(package: Package) -> Iterator[Finding]:
+def _check_names(package: Package) -> Iterator[Finding]:
     projects = [each for each in package.commands("project") if each.folder == package.folder and each.arguments]
     if projects and projects[0].arguments[0].is_known:
         name = projects[0].arguments[0].text
@@ -71,7 +71,7 @@ def _names(package: Package) -> Iterator[Finding]:
             yield fault("package-name", package.setup.path, line, message)
 
 
-def _build_type(package: Package) -> Iterator[Finding]:
+def _check_build_type(package: Package) -> Iterator[Finding]:
     kind, tree = package.build_type, package.tree
     at = package.line_of("export")
     build_type = package.xml.find("export/build_type")
@@ -106,7 +106,7 @@ def _line_with(package: Package, text: str) -> int:
     return next((number for number, line in enumerate(lines, 1) if text in line), 1)
 
 
-def _dependencies(package: Package, repository: Repository) -> Iterator[Finding]:
+def _check_dependencies(package: Package, repository: Repository) -> Iterator[Finding]:
     seen: set[tuple[str, str]] = set()
     for each in package.dependencies:
         same = (each.name, each.tag)
@@ -114,13 +114,13 @@ def _dependencies(package: Package, repository: Repository) -> Iterator[Finding]
             message = f"<{each.tag}>{each.name}</{each.tag}> stands here a second time"
             yield fault("dependency-twice", package.path, each.line, message)
         seen.add(same)
-    yield from _undeclared(package, repository)
-    yield from _exported(package)
+    yield from _check_undeclared(package, repository)
+    yield from _check_exported(package)
     if not package.is_metapackage:
-        yield from _unused(package, repository)
+        yield from _check_unused(package, repository)
 
 
-def _undeclared(package: Package, repository: Repository) -> Iterator[Finding]:
+def _check_undeclared(package: Package, repository: Repository) -> Iterator[Finding]:
     reported = {package.name}
     for use in uses(package, repository.known):
         if use.name in reported or package.declared & {use.name, *use.accepted}:
@@ -130,7 +130,7 @@ def _undeclared(package: Package, repository: Repository) -> Iterator[Finding]:
         yield fault("undeclared-dependency", use.path, use.line, message)
 
 
-def _exported(package: Package) -> Iterator[Finding]:
+def _check_exported(package: Package) -> Iterator[Finding]:
     """Yield what catkin refuses: exported dependencies that are not installed with the package."""
     keywords = ("INCLUDE_DIRS", "LIBRARIES", "CATKIN_DEPENDS", "DEPENDS", "CFG_EXTRAS", "EXPORTED_TARGETS")
     running = {each.name for each in package.dependencies if each.tag in _RUN_TAGS}
@@ -141,7 +141,7 @@ def _exported(package: Package) -> Iterator[Finding]:
                 yield fault("undeclared-dependency", command.path, each.line, message)
 
 
-def _unused(package: Package, repository: Repository) -> Iterator[Finding]:
+def _check_unused(package: Package, repository: Repository) -> Iterator[Finding]:
     wanted = [
         each
         for each in package.dependencies

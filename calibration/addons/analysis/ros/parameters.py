@@ -7,43 +7,43 @@ import yaml
 
 from calibration.addons.analysis.ros.launch import Parameter
 
-_MOST = 5_000
-_DEEPEST = 20
+_MAX_PARAMETERS = 5_000
+_MAX_DEPTH = 20
 
 
 def parameters_of(path: str, text: str, node: str) -> list[Parameter]:
     """Return the parameters that a file of ROS 2 sets for a node of this full name."""
     found: list[Parameter] = []
     short = node.rpartition("/")[2]
-    for key, value in _entries(_root(text)):
+    for key, value in _entries_of_mapping(_parse_root(text)):
         if str(key.value) in ("/**", short, node, node.lstrip("/"), f"/**/{short}"):
-            for inner, values in _entries(value):
+            for inner, values in _entries_of_mapping(value):
                 if inner.value == "ros__parameters":
-                    found += _names(values, "", path, ".")
-    return found[:_MOST]
+                    found += _names_of_values(values, "", path, ".")
+    return found[:_MAX_PARAMETERS]
 
 
 def private_parameters_of(path: str, text: str) -> list[Parameter]:
     """Return the names that a file of ROS 1 sets below where it is loaded."""
-    return list(_names(_root(text), "", path, "/"))[:_MOST]
+    return list(_names_of_values(_parse_root(text), "", path, "/"))[:_MAX_PARAMETERS]
 
 
-def _root(text: str) -> Any:
+def _parse_root(text: str) -> Any:
     try:
         return yaml.compose(text, Loader=yaml.SafeLoader)
     except (yaml.YAMLError, ValueError, RecursionError):
         return None
 
 
-def _entries(node: Any) -> list[tuple[Any, Any]]:
+def _entries_of_mapping(node: Any) -> list[tuple[Any, Any]]:
     return node.value if isinstance(node, yaml.MappingNode) else []
 
 
-def _names(node: Any, prefix: str, path: str, separator: str, depth: int = 0) -> Iterator[Parameter]:
+def _names_of_values(node: Any, prefix: str, path: str, separator: str, depth: int = 0) -> Iterator[Parameter]:
     """Yield the names of all values, nested ones joined by the separator."""
-    for key, value in _entries(node) if depth < _DEEPEST else ():
+    for key, value in _entries_of_mapping(node) if depth < _MAX_DEPTH else ():
         name = f"{prefix}{key.value}"
         if isinstance(value, yaml.MappingNode):
-            yield from _names(value, f"{name}{separator}", path, separator, depth + 1)
+            yield from _names_of_values(value, f"{name}{separator}", path, separator, depth + 1)
         else:
             yield Parameter(name, path, key.start_mark.line + 1)

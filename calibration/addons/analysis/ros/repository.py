@@ -5,7 +5,7 @@ from functools import cached_property
 from calibration.addons.analysis.ros.code import Code
 from calibration.addons.analysis.ros.cpp_code import read_cpp
 from calibration.addons.analysis.ros.executables import Executables, find_executables
-from calibration.addons.analysis.ros.known import PACKAGES
+from calibration.addons.analysis.ros.known import COMMON_PACKAGES
 from calibration.addons.analysis.ros.launch import Include, Launch, package_of
 from calibration.addons.analysis.ros.launch_markup import read_launch_xml, read_launch_yaml
 from calibration.addons.analysis.ros.launch_python import read_launch_python
@@ -36,15 +36,15 @@ class Repository:
     @cached_property
     def known(self) -> frozenset[str]:
         """Names of packages: those of the repository, and common ones."""
-        return PACKAGES | frozenset(self.by_name)
+        return COMMON_PACKAGES | frozenset(self.by_name)
 
     @cached_property
     def launches(self) -> dict[str, Launch]:
         """The launch files of the packages, by path."""
-        read = (self._launch(path) for package in self.packages for path in package.files)
+        read = (self._read_launch(path) for package in self.packages for path in package.files)
         return {each.path: each for each in read if each is not None}
 
-    def _launch(self, path: str) -> Launch | None:
+    def _read_launch(self, path: str) -> Launch | None:
         if path.endswith((".launch", ".launch.xml", ".test")):
             return read_launch_xml(path, self.tree.data(path))
         if path.endswith((".launch.yaml", ".launch.yml")):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from calibration.addons.analysis.ros.tree import Tree
 
-_ENTRY = re.compile(r"\s*([\w.-]+)\s*=\s*([\w.]+)\s*(?::\s*([\w.]+))?\s*(?:\[.*\])?\s*")
+_ENTRY_POINT = re.compile(r"\s*([\w.-]+)\s*=\s*([\w.]+)\s*(?::\s*([\w.]+))?\s*(?:\[.*\])?\s*")
 
 
 @dataclass(frozen=True)
@@ -72,17 +72,17 @@ def read_setup(tree: Tree, folder: str) -> Setup | None:
         elif isinstance(node, ast.keyword) and node.arg == "data_files":
             data = list(_data_files(node.value))
         elif isinstance(node, ast.keyword) and node.arg == "name":
-            text = constants.get(node.value.id) if isinstance(node.value, ast.Name) else _text(node.value)
+            text = constants.get(node.value.id) if isinstance(node.value, ast.Name) else _constant_text(node.value)
             name = (text, node.value.lineno) if text is not None else name
     strings = tuple(
         (node.value, node.lineno)
         for node in ast.walk(module)
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     )
-    return Setup(path, name, (*entries, *_configured(tree, folder)), strings, tuple(data))
+    return Setup(path, name, (*entries, *_entry_points_of_configuration(tree, folder)), strings, tuple(data))
 
 
-def _text(node: ast.expr) -> str | None:
+def _constant_text(node: ast.expr) -> str | None:
     return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else None
 
 
@@ -91,10 +91,10 @@ def _entry_points(node: ast.expr, path: str) -> Iterator[EntryPoint]:
     if not isinstance(node, ast.Dict):
         return
     for key, value in zip(node.keys, node.values, strict=True):
-        if key is None or _text(key) != "console_scripts" or not isinstance(value, ast.List | ast.Tuple):
+        if key is None or _constant_text(key) != "console_scripts" or not isinstance(value, ast.List | ast.Tuple):
             continue
         for each in value.elts:
-            match = _ENTRY.fullmatch(_text(each) or "")
+            match = _ENTRY_POINT.fullmatch(_constant_text(each) or "")
             if match:
                 yield EntryPoint(match[1], match[2], match[3] or "", path, each.lineno)
 
@@ -104,12 +104,12 @@ def _data_files(node: ast.expr) -> Iterator[tuple[str, int]]:
     for each in ast.walk(node):
         if isinstance(each, ast.Tuple) and len(each.elts) == 2 and isinstance(each.elts[1], ast.List | ast.Tuple):
             for file in each.elts[1].elts:
-                text = _text(file)
+                text = _constant_text(file)
                 if text is not None:
                     yield text, file.lineno
 
 
-def _configured(tree: Tree, folder: str) -> Iterator[EntryPoint]:
+def _entry_points_of_configuration(tree: Tree, folder: str) -> Iterator[EntryPoint]:
     """Yield the console scripts of setup.cfg."""
     path = f"{folder}/setup.cfg" if folder else "setup.cfg"
     parser = ConfigParser(interpolation=None)
@@ -120,7 +120,7 @@ def _configured(tree: Tree, folder: str) -> Iterator[EntryPoint]:
         return
     lines = tree.text(path).split("\n")
     for each in text.split("\n"):
-        match = _ENTRY.fullmatch(each)
+        match = _ENTRY_POINT.fullmatch(each)
         if match:
             at = next((number for number, line in enumerate(lines, 1) if each.strip() == line.strip()), 1)
             yield EntryPoint(match[1], match[2], match[3] or "", path, at)

@@ -11,11 +11,20 @@ from calibration.addons.analysis.ros.package import Package
 from calibration.addons.analysis.ros.setup_script import parse_python
 from calibration.addons.analysis.ros.tree import without_comments
 
-CPP = (".cpp", ".cc", ".cxx", ".c", ".h", ".hpp", ".hh", ".hxx")
-DESCRIPTIONS = (".launch", ".launch.xml", ".urdf", ".xacro", ".test", ".launch.py", ".launch.yaml", ".launch.yml")
-_INCLUDE = re.compile(r'[ \t]*#[ \t]*include[ \t]*[<"]([\w.+-]+)/([^>"\n]+)[>"]')
-_DIRECTIVE = re.compile(r"[ \t]*#[ \t]*(if|ifdef|ifndef|endif|define)\b[ \t]*(\w*)")
-_NAMED = re.compile(r"\$\(find(?:-pkg-share)?[ \t]+([\w-]+)\)|package://([\w-]+)/")
+CPP_SUFFIXES = (".cpp", ".cc", ".cxx", ".c", ".h", ".hpp", ".hh", ".hxx")
+DESCRIPTION_SUFFIXES = (
+    ".launch",
+    ".launch.xml",
+    ".urdf",
+    ".xacro",
+    ".test",
+    ".launch.py",
+    ".launch.yaml",
+    ".launch.yml",
+)
+_INCLUDE_LINE = re.compile(r'[ \t]*#[ \t]*include[ \t]*[<"]([\w.+-]+)/([^>"\n]+)[>"]')
+_DIRECTIVE_LINE = re.compile(r"[ \t]*#[ \t]*(if|ifdef|ifndef|endif|define)\b[ \t]*(\w*)")
+_PACKAGE_REFERENCE = re.compile(r"\$\(find(?:-pkg-share)?[ \t]+([\w-]+)\)|package://([\w-]+)/")
 
 
 @dataclass(frozen=True)
@@ -35,17 +44,17 @@ def uses(package: Package, known: Collection[str]) -> Iterator[Use]:
     """Yield the uses of known packages, those of one file in their order."""
     yield from _in_cmake(package, known)
     for path in package.files:
-        if path.endswith(CPP):
-            yield from _included(package, path, known)
+        if path.endswith(CPP_SUFFIXES):
+            yield from _included_packages(package, path, known)
         elif path.endswith(".py") and not path.endswith((".launch.py", "setup.py", "conf.py")):
-            yield from _imported(package, path, known)
+            yield from _imported_packages(package, path, known)
         elif path.endswith((".msg", ".srv", ".action")):
             for each in fields_of(package.tree.text(path)):
                 owner, separator, _ = each.type.partition("/")
                 if separator:
                     yield Use(owner, path, each.line, "this type")
-        if path.endswith(DESCRIPTIONS):
-            yield from _named(package, path, known)
+        if path.endswith(DESCRIPTION_SUFFIXES):
+            yield from _named_packages(package, path, known)
 
 
 def _in_cmake(package: Package, known: Collection[str]) -> Iterator[Use]:
@@ -61,13 +70,13 @@ def _in_cmake(package: Package, known: Collection[str]) -> Iterator[Use]:
                     yield Use(each.text, command.path, each.line, "find_package")
 
 
-def _included(package: Package, path: str, known: Collection[str]) -> Iterator[Use]:
+def _included_packages(package: Package, path: str, known: Collection[str]) -> Iterator[Use]:
     """Yield what is included without a condition; a guard of the whole file is none."""
     depth, guard = 0, ""
     for number, line in enumerate(package.tree.text(path).split("\n"), 1):
         if "#" not in line:
             continue
-        if directive := _DIRECTIVE.match(line):
+        if directive := _DIRECTIVE_LINE.match(line):
             kind, name = directive[1], directive[2]
             if kind == "define":
                 depth -= name == guard and bool(guard)
@@ -75,7 +84,7 @@ def _included(package: Package, path: str, known: Collection[str]) -> Iterator[U
             else:
                 depth += -1 if kind == "endif" else 1
                 guard = name if kind == "ifndef" and depth == 1 else ""
-        elif (include := _INCLUDE.match(line)) and depth <= 0:
+        elif (include := _INCLUDE_LINE.match(line)) and depth <= 0:
             owner, rest = include[1], include[2]
             if any(package.tree.has(package.inside(f"{folder}{owner}/{rest}")) for folder in ("", "include/", "src/")):
                 continue
@@ -85,7 +94,7 @@ def _included(package: Package, path: str, known: Collection[str]) -> Iterator[U
                 yield Use(owner, path, number, "this header")
 
 
-def _imported(package: Package, path: str, known: Collection[str]) -> Iterator[Use]:
+def _imported_packages(package: Package, path: str, known: Collection[str]) -> Iterator[Use]:
     """Yield what is imported, but not what may fail."""
     text = package.tree.text(path)
     if "import" not in text:
@@ -117,10 +126,10 @@ def _imported(package: Package, path: str, known: Collection[str]) -> Iterator[U
                 yield Use(owner, path, node.lineno, "this import")
 
 
-def _named(package: Package, path: str, known: Collection[str]) -> Iterator[Use]:
+def _named_packages(package: Package, path: str, known: Collection[str]) -> Iterator[Use]:
     """Yield what launch files and robot descriptions find by name, outside of comments."""
     for number, line in enumerate(without_comments(package.tree.text(path)).split("\n"), 1):
-        for match in _NAMED.finditer(line):
+        for match in _PACKAGE_REFERENCE.finditer(line):
             name = match[1] or match[2]
             if name in known:
                 yield Use(name, path, number, "this path")

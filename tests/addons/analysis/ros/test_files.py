@@ -12,7 +12,7 @@ from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.ros.check import check
 from calibration.addons.analysis.ros.cmake import parse, read_cmake
 from calibration.addons.analysis.ros.tree import Tree, join, without_comments
-from calibration.addons.analysis.xml_lines import DEEPEST, parse_xml
+from calibration.addons.analysis.xml_lines import MAX_ELEMENT_DEPTH, parse_xml
 
 LOOPS = "".join(f"foreach(x{depth} {'1 ' * 400})\n" for depth in range(10)) + "endforeach()\n" * 10
 
@@ -115,5 +115,5 @@ def test_elements_thousands_deep_are_not_read(path: str) -> None:
     files = Workspace(2, 0).files
     tag, inside = ("robot", "link") if path.endswith("urdf") else ("launch", "group")
     found_in({**files, path: f"<{tag}>{f'<{inside}>' * 3000}{f'</{inside}>' * 3000}</{tag}>"})
-    assert parse_xml(b"<a>" * DEEPEST + b"</a>" * DEEPEST) is not None
-    assert parse_xml(b"<a>" * (DEEPEST + 1) + b"</a>" * (DEEPEST + 1)) is None
+    assert parse_xml(b"<a>" * MAX_ELEMENT_DEPTH + b"</a>" * MAX_ELEMENT_DEPTH) is not None
+    assert parse_xml(b"<a>" * (MAX_ELEMENT_DEPTH + 1) + b"</a>" * (MAX_ELEMENT_DEPTH + 1)) is None
