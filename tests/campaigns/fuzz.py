@@ -24,7 +24,8 @@ from pathlib import Path
 
 from calibration.base.errors import LONGEST_MESSAGE, CalibrationError, solvable
 from tests.campaigns.mutations import mutated
-from tests.campaigns.targets import TARGETS, Target
+from tests.campaigns.target import Target
+from tests.campaigns.targets import TARGETS
 
 SECONDS = 10
 """Of the processor, for one case."""

@@ -7,38 +7,19 @@ import re
 import shutil
 import tarfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from benchmarks.ros_defects.workspace import Workspace
 from calibration.__main__ import main
-from calibration.addons.analysis.earlier_sarif import read_earlier
-from calibration.addons.analysis.ros.check import check as check_ros
-from calibration.addons.analysis.ros.cpp_code import read_cpp
-from calibration.addons.analysis.ros.launch_markup import read_launch_xml, read_launch_yaml
-from calibration.addons.analysis.ros.launch_python import read_launch_python
-from calibration.addons.analysis.ros.python_code import read_python
-from calibration.addons.analysis.ros.tree import Tree
-from calibration.addons.analysis.sarif import FINGERPRINT
-from calibration.addons.analysis.suppressions import read_suppressions
-from calibration.addons.aws_batch.documents import Input, job_entry, jobs_document, read_job
-from calibration.addons.coverage.junit import parse_junit
-from calibration.addons.coverage.reading import read_reports
-from calibration.addons.coverage.sources import Sources
-from calibration.addons.recorder.page import parsed
-from calibration.addons.rigel.conversion import convert
-from calibration.addons.rigel.document import read_rigelfile
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.tables import judge, parse_rules, read_table
 from calibration.ci.execution.extraction import Budget, extract
 from calibration.ci.execution.globs import Glob
-from calibration.ci.execution.job import Container, Job, Readiness
 from calibration.ci.git.changes import changed_lines
-from calibration.ci.git.repository import Repository
 from calibration.ci.github.comment_text import comment_text
 from calibration.ci.image.context import read_ignore_file
 from calibration.ci.image.recipe.repositories import read_repositories
@@ -79,30 +60,11 @@ from calibration.robot.simulation.motion.sequence import read_motion
 from calibration.robot.simulation.robot import parse_robot, read_robot
 from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.robot.simulation.system import System, read_system
+from tests.campaigns.target import DATASETS, PROJECT, Target, files_of
 from tests.robot.importing import hand_eye
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile, Kind
 from tests.robot.importing.clouds import CLOUDS
 from tests.robot.importing.test_videos import write_video
-
-PROJECT = Path(__file__).resolve().parents[2]
-DATASETS = PROJECT / "datasets"
-
-
-@dataclass(frozen=True)
-class Target:
-    """A reader, and files that it can read."""
-
-    name: str
-    """The name of the file that it is given."""
-    originals: Callable[[], list[bytes]]
-    read: Callable[[Path], object]
-    """Raises `CalibrationError` for what it refuses; anything else is a bug."""
-    share: int = 10
-    """Of so many cases of all targets together, by weight: what takes long has few."""
-
-
-def _files(*patterns: str) -> Callable[[], list[bytes]]:
-    return lambda: [path.read_bytes() for pattern in patterns for path in sorted(PROJECT.glob(pattern))]
 
 
 def _few_collections() -> list[bytes]:
@@ -151,19 +113,6 @@ commands: ["pip install numpy"]
 push: true
 promote: [stable]
 """
-LCOV = b"TN:\nSF:a.py\nDA:1,1\nDA:2,0\nBRDA:2,0,0,1\nLF:2\nLH:1\nend_of_record\n"
-COBERTURA = (
-    b'<?xml version="1.0"?><coverage line-rate="0.5"><sources><source>.</source></sources><packages><package name="p">'
-    b'<classes><class name="a" filename="a.py"><lines><line number="1" hits="1"/><line number="2" hits="0"/></lines>'
-    b"</class></classes></package></packages></coverage>"
-)
-
-
-def _covered(path: Path) -> None:
-    source = path.with_name("a.py")
-    source.write_text("x = 1\ny = 2\n")
-    sources = Sources(Repository(path.parent), path.parent, (), ("a.py",), ("a.py",))
-    read_reports([path], sources, {}, path.parent / "meanwhile")
 
 
 def _tars() -> list[bytes]:
@@ -345,11 +294,6 @@ STEREO = (
 )
 
 
-SUPPRESSIONS = b"""\
-suppressions:
-- {rule: ruff/S603, path: "scripts/*", reason: only names of our own, until: 2030-01-31}
-- {rule: "lizard/*", reason: generated}
-"""
 SCENARIOS = b"""\
 light: {ambient: {uniform: [0.4, 0.9]}, elevation_deg: 30, azimuth_deg: 5}
 cameras: {exposure: {log_uniform: [0.7, 1.4]}, k1: {normal: [0, 0.05], within: [-0.15, 0.1]}}
@@ -391,49 +335,6 @@ def _left_by_a_run(name: str) -> Callable[[], list[bytes]]:
     return originals
 
 
-def _workspaces() -> list[bytes]:
-    """Repositories of ROS packages, all files of each one after the other, below their paths."""
-    return [
-        b"".join(b"=== %s\n%s\n" % (path.encode(), text.encode()) for path, text in Workspace(version, 1).files.items())
-        for version in (1, 2)
-    ]
-
-
-def _packages(path: Path) -> None:
-    _, *parts = re.split(rb"^=== ([\w./]{1,80})\n", path.read_bytes(), flags=re.MULTILINE)
-    known = {name for version in (1, 2) for name in Workspace(version, 1).files}
-    files = {name.decode(): text for name, text in zip(parts[::2], parts[1::2], strict=True) if name.decode() in known}
-    for name, text in files.items():
-        (path.parent / name).parent.mkdir(parents=True, exist_ok=True)
-        (path.parent / name).write_bytes(text)
-    check_ros(Tree(path.parent, files))
-
-
-SARIF = {
-    "version": "2.1.0",
-    "runs": [
-        {
-            "tool": {"driver": {"name": "x", "rules": []}},
-            "results": [
-                {
-                    "ruleId": f"ruff/F{line}",
-                    "level": "error",
-                    "message": {"text": "m"},
-                    "locations": [
-                        {
-                            "physicalLocation": {
-                                "artifactLocation": {"uri": "a%20b.py"},
-                                "region": {"startLine": line},
-                            }
-                        }
-                    ],
-                    "partialFingerprints": {FINGERPRINT: "abc"},
-                }
-                for line in (1, 2)
-            ],
-        }
-    ],
-}
 ANNOTATION = {"000": {side: {"ixs": [1.0, 2, 3], "iys": [1.0, 2, 3]} for side in ("top", "right", "bottom", "left")}}
 MATRIX = b"!!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 500., 0., 320., 0., 500., 240., 0., 0., 1. ]\n"
 FILE_STORAGE = (
@@ -446,50 +347,6 @@ OUR_STORAGE = (
     + b"D_0: [0.,0.,0.,0.,0.]\n"
 )
 ROBOT_CAL_TOOLS = b"intrinsics: {fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0}\n"
-LAUNCH = b"""\
-<launch><arg name="a" default="b"/><group ns="x"><node pkg="p" type="t" name="n"><remap from="/a" to="/b"/>
-<param name="q" value="$(arg a)"/><rosparam file="$(find p)/c.yaml"/></node></group>
-<include file="$(find p)/launch/b.launch"><arg name="z" value="1"/></include></launch>
-"""
-LAUNCH_YAML = b"""\
-launch:
-- arg: {name: a, default: b}
-- node: {pkg: p, exec: t, name: n, namespace: x, remap: [{from: /a, to: /b}], param: [{name: q, value: 1}]}
-- group:
-  - push-ros-namespace: {namespace: y}
-  - include: {file: $(find-pkg-share p)/b.yaml, arg: [{name: z, value: 2}]}
-"""
-LAUNCH_PYTHON = b"""\
-from launch import LaunchDescription
-from launch_ros.actions import Node
-from launch.actions import IncludeLaunchDescription, DeclareLaunchArgument
-def generate_launch_description():
-    name = 'n' + str(1)
-    nodes = [Node(package='p', executable=f'e{i}', name=name, namespace='x', remappings=[('a', 'b')],
-                  parameters=[{'q': 1}], arguments=['--x', str(i)]) for i in range(3)]
-    return LaunchDescription([DeclareLaunchArgument('a', default_value='b'), *nodes,
-                              IncludeLaunchDescription('f', launch_arguments={'z': '1'}.items())])
-"""
-NODE_PYTHON = b"""\
-import rospy
-from std_msgs.msg import String
-class N(object):
-    def __init__(self):
-        self.t = rospy.get_param('~topic', '/a')
-        self.p = rospy.Publisher(self.t, String, queue_size=1)
-        self.s = rospy.Subscriber('b', String, self.cb)
-        rospy.Service('~s', Empty, lambda r: None)
-        for i in range(3): rospy.Publisher('x%d' % i, String)
-def main():
-    rospy.init_node('n')
-"""
-NODE_CPP = b"""\
-#include <ros/ros.h>
-#include "p/M.h"
-int main(int c, char** v) { ros::init(c, v, "n"); ros::NodeHandle n("~");
-auto p = n.advertise<std_msgs::String>("a", 1); auto s = n.subscribe("b", 1, cb); n.getParam("q", x);
-auto q = this->create_publisher<std_msgs::msg::String>("t", rclcpp::QoS(1).reliable()); return 0; }
-"""
 REPOSITORIES = b"""\
 repositories:
   a/b: {type: git, url: https://x.org/a.git, version: 0123456789012345678901234567890123456789}
@@ -532,16 +389,6 @@ def _commented(path: Path) -> None:
         raise AssertionError(f"in the comment: {found and found[0]}, {len(text)} characters")
 
 
-def _text(path: Path) -> str:
-    return path.read_bytes().decode("utf-8", "replace")
-
-
-def _job() -> list[bytes]:
-    ready = Readiness(port=80, seconds=1.0)
-    job = Job("a", (Container("m", "image", ("x",), environment={"A": "b"}, readiness=ready),), seconds=3600.0)
-    return [jobs_document([job_entry(job, (Input(0, "k", "0" * 64, 3),), memory=100)])]
-
-
 def _exported(path: Path) -> None:
     calibrated_urdf(path.read_bytes(), {("tripod", "tripod_plate"): np.eye(4)}, "robot.urdf")
 
@@ -580,6 +427,13 @@ def _videos() -> list[bytes]:
         return [write_video(Path(folder) / f"a{suffix}", images).read_bytes() for suffix in (".mp4", ".avi", ".mkv")]
 
 
+def _of_addons() -> dict[str, Target]:
+    """Return the targets that each folder of add-ons' tests brings in its `targets`."""
+    folders = sorted(file.parent.name for file in PROJECT.glob("tests/addons/*/targets.py"))
+    found = (import_module(f"tests.addons.{folder}.targets").TARGETS for folder in folders)
+    return {name: target for targets in found for name, target in targets.items()}
+
+
 TARGETS: Mapping[str, Target] = {
     "robot-description": Target("robot.urdf", lambda: [GRIPPER], _moved_robot, 6),
     "xacro": Target("robot.urdf.xacro", lambda: [XACRO], read_robot, 1),
@@ -588,39 +442,24 @@ TARGETS: Mapping[str, Target] = {
     "cloud-las": Target("cloud.las", _clouds("old.las", "new.LAS"), read_cloud, 6),
     "cloud-text": Target("cloud.xyz", _clouds("blanks.xyz", "titled.csv", "counted.pts"), read_cloud, 6),
     "video": Target("video.mp4", _videos, lambda path: list(decoded_frames(path, [0, 3])), 1),
-    "sarif": Target("earlier.sarif", lambda: [json.dumps(SARIF).encode()], read_earlier),
     "annotation": Target("annotation.json", lambda: [json.dumps(ANNOTATION).encode()], read_annotation, 4),
     "opencv": Target("camera.yml", lambda: [FILE_STORAGE, OUR_STORAGE, ROBOT_CAL_TOOLS], _lenses, 4),
     "comment-text": Target("comment.json", lambda: [json.dumps(BRIEF).encode()], _commented),
     "repositories": Target("a.repos", lambda: [REPOSITORIES], read_repositories),
     "dockerignore": Target(".dockerignore", lambda: [b"# c\n*.py\n!a\n**/b\n/c/\n[a-z]?\n"], read_ignore_file),
-    "job": Target("job.json", _job, lambda path: read_job(path.read_bytes(), 0, "job"), 4),
-    "launch-xml": Target("a.launch", lambda: [LAUNCH], lambda path: read_launch_xml("a.launch", path.read_bytes())),
-    "launch-yaml": Target("a.yaml", lambda: [LAUNCH_YAML], lambda path: read_launch_yaml("a.yaml", _text(path)), 4),
-    "launch-python": Target("a.py", lambda: [LAUNCH_PYTHON], lambda path: read_launch_python("a.py", _text(path))),
-    "ros-python": Target("a.py", lambda: [NODE_PYTHON], lambda path: read_python("a.py", _text(path))),
-    "ros-cpp": Target("a.cpp", lambda: [NODE_CPP], lambda path: read_cpp("a.cpp", _text(path))),
-    "urdf-export": Target("robot.urdf", _files("datasets/riwbot/robot.urdf"), _exported, 4),
-    "motion-upload": Target(
-        "motion.json", _files("datasets/t2rgb/motion.json"), lambda path: parsed("m\n.json", path.read_bytes()), 4
-    ),
+    "urdf-export": Target("robot.urdf", files_of("datasets/riwbot/robot.urdf"), _exported, 4),
     "git-diff": Target("difference", lambda: [DIFFERENCE], lambda path: changed_lines(path.read_bytes())),
     "changes": Target("dataset.json", _changes, lambda path: read_dataset(path, given=DATASETS / "t2rgb"), 2),
-    "ros-packages": Target("workspace", _workspaces, _packages, 4),
-    "simulation": Target("simulation.yml", _files("datasets/riwbot/simulation.yml"), _system, 2),
-    "robot": Target("robot.urdf", _files("datasets/riwbot/robot.urdf"), _system, 2),
+    "simulation": Target("simulation.yml", files_of("datasets/riwbot/simulation.yml"), _system, 2),
+    "robot": Target("robot.urdf", files_of("datasets/riwbot/robot.urdf"), _system, 2),
     "scenarios": Target("scenarios.yml", lambda: [SCENARIOS], lambda path: read_scenario_set(path, _known_system()), 4),
-    "motion": Target("motion.json", _files("datasets/*/motion.json"), read_motion, 4),
-    "truth": Target("ground_truth.json", _files("datasets/*/ground_truth.json"), read_truth, 4),
+    "motion": Target("motion.json", files_of("datasets/*/motion.json"), read_motion, 4),
+    "truth": Target("ground_truth.json", files_of("datasets/*/ground_truth.json"), read_truth, 4),
     "photograph": Target("image", _photographs, read_image),
-    "suppressions": Target(".static-analysis.yml", lambda: [SUPPRESSIONS], read_suppressions, 4),
-    "baseline": Target("baseline.json", _files("calibration-baseline.json"), read_baseline, 4),
+    "baseline": Target("baseline.json", files_of("calibration-baseline.json"), read_baseline, 4),
     "results": Target("results.json", _left_by_a_run("results.json"), lambda path: read_results(path.parent), 4),
     "comment": Target("comment.json", _left_by_a_run("comment.json"), read_brief, 4),
     "intrinsics-covariance": Target("intrinsics.json", _left_by_a_run("intrinsics.json"), read_intrinsics, 4),
-    "junit": Target(
-        "junit.xml", _files("datasets/*/junit.xml"), lambda path: parse_junit(path.read_bytes(), "junit.xml"), 4
-    ),
     "import.yml": Target("import.yml", lambda: [IMPORT], read_description, 4),
     "intrinsics": Target("camera.yaml", lambda: [CAMERA_INFO, CAMCHAIN, OPENCV], read_lens, 4),
     "camchain": Target("camchain.yaml", lambda: [STEREO], partial(read_lens, name="cam1"), 4),
@@ -637,23 +476,20 @@ TARGETS: Mapping[str, Target] = {
     "ros2-db3": Target("recorded.db3", _bag("db3"), _recorded, 4),
     "calibration": Target("dataset.json", _few_collections, _calibrated, 1),
     "dataset": Target("dataset.json", _few_collections, lambda path: check_data(read_dataset(path)), 4),
-    "point-cloud": Target("cloud.pcd", _files("datasets/rlbot/lidar_right_000.pcd"), read_points),
+    "point-cloud": Target("cloud.pcd", files_of("datasets/rlbot/lidar_right_000.pcd"), read_points),
     "depth-image": Target("depth.png", _depth, lambda path: read_depth_image(path, Camera(10, 10, 7.5, 5.5, 16, 12))),
-    "atom-configuration": Target("config.yml", _files("datasets/*/config.yml"), read_atom_configuration, 4),
+    "atom-configuration": Target("config.yml", files_of("datasets/*/config.yml"), read_atom_configuration, 4),
     "kalibr-target": Target("target.yaml", lambda: [APRILGRID, CHECKERBOARD], _printed, 4),
     "calibration.yml": Target(
         "calibration.yml",
-        _files("calibration.yml", "examples/*/calibration.yml"),
+        files_of("calibration.yml", "examples/*/calibration.yml"),
         lambda path: read_configuration(path, VARIABLES),
         4,
     ),
     "image": Target("image.yml", lambda: [IMAGE], read_image_specification, 4),
     "rules": Target("rules.yml", lambda: [RULES], read_rules),
     "table": Target("table.csv", lambda: [TABLE], _judged, 40),
-    "rigelfile": Target(
-        "Rigelfile", _files("tests/addons/rigel/rigelfiles/*.rigel"), lambda path: convert(read_rigelfile(path)), 2
-    ),
-    "coverage": Target("report.info", lambda: [LCOV, COBERTURA], _covered, 10),
     "tar": Target("artifacts.tar", _tars, _brought_out, 20),
+    **_of_addons(),
 }
 """By name."""

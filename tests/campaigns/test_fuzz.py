@@ -12,7 +12,8 @@ from calibration.base.errors import InputError
 from tests.campaigns import fuzz
 from tests.campaigns.fuzz import campaign, problem_of
 from tests.campaigns.mutations import mutated
-from tests.campaigns.targets import TARGETS, Target
+from tests.campaigns.target import Target
+from tests.campaigns.targets import TARGETS
 
 FOUND: list[tuple[str, int]] = [
     ("calibration", 1344609849),
@@ -44,7 +45,8 @@ def test_a_share_of_the_campaign() -> None:
 
 
 def test_what_was_found_stays_mended() -> None:
-    assert [(name, seed) for name, seed in FOUND if problem_of(TARGETS[name], seed)] == []
+    known = [(name, seed) for name, seed in FOUND if name in TARGETS]  # those of a deleted add-on are none
+    assert [(name, seed) for name, seed in known if problem_of(TARGETS[name], seed)] == []
 
 
 def test_a_case_is_the_same_by_its_seed_and_others_are_not() -> None:

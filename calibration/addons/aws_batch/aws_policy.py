@@ -12,7 +12,7 @@ from calibration.base.errors import ExitCode
 from calibration.ci.execution.backends import read_sections
 from calibration.commands.parameters import path
 
-_HOLDERS = ("caller", "job", "execution", "trust")
+_POLICY_NAMES = ("caller", "job", "execution", "trust")
 
 
 @click.command("aws-policy")
@@ -20,7 +20,7 @@ _HOLDERS = ("caller", "job", "execution", "trust")
 @click.option(
     "--for",
     "holder",
-    type=click.Choice(_HOLDERS),
+    type=click.Choice(_POLICY_NAMES),
     default="caller",
     show_default=True,
     help="caller: user of calibration. job, execution: roles of these names. trust: who may assume them.",

@@ -113,9 +113,9 @@ class BatchBackend:
             show=self._show,
         )
         self._runs.append(run)
-        return self._outcomes(run)
+        return self._run_jobs(run)
 
-    def _outcomes(self, run: BatchRun) -> Generator[tuple[int, JobOutcome]]:
+    def _run_jobs(self, run: BatchRun) -> Generator[tuple[int, JobOutcome]]:
         try:
             if self._resume:
                 self._end_earlier()

@@ -6,15 +6,15 @@ from itertools import pairwise
 
 from calibration.addons.aws_batch.definition import group_by_shape, job_definition
 from calibration.addons.aws_batch.settings import BatchSettings
-from calibration.addons.aws_batch.wire import JOB_FOLDER, MOUNTS_FOLDER, PREPARE, WATCH
+from calibration.addons.aws_batch.wire import JOB_FOLDER, MOUNTS_FOLDER, PREPARE_CONTAINER, WATCH_CONTAINER
 from calibration.base.errors import InputError
 from calibration.base.text import shorten
 from calibration.ci.execution.globs import Glob
 from calibration.ci.execution.job import OUTPUT, Container, Job, Relaxations
 
-_IMAGE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.:/@-]{0,254}")
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
-_OURS = (OUTPUT, JOB_FOLDER, MOUNTS_FOLDER)
+_IMAGE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.:/@-]{0,254}")
+_CONTAINER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+_OUR_FOLDERS = (OUTPUT, JOB_FOLDER, MOUNTS_FOLDER)
 
 
 def check_task(job: Job, place: str) -> None:
@@ -73,15 +73,15 @@ def _in_mounts(job: Job) -> Iterator[str]:
 
 
 def _with_ours(targets: Sequence[str]) -> Iterator[tuple[str, str]]:
-    return ((f"{own}/", target) for own in _OURS for target in targets)
+    return ((f"{own}/", target) for own in _OUR_FOLDERS for target in targets)
 
 
 def _in_container(container: Container) -> Iterator[str]:
-    if container.name in (PREPARE, WATCH):
+    if container.name in (PREPARE_CONTAINER, WATCH_CONTAINER):
         yield "this is the name of one of our own containers: give it another"
-    if not _NAME.fullmatch(container.name):
+    if not _CONTAINER_NAME.fullmatch(container.name):
         yield "a container's name has letters, digits, _ and - only: give it another"
-    if not _IMAGE.fullmatch(container.image):
+    if not _IMAGE_NAME.fullmatch(container.image):
         yield f"this is no name of an image: '{shorten(container.image)}': letters, digits, _ - : . / @, at most 255"
     if not container.command and not container.entrypoint:
         yield "the image's default command is not known: set command"
@@ -94,8 +94,8 @@ def _in_container(container: Container) -> Iterator[str]:
 
 MOST_CONTAINERS = 10
 """Limit of containers of a task; two of them are ours."""
-_PLACE = "on AWS Batch"
-_CAPABILITIES = frozenset(
+_ON_BATCH = "on AWS Batch"
+_DEFAULT_CAPABILITIES = frozenset(
     {
         *("AUDIT_WRITE", "CHOWN", "DAC_OVERRIDE", "FOWNER", "FSETID", "KILL", "MKNOD", "NET_BIND_SERVICE", "NET_RAW"),
         *("SETFCAP", "SETGID", "SETPCAP", "SETUID", "SYS_CHROOT"),
@@ -111,7 +111,7 @@ def check_for_batch(jobs: Sequence[Job], settings: BatchSettings) -> None:
         InputError: the message names the job, the container and what to do.
     """
     for job in jobs:
-        check_task(job, _PLACE)
+        check_task(job, _ON_BATCH)
         _check_job(job, settings)
     if settings.platform == "ec2" and settings.shared_hosts and len(jobs) > 1:
         _check_hosts(jobs)
@@ -125,24 +125,24 @@ def check_for_batch(jobs: Sequence[Job], settings: BatchSettings) -> None:
 def _check_job(job: Job, settings: BatchSettings) -> None:
     if len(job.containers) > MOST_CONTAINERS - 2:
         raise InputError(
-            f"job '{job.name}': {_PLACE} a task has at most {MOST_CONTAINERS} containers, of which two are ours: "
+            f"job '{job.name}': {_ON_BATCH} a task has at most {MOST_CONTAINERS} containers, of which two are ours: "
             f"found {len(job.containers)}, expected at most {MOST_CONTAINERS - 2}"
         )
     if job.network == "host" and settings.platform == "fargate":
         raise InputError(
-            f"job '{job.name}': {_PLACE} a task on Fargate has its own network, not a host's: set network: "
+            f"job '{job.name}': {_ON_BATCH} a task on Fargate has its own network, not a host's: set network: "
             "private, or platform: ec2"
         )
     for container in job.containers:
         for problem in _in_relaxations(container.relaxations, settings):
-            raise InputError(f"job '{job.name}', container '{container.name}': {_PLACE} {problem}")
+            raise InputError(f"job '{job.name}', container '{container.name}': {_ON_BATCH} {problem}")
 
 
 def _in_relaxations(relaxed: Relaxations, settings: BatchSettings) -> Iterator[str]:
     wanted = {"devices": relaxed.devices, "gpus": relaxed.gpus, "privileged": relaxed.privileged}
     for name in (name for name, value in wanted.items() if value and settings.platform == "fargate"):
         yield f"Fargate has no {name}: set platform: ec2, or remove it"
-    missing = sorted(set(relaxed.capabilities) - _CAPABILITIES)
+    missing = sorted(set(relaxed.capabilities) - _DEFAULT_CAPABILITIES)
     if missing and not relaxed.privileged:
         yield f"no capability can be added, and {missing[0]} is not among the default ones: remove it"
 

@@ -12,7 +12,7 @@ from calibration.addons.aws_batch.definition import Resources, Shape, task_size
 from calibration.addons.aws_batch.settings import BatchSettings, Platform, Prices
 from calibration.ci.execution.job import Job
 
-_HOUR = 3600.0
+_SECONDS_PER_HOUR = 3600.0
 _FARGATE_LEAST = 60
 """Seconds: Fargate bills at least one minute."""
 
@@ -70,7 +70,7 @@ def estimate(jobs: Sequence[tuple[Job, Shape]], settings: BatchSettings) -> Esti
     sizes = {shape: total_size(shape, settings.platform) for shape in {shape for _, shape in jobs}}
     limited = [(job.seconds, sizes[shape]) for job, shape in jobs if job.seconds is not None]
     usage = [usage_of(seconds, size, settings.platform) for seconds, size in limited]
-    return Estimate(_sum(usage), len(jobs) - len(limited))
+    return Estimate(_sum_usages(usage), len(jobs) - len(limited))
 
 
 def billed(attempts: Iterable[tuple[int | None, int | None]], size: Resources, platform: Platform) -> Usage:
@@ -82,7 +82,7 @@ def billed(attempts: Iterable[tuple[int | None, int | None]], size: Resources, p
         size: size of the task.
         platform: Fargate bills each attempt for at least one minute.
     """
-    return _sum(
+    return _sum_usages(
         usage_of((stopped - started) / 1000, size, platform)
         for started, stopped in attempts
         if started is not None and stopped is not None and stopped >= started
@@ -92,7 +92,7 @@ def billed(attempts: Iterable[tuple[int | None, int | None]], size: Resources, p
 def usage_of(seconds: float, size: Resources, platform: Platform) -> Usage:
     """Return the billed usage of a task of this duration: whole seconds, on Fargate at least 60."""
     paid = max(math.ceil(seconds), _FARGATE_LEAST if platform == "fargate" else 0)
-    return Usage(paid, size.cpus * paid / _HOUR, size.memory / 1024 * paid / _HOUR)
+    return Usage(paid, size.cpus * paid / _SECONDS_PER_HOUR, size.memory / 1024 * paid / _SECONDS_PER_HOUR)
 
 
 def total_size(shape: Shape, platform: Platform) -> Resources:
@@ -104,5 +104,5 @@ def total_size(shape: Shape, platform: Platform) -> Resources:
     return task_size([container.resources for container in shape.containers], platform).total
 
 
-def _sum(usages: Iterable[Usage]) -> Usage:
+def _sum_usages(usages: Iterable[Usage]) -> Usage:
     return sum(usages, Usage())

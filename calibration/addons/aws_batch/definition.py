@@ -10,16 +10,16 @@ from typing import Any
 
 from calibration.addons.aws_batch.documents import mount_targets
 from calibration.addons.aws_batch.settings import BatchSettings, Platform
-from calibration.addons.aws_batch.wire import JOB_FOLDER, MOUNTS_FOLDER, PREPARE, WATCH
+from calibration.addons.aws_batch.wire import JOB_FOLDER, MOUNTS_FOLDER, PREPARE_CONTAINER, WATCH_CONTAINER
 from calibration.base.errors import InputError
 from calibration.ci.execution.job import OUTPUT, Container, Job, Relaxations
 
 TOOLS_MEMORY = 512
 """Memory of each of our containers, MiB."""
-_TOOLS = 2
-_STEP = {"fargate": 0.25, "ec2": 1.0}
+_OUR_COUNT = 2
+_CPU_STEP = {"fargate": 0.25, "ec2": 1.0}
 """Smallest share of a processor for a container, and its increment; EC2 needs whole ones."""
-_FARGATE = {
+_MEMORY_OF_CPUS = {
     0.25: (512, 1024, 2048),
     0.5: (1024, 2048, 3072, 4096),
     1.0: tuple(range(2048, 8193, 1024)),
@@ -65,12 +65,12 @@ def task_size(asked: Sequence[Resources], platform: Platform) -> TaskSize:
     Raises:
         InputError: it exceeds the largest task on Fargate; the message contains the sums.
     """
-    step = _STEP[platform]
+    step = _CPU_STEP[platform]
     shares = [max(1, math.ceil(resources.cpus / step)) for resources in asked]
-    cpus = max(sum(shares), len(shares) + _TOOLS) * step
-    memory = sum(resources.memory for resources in asked) + _TOOLS * TOOLS_MEMORY
+    cpus = max(sum(shares), len(shares) + _OUR_COUNT) * step
+    memory = sum(resources.memory for resources in asked) + _OUR_COUNT * TOOLS_MEMORY
     total = _fargate_size(cpus, memory) if platform == "fargate" else Resources(cpus, memory)
-    rest = round(total.cpus / step) - _TOOLS - sum(shares)
+    rest = round(total.cpus / step) - _OUR_COUNT - sum(shares)
     while rest < 0:  # reduce the largest share, so that every container keeps one
         shares[shares.index(max(shares))] -= 1
         rest += 1
@@ -86,17 +86,17 @@ def task_size(asked: Sequence[Resources], platform: Platform) -> TaskSize:
 
 
 def _fargate_size(cpus: float, memory: int) -> Resources:
-    for size, memories in _FARGATE.items():
+    for size, memories in _MEMORY_OF_CPUS.items():
         if size >= cpus and memories[-1] >= memory:
             return Resources(size, next(each for each in memories if each >= memory))
-    largest, memories = list(_FARGATE.items())[-1]
+    largest, memories = list(_MEMORY_OF_CPUS.items())[-1]
     raise InputError(
-        f"its containers ask for {cpus:g} CPUs and {memory} MiB (ours {_TOOLS * TOOLS_MEMORY} of them), but a task on "
-        f"Fargate has at most {largest:g} and {memories[-1]}: ask for less, or use platform ec2"
+        f"its containers ask for {cpus:g} CPUs and {memory} MiB (ours {_OUR_COUNT * TOOLS_MEMORY} of them), but a task "
+        f"on Fargate has at most {largest:g} and {memories[-1]}: ask for less, or use platform ec2"
     )
 
 
-_MIB = 1024**2
+_BYTES_PER_MIB = 1024**2
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ def _container_shape(container: Container, volumes: Sequence[str], settings: Bat
     return ContainerShape(
         name=container.name,
         image=container.image,
-        resources=Resources(settings.cpus if limits.cpus is None else limits.cpus, math.ceil(memory / _MIB)),
+        resources=Resources(settings.cpus if limits.cpus is None else limits.cpus, math.ceil(memory / _BYTES_PER_MIB)),
         user=container.user,
         secrets=tuple(sorted(container.secrets)),
         mounts=tuple(
@@ -193,8 +193,8 @@ _START_SECONDS = 3600
 _STOP_SECONDS = 120
 """Time for our container to upload results when the job is terminated: the maximum on Fargate."""
 _UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9]+")
-_VERSION = re.compile(r"(:[^:/@]+)?(@.*)?$")
-_RETRIES = (
+_TAG_AND_DIGEST = re.compile(r"(:[^:/@]+)?(@.*)?$")
+_RETRY_STRATEGY = (
     {"onStatusReason": "Host EC2*", "action": "RETRY"},
     {"onStatusReason": "Your Spot Task was interrupted*", "action": "RETRY"},
     # a failure that matches no rule is retried, so these three match every failure with any of the properties
@@ -206,7 +206,7 @@ _RETRIES = (
 
 def definition_name(shape: Shape, settings: BatchSettings) -> str:
     """Return the name of the definition; other image versions and sizes are revisions of the same name."""
-    images = [_VERSION.sub("", container.image) for container in shape.containers]
+    images = [_TAG_AND_DIGEST.sub("", container.image) for container in shape.containers]
     names = [container.name for container in shape.containers]
     mark = hashlib.sha256(json.dumps([settings.prefix, names, images]).encode()).hexdigest()[:8]
     return f"calibration-{_UNFIT_FOR_NAME.sub('-', '-'.join(names)).strip('-')[:80]}-{mark}"
@@ -223,13 +223,13 @@ def job_definition(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
         "jobDefinitionName": definition_name(shape, settings),
         "type": "container",
         "platformCapabilities": [settings.platform.upper()],
-        "ecsProperties": {"taskProperties": [_task(shape, settings)]},
-        "retryStrategy": {"attempts": settings.attempts, "evaluateOnExit": [dict(rule) for rule in _RETRIES]},
+        "ecsProperties": {"taskProperties": [_task_properties(shape, settings)]},
+        "retryStrategy": {"attempts": settings.attempts, "evaluateOnExit": [dict(rule) for rule in _RETRY_STRATEGY]},
         "propagateTags": True,
     }
     if fargate:
         request["ecsProperties"]["taskProperties"][0] |= _fargate_properties(settings)
-    request["tags"] = {**settings.tags, DIGEST_TAG: _digest(request, settings.tags)}
+    request["tags"] = {**settings.tags, DIGEST_TAG: _digest_of_request(request, settings.tags)}
     if (size := len(json.dumps(request).encode())) > MOST_BYTES:
         raise InputError(
             f"its job definition has {size} bytes, AWS Batch accepts {MOST_BYTES}: it has {len(shape.volumes)} mounts "
@@ -238,7 +238,7 @@ def job_definition(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
     return request
 
 
-def _digest(request: Mapping[str, Any], tags: Mapping[str, str]) -> str:
+def _digest_of_request(request: Mapping[str, Any], tags: Mapping[str, str]) -> str:
     return hashlib.sha256(json.dumps([request, dict(tags)], sort_keys=True).encode()).hexdigest()
 
 
@@ -252,22 +252,31 @@ def _fargate_properties(settings: BatchSettings) -> dict[str, Any]:
     return properties
 
 
-def _task(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
+def _task_properties(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
     size = task_size([container.resources for container in shape.containers], settings.platform)
-    job, output = _mount("job", JOB_FOLDER), _mount("output", OUTPUT)
-    inputs = [_mount(f"mount-{i}", f"{MOUNTS_FOLDER}/{i}") for i in range(len(shape.volumes))]
-    prepare = _tools("prepare", size.prepare, [job, output, *inputs], settings)
-    watch = _tools("watch", size.watch, [job, output], settings)
+    job, output = _mount_point("job", JOB_FOLDER), _mount_point("output", OUTPUT)
+    inputs = [_mount_point(f"mount-{i}", f"{MOUNTS_FOLDER}/{i}") for i in range(len(shape.volumes))]
+    prepare = _tools_container("prepare", size.prepare, [job, output, *inputs], settings)
+    watch = _tools_container("watch", size.watch, [job, output], settings)
     if settings.platform == "ec2":
         prepare["startTimeout"] = _START_SECONDS
     task: dict[str, Any] = {
         "containers": [
-            {"name": PREPARE, "essential": False, **prepare},
+            {"name": PREPARE_CONTAINER, "essential": False, **prepare},
             *(
-                {**_container(container, resources, settings), "mountPoints": [job, output, *_mounts(container)]}
+                {
+                    **_job_container(container, resources, settings),
+                    "mountPoints": [job, output, *_mount_points(container)],
+                }
                 for container, resources in zip(shape.containers, size.containers, strict=True)
             ),
-            {"name": WATCH, "essential": True, **watch, "dependsOn": _after_prepare(), "stopTimeout": _STOP_SECONDS},
+            {
+                "name": WATCH_CONTAINER,
+                "essential": True,
+                **watch,
+                "dependsOn": _after_prepare(),
+                "stopTimeout": _STOP_SECONDS,
+            },
         ],
         "volumes": [{"name": name} for name in ("job", "output", *(f"mount-{i}" for i in range(len(shape.volumes))))],
         "taskRoleArn": settings.job_role,
@@ -278,21 +287,23 @@ def _task(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
 
 
 def _after_prepare() -> list[dict[str, str]]:
-    return [{"containerName": PREPARE, "condition": "SUCCESS"}]
+    return [{"containerName": PREPARE_CONTAINER, "condition": "SUCCESS"}]
 
 
-def _tools(verb: str, resources: Resources, mounts: list[dict[str, Any]], settings: BatchSettings) -> dict[str, Any]:
+def _tools_container(
+    verb: str, resources: Resources, mounts: list[dict[str, Any]], settings: BatchSettings
+) -> dict[str, Any]:
     """Return one of our containers; it runs as root, to read files of any user and set permissions of volumes."""
     return {
         "image": settings.tools_image,
         "command": ["python3", "-m", "calibration.addons.aws_batch.inside", verb],
         "user": "root",
         "mountPoints": mounts,
-        **_common(resources, settings),
+        **_common_properties(resources, settings),
     }
 
 
-def _container(container: ContainerShape, resources: Resources, settings: BatchSettings) -> dict[str, Any]:
+def _job_container(container: ContainerShape, resources: Resources, settings: BatchSettings) -> dict[str, Any]:
     """Return a container of the job, without its mounts; its command is in the script on the job's volume."""
     properties: dict[str, Any] = {
         "name": container.name,
@@ -300,12 +311,12 @@ def _container(container: ContainerShape, resources: Resources, settings: BatchS
         "image": container.image,
         "command": ["/bin/sh", f"{JOB_FOLDER}/{container.name}.sh"],
         "dependsOn": _after_prepare(),
-        **_common(resources, settings),
+        **_common_properties(resources, settings),
     }
     if container.user is not None:
         properties["user"] = container.user
     if container.secrets:
-        properties["secrets"] = [_secret(name, container.name, settings) for name in container.secrets]
+        properties["secrets"] = [_secret_reference(name, container.name, settings) for name in container.secrets]
     relaxed = container.relaxations
     if relaxed.devices:
         properties["linuxParameters"]["devices"] = [{"hostPath": device} for device in relaxed.devices]
@@ -316,7 +327,7 @@ def _container(container: ContainerShape, resources: Resources, settings: BatchS
     return properties
 
 
-def _common(resources: Resources, settings: BatchSettings) -> dict[str, Any]:
+def _common_properties(resources: Resources, settings: BatchSettings) -> dict[str, Any]:
     return {
         "resourceRequirements": [
             {"type": "VCPU", "value": f"{resources.cpus:g}"},
@@ -334,15 +345,15 @@ def _common(resources: Resources, settings: BatchSettings) -> dict[str, Any]:
     }
 
 
-def _mount(volume: str, path: str, read_only: bool = False) -> dict[str, Any]:
+def _mount_point(volume: str, path: str, read_only: bool = False) -> dict[str, Any]:
     return {"sourceVolume": volume, "containerPath": path, "readOnly": read_only}
 
 
-def _mounts(container: ContainerShape) -> list[dict[str, Any]]:
-    return [_mount(f"mount-{mount.volume}", mount.target, not mount.writable) for mount in container.mounts]
+def _mount_points(container: ContainerShape) -> list[dict[str, Any]]:
+    return [_mount_point(f"mount-{mount.volume}", mount.target, not mount.writable) for mount in container.mounts]
 
 
-def _secret(name: str, container: str, settings: BatchSettings) -> dict[str, str]:
+def _secret_reference(name: str, container: str, settings: BatchSettings) -> dict[str, str]:
     if name not in settings.secrets:
         raise InputError(
             f"container '{container}': secrets: {name} has no ARN: put it into Secrets Manager or Parameter Store, and "

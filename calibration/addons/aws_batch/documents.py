@@ -19,14 +19,14 @@ from calibration.ci.execution.extraction import RefusedError, path_parts
 from calibration.ci.execution.job import Container, Job, Limits, Relaxations
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End
 
-MOST_BYTES = 64 * 1024**2
+MAX_JOBS_BYTES = 64 * 1024**2
 """Size limit of a file of jobs."""
-_BYTES_EACH = 8192
+_MAX_ENTRY_BYTES = 8192
 """Upper bound of the size of an entry in an outcome."""
-_MOST_REASONS = 1000
-_LONGEST = 4096
+_MAX_REASONS = 1000
+_MAX_LINE_LENGTH = 4096
 
-_Text = Annotated[str, length(most=_LONGEST)]
+_Text = Annotated[str, length(most=_MAX_LINE_LENGTH)]
 _Line = Annotated[str, Converted(_Text, lambda text, _: one_line(text))]
 _Count = Annotated[int, between(0, 2**63 - 1)]
 
@@ -101,7 +101,7 @@ def read_job(data: bytes, index: int, where: str) -> TaskJob:
     Raises:
         InfrastructureError: the file is not in the form of `jobs_document`, or has no such job.
     """
-    document = parse_json(data, MOST_BYTES, where)
+    document = parse_json(data, MAX_JOBS_BYTES, where)
     if not isinstance(document, list) or not 0 <= index < len(document):
         raise InfrastructureError(f"{where}: there is no job {index} in it")
     try:
@@ -133,7 +133,7 @@ class TaskOutcome:
     exit_code: Annotated[
         ExitCode, Converted(Annotated[int, between(0, max(ExitCode))], lambda code, _: ExitCode(code))
     ] = field("Exit code of the job, 0 if it passed.")
-    reasons: Annotated[tuple[_Line, ...], length(most=_MOST_REASONS)] = field("Reasons of the failure.", default=())
+    reasons: Annotated[tuple[_Line, ...], length(most=_MAX_REASONS)] = field("Reasons of the failure.", default=())
     seconds: Annotated[float, between(0, 1e9)] = field("Duration.", default=0.0)
     containers: tuple[ContainerOutcome, ...] = field(
         "Outcomes of the containers, without logs and images, which the task does not know.", default=()
@@ -143,19 +143,19 @@ class TaskOutcome:
     schema: Literal[1] = field("Version of the form.", default=1)
 
 
-def most_bytes(job: Job) -> int:
+def max_outcome_bytes(job: Job) -> int:
     """Return the size limit of a job's outcome, to bound the download."""
-    return _BYTES_EACH * (_MOST_REASONS + len(job.containers) + job.artifact_files)
+    return _MAX_ENTRY_BYTES * (_MAX_REASONS + len(job.containers) + job.artifact_files)
 
 
 def outcome_document(outcome: TaskOutcome) -> bytes:
     """Return the file of an outcome."""
     short = replace(
         outcome,
-        reasons=tuple(shorten(reason, _LONGEST) for reason in outcome.reasons[:_MOST_REASONS]),
+        reasons=tuple(shorten(reason, _MAX_LINE_LENGTH) for reason in outcome.reasons[:_MAX_REASONS]),
         seconds=round(outcome.seconds, 3),
         containers=tuple(replace(each, seconds=round(each.seconds, 3)) for each in outcome.containers),
-        left_out=tuple(shorten(note, _LONGEST) for note in outcome.left_out),
+        left_out=tuple(shorten(note, _MAX_LINE_LENGTH) for note in outcome.left_out),
     )
     return json.dumps(document_of(short), indent=1, allow_nan=False).encode()
 
@@ -173,7 +173,7 @@ def read_outcome(data: bytes, job: Job, attempt: int, where: str) -> TaskOutcome
         InfrastructureError: the document is invalid, or inconsistent with the job or in itself.
     """
     place = Place(where, error=InfrastructureError)
-    outcome = read(TaskOutcome, parse_json(data, most_bytes(job), where), where, error=InfrastructureError)
+    outcome = read(TaskOutcome, parse_json(data, max_outcome_bytes(job), where), where, error=InfrastructureError)
     for key, found, expected in (("job", outcome.job, job.name), ("attempt", outcome.attempt, attempt)):
         if found != expected:
             raise place.below(key).unexpected(found, repr(expected))

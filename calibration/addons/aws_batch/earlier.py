@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from calibration.addons.aws_batch.aws_errors import AwsLostError
-from calibration.addons.aws_batch.documents import MOST_BYTES, most_bytes, parse_json, read_outcome
+from calibration.addons.aws_batch.documents import MAX_JOBS_BYTES, max_outcome_bytes, parse_json, read_outcome
 from calibration.addons.aws_batch.following import Submitted
 from calibration.addons.aws_batch.store import Store
 from calibration.addons.aws_batch.wire import JOBS_PER_FILE, OUTCOME_FILE, Location
@@ -16,7 +16,7 @@ from calibration.base.errors import ExitCode, InfrastructureError
 from calibration.base.records import between, document_of, field, length, read, record
 from calibration.ci.execution.job import Job
 
-_MOST = 10_000
+_MAX_ARRAY_SIZE = 10_000
 """Batch's limit of jobs in an array."""
 
 
@@ -26,7 +26,7 @@ class _Submission:
 
     id: Annotated[str, length(most=128)] = field()
     first: Annotated[int, between(0, 2**63 - 1)] = field()
-    count: Annotated[int, between(1, _MOST)] = field()
+    count: Annotated[int, between(1, _MAX_ARRAY_SIZE)] = field()
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ def find_results(store: Store, location: Location) -> dict[str, Result]:
     root = f"{location.prefix}/runs/{location.run}/results/"
     for group in store.folders(root):
         place = replace(location, group=group)
-        attempts, ids = _attempts(store, root, group), _ids(store, place)
+        attempts, ids = _latest_attempts(store, root, group), _ids_of_jobs(store, place)
         for first in sorted({index // JOBS_PER_FILE * JOBS_PER_FILE for index in attempts}):
-            for number, entry in enumerate(_entries(store, place, first)):
+            for number, entry in enumerate(_read_entries(store, place, first)):
                 index = first + number
                 if index in attempts and isinstance(entry, dict):
                     mark = mark_of(group.partition("-")[0], entry)
@@ -90,7 +90,7 @@ def has_verdict(store: Store, location: Location, result: Result, job: Job) -> b
         AwsLostError: AWS does not answer.
     """
     key = replace(location, group=result.group).result_key(result.index, result.attempt, OUTCOME_FILE)
-    data = store.get(key, most_bytes(job))
+    data = store.get(key, max_outcome_bytes(job))
     try:
         return data is not None and read_outcome(data, job, result.attempt, key).exit_code <= ExitCode.FAIL
     except AwsLostError:
@@ -104,19 +104,19 @@ def submitted_document(submitted: Iterable[Submitted]) -> bytes:
     return json.dumps([document_of(_Submission(each.id, each.first, each.count)) for each in submitted]).encode()
 
 
-def _ids(store: Store, location: Location) -> dict[int, str]:
+def _ids_of_jobs(store: Store, location: Location) -> dict[int, str]:
     """Return the id of each job of a group; jobs with unknown ids are omitted."""
     key = location.submitted_key
-    data = store.get(key, MOST_BYTES)
+    data = store.get(key, MAX_JOBS_BYTES)
     ids: dict[int, str] = {}
-    for entry in _list(data, key):
+    for entry in _parse_list(data, key):
         submission = read(_Submission, entry, key, error=InfrastructureError)
         for child in range(submission.count):
             ids[submission.first + child] = f"{submission.id}:{child}" if submission.count > 1 else submission.id
     return ids
 
 
-def _attempts(store: Store, root: str, group: str) -> dict[int, int]:
+def _latest_attempts(store: Store, root: str, group: str) -> dict[int, int]:
     """Return the latest complete attempt of each job of a group."""
     pattern = re.compile(rf"{re.escape(f'{root}{group}/')}([0-9]{{1,9}})/([0-9]{{1,9}})/{re.escape(OUTCOME_FILE)}")
     attempts: dict[int, int] = {}
@@ -127,11 +127,11 @@ def _attempts(store: Store, root: str, group: str) -> dict[int, int]:
     return attempts
 
 
-def _entries(store: Store, location: Location, first: int) -> list[Any]:
+def _read_entries(store: Store, location: Location, first: int) -> list[Any]:
     key = location.jobs_key(first)
-    return _list(store.get(key, MOST_BYTES), key)
+    return _parse_list(store.get(key, MAX_JOBS_BYTES), key)
 
 
-def _list(data: bytes | None, key: str) -> list[Any]:
-    document = [] if data is None else parse_json(data, MOST_BYTES, key)
+def _parse_list(data: bytes | None, key: str) -> list[Any]:
+    document = [] if data is None else parse_json(data, MAX_JOBS_BYTES, key)
     return document if isinstance(document, list) else []

@@ -34,7 +34,7 @@ def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, 
     """
     reference = parse_reference(name)
     with aws_errors(reference.name, "ecr-public" if reference.registry == ECR_PUBLIC else "ecr"):
-        client: Any = _client(reference.registry)
+        client: Any = _create_client(reference.registry)
         try:
             data = client.get_authorization_token().get("authorizationData")
             if create_repository:
@@ -52,7 +52,7 @@ def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, 
     return Credentials(reference.registry, username, password, insecure=insecure)
 
 
-def _client(registry: str) -> object:
+def _create_client(registry: str) -> object:
     host = ecr_host(registry)
     region = PUBLIC_REGION if registry == ECR_PUBLIC else host.region if host else None
     return boto3.session.Session().client(

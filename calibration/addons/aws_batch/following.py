@@ -19,14 +19,14 @@ AT_ONCE = 100
 """Batch's limit of jobs in one DescribeJobs request."""
 _MOST_CALLS = 50
 """Limit of requests per poll to find the ended jobs of an array."""
-_SHORTEST, _LONGEST = 1.0, 30.0
+_MIN_POLL_SECONDS, _MAX_POLL_SECONDS = 1.0, 30.0
 """Shortest and longest interval of polls, seconds."""
-_PART = 50
+_POLLS_PER_RUN = 50
 """The interval of polls is this fraction (1/50) of the elapsed time, so that long runs need few."""
-_SETTLING = 120.0
+_SETTLING_SECONDS = 120.0
 """Seconds until Batch's data are consistent: a new job is known, and children agree with their array."""
-_ENDED = ("SUCCEEDED", "FAILED")
-_RUNNING = ("STARTING", "RUNNING")
+_ENDED_STATES = ("SUCCEEDED", "FAILED")
+_RUNNING_STATES = ("STARTING", "RUNNING")
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Description:
     @property
     def ended(self) -> bool:
         """Whether the state is final."""
-        return self.status in _ENDED
+        return self.status in _ENDED_STATES
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Following:
     @property
     def delay(self) -> float:
         """Seconds until the next poll."""
-        return min(_LONGEST, max(_SHORTEST, (time.monotonic() - self._began) / _PART))
+        return min(_MAX_POLL_SECONDS, max(_MIN_POLL_SECONDS, (time.monotonic() - self._began) / _POLLS_PER_RUN))
 
     @property
     def oldest(self) -> tuple[str, ...]:
@@ -164,12 +164,12 @@ class Following:
             parent = parents.get(array.of.id)
             array.see(parent)
             more |= len(ended) >= most
-            for description in self._descriptions(array, parent, most - len(ended)):
+            for description in self._describe_array(array, parent, most - len(ended)):
                 end = array.end_of(description)
                 if description.ended:
                     ended.append(end)
                     array.reported(end.index - array.of.first)
-                elif description.status in _RUNNING:
+                elif description.status in _RUNNING_STATES:
                     running.append(end)
             if not array.open:
                 del self._open[array.of.id]
@@ -183,7 +183,7 @@ class Following:
             more=more,
         )
 
-    def _descriptions(self, array: "_Array", parent: Description | None, most: int) -> Iterator[Description]:
+    def _describe_array(self, array: "_Array", parent: Description | None, most: int) -> Iterator[Description]:
         """Yield known descriptions of an array's jobs, usually including those that have ended."""
         if most <= 0:
             array.wait_on()
@@ -192,9 +192,9 @@ class Following:
         elif parent is not None and not array.has_children:
             yield parent
         elif parent is not None:
-            yield from self._children(array, most)
+            yield from self._describe_children(array, most)
 
-    def _children(self, array: "_Array", most: int) -> Iterator[Description]:
+    def _describe_children(self, array: "_Array", most: int) -> Iterator[Description]:
         """Yield descriptions of children: running ones if there are few, otherwise until all ended ones are found."""
         few = len(array.open) <= AT_ONCE and array.running > 0
         calls = min(_MOST_CALLS, 2 + 2 * array.hidden // AT_ONCE) if array.hidden else int(few)
@@ -234,8 +234,8 @@ class _Array:
         """Update from Batch's description of the array; None if Batch does not know it, not yet or no more."""
         if parent is not None:
             states = parent.waiting if self.has_children else {parent.status: 1}
-            self._ended_count = sum(states.get(state, 0) for state in _ENDED)
-            self.running = sum(states.get(state, 0) for state in _RUNNING)
+            self._ended_count = sum(states.get(state, 0) for state in _ENDED_STATES)
+            self.running = sum(states.get(state, 0) for state in _RUNNING_STATES)
             if parent.ended:  # the status is authoritative: the summary may lag behind
                 self._ended_count, self.running = self.of.count, 0
             self.queued = self.of.count - self._ended_count - self.running
@@ -255,7 +255,7 @@ class _Array:
     @property
     def is_lost(self) -> bool:
         """Whether the time-out has passed, so that Batch will not report the remaining children."""
-        return self._unclear_since is not None and time.monotonic() - self._unclear_since > _SETTLING
+        return self._unclear_since is not None and time.monotonic() - self._unclear_since > _SETTLING_SECONDS
 
     def in_turn(self) -> list[int]:
         """Return the unreported children: the hundred oldest, then the others from the end of the last poll."""
@@ -299,7 +299,7 @@ def describe(aws: Aws, ids: Iterable[str]) -> dict[str, Description]:
     found: dict[str, Description] = {}
     for some in batches(ids, AT_ONCE):
         for record in records(aws, some):
-            description = _description(record)
+            description = _read_description(record)
             found[description.id] = description
     return found
 
@@ -316,33 +316,33 @@ def records(aws: Aws, ids: Sequence[str]) -> list[dict[str, Any]]:
     return found
 
 
-def _description(record: Mapping[str, Any]) -> Description:
+def _read_description(record: Mapping[str, Any]) -> Description:
     return Description(
         id=str(record["jobId"]),
         status=str(record["status"]),
-        status_reason=_line(record.get("statusReason")),
-        attempts=tuple(_attempt(attempt) for attempt in record.get("attempts", ())),
-        running=_containers(record.get("ecsProperties", {}).get("taskProperties", ())),
+        status_reason=_shorten_line(record.get("statusReason")),
+        attempts=tuple(_read_attempt(attempt) for attempt in record.get("attempts", ())),
+        running=_read_containers(record.get("ecsProperties", {}).get("taskProperties", ())),
         terminated=bool(record.get("isTerminated") or record.get("isCancelled")),
         waiting=record.get("arrayProperties", {}).get("statusSummary", {}),
     )
 
 
-def _attempt(record: Mapping[str, Any]) -> Attempt:
+def _read_attempt(record: Mapping[str, Any]) -> Attempt:
     return Attempt(
-        status_reason=_line(record.get("statusReason")),
+        status_reason=_shorten_line(record.get("statusReason")),
         started=record.get("startedAt"),
         stopped=record.get("stoppedAt"),
-        containers=_containers(record.get("taskProperties", ())),
+        containers=_read_containers(record.get("taskProperties", ())),
     )
 
 
-def _containers(tasks: Iterable[Mapping[str, Any]]) -> tuple[ContainerEnd, ...]:
+def _read_containers(tasks: Iterable[Mapping[str, Any]]) -> tuple[ContainerEnd, ...]:
     return tuple(
         ContainerEnd(
             name=str(container.get("name", "")),
             exit_code=container.get("exitCode"),
-            reason=_line(container.get("reason")),
+            reason=_shorten_line(container.get("reason")),
             log_stream=container.get("logStreamName"),
         )
         for task in tasks
@@ -350,5 +350,5 @@ def _containers(tasks: Iterable[Mapping[str, Any]]) -> tuple[ContainerEnd, ...]:
     )
 
 
-def _line(text: str | None) -> str:
+def _shorten_line(text: str | None) -> str:
     return shorten(one_line(text or ""), 300)

@@ -43,7 +43,7 @@ def pack(folder: Path, file: IO[bytes]) -> Packed:
     try:
         with tarfile.open(fileobj=file, mode="w", format=tarfile.PAX_FORMAT) as archive:
             for path in _all_in(root):
-                _add(archive, root, path)
+                _add_to_archive(archive, root, path)
     except OSError as error:
         raise InfrastructureError(f"{folder}: cannot be packed: {error.strerror or error}") from error
     size = file.tell()
@@ -63,7 +63,7 @@ def _all_in(folder: Path) -> Iterator[Path]:
             yield from _all_in(path)
 
 
-def _add(archive: tarfile.TarFile, root: Path, path: Path) -> None:
+def _add_to_archive(archive: tarfile.TarFile, root: Path, path: Path) -> None:
     status = path.lstat()
     entry = tarfile.TarInfo(path.relative_to(root).as_posix())
     executable = status.st_mode & 0o100
@@ -130,13 +130,13 @@ class Inputs:
         sources = dict.fromkeys(
             mount.source.resolve() for job in jobs for container in job.containers for mount in container.mounts
         )
-        self._packed.update(in_threads(workers, (partial(self._upload, source) for source in sources)))
+        self._packed.update(in_threads(workers, (partial(self._upload_folder, source) for source in sources)))
 
     def entry(self, job: Job) -> dict[str, Any]:
         """Return the entry of a job whose mounts have been uploaded."""
-        return job_entry(job, self._inputs(job), self._memory)
+        return job_entry(job, self._inputs_of_job(job), self._memory)
 
-    def _inputs(self, job: Job) -> Iterator[Input]:
+    def _inputs_of_job(self, job: Job) -> Iterator[Input]:
         mounts = {mount.target.rstrip("/"): mount for c in job.containers for mount in c.mounts}
         writable = {m.target.rstrip("/") for c in job.containers for m in c.mounts if m.writable}
         for volume, target in enumerate(mount_targets(job)):
@@ -144,7 +144,7 @@ class Inputs:
             key = self._location.input_key(packed.sha256)
             yield Input(volume, key, packed.sha256, packed.size, target in writable)
 
-    def _upload(self, source: Path) -> tuple[Path, Packed]:
+    def _upload_folder(self, source: Path) -> tuple[Path, Packed]:
         with tempfile.SpooledTemporaryFile(max_size=_IN_MEMORY) as file:
             packed = pack(source, file)
 

@@ -15,7 +15,7 @@ from calibration.base.errors import CalibrationError, InputError
 from calibration.base.text import one_line, shorten
 from calibration.ci.registries.reference import ecr_host, parse_reference
 
-_MISSING = ("RepositoryNotFoundException", "ImageNotFoundException")
+_CODES_OF_MISSING_IMAGE = ("RepositoryNotFoundException", "ImageNotFoundException")
 
 
 def with_digests(aws: Aws, images: Iterable[str]) -> dict[str, str]:
@@ -41,7 +41,7 @@ def _with_digest(aws: Aws, image: str) -> str:
                 imageIds=[{"imageTag": reference.tag or "latest"}],
             )
         except botocore.exceptions.ClientError as error:
-            if error_code(error) not in _MISSING:
+            if error_code(error) not in _CODES_OF_MISSING_IMAGE:
                 raise
             answer = {"imageDetails": []}
     if not answer["imageDetails"]:
@@ -49,8 +49,8 @@ def _with_digest(aws: Aws, image: str) -> str:
     return str(reference.with_digest(str(answer["imageDetails"][0]["imageDigest"])))
 
 
-_TYPES = {"fargate": ("FARGATE", "FARGATE_SPOT"), "ec2": ("EC2", "SPOT", "ECS_MANAGED_INSTANCES")}
-_SPOT = ("SPOT", "FARGATE_SPOT")
+_TYPES_OF_PLATFORM = {"fargate": ("FARGATE", "FARGATE_SPOT"), "ec2": ("EC2", "SPOT", "ECS_MANAGED_INSTANCES")}
+_SPOT_TYPES = ("SPOT", "FARGATE_SPOT")
 
 
 def check_queue(aws: Aws, settings: BatchSettings, needs: Sequence[Resources]) -> None:
@@ -66,18 +66,18 @@ def check_queue(aws: Aws, settings: BatchSettings, needs: Sequence[Resources]) -
         AwsLostError: AWS does not answer.
     """
     where = f"queue '{settings.queue}'"
-    queue, environments = _described(aws, settings.queue)
+    queue, environments = _describe_queue(aws, settings.queue)
     if not _is_fine(queue):
-        raise InputError(f"{where}: it is {_state(queue)}: no job would start")
+        raise InputError(f"{where}: it is {_describe_state(queue)}: no job would start")
     usable = [each for each in environments if _is_fine(each)]
     if not usable:
-        states = "; ".join(f"{_name(each)} is {_state(each)}" for each in environments)
+        states = "; ".join(f"{_name_of_environment(each)} is {_describe_state(each)}" for each in environments)
         raise InputError(f"{where}: none of its compute environments accepts jobs: {states or 'it has none'}")
     _check_kinds(usable, settings, where)
     _check_sizes(usable, needs, where)
 
 
-def _described(aws: Aws, name: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def _describe_queue(aws: Aws, name: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return Batch's descriptions of a queue and its compute environments."""
     where = f"queue '{name}'"
     with aws_errors(where):
@@ -92,15 +92,17 @@ def _described(aws: Aws, name: str) -> tuple[dict[str, Any], list[dict[str, Any]
 def _check_kinds(environments: Sequence[Mapping[str, Any]], settings: BatchSettings, where: str) -> None:
     for environment in environments:
         if environment.get("containerOrchestrationType") == "EKS":
-            raise InputError(f"{where}: {_name(environment)} is of Kubernetes (EKS), expected one of ECS")
+            raise InputError(
+                f"{where}: {_name_of_environment(environment)} is of Kubernetes (EKS), expected one of ECS"
+            )
     kinds = {str(each.get("computeResources", {}).get("type", "EC2")) for each in environments}  # unmanaged: EC2
-    if wrong := kinds - set(_TYPES[settings.platform]):
+    if wrong := kinds - set(_TYPES_OF_PLATFORM[settings.platform]):
         other = "ec2" if settings.platform == "fargate" else "fargate"
         raise InputError(
             f"{where}: its hosts are {', '.join(sorted(wrong))}, but platform is {settings.platform}: set {other}, or "
             "name another queue"
         )
-    if settings.spot and not kinds & set(_SPOT):
+    if settings.spot and not kinds & set(_SPOT_TYPES):
         raise InputError(f"{where}: spot is required, but its hosts are {', '.join(sorted(kinds))}: name another queue")
 
 
@@ -115,7 +117,7 @@ def _check_sizes(environments: Sequence[Mapping[str, Any]], needs: Sequence[Reso
         )
 
 
-def _name(record: Mapping[str, Any]) -> str:
+def _name_of_environment(record: Mapping[str, Any]) -> str:
     return f"compute environment '{record['computeEnvironmentName']}'"
 
 
@@ -123,13 +125,13 @@ def _is_fine(record: Mapping[str, Any]) -> bool:
     return (record["state"], record["status"]) == ("ENABLED", "VALID")
 
 
-def _state(record: Mapping[str, Any]) -> str:
+def _describe_state(record: Mapping[str, Any]) -> str:
     reason = record.get("statusReason")
-    why = f" ({_clean(reason)})" if reason and record["status"] != "VALID" else ""
+    why = f" ({_shorten_text(reason)})" if reason and record["status"] != "VALID" else ""
     return f"{record['state']} and {record['status']}{why}"
 
 
-def _clean(text: str) -> str:
+def _shorten_text(text: str) -> str:
     return shorten(one_line(text), 200)
 
 
@@ -164,7 +166,7 @@ def likely_reasons(aws: Aws, settings: BatchSettings, waiting: Sequence[str]) ->
     reasons: list[str] = []
     try:
         jobs = records(aws, waiting)
-        status_reasons = [_clean(job["statusReason"]) for job in jobs if job.get("statusReason")]
+        status_reasons = [_shorten_text(job["statusReason"]) for job in jobs if job.get("statusReason")]
         reasons += [f"AWS Batch reports: {line}" for line in dict.fromkeys(status_reasons)]
         reasons += _of_the_queue(aws, settings)
     except CalibrationError as error:
@@ -184,11 +186,11 @@ def likely_reasons(aws: Aws, settings: BatchSettings, waiting: Sequence[str]) ->
 
 
 def _of_the_queue(aws: Aws, settings: BatchSettings) -> list[str]:
-    queue, environments = _described(aws, settings.queue)
-    reasons = [] if _is_fine(queue) else [f"the queue is {_state(queue)}"]
+    queue, environments = _describe_queue(aws, settings.queue)
+    reasons = [] if _is_fine(queue) else [f"the queue is {_describe_state(queue)}"]
     for environment in environments:
         if not _is_fine(environment):
-            reasons.append(f"{_name(environment)} is {_state(environment)}")
+            reasons.append(f"{_name_of_environment(environment)} is {_describe_state(environment)}")
         if environment.get("computeResources", {}).get("maxvCpus") == 0:
-            reasons.append(f"{_name(environment)} may have no vCPUs (maxvCpus: 0)")
+            reasons.append(f"{_name_of_environment(environment)} may have no vCPUs (maxvCpus: 0)")
     return reasons

@@ -13,7 +13,7 @@ import botocore.exceptions
 from calibration.addons.aws_batch.aws_errors import AwsLostError, aws_errors, error_code
 from calibration.addons.aws_batch.following import Description
 from calibration.addons.aws_batch.session import Aws
-from calibration.addons.aws_batch.wire import PREPARE, WATCH
+from calibration.addons.aws_batch.wire import PREPARE_CONTAINER, WATCH_CONTAINER
 from calibration.base.errors import CalibrationError
 from calibration.base.secret_forms import redact
 from calibration.ci.execution.job import Job
@@ -22,7 +22,7 @@ from calibration.ci.workflow.streams import LogDisplay, LogStream
 
 _POLL_SECONDS = 2.0
 """Interval of polls of shown logs, seconds: CloudWatch allows about ten requests a second."""
-_TRIES, _COMING = 3, 1.0
+_MAX_TRIES, _SECONDS_BETWEEN_TRIES = 3, 1.0
 """Attempts to read a missing log, and seconds between them: logs appear a little later than their containers."""
 
 
@@ -39,7 +39,7 @@ def write_log(aws: Aws, group: str, stream: str, path: Path, secrets: Iterable[s
     """
     with LogFile(path, secrets) as file:
         room = MOST_BYTES
-        for lines, _ in _pages(aws, group, stream, None):
+        for lines, _ in _read_pages(aws, group, stream, None):
             for line in lines:
                 data = line.encode("utf-8", "replace") + b"\n"
                 file.feed(data)
@@ -88,7 +88,7 @@ class LiveLogs:
                 to = self._show.open(f"{job.name}/{container.name}", live=known.essential)
                 self._logs[stream] = _Shown(stream, to, secrets_of(job), job.name)
             if self._thread is None and self._logs:
-                self._thread = threading.Thread(target=self._run, name="logs of AWS Batch", daemon=True)
+                self._thread = threading.Thread(target=self._poll_until_stopped, name="logs of AWS Batch", daemon=True)
                 self._thread.start()
 
     def ended(self, job: Job, description: Description | None) -> None:
@@ -99,8 +99,8 @@ class LiveLogs:
             shown = [log for log in self._logs.values() if log.job == job.name]
         for log in shown:
             with suppress(CalibrationError):
-                self._poll(log)
-            self._close(log)
+                self._poll_log(log)
+            self._close_log(log)
 
     def close(self) -> None:
         """Stop showing logs."""
@@ -108,16 +108,16 @@ class LiveLogs:
         with self._lock:
             shown = list(self._logs.values())
         for log in shown:
-            self._close(log)
+            self._close_log(log)
 
-    def _close(self, log: _Shown) -> None:
+    def _close_log(self, log: _Shown) -> None:
         with self._lock:
             known = self._logs.pop(log.stream, None)
         if known is not None:
             log.closed = True
             log.to.close()
 
-    def _run(self) -> None:
+    def _poll_until_stopped(self) -> None:
         while not self._stopping.wait(_POLL_SECONDS):
             with self._lock:
                 shown = list(self._logs.values())
@@ -125,19 +125,19 @@ class LiveLogs:
                 if self._stopping.is_set():
                     return
                 try:
-                    self._poll(log)
+                    self._poll_log(log)
                 except AwsLostError:
                     break
                 except CalibrationError as error:
                     log.to.line(f"(the log cannot be read: {error})")
-                    self._close(log)
+                    self._close_log(log)
 
-    def _poll(self, log: _Shown) -> None:
+    def _poll_log(self, log: _Shown) -> None:
         """Show new lines of a log."""
         with log.lock:
             if log.closed:
                 return
-            for lines, token in _pages(self._aws, self._group, log.stream, log.token, tries=1):
+            for lines, token in _read_pages(self._aws, self._group, log.stream, log.token, tries=1):
                 log.token = token
                 for line in lines:
                     log.to.line(redact(line, log.secrets))
@@ -157,20 +157,20 @@ def streams(description: Description, attempt: int) -> Mapping[str, str]:
 
 def is_ours(name: str) -> bool:
     """Return whether a container is one of ours, as opposed to the job's."""
-    return name in (PREPARE, WATCH)
+    return name in (PREPARE_CONTAINER, WATCH_CONTAINER)
 
 
-def _pages(
-    aws: Aws, group: str, stream: str, token: str | None, tries: int = _TRIES
+def _read_pages(
+    aws: Aws, group: str, stream: str, token: str | None, tries: int = _MAX_TRIES
 ) -> Iterator[tuple[list[str], str | None]]:
     """Yield lines of a log after a token, and the next token; ends at the current end of the log."""
     while True:
-        page = _page(aws, group, stream, token)
+        page = _read_page(aws, group, stream, token)
         if page is None:
             tries -= 1
             if tries <= 0:
                 return
-            time.sleep(_COMING)
+            time.sleep(_SECONDS_BETWEEN_TRIES)
             continue
         following = page.get("nextForwardToken")
         yield [str(event.get("message", "")) for event in page.get("events", ())], following
@@ -179,7 +179,7 @@ def _pages(
         token = following
 
 
-def _page(aws: Aws, group: str, stream: str, token: str | None) -> dict[str, Any] | None:
+def _read_page(aws: Aws, group: str, stream: str, token: str | None) -> dict[str, Any] | None:
     """Return a page of a log; None if the stream does not exist (yet)."""
     settings = {} if token is None else {"nextToken": token}
     with aws_errors(f"log {group} {stream}"):

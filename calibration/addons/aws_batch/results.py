@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TypeVar
 
 from calibration.addons.aws_batch.aws_errors import AwsLostError
-from calibration.addons.aws_batch.documents import TaskOutcome, most_bytes, read_outcome
+from calibration.addons.aws_batch.documents import TaskOutcome, max_outcome_bytes, read_outcome
 from calibration.addons.aws_batch.following import Attempt, ContainerEnd, Description
 from calibration.addons.aws_batch.logs import is_ours, secrets_of, streams, write_log
 from calibration.addons.aws_batch.session import Aws, with_retries
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.store import Store
-from calibration.addons.aws_batch.wire import FILES_FOLDER, OUTCOME_FILE, PREPARE, WATCH, Location
+from calibration.addons.aws_batch.wire import FILES_FOLDER, OUTCOME_FILE, PREPARE_CONTAINER, WATCH_CONTAINER, Location
 from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError
 from calibration.base.files import write_atomically
 from calibration.base.secret_forms import redact
@@ -25,11 +25,14 @@ from calibration.ci.execution.job_verdict import failure_of, how_it_ended
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
 
 _HOST_LOST = ("Host EC2", "Your Spot Task was interrupted")
-_TIMEOUT = "Job attempt duration exceeded timeout"
+_TIMEOUT_REASON = "Job attempt duration exceeded timeout"
 _CANNOT_PULL = "CannotPull"
 _NO_SUCH_IMAGE = ("not found", "manifest unknown", "does not exist", "repository does not exist", "invalid reference")
 _NO_RESOURCE = "ResourceInitializationError"
-_OURS = {PREPARE: "its inputs could not be downloaded", WATCH: "its results could not be uploaded"}
+_FAILURE_OF_TOOLS = {
+    PREPARE_CONTAINER: "its inputs could not be downloaded",
+    WATCH_CONTAINER: "its results could not be uploaded",
+}
 
 
 @dataclass(frozen=True)
@@ -75,13 +78,13 @@ def why_no_outcome(job: Job, description: Description, given_up: str, last_lines
             )
         if reason.startswith(_NO_RESOURCE):
             return Why(f"its task could not be set up: check roles, secrets and network: {reason}")
-    if description.status_reason.startswith(_TIMEOUT):
+    if description.status_reason.startswith(_TIMEOUT_REASON):
         return Why(f"AWS Batch has terminated it before our own limit of {job.seconds or 0:g} s did: {status}")
     for container in containers:
-        if container.name in _OURS and container.exit_code:
+        if container.name in _FAILURE_OF_TOOLS and container.exit_code:
             last = f": {last_lines[container.name]}" if last_lines.get(container.name) else ""
             how = container.reason or f"{container.name} ended with exit code {container.exit_code}"
-            return Why(f"{_OURS[container.name]}: {how}{last}")
+            return Why(f"{_FAILURE_OF_TOOLS[container.name]}: {how}{last}")
     if description.status == "SUCCEEDED":
         return Why("AWS Batch reports success, but its task has left no outcome in S3")
     ends = [f"{c.name}: {c.reason or f'exit code {c.exit_code}'}" for c in containers if c.exit_code or c.reason]
@@ -131,13 +134,13 @@ def with_ends(
         container = asked[before.name]
         after = _known_better(before, container, known.get(before.name))
         containers.append(after)
-        old, new = _failure(before, container), _failure(after, container)
+        old, new = _failure_of_container(before, container), _failure_of_container(after, container)
         position = next((i for i, reason in enumerate(reasons) if old is not None and reason.startswith(old)), None)
         if new is not None and position is not None:
             rest = reasons[position].removeprefix(old or "")  # such as why it was not ready
-            reasons[position] = f"{new}{rest}" if rest else _failure(after, container, last_lines) or new
+            reasons[position] = f"{new}{rest}" if rest else _failure_of_container(after, container, last_lines) or new
         elif new is not None and after.end != before.end and (container.essential or reasons):
-            reasons.append(_failure(after, container, last_lines) or new)
+            reasons.append(_failure_of_container(after, container, last_lines) or new)
     failed = ExitCode.FAIL if reasons else ExitCode.PASS
     exit_code = outcome.exit_code if outcome.exit_code != ExitCode.PASS else failed
     return replace(outcome, exit_code=exit_code, reasons=tuple(reasons), containers=tuple(containers))
@@ -155,7 +158,7 @@ def ends_alone(job: Job, ends: Iterable[ContainerEnd]) -> tuple[ContainerOutcome
 def _known_better(before: ContainerOutcome, container: Container, end: ContainerEnd | None) -> ContainerOutcome:
     if end is None:
         return before
-    code = before.exit_code if before.exit_code is not None else _code(end)
+    code = before.exit_code if before.exit_code is not None else _exit_code_of(end)
     if end.reason.startswith(_OUT_OF_MEMORY):
         _, signal = how_it_ended(container, code or 0, True, None)
         return replace(before, end=End.OUT_OF_MEMORY, exit_code=code, signal=signal)
@@ -165,11 +168,11 @@ def _known_better(before: ContainerOutcome, container: Container, end: Container
     return replace(before, end=how, exit_code=code, signal=signal)
 
 
-def _code(end: ContainerEnd) -> int | None:
+def _exit_code_of(end: ContainerEnd) -> int | None:
     return end.exit_code if end.exit_code is not None and 0 <= end.exit_code <= _LAST_CODE else None
 
 
-def _failure(
+def _failure_of_container(
     outcome: ContainerOutcome, container: Container, last_lines: Mapping[str, str] | None = None
 ) -> str | None:
     last_line = (last_lines or {}).get(container.name, "")
@@ -238,48 +241,50 @@ class Downloader:
         make_job_folder(folder)
         asked = _with_memory(job, self._settings.memory)
         try:
-            found = self._outcome(asked, result)
+            found = self._find_outcome(asked, result)
         except AwsLostError:
             raise
         except InfrastructureError as error:  # not an outcome of this job
-            found = _failed(asked, result.description, str(error), ExitCode.INFRASTRUCTURE)
+            found = _failed_outcome(asked, result.description, str(error), ExitCode.INFRASTRUCTURE)
         attempt = 0 if found is None else found.attempt
         lines: dict[str, str] = {}
         if self._all_logs or found is None or found.exit_code != ExitCode.PASS:
-            lines = self._logs(job, result.description, attempt, folder / LOGS, ours=attempt == 0)
+            lines = self._download_logs(job, result.description, attempt, folder / LOGS, ours=attempt == 0)
         if found is None and result.description is not None:
             why = why_no_outcome(job, result.description, result.given_up, lines)
-            found = _failed(asked, result.description, why.reason, why.exit_code)
+            found = _failed_outcome(asked, result.description, why.reason, why.exit_code)
         elif found is None:
-            found = _failed(asked, None, "its result is missing in S3", ExitCode.INFRASTRUCTURE)
+            found = _failed_outcome(asked, None, "its result is missing in S3", ExitCode.INFRASTRUCTURE)
         elif attempt:
-            found = with_ends(found, asked, _ends(result.description, attempt), lines)
-        found = self._files(found, result, attempt, folder / ARTIFACTS)
+            found = with_ends(found, asked, _ends_of_attempt(result.description, attempt), lines)
+        found = self._download_files(found, result, attempt, folder / ARTIFACTS)
         outcome = self._job_outcome(job, found, folder, lines)
         write_manifest(outcome, result.location.run)
         return outcome
 
-    def _outcome(self, job: Job, result: ResultLocation) -> TaskOutcome | None:
+    def _find_outcome(self, job: Job, result: ResultLocation) -> TaskOutcome | None:
         """Return the latest complete outcome; None if there is none.
 
         Raises:
             InfrastructureError: it is not an outcome of this job.
         """
         expected = result.attempt or (len(result.description.attempts) if result.description else 0)
-        found = self._read(job, result, expected) if expected else None
+        found = self._read_outcome(job, result, expected) if expected else None
         if found is None:
-            there = self._ask(lambda: list(self._store.folders(result.location.attempts_key(result.index))))
+            there = self._ask_with_retries(
+                lambda: list(self._store.folders(result.location.attempts_key(result.index)))
+            )
             for attempt in sorted({int(name) for name in there if name.isdecimal()} - {0, expected}, reverse=True):
-                if (found := self._read(job, result, attempt)) is not None:
+                if (found := self._read_outcome(job, result, attempt)) is not None:
                     break
         return found
 
-    def _read(self, job: Job, result: ResultLocation, attempt: int) -> TaskOutcome | None:
+    def _read_outcome(self, job: Job, result: ResultLocation, attempt: int) -> TaskOutcome | None:
         key = result.location.result_key(result.index, attempt, OUTCOME_FILE)
-        data = self._ask(lambda: self._store.get(key, most_bytes(job)))
+        data = self._ask_with_retries(lambda: self._store.get(key, max_outcome_bytes(job)))
         return None if data is None else read_outcome(data, job, attempt, key)
 
-    def _logs(
+    def _download_logs(
         self, job: Job, description: Description | None, attempt: int, folder: Path, ours: bool
     ) -> dict[str, str]:
         """Download the logs of an attempt; return the last line of each."""
@@ -293,24 +298,24 @@ class Downloader:
                 path = folder / f"{name}.log"
                 write = partial(write_log, self._aws, self._settings.log_group, stream, path, secrets_of(job))
                 try:
-                    lines[name] = self._ask(write)
+                    lines[name] = self._ask_with_retries(write)
                 except CalibrationError as error:  # a missing log must not lose the result
                     write_atomically(path, f"(the log cannot be read: {error})\n")
                     lines[name] = ""
         return lines
 
-    def _files(self, found: TaskOutcome, result: ResultLocation, attempt: int, folder: Path) -> TaskOutcome:
+    def _download_files(self, found: TaskOutcome, result: ResultLocation, attempt: int, folder: Path) -> TaskOutcome:
         """Download the files of an outcome: all of them, or none."""
         try:
             with complete_or_not_at_all(folder) as fresh:
                 for file in found.artifacts:
-                    self._file(file, result.location.result_key(result.index, attempt, FILES_FOLDER), fresh)
+                    self._download_file(file, result.location.result_key(result.index, attempt, FILES_FOLDER), fresh)
         except _WrongFileError as error:
             code = found.exit_code or ExitCode.INFRASTRUCTURE
             return replace(found, artifacts=(), exit_code=code, reasons=(*found.reasons, str(error)))
         return found
 
-    def _file(self, file: ArtifactFile, folder: str, fresh: Path) -> None:
+    def _download_file(self, file: ArtifactFile, folder: str, fresh: Path) -> None:
         path = fresh / file.path
         path.parent.mkdir(parents=True, exist_ok=True)
 
@@ -318,7 +323,7 @@ class Downloader:
             path.unlink(missing_ok=True)
             return self._store.download(f"{folder}/{file.path}", path, file.size)
 
-        if self._ask(download) != file.sha256:
+        if self._ask_with_retries(download) != file.sha256:
             raise _WrongFileError(f"artifact '{shorten(file.path)}' in S3 differs from the outcome of the task")
 
     def _job_outcome(self, job: Job, found: TaskOutcome, folder: Path, lines: Mapping[str, str]) -> JobOutcome:
@@ -342,11 +347,11 @@ class Downloader:
             seconds=found.seconds,
         )
 
-    def _ask(self, ask: Callable[[], T]) -> T:
+    def _ask_with_retries(self, ask: Callable[[], T]) -> T:
         return with_retries(ask, self._go_on)
 
 
-def _ends(description: Description | None, attempt: int) -> Iterable[ContainerEnd]:
+def _ends_of_attempt(description: Description | None, attempt: int) -> Iterable[ContainerEnd]:
     """Return Batch's information about the containers of an attempt."""
     if description is None:
         return ()
@@ -354,17 +359,17 @@ def _ends(description: Description | None, attempt: int) -> Iterable[ContainerEn
     return tries[attempt - 1].containers if attempt <= len(tries) else description.running
 
 
-def _failed(job: Job, description: Description | None, reason: str, code: ExitCode) -> TaskOutcome:
+def _failed_outcome(job: Job, description: Description | None, reason: str, code: ExitCode) -> TaskOutcome:
     """Return the outcome of a job whose task has left no valid one."""
-    ends = () if description is None else _ends(description, max(1, len(description.attempts)))
+    ends = () if description is None else _ends_of_attempt(description, max(1, len(description.attempts)))
     return TaskOutcome(job.name, 0, code, (reason,), containers=ends_alone(job, ends))
 
 
 def _with_memory(job: Job, memory: int) -> Job:
     """Return the job with the memory limits of its containers on Batch."""
-    return replace(job, containers=tuple(_limited(container, memory) for container in job.containers))
+    return replace(job, containers=tuple(_with_memory_limit(container, memory) for container in job.containers))
 
 
-def _limited(container: Container, memory: int) -> Container:
+def _with_memory_limit(container: Container, memory: int) -> Container:
     limits = container.limits
     return replace(container, limits=replace(limits, memory=memory if limits.memory is None else limits.memory))

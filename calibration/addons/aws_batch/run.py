@@ -35,14 +35,14 @@ from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.run_names import new_run
 from calibration.ci.workflow.streams import LogDisplay
 
-FEW = 16
+MAX_JOBS_WITH_LOGS = 16
 """Up to this number of jobs, all logs are shown and downloaded; with more, only those of failed jobs."""
-_WORKERS = 12
-_AHEAD = 200
+_DOWNLOAD_WORKERS = 12
+_MAX_DOWNLOADS = 200
 """Limit of concurrent downloads of results, to bound the memory."""
-_SAYING = 30.0
+_SECONDS_BETWEEN_LINES = 30.0
 """Interval of lines about the progress, seconds."""
-_ENDING = 5.0
+_ENDING_SECONDS = 5.0
 
 Answer = tuple[int, JobOutcome]
 
@@ -76,8 +76,10 @@ class BatchRun:
         """Index in `jobs` for each index of each group in S3."""
         self._submitting = Submitting(aws, settings.queue)
         self._following = Following(aws)
-        self._downloads: Workers[Answer] = Workers(_WORKERS)
-        self._live = LiveLogs(aws, settings.log_group, show) if show is not None and len(jobs) <= FEW else None
+        self._downloads: Workers[Answer] = Workers(_DOWNLOAD_WORKERS)
+        self._live = (
+            LiveLogs(aws, settings.log_group, show) if show is not None and len(jobs) <= MAX_JOBS_WITH_LOGS else None
+        )
         self._guard = Guard(settings.stuck)
         self._given_up = ""
         """Reason why the remaining jobs were terminated."""
@@ -93,7 +95,7 @@ class BatchRun:
             settings=settings,
             store=store,
             folder=folder,
-            all_logs=len(jobs) <= FEW,
+            all_logs=len(jobs) <= MAX_JOBS_WITH_LOGS,
             go_on=lambda: not self._stopping,
         )
 
@@ -104,20 +106,20 @@ class BatchRun:
             InputError: AWS refuses a request.
             InfrastructureError: AWS cannot be reached, or a file cannot be written.
         """
-        inputs = Inputs(self._store, self._location(""), self._settings.memory)
-        inputs.upload(self._jobs, _WORKERS)
-        missing, earlier = self._missing(inputs) if resume else (self._everything(), {})
+        inputs = Inputs(self._store, self._location_of_group(""), self._settings.memory)
+        inputs.upload(self._jobs, _DOWNLOAD_WORKERS)
+        missing, earlier = self._find_missing(inputs) if resume else (self._jobs_by_shape(), {})
         for some in batches(earlier.items(), AT_ONCE):
             described = describe(self._aws, [result.id for _, result in some if result.id is not None])
             for place, result in some:
                 found = described.get(result.id or "")
                 self._start_download(
-                    place, ResultLocation(self._location(result.group), result.index, found, result.attempt)
+                    place, ResultLocation(self._location_of_group(result.group), result.index, found, result.attempt)
                 )
-            yield from self._answers(None)
+            yield from self._take_answers(None)
         self._say_estimate(missing)
-        self._submit(inputs, missing)
-        yield from self._follow()
+        self._submit_jobs(inputs, missing)
+        yield from self._follow_jobs()
         self._say_end()
 
     def end(self, error: BaseException | None) -> None:
@@ -145,19 +147,19 @@ class BatchRun:
                 raise type(error)(f"{error}; {advice}") from None
             raise type(problem)(f"{problem}; {advice}") from error
         self._ended = True
-        self._downloads.join(_ENDING)
+        self._downloads.join(_ENDING_SECONDS)
 
     # --- before the run
 
-    def _location(self, group: str) -> Location:
+    def _location_of_group(self, group: str) -> Location:
         return Location(self._settings.bucket, self._settings.prefix, self._name, group)
 
-    def _everything(self) -> dict[str, list[int]]:
+    def _jobs_by_shape(self) -> dict[str, list[int]]:
         return {name: list(group.jobs) for name, group in self._shapes.items()}
 
-    def _missing(self, inputs: Inputs) -> tuple[dict[str, list[int]], dict[int, Result]]:
+    def _find_missing(self, inputs: Inputs) -> tuple[dict[str, list[int]], dict[int, Result]]:
         """Return the jobs without a verdict, by shape; and the results of the others, by job."""
-        location = self._location("")
+        location = self._location_of_group("")
         results = find_results(self._store, location)
         found: dict[int, Result] = {}
         for shape, group in self._shapes.items():
@@ -169,24 +171,24 @@ class BatchRun:
             ask = partial(has_verdict, self._store, location, found[place], self._jobs[place])
             return place, with_retries(ask)
 
-        final = dict(in_threads(_WORKERS, (partial(judged, place) for place in found)))
+        final = dict(in_threads(_DOWNLOAD_WORKERS, (partial(judged, place) for place in found)))
         missing = {
             shape: places
             for shape, group in self._shapes.items()
             if (places := [place for place in group.jobs if not final.get(place)])
         }
         earlier = {place: result for place, result in found.items() if final[place]}
-        self._say(f"run {self._name} is resumed: {len(earlier)} of {len(self._jobs)} jobs have a verdict already")
+        self._show_note(f"run {self._name} is resumed: {len(earlier)} of {len(self._jobs)} jobs have a verdict already")
         return missing, earlier
 
-    def _submit(self, inputs: Inputs, missing: dict[str, list[int]]) -> None:
+    def _submit_jobs(self, inputs: Inputs, missing: dict[str, list[int]]) -> None:
         tags = run_tags(self._name)
         for shape, places in missing.items():
             group = group_name(shape, self._token)
-            location = self._location(group)
+            location = self._location_of_group(group)
             jobs = [self._jobs[place] for place in places]
             definition = ensure(self._aws, job_definition(self._shapes[shape].shape, self._settings))
-            upload_jobs(self._store, location, jobs, inputs.entry, _WORKERS)
+            upload_jobs(self._store, location, jobs, inputs.entry, _DOWNLOAD_WORKERS)
             self._places[group] = places
             seconds = attempt_seconds(jobs)
             submitted = []
@@ -198,24 +200,24 @@ class BatchRun:
 
     # --- during the run
 
-    def _follow(self) -> Iterator[Answer]:
+    def _follow_jobs(self) -> Iterator[Answer]:
         backoff = Backoff()
         next_poll = 0.0
         self._began = time.monotonic()
         while self._following.ids or self._downloads.waiting:
             done = 0
-            for answer in self._answers(max(0.0, next_poll - time.monotonic()) if self._following.ids else None):
+            for answer in self._take_answers(max(0.0, next_poll - time.monotonic()) if self._following.ids else None):
                 done += 1
                 yield answer
             if not self._following.ids or time.monotonic() < next_poll:
                 continue
-            room = _AHEAD - self._downloads.waiting
+            room = _MAX_DOWNLOADS - self._downloads.waiting
             if room <= 0:  # Batch keeps descriptions of ended jobs
-                yield from self._answers(None)
+                yield from self._take_answers(None)
                 continue
             try:
                 poll = self._following.poll(room)
-                self._take(poll)
+                self._take_poll(poll)
                 self._watch_time(poll, done)
             except AwsLostError as error:
                 next_poll = time.monotonic() + backoff.failed(error)
@@ -223,14 +225,16 @@ class BatchRun:
             backoff.answered()
             next_poll = time.monotonic() + (0.0 if poll.more else self._following.delay)
 
-    def _take(self, poll: Poll) -> None:
+    def _take_poll(self, poll: Poll) -> None:
         """Download the results of ended jobs; show the logs of running ones."""
         if self._live is not None:
             for end in poll.running:
                 self._live.running(self._job_of(end), end.description)
         for end in poll.ended:
-            self._count(end)
-            place = ResultLocation(self._location(end.group), end.index, end.description, given_up=self._given_up)
+            self._count_usage(end)
+            place = ResultLocation(
+                self._location_of_group(end.group), end.index, end.description, given_up=self._given_up
+            )
             self._start_download(self._places[end.group][end.index], place)
         self._say_state(poll)
 
@@ -240,7 +244,7 @@ class BatchRun:
             return
         if not self._given_up and (reason := self._too_late(poll, done)):
             self._given_up = reason
-            self._say(f"{sum(1 for _ in self._following.left)} jobs are given up: {reason}")
+            self._show_note(f"{sum(1 for _ in self._following.left)} jobs are given up: {reason}")
         if self._given_up:
             terminate(self._aws, self._following.ids, self._given_up[:1000])
             self._told_to_end = True
@@ -256,16 +260,16 @@ class BatchRun:
         return f"it got no host within {settings.stuck:g} s in queue '{settings.queue}' (stuck); likely reasons: {why}"
 
     def _start_download(self, place: int, found: ResultLocation) -> None:
-        self._downloads.give(partial(self._downloaded, place, found))
+        self._downloads.give(partial(self._download_result, place, found))
 
-    def _downloaded(self, place: int, found: ResultLocation) -> Answer:
+    def _download_result(self, place: int, found: ResultLocation) -> Answer:
         """Download a result; called in a separate thread."""
         job = self._jobs[place]
         if self._live is not None:
             self._live.ended(job, found.description)
         return place, self._downloader.download(job, found)
 
-    def _answers(self, seconds: float | None) -> Iterator[Answer]:
+    def _take_answers(self, seconds: float | None) -> Iterator[Answer]:
         for place, outcome in self._downloads.take(seconds):
             self._counts["done" if outcome.verdict == "pass" else "failed"] += 1
             with self._show.paused() if self._show is not None else nullcontext():
@@ -274,7 +278,7 @@ class BatchRun:
     def _job_of(self, end: JobEnd) -> Job:
         return self._jobs[self._places[end.group][end.index]]
 
-    def _count(self, end: JobEnd) -> None:
+    def _count_usage(self, end: JobEnd) -> None:
         """Add the billed resources of a job, and report lost hosts."""
         attempts = end.description.attempts
         shape = self._shapes[end.group.partition("-")[0]].shape
@@ -283,11 +287,13 @@ class BatchRun:
         for number, attempt in enumerate(attempts, 1):
             if host_lost(attempt):
                 name = self._job_of(end).name
-                self._say(f"job '{name}': attempt {number} of {len(attempts)} lost its host: {attempt.status_reason}")
+                self._show_note(
+                    f"job '{name}': attempt {number} of {len(attempts)} lost its host: {attempt.status_reason}"
+                )
 
     # --- messages
 
-    def _say(self, text: str) -> None:
+    def _show_note(self, text: str) -> None:
         if self._show is not None:
             self._show.note(text)
 
@@ -295,17 +301,17 @@ class BatchRun:
         jobs = [(self._jobs[place], self._shapes[shape].shape) for shape, places in missing.items() for place in places]
         if jobs:
             cost = estimate(jobs, self._settings).text(self._settings)
-            self._say(f"run {self._name}: {len(jobs)} jobs go to queue '{self._settings.queue}': {cost}")
+            self._show_note(f"run {self._name}: {len(jobs)} jobs go to queue '{self._settings.queue}': {cost}")
 
     def _say_state(self, poll: Poll) -> None:
         done, failed = self._counts["done"], self._counts["failed"]
         line = f"{poll.queued_count} queued, {poll.running_count} running, {done} done, {failed} failed"
-        if line != self._said[1] and time.monotonic() - self._said[0] >= _SAYING:
+        if line != self._said[1] and time.monotonic() - self._said[0] >= _SECONDS_BETWEEN_LINES:
             self._said = (time.monotonic(), line)
-            self._say(f"run {self._name}: {line}")
+            self._show_note(f"run {self._name}: {line}")
 
     def _say_end(self) -> None:
         progress = f"{self._counts['done']} done, {self._counts['failed']} failed"
         if self.usage.seconds:
             progress += f"; billed: {self.usage.seconds:g} s, {self.usage.text(self._settings.prices)}"
-        self._say(f"run {self._name}: {progress}; {sum(self._aws.calls.values())} calls to AWS")
+        self._show_note(f"run {self._name}: {progress}; {sum(self._aws.calls.values())} calls to AWS")

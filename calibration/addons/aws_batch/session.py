@@ -29,7 +29,7 @@ Result = TypeVar("Result")
 
 LONGEST_OUTAGE = 300.0
 """Seconds for which AWS may be unreachable, beyond boto3's own retries."""
-_FIRST, _LONGEST = 1.0, 30.0
+_FIRST_DELAY, _MAX_DELAY = 1.0, 30.0
 
 
 class Backoff:
@@ -38,11 +38,11 @@ class Backoff:
     def __init__(self, seconds: float = LONGEST_OUTAGE) -> None:
         self._seconds = seconds
         self._since: float | None = None
-        self._delay = _FIRST
+        self._delay = _FIRST_DELAY
 
     def answered(self) -> None:
         """Record an answer."""
-        self._since, self._delay = None, _FIRST
+        self._since, self._delay = None, _FIRST_DELAY
 
     def failed(self, error: AwsLostError) -> float:
         """Record a failure.
@@ -57,7 +57,7 @@ class Backoff:
         self._since = now if self._since is None else self._since
         if now - self._since >= self._seconds:
             raise error
-        delay, self._delay = self._delay, min(_LONGEST, 2 * self._delay)
+        delay, self._delay = self._delay, min(_MAX_DELAY, 2 * self._delay)
         return delay * random.uniform(0.75, 1.25)  # noqa: S311 (jitter, to spread simultaneous clients)
 
 
@@ -82,11 +82,11 @@ def with_retries(ask: Callable[[], Result], go_on: Callable[[], bool] = lambda: 
             time.sleep(delay)
 
 
-TRIES = 8
+MAX_TRIES = 8
 """Attempts of a call that AWS throttles or fails, with increasing delays."""
-CONNECTIONS = 32
-_AUDIENCE = "sts.amazonaws.com"
-_TOKEN_URL, _TOKEN = "ACTIONS_ID_TOKEN_REQUEST_URL", "ACTIONS_ID_TOKEN_REQUEST_TOKEN"
+MAX_CONNECTIONS = 32
+_OIDC_AUDIENCE = "sts.amazonaws.com"
+_TOKEN_URL_VARIABLE, _TOKEN_VARIABLE = "ACTIONS_ID_TOKEN_REQUEST_URL", "ACTIONS_ID_TOKEN_REQUEST_TOKEN"
 
 
 class Aws:
@@ -103,26 +103,26 @@ class Aws:
     @property
     def batch(self) -> Any:
         """Client of AWS Batch."""
-        return self._client("batch")
+        return self._client_of_service("batch")
 
     @property
     def submitting(self) -> Any:
         """Client of AWS Batch for calls that are not idempotent: without retries."""
-        return self._client("batch", tries=1)
+        return self._client_of_service("batch", tries=1)
 
     @property
     def s3(self) -> Any:
         """Client of S3."""
-        return self._client("s3")
+        return self._client_of_service("s3")
 
     @property
     def logs(self) -> Any:
         """Client of CloudWatch Logs."""
-        return self._client("logs")
+        return self._client_of_service("logs")
 
     def ecr(self, region: str) -> Any:
         """Return the client of a region's registry."""
-        return self._client("ecr", region=region)
+        return self._client_of_service("ecr", region=region)
 
     def close(self) -> None:
         """Close the connections."""
@@ -131,7 +131,7 @@ class Aws:
         for client in clients.values():
             client.close()
 
-    def _client(self, service: str, tries: int = TRIES, region: str | None = None) -> Any:
+    def _client_of_service(self, service: str, tries: int = MAX_TRIES, region: str | None = None) -> Any:
         key = f"{service} {tries} {region}"
         with self._lock:
             if key not in self._clients:
@@ -143,23 +143,23 @@ class Aws:
             retries={"mode": "standard", "total_max_attempts": tries},
             connect_timeout=10,
             read_timeout=60,
-            max_pool_connections=CONNECTIONS,
+            max_pool_connections=MAX_CONNECTIONS,
             tcp_keepalive=True,
             s3={"addressing_style": "path" if _has_own_endpoint() else "auto"},
         )
         with aws_errors(f"region {region}"):
-            client: Any = self._session.client(service, region_name=region, config=config)
-        client.meta.events.register("before-send", self._count)
+            client: Any = self._boto_session.client(service, region_name=region, config=config)
+        client.meta.events.register("before-send", self._count_call)
         return client
 
     @cached_property
-    def _session(self) -> Any:
+    def _boto_session(self) -> Any:
         with aws_errors(f"region {self.region}"):
             session = botocore.session.get_session()
             _take_role_by_tokens_of_github(session, self.region)
             return boto3.session.Session(botocore_session=session, region_name=self.region)
 
-    def _count(self, event_name: str, **_: object) -> None:
+    def _count_call(self, event_name: str, **_: object) -> None:
         service, operation = event_name.split(".")[1:3]
         with self._lock:
             self.calls[f"{service}:{operation}"] += 1
@@ -167,7 +167,7 @@ class Aws:
 
 def _take_role_by_tokens_of_github(session: Any, region: str) -> None:
     """Assume the role of a GitHub job with a new OIDC token whenever its credentials expire."""
-    url, secret = os.environ.get(_TOKEN_URL), os.environ.get(_TOKEN)
+    url, secret = os.environ.get(_TOKEN_URL_VARIABLE), os.environ.get(_TOKEN_VARIABLE)
     scoped = session.get_scoped_config()
     by_file = scoped.get("role_arn") if "web_identity_token_file" in scoped else None
     role = os.environ.get("AWS_ROLE_ARN") or by_file
@@ -193,10 +193,10 @@ def _token_of_github(url: str, secret: str) -> str:
         InfrastructureError: GitHub returns no token.
     """
     if urlsplit(url).scheme not in ("https", "http"):
-        raise InfrastructureError(f"GitHub's token service: {_TOKEN_URL} is no URL")
-    http = Http([secret], address=_TOKEN_URL)
+        raise InfrastructureError(f"GitHub's token service: {_TOKEN_URL_VARIABLE} is no URL")
+    http = Http([secret], address=_TOKEN_URL_VARIABLE)
     try:
-        answer = http.send("GET", f"{url}&audience={_AUDIENCE}", {"Authorization": f"bearer {secret}"})
+        answer = http.send("GET", f"{url}&audience={_OIDC_AUDIENCE}", {"Authorization": f"bearer {secret}"})
         token = str(json.loads(answer.body)["value"])
     except (InfrastructureError, ValueError, LookupError, TypeError, RecursionError) as error:
         why = f"answered {answer.status}" if not isinstance(error, InfrastructureError) else error

@@ -13,13 +13,14 @@ Architecture = Literal["x86_64", "arm64"]
 
 AWS_BATCH = "aws-batch"
 """Name of the backend, and of its section of calibration.yml."""
-_QUEUE = "[A-Za-z0-9][A-Za-z0-9_-]{0,127}"
-_FOLDER = "[A-Za-z0-9_][A-Za-z0-9_.=-]*"
+_QUEUE_NAME = "[A-Za-z0-9][A-Za-z0-9_-]{0,127}"
+_FOLDER_NAME = "[A-Za-z0-9_][A-Za-z0-9_.=-]*"
 Region = Annotated[str, matching("[a-z]{2}(-[a-z]+)+-[0-9]", "the name of a region such as eu-west-1")]
 Queue = Annotated[
     str,
     matching(
-        f"{_QUEUE}|arn:aws[a-z-]*:batch:[a-z0-9-]+:[0-9]{{12}}:job-queue/{_QUEUE}", "the name or the ARN of a job queue"
+        f"{_QUEUE_NAME}|arn:aws[a-z-]*:batch:[a-z0-9-]+:[0-9]{{12}}:job-queue/{_QUEUE_NAME}",
+        "the name or the ARN of a job queue",
     ),
 ]
 Bucket = Annotated[
@@ -33,7 +34,7 @@ Prefix = Annotated[
     str,
     length(most=200),
     matching(
-        f"{_FOLDER}(/{_FOLDER})*",
+        f"{_FOLDER_NAME}(/{_FOLDER_NAME})*",
         "folders such as team/calibration: no / at its ends, no part that begins with a dot",
     ),
 ]

@@ -15,7 +15,7 @@ from calibration.base.errors import InfrastructureError, InputError
 if TYPE_CHECKING:
     from botocore.exceptions import ClientError
 
-_CHUNK = 1024**2
+_CHUNK_BYTES = 1024**2
 
 
 class Store:
@@ -60,7 +60,7 @@ class Store:
             InputError: access is denied.
             AwsLostError: AWS does not answer.
         """
-        if self._size(key) != size:
+        if self._size_of_object(key) != size:
             self.write(key, file)
 
     def write(self, key: str, file: IO[bytes]) -> None:
@@ -81,7 +81,7 @@ class Store:
             InfrastructureError: it is larger.
             AwsLostError: AWS does not answer.
         """
-        answer = self._open(key)
+        answer = self._open_object(key)
         if answer is None:
             return None
         with closing(answer["Body"]) as body:
@@ -104,7 +104,7 @@ class Store:
             InfrastructureError: the file cannot be written.
             AwsLostError: AWS does not answer.
         """
-        answer = self._open(key)
+        answer = self._open_object(key)
         if answer is None:
             return ""
         digest = hashlib.sha256()
@@ -113,7 +113,7 @@ class Store:
                 return ""
             try:
                 with path.open("xb") as file:
-                    while chunk := self._read(body):
+                    while chunk := self._read_chunk(body):
                         digest.update(chunk)
                         file.write(chunk)
             except OSError as error:
@@ -127,7 +127,7 @@ class Store:
             InputError: access is denied.
             AwsLostError: AWS does not answer.
         """
-        for page in self._pages(Prefix=prefix):
+        for page in self._list_pages(Prefix=prefix):
             yield from (str(entry["Key"]) for entry in page.get("Contents", ()))
 
     def folders(self, prefix: str) -> Iterator[str]:
@@ -137,11 +137,11 @@ class Store:
             InputError: access is denied.
             AwsLostError: AWS does not answer.
         """
-        for page in self._pages(Prefix=prefix, Delimiter="/"):
+        for page in self._list_pages(Prefix=prefix, Delimiter="/"):
             found = page.get("CommonPrefixes", ())
             yield from (str(entry["Prefix"]).removeprefix(prefix).rstrip("/") for entry in found)
 
-    def _pages(self, **settings: str) -> Iterator[dict[str, Any]]:
+    def _list_pages(self, **settings: str) -> Iterator[dict[str, Any]]:
         pages = iter(self._s3.get_paginator("list_objects_v2").paginate(Bucket=self._bucket, **settings))
         while True:
             with aws_errors(self._where):
@@ -150,7 +150,7 @@ class Store:
                 return
             yield page
 
-    def _open(self, key: str) -> dict[str, Any] | None:
+    def _open_object(self, key: str) -> dict[str, Any] | None:
         with aws_errors(self._where):
             try:
                 answer: dict[str, Any] = self._s3.get_object(Bucket=self._bucket, Key=key)
@@ -160,15 +160,15 @@ class Store:
                 raise
         return answer
 
-    def _size(self, key: str) -> int | None:
+    def _size_of_object(self, key: str) -> int | None:
         """Return the size of an object, from a listing, which needs no permission to read it."""
         with aws_errors(self._where):
             page = self._s3.list_objects_v2(Bucket=self._bucket, Prefix=key, MaxKeys=1)
         return next((int(entry["Size"]) for entry in page.get("Contents", ()) if entry["Key"] == key), None)
 
-    def _read(self, body: Any) -> bytes:
+    def _read_chunk(self, body: Any) -> bytes:
         with aws_errors(self._where):
-            data: bytes = body.read(_CHUNK)
+            data: bytes = body.read(_CHUNK_BYTES)
         return data
 
 

@@ -12,12 +12,12 @@ from typing import Any
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.wire import (
     ARRIVAL_SECONDS,
-    FIRST,
-    LOCATION,
-    PREPARE,
-    REGION,
+    FIRST_VARIABLE,
+    LOCATION_VARIABLE,
+    PREPARE_CONTAINER,
+    REGION_VARIABLE,
     UPLOAD_SECONDS,
-    WATCH,
+    WATCH_CONTAINER,
     Location,
 )
 from calibration.ci.execution.docker.labels import RUN, Owner
@@ -26,7 +26,7 @@ from calibration.ci.execution.job import Job
 
 def run_tags(run: str) -> dict[str, str]:
     """Return the tags of a run's jobs, including the process that starts them."""
-    return {RUN: run, **_plain(Owner.this_process()).labels}
+    return {RUN: run, **_without_brackets(Owner.this_process()).labels}
 
 
 def owner_of(tags: Mapping[str, str]) -> Owner | None:
@@ -38,7 +38,7 @@ def owner_of(tags: Mapping[str, str]) -> Owner | None:
     return replace(owner, namespace=f"{kind}:[{number}]" if colon else owner.namespace)
 
 
-def _plain(owner: Owner) -> Owner:
+def _without_brackets(owner: Owner) -> Owner:
     """Remove the brackets in a namespace, which AWS does not allow in tags."""
     return replace(owner, namespace=owner.namespace.replace("[", "").replace("]", "") or "unknown")
 
@@ -94,14 +94,16 @@ def submission(
         seconds: time limit of an attempt, from `attempt_seconds`.
         tags: tags of the run.
     """
-    variables = {LOCATION: location.text, FIRST: str(chunk.first), REGION: settings.region}
+    variables = {LOCATION_VARIABLE: location.text, FIRST_VARIABLE: str(chunk.first), REGION_VARIABLE: settings.region}
     name = f"calibration-{location.run}-{location.group}-{chunk.first}"
     request: dict[str, Any] = {
         "jobName": _UNFIT_FOR_NAME.sub("-", name)[:128],
         "jobQueue": settings.queue,
         "jobDefinition": definition,
         "ecsPropertiesOverride": {
-            "taskProperties": [{"containers": [_with_variables(each, variables) for each in (PREPARE, WATCH)]}]
+            "taskProperties": [
+                {"containers": [_with_variables(each, variables) for each in (PREPARE_CONTAINER, WATCH_CONTAINER)]}
+            ]
         },
         "propagateTags": True,
         "tags": {**settings.tags, **tags},

@@ -31,7 +31,7 @@ def ensure(aws: Aws, request: Mapping[str, Any]) -> str:
     """
     name = str(request["jobDefinitionName"])
     digest = request["tags"][DIGEST_TAG]
-    for definition in _active(aws, name):
+    for definition in _active_definitions(aws, name):
         if definition.get("tags", {}).get(DIGEST_TAG) == digest:
             return str(definition["jobDefinitionArn"])
     with aws_errors(f"job definition '{name}'"):
@@ -47,7 +47,7 @@ def find_old(aws: Aws) -> list[str]:
         AwsLostError: AWS does not answer.
     """
     revisions: dict[str, dict[int, str]] = {}
-    for definition in _active(aws):
+    for definition in _active_definitions(aws):
         if DIGEST_TAG in definition.get("tags", {}):
             of_name = revisions.setdefault(str(definition["jobDefinitionName"]), {})
             of_name[int(definition["revision"])] = str(definition["jobDefinitionArn"])
@@ -66,7 +66,7 @@ def deregister(aws: Aws, arns: Iterable[str]) -> None:
             aws.batch.deregister_job_definition(jobDefinition=arn)
 
 
-def _active(aws: Aws, name: str | None = None) -> Iterator[dict[str, Any]]:
+def _active_definitions(aws: Aws, name: str | None = None) -> Iterator[dict[str, Any]]:
     """Yield active definitions, of a name or all."""
     chosen = {} if name is None else {"jobDefinitionName": name}
     token: dict[str, str] = {}
@@ -79,9 +79,9 @@ def _active(aws: Aws, name: str | None = None) -> Iterator[dict[str, Any]]:
         token = {"nextToken": page["nextToken"]}
 
 
-_ENDED = ("SUCCEEDED", "FAILED")
+_ENDED_STATES = ("SUCCEEDED", "FAILED")
 _UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9_-]+")
-_SETTLING = 60.0
+_SETTLING_SECONDS = 60.0
 """Seconds until Batch's data show a requested termination."""
 _TAKING_NOTE = 0.5
 _MOST_PROBLEMS = 3
@@ -115,9 +115,9 @@ def find_in_queue(aws: Aws, queue: str, run: str | None = None) -> list[CloudLef
         AwsLostError: AWS does not answer.
     """
     prefix = "calibration-" if run is None else _UNFIT_FOR_NAME.sub("-", f"calibration-{run}-")
-    ids = (entry["jobId"] for entry in _named(aws, queue, f"{prefix}*") if entry["status"] not in _ENDED)
-    found = [_leftover(record) for some in batches(ids, AT_ONCE) for record in records(aws, some)]
-    return [each for each in found if each.run and each.status not in _ENDED and run in (None, each.run)]
+    ids = (entry["jobId"] for entry in _jobs_of_name(aws, queue, f"{prefix}*") if entry["status"] not in _ENDED_STATES)
+    found = [_read_leftover(record) for some in batches(ids, AT_ONCE) for record in records(aws, some)]
+    return [each for each in found if each.run and each.status not in _ENDED_STATES and run in (None, each.run)]
 
 
 def find_by_name(aws: Aws, queue: str, name: str) -> list[str]:
@@ -127,7 +127,7 @@ def find_by_name(aws: Aws, queue: str, name: str) -> list[str]:
         InputError: the queue does not exist, or access is denied.
         AwsLostError: AWS does not answer.
     """
-    return [str(entry["jobId"]) for entry in _named(aws, queue, name) if entry["jobName"] == name]
+    return [str(entry["jobId"]) for entry in _jobs_of_name(aws, queue, name) if entry["jobName"] == name]
 
 
 def terminate(aws: Aws, ids: Sequence[str], reason: str) -> None:
@@ -149,7 +149,7 @@ def terminate(aws: Aws, ids: Sequence[str], reason: str) -> None:
                 break
     if problems:
         raise problems[0]
-    deadline = time.monotonic() + _SETTLING
+    deadline = time.monotonic() + _SETTLING_SECONDS
     left: Collection[str] = ids
     while left:
         seen = describe(aws, left)
@@ -160,7 +160,7 @@ def terminate(aws: Aws, ids: Sequence[str], reason: str) -> None:
             time.sleep(_TAKING_NOTE)
 
 
-def _named(aws: Aws, queue: str, name: str) -> Iterator[dict[str, Any]]:
+def _jobs_of_name(aws: Aws, queue: str, name: str) -> Iterator[dict[str, Any]]:
     """Yield summaries of jobs by name, which may end with ``*``."""
     token: dict[str, str] = {}
     while True:
@@ -172,7 +172,7 @@ def _named(aws: Aws, queue: str, name: str) -> Iterator[dict[str, Any]]:
         token = {"nextToken": page["nextToken"]}
 
 
-def _leftover(record: dict[str, Any]) -> CloudLeftover:
+def _read_leftover(record: dict[str, Any]) -> CloudLeftover:
     tags = record.get("tags", {})
     return CloudLeftover(
         id=str(record["jobId"]),
@@ -184,9 +184,9 @@ def _leftover(record: dict[str, Any]) -> CloudLeftover:
     )
 
 
-STOPPED = "the run was stopped"
+STOPPED_REASON = "the run was stopped"
 """Reason of the termination, reported to Batch."""
-_TRIES = 3
+_MAX_TRIES = 3
 _POLL_SECONDS = 1.0
 
 
@@ -215,7 +215,7 @@ class Submitting:
         while True:
             try:
                 ids = find_by_name(self._aws, self._queue, name) if answers_lost else []
-                identifier = ids[0] if ids else self._send(request)
+                identifier = ids[0] if ids else self._send_request(request)
                 break
             except AwsLostError as error:
                 answers_lost = True
@@ -227,7 +227,7 @@ class Submitting:
             self._end_doubles(name, identifier)
         return self.submitted[-1]
 
-    def stop(self, ids: list[str], reason: str = STOPPED) -> None:
+    def stop(self, ids: list[str], reason: str = STOPPED_REASON) -> None:
         """Terminate jobs, including one that may have been submitted without an answer.
 
         Raises:
@@ -236,14 +236,14 @@ class Submitting:
             AwsLostError: AWS does not answer.
         """
         terminate(self._aws, ids, reason)
-        for _ in range(_TRIES if self._unclear else 0):
+        for _ in range(_MAX_TRIES if self._unclear else 0):
             if found := find_by_name(self._aws, self._queue, self._unclear):
                 terminate(self._aws, found, reason)
                 break
             time.sleep(_POLL_SECONDS)  # new jobs appear in the list with a delay
         self._unclear = ""
 
-    def _send(self, request: Mapping[str, Any]) -> str:
+    def _send_request(self, request: Mapping[str, Any]) -> str:
         with aws_errors(f"queue '{self._queue}'"):
             answer = self._aws.submitting.submit_job(**request)
         if not answer.get("jobId"):

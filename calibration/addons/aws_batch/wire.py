@@ -7,7 +7,7 @@ Layout of ``s3://BUCKET/PREFIX/``::
     runs/RUN/jobs/GROUP/submitted.json       ids of the submissions in AWS Batch
     runs/RUN/results/GROUP/INDEX/ATTEMPT/    results of one attempt: files/PATH..., and, last, outcome.json
 
-A group contains jobs of one shape: one array (or several, above 10 000). Job ``INDEX`` of a group is child
+A group contains jobs of one shape: one array (or several, above 10 000). Job ``INDEX_VARIABLE`` of a group is child
 ``INDEX - FIRST`` of its array.
 """
 
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from calibration.base.errors import InputError
 
-PREPARE, WATCH = "calibration-prepare", "calibration-watch"
+PREPARE_CONTAINER, WATCH_CONTAINER = "calibration-prepare", "calibration-watch"
 """Our containers in every task: the first to run, and the essential one."""
 JOB_FOLDER = "/calibration/job"
 """Volume shared by all containers of a task, with scripts and signals."""
@@ -29,12 +29,12 @@ UPLOAD_SECONDS = 600.0
 """Time for stopping containers and uploading results, after the time of the job and before the time limit of the
 task."""
 OUTCOME_FILE, FILES_FOLDER = "outcome.json", "files"
-LOCATION, FIRST = "CALIBRATION_LOCATION", "CALIBRATION_FIRST"
+LOCATION_VARIABLE, FIRST_VARIABLE = "CALIBRATION_LOCATION", "CALIBRATION_FIRST"
 """Variables of our containers, set on submission: ``s3://BUCKET/PREFIX``, run and group in the form of
 `Location.text`, and the index of the array's first child."""
-REGION = "AWS_REGION"
+REGION_VARIABLE = "AWS_REGION"
 """Region of the bucket, set on submission, because ECS sets it only on Fargate."""
-INDEX, ATTEMPT = "AWS_BATCH_JOB_ARRAY_INDEX", "AWS_BATCH_JOB_ATTEMPT"
+INDEX_VARIABLE, ATTEMPT_VARIABLE = "AWS_BATCH_JOB_ARRAY_INDEX", "AWS_BATCH_JOB_ATTEMPT"
 """Variables that Batch sets: index of the child (only in arrays), and of the attempt, from 1."""
 
 _RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
@@ -61,12 +61,12 @@ class Location:
 
     @property
     def text(self) -> str:
-        """Value of the variable `LOCATION`."""
+        """Value of the variable `LOCATION_VARIABLE`."""
         return f"s3://{self.bucket}/{self.prefix}/{self.run}/{self.group}"
 
     @classmethod
     def parse(cls, text: str) -> "Location":
-        """Parse the variable `LOCATION`."""
+        """Parse the variable `LOCATION_VARIABLE`."""
         bucket, _, path = text.removeprefix("s3://").partition("/")
         prefix, run, group = path.rsplit("/", 2)
         return cls(bucket, prefix, run, group)

@@ -29,7 +29,7 @@ class Workers(Generic[Result]):
         self.waiting += 1
         self._work.put(work)
         if len(self._threads) < min(self._count, self.waiting):
-            self._threads.append(threading.Thread(target=self._run, daemon=True))
+            self._threads.append(threading.Thread(target=self._run_until_stopped, daemon=True))
             self._threads[-1].start()
 
     def take(self, seconds: float | None) -> list[Result]:
@@ -63,7 +63,7 @@ class Workers(Generic[Result]):
         for thread in self._threads:
             thread.join(seconds)
 
-    def _run(self) -> None:
+    def _run_until_stopped(self) -> None:
         while not self._stopping and (work := self._work.get()) is not None:
             try:
                 self._answers.put(work())

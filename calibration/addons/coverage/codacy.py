@@ -40,10 +40,10 @@ class Request:
 
 
 API_URL = "https://api.codacy.com"
-PROVIDERS = ("gh", "ghe", "gl", "gle", "bb", "bbe", "manual")
+GIT_PROVIDERS = ("gh", "ghe", "gl", "gle", "bb", "bbe", "manual")
 MOST_HITS = 2**31 - 1
 """Largest number of hits of a line that is sent; larger ones are cut to it."""
-_NAME = re.compile(r"[A-Za-z0-9._~-]+")
+_NAME_IN_URL = re.compile(r"[A-Za-z0-9._~-]+")
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Codacy:
                 languages.setdefault(language.lower(), {})[path] = coverage
         partial = upload.partial or upload.final or len(languages) > 1
         found = [
-            self._request(
+            self._request_of(
                 f"{len(files)} {language} file{'' if len(files) == 1 else 's'}",
                 self._report_path(upload.commit, language) + f"?partial={'true' if partial else 'false'}",
                 report_body(files),
@@ -93,7 +93,7 @@ class Codacy:
             for language, files in languages.items()
         ]
         if upload.final or (partial and not upload.partial):
-            found.append(self._request("final request", self._final_path(upload.commit), b"{}"))
+            found.append(self._request_of("final request", self._final_path(upload.commit), b"{}"))
         return found
 
     def send(self, requests: Sequence[Request]) -> None:
@@ -113,7 +113,7 @@ class Codacy:
         if first is not None:
             raise first
 
-    def _request(self, what: str, path: str, body: bytes) -> Request:
+    def _request_of(self, what: str, path: str, body: bytes) -> Request:
         headers = {"Content-Type": "application/json", **self.account.header}
         return Request(what, self.api_url + path, body, headers)
 
@@ -148,14 +148,14 @@ def check_answer(answer: Answer, host: str, http: Http) -> None:
     Raises:
         InfrastructureError: the request failed; the message names the remedy.
     """
-    document = _document(answer.body)
+    document = _parse_document(answer.body)
     if isinstance(document, dict) and "error" not in document and isinstance(document.get("success"), str):
         return
     answered = f"{host}: answered {answer.status}"
     if isinstance(document, dict) and "error" in document:
-        _refused(answered, answer.status, http.quote(str(document["error"]).encode("utf-8", "replace")))
+        _refuse_answer(answered, answer.status, http.quote(str(document["error"]).encode("utf-8", "replace")))
     if answer.status in (401, 403, 404):
-        _refused(answered, answer.status, http.quote(answer.body))
+        _refuse_answer(answered, answer.status, http.quote(answer.body))
     if answer.content_type == "text/html" or answer.body.lstrip()[:1] == b"<":
         raise InfrastructureError(f"{answered} with an HTML page, not from Codacy's API: check api-url and proxies")
     if document is None:
@@ -214,21 +214,21 @@ def parse_account(
             raise InputError(
                 f"{key} is not given: CODACY_API_TOKEN is an account's and needs all of {', '.join(named)}"
             )
-        if not _NAME.fullmatch(value) or value in (".", ".."):
+        if not _NAME_IN_URL.fullmatch(value) or value in (".", ".."):
             raise InputError(f"{key}: found {shorten(value)!r}, expected a name of letters, digits, dots and dashes")
-    if provider not in PROVIDERS:
-        raise InputError(f"provider: found {provider!r}, expected one of {', '.join(PROVIDERS)}")
+    if provider not in GIT_PROVIDERS:
+        raise InputError(f"provider: found {provider!r}, expected one of {', '.join(GIT_PROVIDERS)}")
     return Account(token, provider, organisation, repository)
 
 
-def _document(body: bytes) -> object:
+def _parse_document(body: bytes) -> object:
     try:
         return json.loads(body)
     except (ValueError, RecursionError):
         return None
 
 
-def _refused(answered: str, status: int, explanation: str) -> NoReturn:
+def _refuse_answer(answered: str, status: int, explanation: str) -> NoReturn:
     if status in (401, 403) or status == 404 or "not found" in explanation.lower():
         advice = "check the token, whether it is of this repository, and provider, organisation and repository"
     else:

@@ -11,9 +11,9 @@ from pathlib import Path
 from calibration.addons.coverage.injection import plain
 from calibration.base.errors import InputError
 
-_PYTEST = ("pytest", "py.test")
-_PYTHONS = ("python3", "python")
-_JUNIT = ("--junitxml", "--junit-xml")
+_PYTEST_NAMES = ("pytest", "py.test")
+_PYTHON_NAMES = ("python3", "python")
+_JUNIT_OPTIONS = ("--junitxml", "--junit-xml")
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def parse_command(
             "run is empty: a command such as pytest, python -m unittest, or a folder of tests was expected"
         )
     path = environment.get("PATH")
-    python = _python(interpreter, path)
+    python = _find_python(interpreter, path)
     if len(words) == 1 and (directory / words[0]).is_dir():
         words = [*_runner_of_folder(python, environment, directory), words[0]]
     words = _with_interpreter(words, directory, python, interpreter, path)
@@ -63,13 +63,13 @@ def parse_command(
     return Command(text, *_with_junit(words, directory, junit))
 
 
-def _python(interpreter: str | None, path: str | None) -> str | None:
+def _find_python(interpreter: str | None, path: str | None) -> str | None:
     """Return the path of the requested interpreter, or of the first Python on the PATH; None without one.
 
     Raises:
         InputError: the requested interpreter does not exist.
     """
-    for name in (interpreter,) if interpreter else _PYTHONS:
+    for name in (interpreter,) if interpreter else _PYTHON_NAMES:
         if (found := shutil.which(name, path=path)) is not None:
             return str(Path(found).absolute())
     if interpreter:
@@ -84,17 +84,17 @@ def _with_interpreter(
     if program == python:
         return words
     if program == "unittest":
-        return [_needed(python), "-m", "unittest", *_unittest_arguments(rest, directory)]
-    if program in _PYTHONS and (interpreter or shutil.which(program, path=path) is None):
-        return [_needed(python), *rest]
-    if program in _PYTEST and (interpreter or shutil.which(program, path=path) is None):
-        return [_needed(python), "-m", "pytest", *rest]
-    if interpreter and program not in (*_PYTHONS, *_PYTEST):
+        return [_require_python(python), "-m", "unittest", *_unittest_arguments(rest, directory)]
+    if program in _PYTHON_NAMES and (interpreter or shutil.which(program, path=path) is None):
+        return [_require_python(python), *rest]
+    if program in _PYTEST_NAMES and (interpreter or shutil.which(program, path=path) is None):
+        return [_require_python(python), "-m", "pytest", *rest]
+    if interpreter and program not in (*_PYTHON_NAMES, *_PYTEST_NAMES):
         raise InputError(f"interpreter is given, but {program!r} uses its own: a command such as pytest was expected")
     return words
 
 
-def _needed(python: str | None) -> str:
+def _require_python(python: str | None) -> str:
     if python is None:
         raise InputError("run: there is no python3 on the PATH: install one before this step, or set interpreter")
     return python
@@ -102,7 +102,7 @@ def _needed(python: str | None) -> str:
 
 def _runner_of_folder(python: str | None, environment: dict[str, str], directory: Path) -> list[str]:
     """Return pytest if it is installed in the interpreter, else unittest."""
-    python = _needed(python)
+    python = _require_python(python)
     try:
         has_pytest = not subprocess.run(
             [python, "-c", "import pytest"],
@@ -130,13 +130,13 @@ def _unittest_arguments(arguments: Sequence[str], directory: Path) -> list[str]:
 
 def _with_junit(words: list[str], directory: Path, junit: Path) -> tuple[tuple[str, ...], Path | None]:
     """Add options for JUnit XML if the command obviously runs pytest."""
-    runs_pytest = Path(words[0]).name in _PYTEST or any(
-        first in ("-m", "run") and second in _PYTEST for first, second in pairwise(words)
+    runs_pytest = Path(words[0]).name in _PYTEST_NAMES or any(
+        first in ("-m", "run") and second in _PYTEST_NAMES for first, second in pairwise(words)
     )
     if not runs_pytest:
         return tuple(words), None
     for word, following in zip(words, [*words[1:], ""], strict=True):
         option, _, value = word.partition("=")
-        if option in _JUNIT and (value or following):
+        if option in _JUNIT_OPTIONS and (value or following):
             return tuple(words), directory / (value or following)
     return (*words, f"--junitxml={junit}", "--override-ini=junit_family=xunit1"), junit

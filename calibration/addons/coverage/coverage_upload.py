@@ -12,9 +12,9 @@ from calibration.base.programs import hide
 from calibration.ci.workflow import Runner, add_mask
 from calibration.commands.record_options import chosen, record_options
 
-TOKENS = {"project_token": "CODACY_PROJECT_TOKEN", "api_token": "CODACY_API_TOKEN"}
+TOKEN_VARIABLES = {"project_token": "CODACY_PROJECT_TOKEN", "api_token": "CODACY_API_TOKEN"}
 """Environment variables of tokens."""
-VARIABLES = {
+CODACY_VARIABLES = {
     "api_url": "CODACY_API_BASE_URL",
     "provider": "CODACY_ORGANIZATION_PROVIDER",
     "organisation": "CODACY_USERNAME",
@@ -41,14 +41,16 @@ def settings_from(options: dict[str, Any], click_context: click.Context, runner:
     Raises:
         InputError: a token is on the command line.
     """
-    for name, variable in (TOKENS | VARIABLES).items():
+    for name, variable in (TOKEN_VARIABLES | CODACY_VARIABLES).items():
         options[name] = options[name] or os.environ.get(variable, "").strip() or None
-    for name in TOKENS:
+    for name in TOKEN_VARIABLES:
         if options[name]:
             add_mask(runner, options[name])
-    if any(options[name] for name in TOKENS):
-        hide([*TOKENS.values(), *(f"INPUT_{name.upper()}" for name in TOKENS)])  # the tests are untrusted programs
-    for name, variable in TOKENS.items():
+    if any(options[name] for name in TOKEN_VARIABLES):
+        hide(
+            [*TOKEN_VARIABLES.values(), *(f"INPUT_{name.upper()}" for name in TOKEN_VARIABLES)]
+        )  # the tests are untrusted programs
+    for name, variable in TOKEN_VARIABLES.items():
         if click_context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
             raise InputError(
                 f"{name.replace('_', '-')}: found on the command line, where every process reads it: "

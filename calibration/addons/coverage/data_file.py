@@ -16,13 +16,13 @@ from coverage import CoverageData
 from coverage.exceptions import CoverageException
 
 from calibration.addons.coverage.formats import MAX_BYTES, MAX_LINE, Report, parse_cobertura
-from calibration.addons.coverage.injection import REPORTER, bring_coverage, reporting, write_settings
+from calibration.addons.coverage.injection import REPORTER_FILE, bring_coverage, reporting, write_settings
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import read_bytes
 from calibration.base.text import one_line, shorten
 
-MAGIC = b"SQLite format 3\0"
-SECONDS = 300
+SQLITE_MAGIC = b"SQLite format 3\0"
+XML_TIMEOUT = 300
 """Timeout for writing the XML."""
 
 
@@ -34,7 +34,7 @@ def measured_names(files: Sequence[Path]) -> list[str]:
     """
     names: dict[str, None] = {}
     for file in files:
-        with closing(_opened(file)) as data:
+        with closing(_open_data(file)) as data:
             names.update(dict.fromkeys(sorted(data.measured_files())))
     return list(names)
 
@@ -56,7 +56,7 @@ def merge(files: Sequence[Path], names: Mapping[str, str], untouched: Sequence[s
         closing(CoverageData(basename=str(folder / "lines"))) as lines,
     ):
         for file in files:
-            with closing(_opened(file)) as data:
+            with closing(_open_data(file)) as data:
                 for name in sorted(names.keys() & data.measured_files()):
                     path = names[name]
                     if data.has_arcs():
@@ -88,12 +88,12 @@ def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Pat
     write_settings(configuration, {"run:data_file": str(data), **kept})
     try:
         done = subprocess.run(
-            [executable, str(REPORTER), str(configuration), str(data), str(output)],
+            [executable, str(REPORTER_FILE), str(configuration), str(data), str(output)],
             cwd=directory,
             env=reporting(os.environ, bring_coverage(data.parent)),
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            timeout=SECONDS,
+            timeout=XML_TIMEOUT,
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -105,7 +105,7 @@ def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Pat
     return Report(name, report.files, (str(directory),))
 
 
-def _opened(file: Path) -> CoverageData:
+def _open_data(file: Path) -> CoverageData:
     """Open a data file after checking that it is valid SQLite."""
     refused = InputError(f"{file}: a data file of coverage.py was expected, and this one cannot be read")
     try:

@@ -33,7 +33,7 @@ class Report:
     """Folders that the names are relative to; absolute, or relative to the working directory of the tests."""
 
 
-DEEPEST = 100
+MAX_ELEMENT_DEPTH = 100
 """Limit of nested elements; the supported formats need ten."""
 
 
@@ -47,8 +47,10 @@ def elements(data: bytes, name: str) -> Iterator[tuple[str, Element]]:
     try:
         for event, element in iterparse(io.BytesIO(data), ("start", "end")):
             depth += 1 if event == "start" else -1
-            if depth > DEEPEST:
-                raise InputError(f"{name}: its elements are nested more than {DEEPEST} deep, the limit of a report")
+            if depth > MAX_ELEMENT_DEPTH:
+                raise InputError(
+                    f"{name}: its elements are nested more than {MAX_ELEMENT_DEPTH} deep, the limit of a report"
+                )
             yield event, element
     except DefusedXmlException:
         raise InputError(f"{name}: the XML declares entities, which are not allowed, for safety") from None
@@ -56,8 +58,8 @@ def elements(data: bytes, name: str) -> Iterator[tuple[str, Element]]:
         raise InputError(f"{name}: this is not valid XML: {shorten(one_line(str(error)), 200)}") from None
 
 
-_WHOLE = re.compile(r"[0-9]{1,19}")
-_BRANCHES = re.compile(r"\s*[0-9.]+\s*%\s*\(([0-9]{1,9})/([0-9]{1,9})\)\s*")
+_WHOLE_NUMBER = re.compile(r"[0-9]{1,19}")
+_BRANCH_COVERAGE = re.compile(r"\s*[0-9.]+\s*%\s*\(([0-9]{1,9})/([0-9]{1,9})\)\s*")
 
 
 def parse_cobertura(data: bytes, name: str) -> Report:
@@ -103,31 +105,31 @@ def _check_root(root: Element, name: str) -> None:
 
 
 def _add_line(element: Element, where: str, hits: dict[int, int], branches: dict[int, Rate]) -> None:
-    number = _whole(element.get("number"), where, "number", 1, MAX_LINE)
-    count = _whole(element.get("hits"), f"{where}:{number}", "hits", 0, MAX_HITS)
+    number = _whole_number(element.get("number"), where, "number", 1, MAX_LINE)
+    count = _whole_number(element.get("hits"), f"{where}:{number}", "hits", 0, MAX_HITS)
     hits[number] = hits.get(number, 0) + count
     condition = element.get("condition-coverage")
     if element.get("branch", "").lower() == "true" and condition is not None:
-        found = _BRANCHES.fullmatch(condition)
+        found = _BRANCH_COVERAGE.fullmatch(condition)
         if found is None or int(found[1]) > int(found[2]):
-            _refuse(f"{where}:{number}", "condition-coverage", condition, "such as 50% (1/2)")
+            _refuse_value(f"{where}:{number}", "condition-coverage", condition, "such as 50% (1/2)")
         known = branches.get(number, Rate())
         branches[number] = Rate(max(known.covered, int(found[1])), max(known.total, int(found[2])))
 
 
-def _whole(text: str | None, where: str, key: str, least: int, most: int) -> int:
-    if text is None or not _WHOLE.fullmatch(text) or not least <= int(text) <= most:
-        _refuse(where, key, text, f"a whole number from {least} to {most}")
+def _whole_number(text: str | None, where: str, key: str, least: int, most: int) -> int:
+    if text is None or not _WHOLE_NUMBER.fullmatch(text) or not least <= int(text) <= most:
+        _refuse_value(where, key, text, f"a whole number from {least} to {most}")
     return int(text)
 
 
-def _refuse(where: str, key: str, found: str | None, expected: str) -> NoReturn:
+def _refuse_value(where: str, key: str, found: str | None, expected: str) -> NoReturn:
     shown = "nothing" if found is None else repr(shorten(found))
     raise InputError(f"{shorten(one_line(where), 300)}: {key} is {shown}, {expected} was expected")
 
 
-_LINE = re.compile(r"([0-9]{1,8}),([0-9]{1,19})(?:,[^,]*)?")
-_BRANCH = re.compile(r"([0-9]{1,8}),([^,]+),([^,]+),(-|[0-9]{1,19})")
+_LINE_VALUE = re.compile(r"([0-9]{1,8}),([0-9]{1,19})(?:,[^,]*)?")
+_BRANCH_VALUE = re.compile(r"([0-9]{1,8}),([^,]+),([^,]+),(-|[0-9]{1,19})")
 
 
 @dataclass
@@ -162,7 +164,7 @@ def parse_lcov(data: bytes, name: str) -> Report:
         elif kind in ("DA", "BRDA"):
             if record is None:
                 raise InputError(f"{name}:{number}: {kind} precedes the file that it belongs to (SF)")
-            _add(record, kind, value.strip(), f"{name}:{number}")
+            _add_to_record(record, kind, value.strip(), f"{name}:{number}")
     if record is not None:
         raise InputError(f"{name}: it ends in the middle of a record: end_of_record was expected")
     if not records:
@@ -184,8 +186,8 @@ def tracefile(files: Mapping[str, FileCoverage]) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
-def _add(record: _Record, kind: str, value: str, where: str) -> None:
-    found = (_LINE if kind == "DA" else _BRANCH).fullmatch(value)
+def _add_to_record(record: _Record, kind: str, value: str, where: str) -> None:
+    found = (_LINE_VALUE if kind == "DA" else _BRANCH_VALUE).fullmatch(value)
     if found is None or not 1 <= int(found[1]) <= MAX_LINE:
         expected = "line,hits" if kind == "DA" else "line,block,branch,taken"
         raise InputError(f"{where}: found {kind}:{shorten(one_line(value))}, expected {kind}:{expected}")

@@ -15,9 +15,9 @@ from calibration import MAX_IMAGE_PIXELS
 from calibration.base.errors import InputError
 from calibration.base.text import one_line, shorten
 
-INJECTED = Path(__file__).with_name("injected")
-REPORTER = INJECTED / "calibration_coverage.py"
-_HIDDEN = (
+INJECTED_FOLDER = Path(__file__).with_name("injected")
+REPORTER_FILE = INJECTED_FOLDER / "calibration_coverage.py"
+_HIDDEN_VARIABLES = (
     *("COVERAGE_PROCESS_START", "COVERAGE_PROCESS_CONFIG", "COVERAGE_FILE", "COVERAGE_RCFILE"),
     *("CODACY_PROJECT_TOKEN", "CODACY_API_TOKEN"),
 )
@@ -30,7 +30,7 @@ def plain(environment: Mapping[str, str]) -> dict[str, str]:
     return {
         name: text
         for name, text in environment.items()
-        if not name.startswith("INPUT_") and name not in _HIDDEN and (name, text) != _OUR_LIMIT
+        if not name.startswith("INPUT_") and name not in _HIDDEN_VARIABLES and (name, text) != _OUR_LIMIT
     }
 
 
@@ -44,7 +44,7 @@ def measuring(environment: Mapping[str, str], configuration: Path, notes: Path, 
         brought: result of :func:`bring_coverage`.
     """
     kept = plain(environment)
-    path = os.pathsep.join(filter(None, [str(INJECTED), kept.get("PYTHONPATH")]))
+    path = os.pathsep.join(filter(None, [str(INJECTED_FOLDER), kept.get("PYTHONPATH")]))
     return {
         **kept,
         "PYTHONPATH": path,
@@ -56,7 +56,7 @@ def measuring(environment: Mapping[str, str], configuration: Path, notes: Path, 
 
 
 def reporting(environment: Mapping[str, str], brought: Path) -> dict[str, str]:
-    """Return the environment for :data:`REPORTER`."""
+    """Return the environment for :data:`REPORTER_FILE`."""
     return {**plain(environment), "CALIBRATION_COVERAGE_BROUGHT": str(brought)}
 
 
@@ -69,7 +69,7 @@ def bring_coverage(folder: Path) -> Path:
     return brought
 
 
-_KEPT = (
+_KEPT_SETTINGS = (
     *("run:omit", "run:concurrency", "run:plugins", "run:patch", "run:sigterm", "run:core", "run:timid"),
     *("report:exclude_lines", "report:exclude_also", "report:partial_branches", "report:partial_also"),
 )
@@ -88,11 +88,11 @@ def team_settings(directory: Path) -> dict[str, Any]:
             team = coverage.Coverage(data_file=None)
         except (CoverageException, ValueError, OSError) as error:  # OSError: a file without read permission
             raise InputError(f"{directory}: coverage.py's settings: {shorten(one_line(str(error)), 300)}") from None
-        settings = {name: _option(team, name) for name in _KEPT}
+        settings = {name: _option_of_team(team, name) for name in _KEPT_SETTINGS}
         for plugin in settings["run:plugins"] or ():
             options = team.config.get_plugin_options(plugin)
             settings |= {f"{plugin}:{key}": value for key, value in options.items()}
-        settings["run:omit"] = [_absolute(pattern) for pattern in settings["run:omit"] or ()]
+        settings["run:omit"] = [_absolute_pattern(pattern) for pattern in settings["run:omit"] or ()]
     for name, more in (("exclude_lines", "exclude_also"), ("partial_branches", "partial_also")):
         known, also = settings[f"report:{name}"] or (), settings.pop(f"report:{more}") or ()
         settings[f"report:{name}"] = list(dict.fromkeys([*known, *also]))  # older versions lack the *_also settings
@@ -105,18 +105,18 @@ def write_settings(path: Path, settings: Mapping[str, Any]) -> None:
     for name, value in settings.items():
         section, _, key = name.rpartition(":")
         # A $ would start a variable, and a # or ; at the start of an expression a comment.
-        values = [re.sub(r"^[#;]", r"[\g<0>]", str(item).replace("$", "$$")) for item in _items(value)]
+        values = [re.sub(r"^[#;]", r"[\g<0>]", str(item).replace("$", "$$")) for item in _as_sequence(value)]
         text = "\n    ".join(values)
         sections.setdefault(section, []).append(f"{key} = {text if len(values) == 1 else chr(10) + '    ' + text}")
     lines = [f"[{section}]\n" + "\n".join(keys) for section, keys in sections.items()]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _items(value: object) -> Sequence[object]:
+def _as_sequence(value: object) -> Sequence[object]:
     return value if isinstance(value, list | tuple) else [value]
 
 
-def _option(team: Any, name: str) -> Any:
+def _option_of_team(team: Any, name: str) -> Any:
     """Return a setting; None also if this version of coverage.py lacks it."""
     try:
         return team.get_option(name)
@@ -124,6 +124,6 @@ def _option(team: Any, name: str) -> Any:
         return None
 
 
-def _absolute(pattern: str) -> str:
+def _absolute_pattern(pattern: str) -> str:
     """Make a pattern independent of the working directory, as coverage.py does."""
     return pattern if pattern.startswith(("*", "?")) else os.path.abspath(pattern)  # noqa: PTH100 (no .. left)

@@ -56,7 +56,7 @@ def parse_junit(data: bytes, name: str) -> Tally:
             kinds = {child.tag: child for child in element}
             problem = kinds.get("failure", kinds.get("error"))
             if problem is not None:
-                failures.append(_failure(element, problem))
+                failures.append(_read_failure(element, problem))
             elif "skipped" in kinds and kinds["skipped"].get("type") != "pytest.xfail":  # an expected failure did run
                 skipped += 1
             else:
@@ -67,7 +67,7 @@ def parse_junit(data: bytes, name: str) -> Tally:
     return Tally(passed, len(unique), skipped, tuple(reversed(unique.values())))
 
 
-def _failure(case: Element, problem: Element) -> Failure:
+def _read_failure(case: Element, problem: Element) -> Failure:
     line = case.get("line", "")
     number = int(line) + 1 if re.fullmatch("[0-9]{1,9}", line) else None  # pytest's line numbers start at 0
     names = [part for part in (case.get("classname"), case.get("name")) if part]

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from calibration.addons.coverage.data_file import MAGIC, copied, measured_names, merge, report_of
+from calibration.addons.coverage.data_file import SQLITE_MAGIC, copied, measured_names, merge, report_of
 from calibration.addons.coverage.formats import MAX_BYTES, Report, parse_cobertura, parse_lcov
 from calibration.addons.coverage.lines import FileCoverage, combined
 from calibration.addons.coverage.sources import Sources, language_of
@@ -58,13 +58,13 @@ class PathMap:
             return ()
         places = [self.directory / folder / name for folder in folders] or [self.directory / name]
         for group in (places, [self.directory / name], [self.repository.root / name]):
-            if found := self._exact(group):
+            if found := self._exact_paths(group):
                 return found
         existing = [place for place in places if _is_file(place)]
-        return self._copies(existing) if existing else self._by_end(name)
+        return self._paths_of_copies(existing) if existing else self._by_end(name)
 
     @cached_property
-    def _known(self) -> frozenset[str]:
+    def _known_paths(self) -> frozenset[str]:
         return frozenset(self.tracked)
 
     @cached_property
@@ -75,9 +75,9 @@ class PathMap:
             found[path.rpartition("/")[2]].append(path)
         return found
 
-    def _exact(self, places: Iterable[Path]) -> tuple[str, ...]:
+    def _exact_paths(self, places: Iterable[Path]) -> tuple[str, ...]:
         paths = {self.repository.path(place) for place in places}
-        return tuple(sorted(path for path in paths if path is not None and path in self._known))
+        return tuple(sorted(path for path in paths if path is not None and path in self._known_paths))
 
     def _by_end(self, name: str) -> tuple[str, ...]:
         same_name = self._by_name.get(name.rpartition("/")[2], [])
@@ -87,11 +87,11 @@ class PathMap:
         inside = [path for path in same_name if "/" in path and name.endswith("/" + path)]
         return tuple(sorted(inside, key=len)[-1:])
 
-    def _copies(self, places: Iterable[Path]) -> tuple[str, ...]:
+    def _paths_of_copies(self, places: Iterable[Path]) -> tuple[str, ...]:
         for place in places:
-            if content := _content(place):
+            if content := _read_content(place):
                 same_name = self._by_name.get(place.name, [])
-                if found := tuple(path for path in same_name if _content(self.repository.root / path) == content):
+                if found := tuple(path for path in same_name if _read_content(self.repository.root / path) == content):
                     return found
         return ()
 
@@ -155,15 +155,15 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _content(path: Path) -> bytes:
+def _read_content(path: Path) -> bytes:
     try:
         return path.read_bytes() if path.stat().st_size <= MAX_COPY else b""
     except OSError:
         return b""
 
 
-KINDS = "a data file of coverage.py, Cobertura XML or LCOV"
-_PYTHON = "python"
+KINDS_OF_REPORTS = "a data file of coverage.py, Cobertura XML or LCOV"
+_PYTHON_LANGUAGE = "python"
 
 
 @dataclass(frozen=True)
@@ -209,13 +209,15 @@ def read_reports(
     """
     paths = PathMap(sources.repository, sources.directory, sources.tracked)
     folder.mkdir(exist_ok=True)
-    reports, data_files = _parsed(files)
+    reports, data_files = _separate_reports(files)
     names, data = _Names(paths), copied(data_files, folder)
     measured = {name: file for name in measured_names(data) if (file := names.file(name))}
     others = mapped(reports, paths, sources.counted)
     known = {*others.files, *others.ill_fitting, *measured.values()}
-    languages = {language_of(path) for path in known} | ({_PYTHON} if data else set())
-    python = [path for path in sources.counted if language_of(path) == _PYTHON and _PYTHON in languages]
+    languages = {language_of(path) for path in known} | ({_PYTHON_LANGUAGE} if data else set())
+    python = [
+        path for path in sources.counted if language_of(path) == _PYTHON_LANGUAGE and _PYTHON_LANGUAGE in languages
+    ]
     root = sources.repository.root
     wanted = {name: str(root / path) for name, path in measured.items() if path in set(python)}
     untouched = [str(root / path) for path in python if path not in known]
@@ -234,7 +236,7 @@ def read_reports(
     )
 
 
-def _parsed(files: Sequence[Path]) -> tuple[list[Report], list[Path]]:
+def _separate_reports(files: Sequence[Path]) -> tuple[list[Report], list[Path]]:
     """Separate reports from data files of coverage.py.
 
     Raises:
@@ -242,16 +244,16 @@ def _parsed(files: Sequence[Path]) -> tuple[list[Report], list[Path]]:
     """
     reports, data_files = [], []
     for file in files:
-        content = read_bytes(file, MAX_BYTES, KINDS)
+        content = read_bytes(file, MAX_BYTES, KINDS_OF_REPORTS)
         begin = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
-        if content.startswith(MAGIC):
+        if content.startswith(SQLITE_MAGIC):
             data_files.append(file)
         elif not begin:
-            raise InputError(f"{file}: it is empty, {KINDS} was expected")
+            raise InputError(f"{file}: it is empty, {KINDS_OF_REPORTS} was expected")
         elif begin.startswith((b"<", b"\xff\xfe", b"\xfe\xff")):  # the latter: XML in UTF-16
             reports.append(parse_cobertura(content, str(file)))
         elif b"SF:" in content:
             reports.append(parse_lcov(content, str(file)))
         else:
-            raise InputError(f"{file}: found none of the known forms, {KINDS} was expected")
+            raise InputError(f"{file}: found none of the known forms, {KINDS_OF_REPORTS} was expected")
     return reports, data_files

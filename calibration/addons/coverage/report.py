@@ -14,12 +14,12 @@ from calibration.ci.report import Lines, Outcome, Report, Table, outcome_of_chec
 from calibration.ci.workflow.annotation import Annotation, Level
 
 TITLE = "coverage-upload"
-LCOV = "lcov.info"
+LCOV_FILE = "lcov.info"
 MOST_ROWS = 200
 """Limit of rows of a table in the log, and of files below the goal; the summary and results.json have all."""
 MOST_NAMES = 20
 """Limit of names in a list."""
-_HEADER = ("file", "lines", "branches", "goal", "not run")
+_HEADER_OF_FILES = ("file", "lines", "branches", "goal", "not run")
 
 
 def report(results: Results, directory: Path = Path(), badge: Path | None = None) -> Report:
@@ -30,25 +30,25 @@ def report(results: Results, directory: Path = Path(), badge: Path | None = None
         directory: where the tests ran; their files are named relative to it.
         badge: file of the badge, if one was written.
     """
-    below, total = results.below_goal, (_total(results),)
-    rows = _rows(results, sorted(results.files))
+    below, total = results.below_goal, (_total_row(results),)
+    rows = _rows_of_files(results, sorted(results.files))
     not_passed = f"{len(below)} of {len(rows)} files are below the goal of {results.goal:g} %"
     verdict = verdict_of(not results.problems)
     return Report(
         title=TITLE,
         verdict=verdict,
         error=ExitCode.INFRASTRUCTURE if verdict == "pass" and results.upload.state == "failed" else None,
-        sentence=_sentence(results),
+        sentence=_verdict_sentence(results),
         reasons=tuple(results.problems),
-        annotations=tuple(_annotations(results, directory)),
+        annotations=tuple(_annotations_of(results, directory)),
         blocks=(
-            Table(_HEADER, (*total, *_rows(results, _by_rate(results))), MOST_ROWS, only="log"),
+            Table(_HEADER_OF_FILES, (*total, *_rows_of_files(results, _by_rate(results))), MOST_ROWS, only="log"),
             Table(("", "run", "of"), tuple(_summary_rows(results)), only="summary"),
             Lines(tuple(remarks(results))),
-            Table(_HEADER, _rows(results, below), MOST_ROWS, title=not_passed, only="summary"),
-            Table(_HEADER, (*total, *rows), title=f"All {len(rows)} files", only="summary", folded=True),
+            Table(_HEADER_OF_FILES, _rows_of_files(results, below), MOST_ROWS, title=not_passed, only="summary"),
+            Table(_HEADER_OF_FILES, (*total, *rows), title=f"All {len(rows)} files", only="summary", folded=True),
         ),
-        suites={TITLE: list(_outcomes(results))},
+        suites={TITLE: list(_junit_cases(results))},
         results=results,
         outputs={
             "line-rate": results.lines.percent,
@@ -60,11 +60,11 @@ def report(results: Results, directory: Path = Path(), badge: Path | None = None
             "badge": badge,
         },
         # so that a separate job, in which no test runs, can upload it
-        files={LCOV: tracefile(results.files).encode("utf-8", "surrogateescape")} if results.lines.total else {},
+        files={LCOV_FILE: tracefile(results.files).encode("utf-8", "surrogateescape")} if results.lines.total else {},
     )
 
 
-def _sentence(results: Results) -> str:
+def _verdict_sentence(results: Results) -> str:
     parts = results.problems or [f"{results.lines} of the lines are run"]
     state = {
         "uploaded": f"uploaded to {results.upload.service}",
@@ -92,19 +92,21 @@ def what_is_left_out(found: Found) -> list[str]:
     """Return a line for each part of the reports that is not counted, and for languages without a report."""
     lines = []
     if found.mapped.unmatched:
-        lines.append(f"in reports, but no file that git tracks: {_names(found.mapped.unmatched)}")
+        lines.append(f"in reports, but no file that git tracks: {_names_text(found.mapped.unmatched)}")
     for name, paths in list(found.mapped.ambiguous.items())[:MOST_NAMES]:
-        lines.append(f"left out, because it may be several files: {shorten(one_line(name), 200)} ({_names(paths)})")
+        lines.append(
+            f"left out, because it may be several files: {shorten(one_line(name), 200)} ({_names_text(paths)})"
+        )
     for path, line in list(found.mapped.ill_fitting.items())[:MOST_NAMES]:
         lines.append(f"left out, because a report contains line {line}, which the file lacks: {one_line(path)}")
     if found.unreadable:
-        lines.append(f"left out, because coverage.py cannot read or parse them: {_names(found.unreadable)}")
+        lines.append(f"left out, because coverage.py cannot read or parse them: {_names_text(found.unreadable)}")
     for language, count in sorted(found.without_report.items()):
         lines.append(f"{count} {language} file{'' if count == 1 else 's'} not counted: no report contains any")
     return lines
 
 
-def _annotations(results: Results, directory: Path) -> Iterable[Annotation]:
+def _annotations_of(results: Results, directory: Path) -> Iterable[Annotation]:
     """Return an annotation of each failed test, of the upload, and of the uncovered lines of the change."""
     for failure in results.tests.tally.failures if results.tests and results.tests.tally else ():
         file = None if failure.file is None else directory / failure.file
@@ -114,11 +116,11 @@ def _annotations(results: Results, directory: Path) -> Iterable[Annotation]:
     if results.upload.state == "skipped":
         yield Annotation(f"not uploaded: {results.upload.reason}", Level.NOTICE)
     for span in results.change.missing if results.change else ():
-        message = f"no test runs {_lines(span.first, span.last)} of this change"
+        message = f"no test runs {_lines_text(span.first, span.last)} of this change"
         yield Annotation(message, Level.WARNING, span.path, span.first, title="not covered")
 
 
-def _outcomes(results: Results) -> Iterable[Outcome]:
+def _junit_cases(results: Results) -> Iterable[Outcome]:
     """Return the JUnit cases: the tests as a whole, each limit, and the upload."""
     if results.tests is not None:
         problem = results.tests.problem
@@ -148,7 +150,7 @@ def _summary_rows(results: Results) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _rows(results: Results, paths: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+def _rows_of_files(results: Results, paths: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     below = set(results.below_goal)
     return tuple(
         (
@@ -156,13 +158,13 @@ def _rows(results: Results, paths: Sequence[str]) -> tuple[tuple[str, ...], ...]
             str(results.files[path].line_rate),
             str(results.files[path].branch_rate),
             "" if not results.files[path].hits else "below" if path in below else "above",
-            shorten(", ".join(_span(*part) for part in results.files[path].ranges(results.files[path].missing))),
+            shorten(", ".join(_span_text(*part) for part in results.files[path].ranges(results.files[path].missing))),
         )
         for path in paths
     )
 
 
-def _total(results: Results) -> tuple[str, ...]:
+def _total_row(results: Results) -> tuple[str, ...]:
     below = len(results.below_goal)
     return "total", str(results.lines), str(results.branches), f"{below} below {results.goal:g} %", ""
 
@@ -172,15 +174,15 @@ def _by_rate(results: Results) -> list[str]:
     return sorted(rates, key=lambda path: (rates[path].covered / max(rates[path].total, 1), path))
 
 
-def _lines(first: int, last: int) -> str:
+def _lines_text(first: int, last: int) -> str:
     return f"line {first}" if first == last else f"lines {first} to {last}"
 
 
-def _span(first: int, last: int) -> str:
+def _span_text(first: int, last: int) -> str:
     return str(first) if first == last else f"{first}-{last}"
 
 
-def _names(names: Sequence[str]) -> str:
+def _names_text(names: Sequence[str]) -> str:
     shown = ", ".join(shorten(one_line(name), 200) for name in names[:MOST_NAMES])
     return f"{shown} and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else shown
 

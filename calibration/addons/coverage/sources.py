@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 from calibration.base.errors import InputError
 from calibration.ci.git.repository import Repository
 
-LANGUAGES = {
+SUFFIXES_OF_LANGUAGE = {
     "c": (".c",),
     "cpp": (".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".ipp", ".tpp"),
     "csharp": (".cs",),
@@ -25,7 +25,7 @@ LANGUAGES = {
     "typescript": (".ts", ".tsx"),
 }
 """Suffixes by language, in Codacy's names."""
-_LANGUAGE = {suffix: language for language, suffixes in LANGUAGES.items() for suffix in suffixes}
+_LANGUAGE_OF_SUFFIX = {suffix: language for language, suffixes in SUFFIXES_OF_LANGUAGE.items() for suffix in suffixes}
 NO_SOURCES = (
     *("**/test", "**/tests", "**/test_*.*", "**/*_test.*", "**/*_tests.*", "**/conftest.py"),
     *("**/setup.py", "**/noxfile.py", "**/docs/conf.py", "**/doc/conf.py"),
@@ -35,7 +35,7 @@ NO_SOURCES = (
 
 def language_of(path: str) -> str | None:
     """Return the language of a file by its suffix; None if it is not source code."""
-    return _LANGUAGE.get(PurePosixPath(path).suffix.lower())
+    return _LANGUAGE_OF_SUFFIX.get(PurePosixPath(path).suffix.lower())
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,9 @@ class Sources:
         named = [root / folder for folder in self.folders or (".",)]
         # Of a file its folder, since coverage.py takes files for names of packages; what counts is chosen later.
         folders = dict.fromkeys(str(path if path.is_dir() else path.parent) for path in named)
-        return [*folders, *self._packages()]
+        return [*folders, *self._top_packages()]
 
-    def _packages(self) -> list[str]:
+    def _top_packages(self) -> list[str]:
         folders = {str(PurePosixPath(path).parent) for path in self.counted if path.endswith("/__init__.py")}
         return sorted(
             PurePosixPath(folder).name for folder in folders if str(PurePosixPath(folder).parent) not in folders

@@ -26,8 +26,10 @@ from calibration.ci.execution.log_file import LogFile
 from calibration.ci.workflow.runner import Runner
 from calibration.ci.workflow.streams import LogDisplay
 
-_PAUSE = 0.1
-LOST = "what one process of the tests has run is lost: it was ended, or its disk was full, while it wrote that down"
+_SECONDS_BETWEEN_POLLS = 0.1
+LOST_PROCESS = (
+    "what one process of the tests has run is lost: it was ended, or its disk was full, while it wrote that down"
+)
 
 
 def run(
@@ -65,21 +67,21 @@ def run(
         while True:
             if time.monotonic() > deadline:
                 raise InfrastructureError(f"the tests took longer than {seconds:g} s (timeout) and were stopped")
-            if more and selector.select(_PAUSE):
+            if more and selector.select(_SECONDS_BETWEEN_POLLS):
                 data = os.read(process.stdout.fileno(), 64 * 1024)
                 feed(data)
                 more = bool(data)
             elif has_ended(process):  # its child processes may continue, and keep the pipe open
                 break
             elif not more:
-                time.sleep(_PAUSE)
+                time.sleep(_SECONDS_BETWEEN_POLLS)
     return process.returncode
 
 
-_RAN = re.compile(r"Ran ([0-9]{1,9}) tests? in ")
-_FAILED = re.compile(r"FAILED \((.*)\)")
-_SKIPPED = re.compile(r"(?:OK|FAILED) \(.*?skipped=([0-9]{1,9})")
-_COUNT = re.compile(r"(?:failures|errors)=([0-9]{1,9})")
+_RAN_LINE = re.compile(r"Ran ([0-9]{1,9}) tests? in ")
+_FAILED_LINE = re.compile(r"FAILED \((.*)\)")
+_SKIPPED_COUNT = re.compile(r"(?:OK|FAILED) \(.*?skipped=([0-9]{1,9})")
+_FAILURE_COUNT = re.compile(r"(?:failures|errors)=([0-9]{1,9})")
 
 
 @result
@@ -227,7 +229,7 @@ def measurement(folder: Path) -> Measurement:
         if isinstance(note, dict):
             notes.append({key: str(value) for key, value in note.items()})
     measured = [note for note in notes if "problem" not in note and Path(note.get("executable", "")).is_file()]
-    newest = max(measured, key=lambda note: _version(note.get("python", "")), default=None)
+    newest = max(measured, key=lambda note: _parse_version(note.get("python", "")), default=None)
     problems = [
         f"{note.get('executable') or 'a Python'} ({note.get('python')}) cannot be measured, neither with a coverage.py "
         f"of its own nor with ours: {shorten(one_line(note['problem']))}; install it there (pip install coverage)"
@@ -240,7 +242,7 @@ def measurement(folder: Path) -> Measurement:
             measured_names([path])
             files.append(path)
         except InputError:
-            problems.append(LOST)
+            problems.append(LOST_PROCESS)
     return Measurement(tuple(files), newest["executable"] if newest else None, tuple(problems))
 
 
@@ -252,13 +254,13 @@ class _Unittest:
         self._failed = self._skipped = 0
 
     def line(self, text: str) -> None:
-        if found := _RAN.match(text):
+        if found := _RAN_LINE.match(text):
             self._ran = (self._ran or 0) + int(found[1])
         elif self._ran is not None:
-            if found := _SKIPPED.match(text):
+            if found := _SKIPPED_COUNT.match(text):
                 self._skipped += int(found[1])
-            if found := _FAILED.match(text):
-                self._failed += sum(map(int, _COUNT.findall(found[1])))
+            if found := _FAILED_LINE.match(text):
+                self._failed += sum(map(int, _FAILURE_COUNT.findall(found[1])))
 
     def tally(self) -> Tally | None:
         if self._ran is None:
@@ -272,7 +274,7 @@ def _with_multiprocessing(concurrency: object) -> list[str]:
     return list(dict.fromkeys([*(chosen or ["thread"]), "multiprocessing"]))
 
 
-def _version(text: str) -> tuple[int, ...]:
+def _parse_version(text: str) -> tuple[int, ...]:
     return tuple(map(int, re.findall(r"[0-9]{1,6}", text)[:3]))
 
 

@@ -14,7 +14,7 @@ from calibration.addons.coverage.command import parse_command
 from calibration.addons.coverage.commit import find_commit
 from calibration.addons.coverage.injection import plain, team_settings
 from calibration.addons.coverage.reading import Found, read_reports
-from calibration.addons.coverage.report import LCOV, report, what_is_left_out
+from calibration.addons.coverage.report import LCOV_FILE, report, what_is_left_out
 from calibration.addons.coverage.results import Change, Limit, Results, State, Uploaded
 from calibration.addons.coverage.sources import Sources, find_sources
 from calibration.addons.coverage.tests import Tests, measured_environment, measurement, run_tests
@@ -34,7 +34,7 @@ from calibration.ci.workflow import Runner, set_outputs
 
 FOR_SERVICE = ("project_token", "api_token", "partial", "final", "dry_run")
 """Inputs that have an effect only with a service."""
-CLOCK = 2.0
+CLOCK_TOLERANCE = 2.0
 """Tolerance for file times, in seconds."""
 
 
@@ -104,19 +104,19 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
     """
     if settings.output is not None:
         uploads = [file.name for file in settings.output.glob("upload-*.json")]
-        remove_results(settings.output, (*FILES, LCOV, "tests.xml", "tests.log", *uploads))
-    _check(settings)
+        remove_results(settings.output, (*FILES, LCOV_FILE, "tests.xml", "tests.log", *uploads))
+    _check_settings(settings)
     settings = replace(settings, service=settings.service or "none")
     repository = Repository.around(settings.directory)
     event = event_of(os.environ)
     commit, source = find_commit(settings.commit, event, repository)
     runner.log(f"commit {commit} ({source})")
-    service, skipped = _service(settings, event)
+    service, skipped = _find_service(settings, event)
     if settings.run is None and not settings.reports:
         return _only_final(settings, commit, service, skipped, runner)
     with temporary_folder(prefix="calibration-coverage-") as folder:
         results = _measure_and_judge(settings, repository, event, commit, folder, runner)
-    results = replace(results, upload=_upload(results, settings, service, skipped, runner))
+    results = replace(results, upload=_upload_coverage(results, settings, service, skipped, runner))
     if settings.badge is not None:
         write_atomically(settings.badge, badge(results.lines, results.goal))
     found = report(results, settings.directory, settings.badge)
@@ -124,7 +124,7 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
     return found.exit_code
 
 
-def _check(settings: Settings) -> None:
+def _check_settings(settings: Settings) -> None:
     if settings.partial and settings.final:
         raise InputError("partial and final are both given: partial announces more uploads, final is the last one")
     if settings.run is None and not settings.reports and not settings.final:
@@ -137,7 +137,7 @@ def _check(settings: Settings) -> None:
         raise InputError(f"{name} is given without a service: add service: codacy (or none, to upload nothing)")
 
 
-def _service(settings: Settings, event: Event) -> tuple[Codacy | None, str]:
+def _find_service(settings: Settings, event: Event) -> tuple[Codacy | None, str]:
     """Return the client of the service, or None and the reason.
 
     Raises:
@@ -168,17 +168,17 @@ def _measure_and_judge(
     """Run the tests if a command is given, and judge their coverage."""
     sources = find_sources(repository, settings.directory, map(Path, settings.source), settings.exclude)
     options = team_settings(settings.directory)
-    base, no_change = _base(settings, repository, event)
+    base, no_change = _find_base(settings, repository, event)
     tests: Tests | None = None
     files: list[Path] = []
     executable = None
     begin = time.time()
     if settings.run is not None:
-        tests, files, executable = _run(settings, sources, options, folder, runner)
+        tests, files, executable = _run_tests(settings, sources, options, folder, runner)
     failed = tests is not None and tests.problem is not None
     try:
         if settings.reports:
-            files = _reports(settings, None if tests is None else begin)
+            files = _find_reports(settings, None if tests is None else begin)
         found = read_reports(files, sources, options, folder / "reading", executable)
     except InputError as error:
         if not failed:
@@ -206,7 +206,7 @@ def _measure_and_judge(
     return replace(results, limits=tuple(limits))
 
 
-def _base(settings: Settings, repository: Repository, event: Event) -> tuple[str | None, str]:
+def _find_base(settings: Settings, repository: Repository, event: Event) -> tuple[str | None, str]:
     """Return the merge base of the change; or None and the reason.
 
     Raises:
@@ -220,7 +220,7 @@ def _base(settings: Settings, repository: Repository, event: Event) -> tuple[str
         return None, str(error)
 
 
-def _reports(settings: Settings, begin: float | None) -> list[Path]:
+def _find_reports(settings: Settings, begin: float | None) -> list[Path]:
     """Return the report files.
 
     Raises:
@@ -228,12 +228,12 @@ def _reports(settings: Settings, begin: float | None) -> list[Path]:
     """
     files = [Path(file) for file in matching([str(settings.directory / name) for name in settings.reports])]
     for file in files:
-        if begin is not None and file.exists() and file.stat().st_mtime < begin - CLOCK:
+        if begin is not None and file.exists() and file.stat().st_mtime < begin - CLOCK_TOLERANCE:
             raise InputError(f"{file}: it is older than this run of the tests, which should have written it (reports)")
     return files
 
 
-def _run(
+def _run_tests(
     settings: Settings, sources: Sources, options: Mapping[str, Any], folder: Path, runner: Runner
 ) -> tuple[Tests, list[Path], str | None]:
     """Run the tests; return their outcome, the measured data files, and the Python that measured."""
@@ -266,13 +266,15 @@ def _only_final(settings: Settings, commit: str, service: Codacy | None, skipped
     state: State = "none" if settings.service == "none" else "skipped"
     if service is not None:
         requests = service.requests(Upload(commit, {}, final=True))
-        state = _send(service, requests, settings, runner)
+        state = _send_requests(service, requests, settings, runner)
     set_outputs(runner, {"uploaded": state, "commit": commit})
     runner.log(f"{state}{f': {skipped}' if skipped else ''}: no more uploads for {commit}")
     return ExitCode.PASS
 
 
-def _upload(results: Results, settings: Settings, service: Codacy | None, skipped: str, runner: Runner) -> Uploaded:
+def _upload_coverage(
+    results: Results, settings: Settings, service: Codacy | None, skipped: str, runner: Runner
+) -> Uploaded:
     """Upload the coverage, and return the outcome."""
     name = settings.service or "none"
     if service is None:
@@ -281,12 +283,12 @@ def _upload(results: Results, settings: Settings, service: Codacy | None, skippe
         return Uploaded(name, "skipped", "nothing was measured")
     upload = Upload(results.commit, results.files, settings.partial, settings.final)
     try:
-        return Uploaded(name, _send(service, service.requests(upload), settings, runner))
+        return Uploaded(name, _send_requests(service, service.requests(upload), settings, runner))
     except InfrastructureError as error:
         return Uploaded(name, "failed", str(error))
 
 
-def _send(service: Codacy, requests: Sequence[Request], settings: Settings, runner: Runner) -> State:
+def _send_requests(service: Codacy, requests: Sequence[Request], settings: Settings, runner: Runner) -> State:
     """Send the requests, or only log them in a dry run.
 
     Raises:

@@ -17,7 +17,7 @@ from calibration.robot.simulation.random_streams import stream
 from calibration.robot.simulation.robot import Joint, compose
 from calibration.robot.simulation.system import System
 
-_STARTS = 64
+_SEARCHES = 64
 """Number of searches for joint positions: the nearest solution of an arm is nearly always found."""
 
 
@@ -37,8 +37,8 @@ def find_handle(system: System) -> Handle | None:
     """Return the moved pattern; else the first pattern or sensor that joints move; None if nothing moves."""
     moved = system.moved_pattern
     if moved is not None:
-        return Handle(moved.link, _middle(system, moved.name), moves_pattern=True)
-    frames = {pattern.link: _middle(system, name) for name, pattern in system.patterns.items()}
+        return Handle(moved.link, _middle_of_pattern(system, moved.name), moves_pattern=True)
+    frames = {pattern.link: _middle_of_pattern(system, name) for name, pattern in system.patterns.items()}
     frames |= {sensor.link: np.eye(4) for sensor in system.configuration.sensors.values()}
     for frame, T_frame_handle in frames.items():
         if joints_between(system.robot, system.configuration.world_link, frame):
@@ -66,7 +66,7 @@ def drag(system: System, handle: Handle, pose: Motion, T_world_handle: Array) ->
         return replace(pose, positions=moved.positions, orientations=moved.orientations)
     world = system.configuration.world_link
     joints = joints_between(system.robot, world, handle.frame)
-    targets = np.broadcast_to(T_world_frame, (_STARTS, 4, 4))
+    targets = np.broadcast_to(T_world_frame, (_SEARCHES, 4, 4))
     positions, reached = reach(system.robot, world, handle.frame, targets, stream(1, "handle"))
     if not reached.any():
         return None
@@ -77,7 +77,7 @@ def drag(system: System, handle: Handle, pose: Motion, T_world_handle: Array) ->
     return replace(pose, joints={**pose.joints, **{name: values[[nearest]] for name, values in found.items()}})
 
 
-def _middle(system: System, pattern: str) -> Array:
+def _middle_of_pattern(system: System, pattern: str) -> Array:
     """``T_pattern_handle``."""
     x, y = system.patterns[pattern].outline.mean(axis=0)
     return translation(np.array([x, y, 0.0]))

@@ -75,14 +75,14 @@ def sequence(verdicts: Sequence[bool | None], pictures: Sequence[Image | None], 
     shown = range(first, min(first + _MOST_THUMBNAILS, len(verdicts)))
     if len(shown) < len(verdicts):
         title += f" (here {shown[0] + 1} to {shown[-1] + 1})"
-    cells = "".join(_thumbnail(i + 1, verdicts[i], pictures[i], i == selected) for i in shown)
+    cells = "".join(_thumbnail_html(i + 1, verdicts[i], pictures[i], i == selected) for i in shown)
     return (
         f'<div style="margin:0 1em"><div id="count"><b>{title}</b></div>'
         f'<div style="display:flex;flex-wrap:wrap;gap:4px;margin-top:4px">{cells}</div></div>'
     )
 
 
-def _thumbnail(number: int, kept: bool | None, picture: Image | None, is_selected: bool) -> str:
+def _thumbnail_html(number: int, kept: bool | None, picture: Image | None, is_selected: bool) -> str:
     colour = GREY if kept is None else GREEN if kept else RED
     word = "not looked at yet" if kept is None else "kept" if kept else "lost"
     image = "" if picture is None else f'<img alt="" src="{_data_url(picture)}" style="width:100%;display:block">'
@@ -109,7 +109,7 @@ def rating(sigmas: Mapping[str, tuple[float, float]], problem: str) -> str:
     if not sigmas:
         return '<div id="rating" style="margin:0 1em;opacity:0.7">Save poses to see what they determine.</div>'
     rows = "".join(
-        f'<tr><td style="padding-right:1em">{escape(sensor)}</td><td>{_uncertainty(*sigma)}</td></tr>'
+        f'<tr><td style="padding-right:1em">{escape(sensor)}</td><td>{_uncertainty_html(*sigma)}</td></tr>'
         for sensor, sigma in sigmas.items()
     )
     return (
@@ -118,7 +118,7 @@ def rating(sigmas: Mapping[str, tuple[float, float]], problem: str) -> str:
     )
 
 
-def _uncertainty(translation: float, rotation: float) -> str:
+def _uncertainty_html(translation: float, rotation: float) -> str:
     if not (math.isfinite(translation) and math.isfinite(rotation)):
         return f'<span style="color:{RED}">not determined</span>'
     if translation == rotation == 0:

@@ -23,7 +23,7 @@ class Newest(Generic[Item]):
         self._waiting: list[Item] = []  # one at most
         self._awake = True
         self._closed = False
-        self._thread = threading.Thread(target=self._run, name=f"newest {work.__name__}", daemon=True)
+        self._thread = threading.Thread(target=self._run_until_closed, name=f"newest {work.__name__}", daemon=True)
         self._thread.start()
 
     def ask(self, item: Item) -> None:
@@ -46,7 +46,7 @@ class Newest(Generic[Item]):
         if threading.current_thread() is not self._thread:
             self._thread.join()
 
-    def _run(self) -> None:
+    def _run_until_closed(self) -> None:
         while True:
             with self._condition:
                 self._condition.wait_for(lambda: self._waiting or self._awake or self._closed)

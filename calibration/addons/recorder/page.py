@@ -21,7 +21,7 @@ from calibration.addons.recorder import markup
 from calibration.addons.recorder.newest import Newest
 from calibration.addons.recorder.panels import PosePanel, SequencePanel, ViewsPanel
 from calibration.addons.recorder.preview import Preview
-from calibration.addons.recorder.scene import KEPT, LOST, UNKNOWN, RobotScene, view_point
+from calibration.addons.recorder.scene import KEPT_COLOUR, LOST_COLOUR, UNKNOWN_COLOUR, RobotScene, view_point
 from calibration.addons.recorder.session import Session, joined
 from calibration.base.arrays import Array
 from calibration.base.errors import CalibrationError, InputError
@@ -31,7 +31,7 @@ from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.motion.sequence import Motion, read_motion
 from calibration.robot.simulation.placement import place
 
-PAUSE = 1.0
+PLAY_PAUSE = 1.0
 """Pause between two poses of a sequence that is played, s."""
 
 FIELD_OF_VIEW = math.radians(60)
@@ -81,9 +81,9 @@ class Page:
             server.initial_camera.position, server.initial_camera.look_at = position, look_at
             server.initial_camera.fov = FIELD_OF_VIEW
             self._looking = Newest(self._look_at, spare=self._look_at_others)
-            self._following = Newest(self._follow)
-            self._connect()
-            self._refresh()
+            self._following = Newest(self._follow_handle)
+            self._connect_controls()
+            self._refresh_page()
 
     def close(self) -> None:
         """Stop the background threads, and wait for them."""
@@ -95,7 +95,7 @@ class Page:
 
     # User actions
 
-    def _connect(self) -> None:
+    def _connect_controls(self) -> None:
         panel, session = self._sequence, self._session
         for button, action in (
             (panel.save, session.save),
@@ -105,28 +105,28 @@ class Page:
             (panel.later, lambda: session.shift_selected(1)),
             (panel.undo, session.undo),
         ):
-            button.on_click(self._doing(action))
-        panel.choice.on_update(self._choose)
-        panel.play.on_click(lambda _: self._play())
-        panel.export.on_click(lambda _: self._export())
-        panel.download.on_click(self._download)
-        panel.upload.on_upload(lambda _: self._upload())
+            button.on_click(self._callback_of(action))
+        panel.choice.on_update(self._choose_pose)
+        panel.play.on_click(lambda _: self._play_sequence())
+        panel.export.on_click(lambda _: self._export_sequence())
+        panel.download.on_click(self._download_sequence)
+        panel.upload.on_upload(lambda _: self._load_upload())
         panel.show_saved.on_update(lambda _: self._show_extras())
         panel.show_frames.on_update(lambda _: self._show_extras())
         if self._scene.gizmo is not None:
             self._scene.gizmo.on_update(self._grip)
 
-    def _doing(self, action: Callable[[], None]) -> Callable[[object], None]:
+    def _callback_of(self, action: Callable[[], None]) -> Callable[[object], None]:
         """Return a callback that changes the session and refreshes the page."""
 
         def do(_event: object) -> None:
-            with self._changing():
+            with self._hold_for_change():
                 action()
 
         return do
 
     @contextmanager
-    def _changing(self) -> Iterator[None]:
+    def _hold_for_change(self) -> Iterator[None]:
         """Hold the lock for a change, then show the new state or the error."""
         with self._lock:
             self._sequence.say("")
@@ -135,14 +135,14 @@ class Page:
                 yield
             except CalibrationError as error:
                 self._sequence.say(str(error), bad=True)
-            self._refresh()
+            self._refresh_page()
 
     def _edit_model(self, T_parent_model: Array) -> None:
-        with self._changing():
+        with self._hold_for_change():
             self._session.move_model(T_parent_model)
 
     def _edit_joint(self, name: str, position: float) -> None:
-        with self._changing():
+        with self._hold_for_change():
             self._session.move_joints({name: position})
 
     async def _grip(self, event: viser.TransformControlsEvent) -> None:
@@ -151,22 +151,22 @@ class Page:
         handle = event.target
         self._following.ask(from_quaternion(handle.position, np.roll(handle.wxyz, -1)))
 
-    def _follow(self, T_world_handle: Array) -> None:
-        with self._changing():
+    def _follow_handle(self, T_world_handle: Array) -> None:
+        with self._hold_for_change():
             if not self._session.drag(T_world_handle):
                 self._sequence.say("No joint positions bring the handle there.", bad=True)
 
-    def _choose(self, event: viser.GuiEvent[Any]) -> None:
+    def _choose_pose(self, event: viser.GuiEvent[Any]) -> None:
         if event.client_id is None:  # event caused by the page itself
             return
         with self._lock:
             poses, chosen = self._session.poses, self._sequence.chosen()
             if not poses or (chosen == self._session.selected and self._session.pose is poses[chosen]):
                 return  # echo of a value that the page has set
-            with self._changing():
+            with self._hold_for_change():
                 self._session.select(chosen)
 
-    def _play(self) -> None:
+    def _play_sequence(self) -> None:
         """Step through the poses; a second call stops."""
         with self._lock:
             if self._stop_playing is not None:
@@ -174,18 +174,18 @@ class Page:
                 return
             self._stop_playing = stop = threading.Event()
         for index in range(len(self._session.poses)):
-            with self._changing():
+            with self._hold_for_change():
                 if stop.is_set() or index >= len(self._session.poses):
                     break
                 self._session.select(index)
-            stop.wait(PAUSE)
-        with self._changing():
+            stop.wait(PLAY_PAUSE)
+        with self._hold_for_change():
             self._stop_playing = None
 
-    def _export(self) -> None:
+    def _export_sequence(self) -> None:
         with self._lock:
             sure = self._replacing
-            with self._changing():
+            with self._hold_for_change():
                 path = beside(self._output, self._sequence.file.value)
                 if not self._session.poses or sure == path or self._session.may_write(path):
                     self._session.export(path, replace_file=sure == path)
@@ -198,23 +198,23 @@ class Page:
                     question = f"{path.name} exists already. Click again to replace it, or give another name."
                     self._sequence.say(question, bad=True)
 
-    def _download(self, event: viser.GuiEvent[Any]) -> None:
-        with self._changing():
+    def _download_sequence(self, event: viser.GuiEvent[Any]) -> None:
+        with self._hold_for_change():
             content = self._session.text().encode()
             if event.client is not None:
                 event.client.send_file_download(
                     beside(self._output, self._sequence.file.value).name, content, save_immediately=True
                 )
 
-    def _upload(self) -> None:
-        with self._changing():
+    def _load_upload(self) -> None:
+        with self._hold_for_change():
             uploaded = self._sequence.upload.value
             self._session.load(parsed(uploaded.name, uploaded.content))
             self._sequence.say(f"{markup.poses(len(self._session.poses))} loaded from {uploaded.name}")
 
     # Display; the lock is held
 
-    def _refresh(self) -> None:
+    def _refresh_page(self) -> None:
         """Show the current state of the session, and request a preview."""
         session = self._session
         with self._server.atomic():
@@ -234,8 +234,8 @@ class Page:
         if content == self._shown:
             return
         self._shown = content
-        self._sequence.show_poses(session, verdicts, [self._picture(pose) for pose in session.poses])
-        colours = {None: UNKNOWN, True: KEPT, False: LOST}
+        self._sequence.show_poses(session, verdicts, [self._picture_of_pose(pose) for pose in session.poses])
+        colours = {None: UNKNOWN_COLOUR, True: KEPT_COLOUR, False: LOST_COLOUR}
         self._scene.show_saved(
             [
                 (outline, colours[kept])
@@ -248,7 +248,7 @@ class Page:
     def _show_extras(self) -> None:
         self._scene.show_extras(frames=self._sequence.show_frames.value, saved=self._sequence.show_saved.value)
 
-    def _picture(self, pose: Motion) -> Image | None:
+    def _picture_of_pose(self, pose: Motion) -> Image | None:
         """Return the first camera's picture at a saved pose, if it is known."""
         seen = self._seen.get(pose)
         views = seen.views.values() if seen else ()
@@ -258,7 +258,7 @@ class Page:
 
     def _look_at(self, pose: Motion) -> None:
         """Compute and show the preview of the current pose."""
-        seen = self._seen.get(pose) or self._looked(pose)
+        seen = self._seen.get(pose) or self._preview_of_pose(pose)
         with self._lock:
             if pose is not self._session.pose:
                 return  # a newer request is already waiting
@@ -269,7 +269,7 @@ class Page:
                     self._seen[pose] = seen
                     self._show_sequence()
 
-    def _looked(self, pose: Motion) -> Preview:
+    def _preview_of_pose(self, pose: Motion) -> Preview:
         """Return the preview of a pose. A bug is reported, so that the thread and unsaved work survive."""
         try:
             return self._look(pose)
@@ -285,18 +285,18 @@ class Page:
             if pose is None and poses is self._rated:
                 return False
         if pose is not None:
-            seen = self._looked(pose)
+            seen = self._preview_of_pose(pose)
             with self._lock, self._server.atomic():
                 self._seen[pose] = seen
                 self._show_sequence()
             return True
-        sigmas, problem = self._rating(poses)
+        sigmas, problem = self._rate_sequence(poses)
         with self._lock:
             self._rated = poses
             self._sequence.rate(sigmas, problem)
         return True
 
-    def _rating(self, poses: tuple[Motion, ...]) -> tuple[Mapping[str, tuple[float, float]], str]:
+    def _rate_sequence(self, poses: tuple[Motion, ...]) -> tuple[Mapping[str, tuple[float, float]], str]:
         """Return the standard deviations from the poses, or the reason why they are undetermined."""
         try:
             return (self._rate(joined(poses)) if poses else {}), ""

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 
 from calibration.addons.recorder import markup
-from calibration.addons.recorder.preview import WIDTH, Preview
+from calibration.addons.recorder.preview import MAX_PICTURE_WIDTH, Preview
 from calibration.addons.recorder.session import Session
 from calibration.base.arrays import Array
 from calibration.engine.geometry import rotations
@@ -19,7 +19,7 @@ from calibration.robot.simulation.robot import Joint
 from calibration.robot.simulation.system import System
 
 _PANEL_WIDTH = 340  # px
-_SAME = 1e-6  # m, rad: smaller changes do not rewrite an input, so that typing is not disturbed
+_MAX_EQUAL_DIFFERENCE = 1e-6  # m, rad: smaller changes do not rewrite an input, so that typing is not disturbed
 _SHOWN_M, _SHOWN_RAD = 1e-4, 3e-4  # resolution of the inputs of a pose, and of three angles together
 
 
@@ -36,7 +36,7 @@ class ViewsPanel:
             for name, sensor in system.sensors.items():
                 self._findings[name] = gui.add_html(markup.finding(name, None))
                 if sensor.intrinsics:
-                    self._pictures[name] = gui.add_image(_blank(sensor.intrinsics), jpeg_quality=85)
+                    self._pictures[name] = gui.add_image(_blank_picture(sensor.intrinsics), jpeg_quality=85)
         self._blanks = {name: handle.image for name, handle in self._pictures.items()}
         panel.dock_left()
         panel.set_width(_PANEL_WIDTH)
@@ -56,8 +56,8 @@ class ViewsPanel:
             picture.image = self._blanks[name] if view is None or view.picture is None else view.picture
 
 
-def _blank(camera: Camera) -> Image:
-    scale = min(1.0, WIDTH / camera.width)
+def _blank_picture(camera: Camera) -> Image:
+    scale = min(1.0, MAX_PICTURE_WIDTH / camera.width)
     return np.full((max(1, round(camera.height * scale)), max(1, round(camera.width * scale)), 3), 222, np.uint8)
 
 
@@ -91,7 +91,7 @@ class PosePanel:
             position.on_update(edited)
             turn.on_update(edited)
         for name, joint in system.robot.movable.items():
-            self._joints[name] = (joint, self._slider(gui, joint, edit_joint))
+            self._joints[name] = (joint, self._add_slider(gui, joint, edit_joint))
 
     def show(self, session: Session) -> None:
         """Show the pose of a session."""
@@ -99,14 +99,14 @@ class PosePanel:
         if self._model is not None and model_poses is not None:
             position, turn = self._model
             T = self._T_parent_model = model_poses[0]
-            if np.abs(T[:3, 3] - position.value).max() > _SAME:
-                _set(position, tuple(np.round(T[:3, 3], 6).tolist()))
-            if rotations.angle(self._shown_model()[:3, :3].T @ T[:3, :3]) > 10 * _SAME:
-                _set(turn, tuple(np.round(np.degrees(rotations.to_rpy(T[:3, :3])), 4).tolist()))
+            if np.abs(T[:3, 3] - position.value).max() > _MAX_EQUAL_DIFFERENCE:
+                _set_value(position, tuple(np.round(T[:3, 3], 6).tolist()))
+            if rotations.angle(self._shown_model()[:3, :3].T @ T[:3, :3]) > 10 * _MAX_EQUAL_DIFFERENCE:
+                _set_value(turn, tuple(np.round(np.degrees(rotations.to_rpy(T[:3, :3])), 4).tolist()))
         for name, (joint, slider) in self._joints.items():
-            value = float(session.pose.joints[name][0]) * _unit(joint)[1]
-            if abs(value - slider.value) > _SAME:
-                _set(slider, round(min(max(value, slider.min), slider.max), 4))
+            value = float(session.pose.joints[name][0]) * _display_unit(joint)[1]
+            if abs(value - slider.value) > _MAX_EQUAL_DIFFERENCE:
+                _set_value(slider, round(min(max(value, slider.min), slider.max), 4))
 
     def _is_shown(self, T_parent_model: Array) -> bool:
         """Return whether the inputs show this pose within their resolution: a browser returns rounded values."""
@@ -120,10 +120,10 @@ class PosePanel:
         position, turn = self._model
         return from_xyz_rpy(position.value, np.radians(turn.value))
 
-    def _slider(
+    def _add_slider(
         self, gui: viser.GuiApi, joint: Joint, edit_joint: Callable[[str, float], None]
     ) -> viser.GuiSliderHandle[float]:
-        unit, scale = _unit(joint)
+        unit, scale = _display_unit(joint)
         low, high = max(joint.lower, -2 * math.pi) * scale, min(joint.upper, 2 * math.pi) * scale
         step = 0.001 if joint.kind == "prismatic" else 0.1
         # A joint with equal limits gets a non-empty range on the page; the session keeps its position.
@@ -137,11 +137,11 @@ class PosePanel:
         return slider
 
 
-def _set(handle: viser.GuiInputHandle[Any], value: Any) -> None:
+def _set_value(handle: viser.GuiInputHandle[Any], value: Any) -> None:
     handle.value = value  # type: ignore[misc]  # its setter does not follow its getter, so mypy does not see it
 
 
-def _unit(joint: Joint) -> tuple[str, float]:
+def _display_unit(joint: Joint) -> tuple[str, float]:
     """Return the display unit of positions, and its number per metre or radian."""
     return ("m", 1.0) if joint.kind == "prismatic" else ("deg", 180 / math.pi)
 
@@ -196,7 +196,7 @@ class SequencePanel:
         words = {None: "", True: " · kept", False: " · lost"}
         options = tuple(f"{number} of {len(verdicts)}{words[kept]}" for number, kept in enumerate(verdicts, 1))
         self.choice.options = options or ("none",)
-        _set(self.choice, self.choice.options[session.selected or 0])
+        _set_value(self.choice, self.choice.options[session.selected or 0])
 
     def show_state(self, session: Session, playing: bool, replacing: str | None) -> None:
         """Enable the actions that are possible in the current state.

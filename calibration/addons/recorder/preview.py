@@ -20,11 +20,11 @@ from calibration.robot.simulation.placement import play
 from calibration.robot.simulation.sensors.sensor import Found
 from calibration.robot.simulation.system import System
 
-SEED = 1
+PREVIEW_SEED = 1
 """Seed of the noise in previews, the default of ``collect-data-sim``."""
-WIDTH = 640
+MAX_PICTURE_WIDTH = 640
 """Maximum width of pictures, px."""
-_FOUND, _FIRST = (0, 230, 60), (255, 40, 40)  # RGB: the corners, and the one with id 0
+_COLOUR_OF_CORNERS, _COLOUR_OF_FIRST_CORNER = (0, 230, 60), (255, 40, 40)  # RGB: the corners, and the one with id 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,17 +60,17 @@ class Preview:
 def preview(system: System, pose: Motion) -> Preview:
     """Return the preview of a pose (a motion of length one), by the code that collects datasets."""
     try:
-        captured = capture(play(system, pose, SEED), 0)
+        captured = capture(play(system, pose, PREVIEW_SEED), 0)
     except InputError as error:
         return Preview({}, (str(error).removeprefix(f"{pose.source}: "),))
-    views = {name: _view(system, captured, name) for name in system.sensors}
+    views = {name: _view_of_sensor(system, captured, name) for name in system.sensors}
     return Preview(views, reasons_to_lose(system, captured, Requirements()))
 
 
-def _view(system: System, captured: Capture, name: str) -> View:
+def _view_of_sensor(system: System, captured: Capture, name: str) -> View:
     found, data = captured.found_by(name), captured.data[name]
     finding = "; ".join(
-        (f"{pattern}: " if len(found) > 1 else "") + _words(answer, len(system.patterns[pattern].corners))
+        (f"{pattern}: " if len(found) > 1 else "") + _describe_found(answer, len(system.patterns[pattern].corners))
         for pattern, answer in found.items()
     )
     detected = not all(isinstance(answer, NotDetected) for answer in found.values())
@@ -87,7 +87,7 @@ def _view(system: System, captured: Capture, name: str) -> View:
     return View(finding, detected, draw_depth(data, labelled))
 
 
-def _words(found: Found, corners: int) -> str:
+def _describe_found(found: Found, corners: int) -> str:
     match found:
         case NotDetected():
             return found.reason
@@ -102,7 +102,7 @@ def draw_corners(image: Image, labels: list[CornerLabels]) -> Image:
 
     The ring of the corner with id 0 is red, to show the detected orientation of the pattern.
     """
-    scale = min(1.0, WIDTH / image.shape[1])
+    scale = min(1.0, MAX_PICTURE_WIDTH / image.shape[1])
     picture = _at_most_wide(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8))
     for label in labels:
         pixels = (label.pixels + 0.5) * scale - 0.5
@@ -110,7 +110,7 @@ def draw_corners(image: Image, labels: list[CornerLabels]) -> Image:
         radius = min(max(0.2 * math.sqrt(width * height / len(pixels)), 1.5), 5.0)  # so that rings do not overlap
         for identifier, (x, y) in zip(label.ids.tolist(), pixels.tolist(), strict=True):
             centre = (round(16 * x), round(16 * y))  # fixed-point coordinates, in sixteenths of a pixel
-            colour = _FOUND if identifier else _FIRST
+            colour = _COLOUR_OF_CORNERS if identifier else _COLOUR_OF_FIRST_CORNER
             cv2.circle(picture, centre, round(16 * radius), colour, 2 if radius > 3 else 1, cv2.LINE_AA, shift=4)
     return picture
 
@@ -129,13 +129,13 @@ def draw_depth(depth: NDArray[np.uint16], labelled: list[IntArray]) -> Image:
     picture = np.array(cv2.cvtColor(warm, cv2.COLOR_BGR2RGB), np.uint8)
     picture[~returns] = 0
     for indices in labelled:
-        picture.reshape(-1, 3)[indices] = _FOUND
+        picture.reshape(-1, 3)[indices] = _COLOUR_OF_CORNERS
     return _at_most_wide(picture)
 
 
 def _at_most_wide(picture: Image) -> Image:
     height, width = picture.shape[:2]
-    if width <= WIDTH:
+    if width <= MAX_PICTURE_WIDTH:
         return picture
-    size = (WIDTH, max(1, round(height * WIDTH / width)))
+    size = (MAX_PICTURE_WIDTH, max(1, round(height * MAX_PICTURE_WIDTH / width)))
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)

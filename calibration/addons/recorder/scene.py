@@ -21,12 +21,12 @@ from calibration.robot.simulation.rendering.texture import PAPER_REFLECTANCE, te
 from calibration.robot.simulation.robot import compose
 from calibration.robot.simulation.system import System
 
-KEPT, LOST, UNKNOWN = (47, 158, 68), (224, 49, 49), (134, 142, 150)
+KEPT_COLOUR, LOST_COLOUR, UNKNOWN_COLOUR = (47, 158, 68), (224, 49, 49), (134, 142, 150)
 """Colours of a verdict: green, red, and grey while unknown."""
-_ROBOT, _SENSOR, _LIDAR = (92, 102, 116), (28, 100, 210), (120, 70, 200)
-_POINTS, _LABELLED = (150, 158, 170), (255, 120, 0)
-_TEXELS = 32  # side length of the square on the screen
-_THICKNESS = 0.004  # m: thickness of the board behind the print
+_ROBOT_COLOUR, _SENSOR_COLOUR, _LIDAR_COLOUR = (92, 102, 116), (28, 100, 210), (120, 70, 200)
+_POINT_COLOUR, _LABELLED_COLOUR = (150, 158, 170), (255, 120, 0)
+_MAX_TEXELS = 32  # side length of the square on the screen
+_BOARD_THICKNESS = 0.004  # m: thickness of the board behind the print
 
 
 class RobotScene:
@@ -46,7 +46,7 @@ class RobotScene:
         """Radius of the objects, m."""
         self._add_surroundings()
         self._robot = scene.add_line_segments(
-            "/robot/links", np.zeros((max(len(self._bones), 1), 2, 3)), _ROBOT, thickness=0.012 * self.size
+            "/robot/links", np.zeros((max(len(self._bones), 1), 2, 3)), _ROBOT_COLOUR, thickness=0.012 * self.size
         )
         self._frames = scene.add_batched_axes(
             "/robot/frames",
@@ -79,25 +79,25 @@ class RobotScene:
         self._frames.batched_wxyzs = wxyz(poses).astype(np.float32)
         self._frames.batched_positions = poses[:, :3, 3].astype(np.float32)
         for sensor, things in (*self._frusta.items(), *self._lidars.items()):
-            _place(things, placement.sensors[sensor][0])
+            _place_node(things, placement.sensors[sensor][0])
         for pattern, board in self._boards.items():
-            _place(board, placement.patterns[pattern][0])
+            _place_node(board, placement.patterns[pattern][0])
         if self.gizmo is not None and T_world_handle is not None:
-            _place(self.gizmo, T_world_handle)
+            _place_node(self.gizmo, T_world_handle)
 
     def show_views(self, views: Mapping[str, View]) -> None:
         """Show the sensors' previews: pictures in the cameras' frustums, points around the LiDARs."""
         for sensor, frustum in self._frusta.items():
             view = views.get(sensor)
             frustum.image = None if view is None else view.picture
-            frustum.color = UNKNOWN if view is None else KEPT if view.detected else LOST
+            frustum.color = UNKNOWN_COLOUR if view is None else KEPT_COLOUR if view.detected else LOST_COLOUR
         for sensor in self._lidars:
             view = views.get(sensor)
             if view is None or view.points is None or view.on_pattern is None:
                 continue
-            colours = np.where(view.on_pattern[:, None], _LABELLED, _POINTS).astype(np.uint8)
+            colours = np.where(view.on_pattern[:, None], _LABELLED_COLOUR, _POINT_COLOUR).astype(np.uint8)
             self._scene.add_point_cloud(
-                f"{_name(sensor)}/points",
+                f"{_node_name(sensor)}/points",
                 view.points,
                 colours,
                 point_size=0.009 * self.size,
@@ -150,22 +150,24 @@ class RobotScene:
                 side="double",
                 cast_shadow=False,
             )
-            _place(thing, box.T_world_box)
+            _place_node(thing, box.T_world_box)
 
     def _add_frustum(self, sensor: str, camera: Camera) -> viser.CameraFrustumHandle:
         return self._scene.add_camera_frustum(
-            _name(sensor),
+            _node_name(sensor),
             fov=2 * math.atan(camera.height / 2 / camera.fy),
             aspect=camera.width / camera.height,
             scale=0.12 * self.size,
             thickness=0.004 * self.size,
-            color=_SENSOR,
+            color=_SENSOR_COLOUR,
             cast_shadow=False,
             receive_shadow=False,
         )
 
     def _add_lidar(self, sensor: str) -> viser.CylinderHandle:
-        return self._scene.add_cylinder(_name(sensor), radius=0.035 * self.size, height=0.05 * self.size, color=_LIDAR)
+        return self._scene.add_cylinder(
+            _node_name(sensor), radius=0.035 * self.size, height=0.05 * self.size, color=_LIDAR_COLOUR
+        )
 
     def _add_board(self, name: str) -> viser.FrameHandle:
         """Add a frame with the print and the board behind it."""
@@ -186,8 +188,8 @@ class RobotScene:
         self._scene.add_box(
             f"/patterns/{name}/board",
             color=(225, 225, 220),
-            dimensions=(width, height, _THICKNESS),
-            position=(x, y, 0.001 + _THICKNESS / 2),
+            dimensions=(width, height, _BOARD_THICKNESS),
+            position=(x, y, 0.001 + _BOARD_THICKNESS / 2),
         )
         return board
 
@@ -195,7 +197,7 @@ class RobotScene:
 def print_of(configuration: PatternConfiguration, legacy_layout: bool) -> Image:
     """Return the printed pattern with its border as a picture (H, W, 3)."""
     whole = texture(configuration, legacy_layout)
-    level = min(max(int(math.log2(max(whole.texels / _TEXELS, 1))), 0), len(whole.levels) - 1)
+    level = min(max(int(math.log2(max(whole.texels / _MAX_TEXELS, 1))), 0), len(whole.levels) - 1)
     x, y = whole.margin
     unit = whole.texels / 2**level
     width, height = (round(length * unit) for length in whole.size)
@@ -229,9 +231,9 @@ def extent(system: System, placement: Placement) -> float:
     return max(float(np.linalg.norm(points - points.mean(axis=0), axis=-1).max()), 0.2)
 
 
-def _name(sensor: str) -> str:
+def _node_name(sensor: str) -> str:
     return f"/sensors/{sensor}"
 
 
-def _place(thing: viser.SceneNodeHandle, T_world_thing: Array) -> None:
+def _place_node(thing: viser.SceneNodeHandle, T_world_thing: Array) -> None:
     thing.wxyz, thing.position = wxyz(T_world_thing), T_world_thing[:3, 3]

@@ -26,10 +26,10 @@ from websockets.http11 import Request, Response
 
 from calibration.base.errors import InfrastructureError, InputError
 
-LOOPBACK = "127.0.0.1"
-_LOOPBACK_NAMES = (LOOPBACK, "::1", "localhost")
+LOOPBACK_ADDRESS = "127.0.0.1"
+_LOOPBACK_NAMES = (LOOPBACK_ADDRESS, "::1", "localhost")
 _HTTP_PORT = 80  # not named in an address
-_ALL = ("0.0.0.0", "::", "")  # noqa: S104 (compared with, not bound to)
+_ALL_ADDRESSES = ("0.0.0.0", "::", "")  # noqa: S104 (compared with, not bound to)
 
 
 _Process = Callable[[ServerConnection, Request], Response | None]
@@ -42,7 +42,7 @@ class LocalServer(viser.ViserServer):
         self.token = secrets.token_urlsafe(16)
         self._is_guarded = False
         serve = websockets.asyncio.server.serve
-        websockets.asyncio.server.serve = functools.partial(self._serve, serve)  # type: ignore[assignment,misc]
+        websockets.asyncio.server.serve = functools.partial(self._serve_checked, serve)  # type: ignore[assignment,misc]
         try:  # viser, which has no option for it, calls it before it returns
             super().__init__(host=host, port=port, label="Motion recorder", verbose=False)
         finally:
@@ -51,7 +51,7 @@ class LocalServer(viser.ViserServer):
             self.stop()
             raise InfrastructureError(f"record-motion cannot guard viser {viser.__version__}; install viser 1.1.1")
 
-    def _serve(self, serve: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    def _serve_checked(self, serve: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
         """Call ``serve`` of websockets with a check of each request before viser's own."""
         process: _Process = options.pop("process_request")
 
@@ -105,9 +105,11 @@ def _is_served(name: str, host: str, port: int) -> bool:
         return False
     if found is None or found_port != port or parts.netloc != name or parts.username is not None:
         return False
-    if found == host.lower() or (host in _ALL and _is_number(found)):  # no other name: it could be another site's
+    if found == host.lower() or (
+        host in _ALL_ADDRESSES and _is_number(found)
+    ):  # no other name: it could be another site's
         return True
-    return found in _LOOPBACK_NAMES and (host in _ALL or is_loopback(host))
+    return found in _LOOPBACK_NAMES and (host in _ALL_ADDRESSES or is_loopback(host))
 
 
 def _is_number(host: str) -> bool:
@@ -142,8 +144,8 @@ def serving(host: str, port: int) -> Iterator[LocalServer]:
 def address(server: LocalServer) -> str:
     """URL of the page, with the token."""
     host = server.get_host()
-    if host in _ALL:
-        host = LOOPBACK
+    if host in _ALL_ADDRESSES:
+        host = LOOPBACK_ADDRESS
     return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}/{server.token}/"
 
 

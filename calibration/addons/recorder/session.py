@@ -25,7 +25,7 @@ from calibration.robot.simulation.placement import Placement, place
 from calibration.robot.simulation.robot import compose
 from calibration.robot.simulation.system import System
 
-_UNDONE = 100  # maximum number of undo steps
+_MAX_UNDO_STEPS = 100  # maximum number of undo steps
 
 
 class Session:
@@ -101,19 +101,21 @@ class Session:
         if len(self.poses) >= MAX_POSES:
             raise InputError(f"found {len(self.poses)} poses; a sequence has {MAX_POSES} at most")
         self.pose = replace(self.pose)  # a copy, because saved poses are compared by identity
-        self._change((*self.poses, self.pose), len(self.poses))
+        self._change_poses((*self.poses, self.pose), len(self.poses))
 
     def replace_selected(self) -> None:
         """Replace the selected pose by the current one."""
         if self.selected is not None and self.is_changed:
-            self._change((*self.poses[: self.selected], self.pose, *self.poses[self.selected + 1 :]), self.selected)
+            self._change_poses(
+                (*self.poses[: self.selected], self.pose, *self.poses[self.selected + 1 :]), self.selected
+            )
 
     def delete_selected(self) -> None:
         """Delete the selected pose; the next one is selected, and becomes the current pose."""
         if self.selected is None:
             return
         left = self.poses[: self.selected] + self.poses[self.selected + 1 :]
-        self._change(left, min(self.selected, len(left) - 1) if left else None)
+        self._change_poses(left, min(self.selected, len(left) - 1) if left else None)
         if self.selected is not None:
             self.pose = self.poses[self.selected]
 
@@ -125,7 +127,7 @@ class Session:
         others = [*self.poses[: self.selected], *self.poses[self.selected + 1 :]]
         others.insert(target, self.poses[self.selected])
         if target != self.selected:
-            self._change(tuple(others), target)
+            self._change_poses(tuple(others), target)
 
     def select(self, index: int) -> None:
         """Make a saved pose the current pose.
@@ -159,11 +161,11 @@ class Session:
         rest = {name: np.full(len(motion), joint.rest) for name, joint in self.system.robot.movable.items()}
         whole = replace(motion, joints={**rest, **motion.joints})
         poses = tuple(whole.take([i]) for i in range(len(whole)))
-        self._change(poses, 0)
+        self._change_poses(poses, 0)
         self.pose = poses[0]
 
-    def _change(self, poses: tuple[Motion, ...], selected: int | None) -> None:
-        self._history = [*self._history, (self.poses, self.selected)][-_UNDONE:]
+    def _change_poses(self, poses: tuple[Motion, ...], selected: int | None) -> None:
+        self._history = [*self._history, (self.poses, self.selected)][-_MAX_UNDO_STEPS:]
         self.poses, self.selected = poses, selected
 
     # Files

@@ -14,8 +14,8 @@ from calibration.ci.execution.backends import SECTIONS
 NO_REGION, NO_BUCKET, TO_DO = "xx-todo-1", "todo", "TODO"
 """Placeholders for unknown values: syntactically valid names that do not exist."""
 _NO_ACCOUNT = "0" * 12
-_ACCOUNT = re.compile(r"(?:^arn:[^:]*:iam::|^)([0-9]{12})(?=:role/|\.dkr\.ecr\.)")
-_MOST_TAGS = 30
+_ACCOUNT_IN_TEXT = re.compile(r"(?:^arn:[^:]*:iam::|^)([0-9]{12})(?=:role/|\.dkr\.ecr\.)")
+_MAX_TAGS = 30
 
 
 def batch_section(fields: Fields, region: str, *, gpu: bool, images: Sequence[str], notes: Notes) -> dict[str, Any]:
@@ -32,20 +32,20 @@ def batch_section(fields: Fields, region: str, *, gpu: bool, images: Sequence[st
         InputError: a field has the wrong type.
     """
     role, where = fields.plain("iam_role"), fields.at("iam_role")
-    account = next((match[1] for text in (role, *images) if (match := _ACCOUNT.search(text))), _NO_ACCOUNT)
-    bucket, prefix = _output(fields, notes)
+    account = next((match[1] for text in (role, *images) if (match := _ACCOUNT_IN_TEXT.search(text))), _NO_ACCOUNT)
+    bucket, prefix = _convert_output(fields, notes)
     section: dict[str, Any] = {
-        "region": region if _fits("region", region) else NO_REGION,
+        "region": region if _may_have_value("region", region) else NO_REGION,
         "queue": TO_DO,
         "bucket": bucket,
     }
     if prefix:
         section["prefix"] = prefix
     section["tools-image"] = TO_DO
-    section["job-role"] = role if _fits("job-role", role) else f"arn:aws:iam::{account}:role/{TO_DO}"
+    section["job-role"] = role if _may_have_value("job-role", role) else f"arn:aws:iam::{account}:role/{TO_DO}"
     if section["region"] == NO_REGION:
         notes.to_do("aws-batch.region", f"{'unknown' if not region else f'{region} is not a region'}: set it")
-    notes.to_do("aws-batch.queue", f"write the name of a job queue whose compute environment is {_hosts(gpu)}")
+    notes.to_do("aws-batch.queue", f"write the name of a job queue whose compute environment is {_describe_hosts(gpu)}")
     notes.to_do("aws-batch.tools-image", "build the image of examples/aws-batch, push it to ECR, and write its name")
     if section["job-role"] != role:
         what = f"{role} is not the ARN of a role" if role else "there is none"
@@ -64,9 +64,9 @@ def batch_section(fields: Fields, region: str, *, gpu: bool, images: Sequence[st
             "aws-batch.execution-role",
             "write the ARN of a role that pulls images and writes logs: calibration aws-policy --for execution",
         )
-    _network(fields.fields("vpc_config"), section, gpu, notes)
-    _tags(fields, section, notes)
-    _policy(fields.fields("batch_policy"), section, notes)
+    _convert_network(fields.fields("vpc_config"), section, gpu, notes)
+    _convert_tags(fields, section, notes)
+    _convert_policy(fields.fields("batch_policy"), section, notes)
     return section
 
 
@@ -74,26 +74,26 @@ def merged(first: dict[str, Any], second: dict[str, Any], where: str, notes: Not
     """Merge the sections of two jobs: the second's values replace only unknown values of the first."""
     result = dict(first)
     for key, value in second.items():
-        if key not in result or _unknown(result[key]):
+        if key not in result or _is_unknown(result[key]):
             result[key] = value
-        elif value != result[key] and not _unknown(value):
+        elif value != result[key] and not _is_unknown(value):
             notes.lost(where, f"there is one section aws-batch, and its {key} is {result[key]}, not {value}")
-    if _unknown(result.get("execution-role")) and (found := _ACCOUNT.search(result["job-role"])):
+    if _is_unknown(result.get("execution-role")) and (found := _ACCOUNT_IN_TEXT.search(result["job-role"])):
         result["execution-role"] = f"arn:aws:iam::{found[1]}:role/{TO_DO}"  # both roles must belong to one account
     if result.get("platform") == "ec2" and result.pop("public-ip", None):  # one of the jobs needs a GPU
         notes.lost(where, "there is one queue, of EC2: the subnets say whether instances have a public address")
     return result
 
 
-def _unknown(value: object) -> bool:
+def _is_unknown(value: object) -> bool:
     return value in (NO_REGION, NO_BUCKET) or (isinstance(value, str) and value.endswith(TO_DO))
 
 
-def _hosts(gpu: bool) -> str:
+def _describe_hosts(gpu: bool) -> str:
     return "of EC2 instances with a GPU" if gpu else "Fargate"
 
 
-def _output(fields: Fields, notes: Notes) -> tuple[str, str]:
+def _convert_output(fields: Fields, notes: Notes) -> tuple[str, str]:
     """Return bucket and prefix of the results, from Rigel's text or the service's mapping."""
     where, given = fields.at("output_location"), fields.take("output_location")
     if isinstance(given, dict):
@@ -104,17 +104,17 @@ def _output(fields: Fields, notes: Notes) -> tuple[str, str]:
         text = "" if given is None else str(given)
         bucket, _, prefix = text.removeprefix("s3://").partition("/")
     bucket, prefix = plain(bucket, notes, where), plain(prefix, notes, where).strip("/")
-    if prefix and not _fits("prefix", prefix):
+    if prefix and not _may_have_value("prefix", prefix):
         notes.lost(where, f"{prefix} is no prefix that is taken here: everything is below calibration/")
         prefix = ""
-    if not _fits("bucket", bucket):
+    if not _may_have_value("bucket", bucket):
         what = f"{bucket} is no name of a bucket" if bucket else "it names none"
         notes.to_do(where if given is not None else "aws-batch.bucket", f"{what}: write the bucket for the results")
         return NO_BUCKET, prefix
     return bucket, prefix
 
 
-def _network(vpc: Fields, section: dict[str, Any], gpu: bool, notes: Notes) -> None:
+def _convert_network(vpc: Fields, section: dict[str, Any], gpu: bool, notes: Notes) -> None:
     for key, what in (("subnets", "subnets"), ("security_groups", "security groups")):
         names = vpc.plains(key)
         if names:
@@ -128,20 +128,20 @@ def _network(vpc: Fields, section: dict[str, Any], gpu: bool, notes: Notes) -> N
     vpc.rest()
 
 
-def _tags(fields: Fields, section: dict[str, Any], notes: Notes) -> None:
+def _convert_tags(fields: Fields, section: dict[str, Any], notes: Notes) -> None:
     tags: dict[str, str] = {}
     where = fields.at("tags")
     for key, value in fields.mapping("tags").items():
         texts = plain(key, notes, where), plain(str(value), notes, where)
-        if len(tags) == _MOST_TAGS or not _is("tags", dict([texts])):
-            notes.lost(f"{where}.{key}", f"at most {_MOST_TAGS} tags of letters, digits and _ . : / = + - @ are taken")
+        if len(tags) == _MAX_TAGS or not _accepts_value("tags", dict([texts])):
+            notes.lost(f"{where}.{key}", f"at most {_MAX_TAGS} tags of letters, digits and _ . : / = + - @ are taken")
         else:
             tags[texts[0]] = texts[1]
     if tags:
         section["tags"] = tags
 
 
-def _policy(policy: Fields, section: dict[str, Any], notes: Notes) -> None:
+def _convert_policy(policy: Fields, section: dict[str, Any], notes: Notes) -> None:
     """Convert the policy of a batch of jobs."""
     seconds = policy.take("timeout_in_seconds")
     if isinstance(seconds, int | float) and not isinstance(seconds, bool) and seconds > 0:
@@ -152,12 +152,12 @@ def _policy(policy: Fields, section: dict[str, Any], notes: Notes) -> None:
     policy.rest()
 
 
-def _fits(key: str, value: str) -> bool:
+def _may_have_value(key: str, value: str) -> bool:
     """Return whether a key accepts a value; a reference to the environment is checked only at run time."""
-    return "${" in value or _is(key, value)
+    return "${" in value or _accepts_value(key, value)
 
 
-def _is(key: str, value: object) -> bool:
+def _accepts_value(key: str, value: object) -> bool:
     if "aws-batch" not in SECTIONS:  # the add-on is not installed, and so its limits of values are unknown
         return True
     settings, _ = SECTIONS["aws-batch"]

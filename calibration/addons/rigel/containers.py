@@ -20,7 +20,7 @@ from calibration.addons.rigel.substitution import (
 
 _DOCKER_SOCKET = "docker.sock"
 _X_SERVER = "/tmp/.X11-unix"  # noqa: S108 (where it is)
-_SHELLS = ("sh", "bash", "dash")
+_SHELL_NAMES = ("sh", "bash", "dash")
 
 
 @dataclass(frozen=True)
@@ -45,21 +45,21 @@ def component_entry(component: dict[str, Any], around: Surroundings, where: str)
     fields, notes, entry = Fields(component, where, around.notes), around.notes, dict[str, Any]()
     secrets: dict[str, None] = {}
     fields.take("name")
-    _image(fields.take("image", ""), entry, around, fields.at("image"))
+    _convert_image(fields.take("image", ""), entry, around, fields.at("image"))
     for key in ("command", "entrypoint"):
         if value := fields.take(key):
-            entry[key] = _command(value, secrets, around, fields.at(key))
-    _environment(fields.mapping("envs"), entry, secrets, around, fields.at("envs"))
-    _mounts(fields.items("volumes"), entry, around, fields.at("volumes"))
+            entry[key] = _convert_command(value, secrets, around, fields.at(key))
+    _convert_environment(fields.mapping("envs"), entry, secrets, around, fields.at("envs"))
+    _convert_mounts(fields.items("volumes"), entry, around, fields.at("volumes"))
     for ours, theirs in (("working-directory", "workdir"), ("user", "user"), ("memory", "memory")):
         if (value := fields.take(theirs)) not in (None, ""):
-            entry[ours] = _plain(value, around, fields.at(theirs))
+            entry[ours] = _plain_text(value, around, fields.at(theirs))
     cpus = fields.take("cpus")
     if isinstance(cpus, int | float) and not isinstance(cpus, bool):
         entry["cpus"] = cpus
     elif cpus is not None:
         notes.lost(fields.at("cpus"), "a number was expected")
-    if devices := [_plain(item, around, fields.at("devices")) for item in fields.items("devices")]:
+    if devices := [_plain_text(item, around, fields.at("devices")) for item in fields.items("devices")]:
         entry["devices"] = [device.partition(":")[0] for device in devices]
     if fields.take("gpus"):
         entry["gpus"] = True
@@ -67,7 +67,7 @@ def component_entry(component: dict[str, Any], around: Surroundings, where: str)
         entry["privileged"] = True
         notes.changed(fields.at("privileged"), "it may do all that root of the machine may: leave it out if you can")
     if artifacts := [
-        argument(around.replaced(text), around.placeholders, _dollar, notes, where)
+        argument(around.replaced(text), around.placeholders, _shell_variable, notes, where)
         for text in fields.texts("artifacts")
     ]:
         entry["artifacts"] = artifacts
@@ -88,8 +88,8 @@ def pair_environment(items: list[Any], where: str) -> dict[str, str]:
     return {name.strip(): value for name, _, value in pairs}
 
 
-def _image(value: object, entry: dict[str, Any], around: Surroundings, where: str) -> None:
-    image = _plain(value, around, where)
+def _convert_image(value: object, entry: dict[str, Any], around: Surroundings, where: str) -> None:
+    image = _plain_text(value, around, where)
     if not image:
         return
     if around.image is not None and split_name(image)[0] == split_name(around.image)[0]:
@@ -97,7 +97,7 @@ def _image(value: object, entry: dict[str, Any], around: Surroundings, where: st
     entry["image"] = image
 
 
-def _command(value: object, secrets: dict[str, None], around: Surroundings, where: str) -> list[str]:
+def _convert_command(value: object, secrets: dict[str, None], around: Surroundings, where: str) -> list[str]:
     """Return the command's arguments; text is split as by a shell."""
     if isinstance(value, list):
         words = [around.replaced(text_at(item, where)) for item in value]
@@ -109,13 +109,13 @@ def _command(value: object, secrets: dict[str, None], around: Surroundings, wher
             words = ["bash", "-c", text]
             around.notes.changed(where, "its quotes do not match: it is given to bash as it is")
     found = {name for word in words for name in secret_names(word)}
-    if found and not (words[0].rpartition("/")[2] in _SHELLS and "-c" in words):
+    if found and not (words[0].rpartition("/")[2] in _SHELL_NAMES and "-c" in words):
         around.notes.to_do(where, f"no shell reads ${', $'.join(sorted(found))} here: run it by [bash, -c, ...]")
     secrets.update(dict.fromkeys(sorted(found)))
-    return [argument(word, around.placeholders, _dollar, around.notes, where) for word in words]
+    return [argument(word, around.placeholders, _shell_variable, around.notes, where) for word in words]
 
 
-def _environment(
+def _convert_environment(
     variables: Mapping[str, Any],
     entry: dict[str, Any],
     secrets: dict[str, None],
@@ -142,13 +142,13 @@ def _environment(
         entry["environment"] = environment
 
 
-def _mounts(volumes: list[Any], entry: dict[str, Any], around: Surroundings, where: str) -> None:
+def _convert_mounts(volumes: list[Any], entry: dict[str, Any], around: Surroundings, where: str) -> None:
     mounts: list[str | dict[str, Any]] = []
     for number, volume in enumerate(volumes):
         place = f"{where}.{number}"
         parts = volume if isinstance(volume, list) else text_at(volume, place).split(":")
         # the last element of a tuple may contain the mode: ("/a", "/b:rw")
-        texts = ":".join(_plain(part, around, place) for part in parts).split(":")
+        texts = ":".join(_plain_text(part, around, place) for part in parts).split(":")
         if len(texts) < 2 or not texts[0] or not texts[1].startswith("/"):
             around.notes.lost(place, f"{':'.join(texts)} is not HERE:THERE")
         elif texts[0].startswith(_X_SERVER):
@@ -167,7 +167,7 @@ def _mounts(volumes: list[Any], entry: dict[str, Any], around: Surroundings, whe
         entry["mounts"] = mounts
 
 
-def _plain(value: object, around: Surroundings, where: str) -> str:
+def _plain_text(value: object, around: Surroundings, where: str) -> str:
     return plain(around.replaced(text_at(value, where)), around.notes, where)
 
 
@@ -176,5 +176,5 @@ def named(text: str) -> str:
     return re.sub(r"[^a-z0-9-]+", "-", text.lower()).strip("-")[:63] or "robot"
 
 
-def _dollar(name: str) -> str:
+def _shell_variable(name: str) -> str:
     return f"${name}"

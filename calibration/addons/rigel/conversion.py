@@ -8,9 +8,9 @@ from calibration.addons.rigel.batch_section import merged
 from calibration.addons.rigel.containers import Surroundings
 from calibration.addons.rigel.document import Rigelfile, RigelJob, Stage, naming
 from calibration.addons.rigel.fields import text_at
-from calibration.addons.rigel.image import BUILD, DOCKERFILE, image_section
+from calibration.addons.rigel.image import BUILD_PLUGIN, DOCKERFILE_PLUGIN, image_section
 from calibration.addons.rigel.notes import Notes
-from calibration.addons.rigel.robomaker import ROBOMAKER, robomaker_job
+from calibration.addons.rigel.robomaker import ROBOMAKER_PLUGIN, robomaker_job
 from calibration.addons.rigel.substitution import plain
 from calibration.addons.rigel.systems import (
     Converted,
@@ -78,7 +78,7 @@ def _of_stage(matrix: Mapping[str, Any], where: str, notes: Notes) -> dict[str, 
     return own
 
 
-_ELSEWHERE = {
+_ADVICE_OF_PLUGIN = {
     "TestPlugin": "requirements on ROS messages are not checked here: write a table, and judge it by rules",
     "WorldForgePlugin": "worlds come from a scenario set here: calibration schema scenario-set",
     "UnitTestPlugin": "unit tests are a job of the workflow",
@@ -115,20 +115,20 @@ def convert(rigelfile: Rigelfile) -> Conversion:
         InputError: a value has the wrong type; names file and key.
     """
     with naming(rigelfile.path):
-        return _convert(rigelfile)
+        return _convert_rigelfile(rigelfile)
 
 
-def _convert(rigelfile: Rigelfile) -> Conversion:
+def _convert_rigelfile(rigelfile: Rigelfile) -> Conversion:
     notes = rigelfile.notes
     conversion = Conversion(notes, rigelfile.secrets)
     conversion.image, origins = image_section(rigelfile)
-    conversion.image_origin = _listed("job", origins)
+    conversion.image_origin = _list_names("job", origins)
     conversion.noise, places = noise_section(rigelfile.stages, notes)
     conversion.noise_origin = f"the matrix of {', '.join(places)}"
-    around = Surroundings(notes, conversion.image.get("name"), _placeholders(rigelfile))
+    around = Surroundings(notes, conversion.image.get("name"), _placeholders_of_data(rigelfile))
     judges = judged_by(rigelfile)
     for job in rigelfile.jobs:
-        _add(conversion, job, judges.get(job.name, []), rigelfile, around)
+        _add_job(conversion, job, judges.get(job.name, []), rigelfile, around)
     _refuse_repeated(conversion.systems)
     _refuse_repeated(conversion.simulations)
     if conversion.systems and not conversion.image:
@@ -138,14 +138,14 @@ def _convert(rigelfile: Rigelfile) -> Conversion:
     return conversion
 
 
-def _add(
+def _add_job(
     conversion: Conversion, job: RigelJob, judges: list[RigelJob], rigelfile: Rigelfile, around: Surroundings
 ) -> None:
     """Add a job to the section for its plugin."""
-    if job.kind in (DOCKERFILE, BUILD) or is_introspection(job):
+    if job.kind in (DOCKERFILE_PLUGIN, BUILD_PLUGIN) or is_introspection(job):
         return
-    if job.kind == ROBOMAKER:
-        simulated = robomaker_job(job, around, _region(rigelfile))
+    if job.kind == ROBOMAKER_PLUGIN:
+        simulated = robomaker_job(job, around, _region_of_provider(rigelfile))
         if simulated is not None:
             conversion.simulations.append(Converted(named_system(job.name), simulated.entry, f"job {job.name}"))
             notes, section = conversion.notes, simulated.section
@@ -162,17 +162,17 @@ def _add(
             why = "its containers bring out neither a table nor a dataset, so nothing would be judged"
             conversion.notes.lost(job.where, why)
     else:
-        why = _ELSEWHERE.get(job.kind, f"there is nothing like {job.plugin} here")
+        why = _ADVICE_OF_PLUGIN.get(job.kind, f"there is nothing like {job.plugin} here")
         conversion.notes.lost(job.where.removesuffix(".with"), why)
 
 
-def _region(rigelfile: Rigelfile) -> str:
+def _region_of_provider(rigelfile: Rigelfile) -> str:
     """Return the AWS region of the provider; empty without one."""
     given = [p.fields["region_name"] for p in rigelfile.providers.values() if p.fields.get("region_name")]
     return plain(text_at(given[0], "providers"), rigelfile.notes, "providers") if given else ""
 
 
-def _placeholders(rigelfile: Rigelfile) -> dict[str, str]:
+def _placeholders_of_data(rigelfile: Rigelfile) -> dict[str, str]:
     """Return our names of the data of all matrices."""
     names = {name for stage in rigelfile.stages for name in stage.matrix}
     return {name: ours for name in names if (ours := placeholder(name)) is not None}
@@ -185,5 +185,5 @@ def _refuse_repeated(entries: list[Converted]) -> None:
             raise InputError(f"jobs: two are called {name!r} once only letters, digits and _ . - are kept: rename one")
 
 
-def _listed(what: str, names: list[str]) -> str:
+def _list_names(what: str, names: list[str]) -> str:
     return f"{what}{'s' if len(names) > 1 else ''} {' and '.join(names)}" if names else ""

@@ -13,8 +13,8 @@ from calibration.base.errors import InputError
 from calibration.base.text import shorten
 from calibration.base.yaml_file import read_yaml
 
-_REQUESTS = "createSimulationJobRequests"
-_KNOWN = ("vars", "application", "applications", "jobs", "sequences", "providers")
+_REQUESTS_KEY = "createSimulationJobRequests"
+_KNOWN_KEYS = ("vars", "application", "applications", "jobs", "sequences", "providers")
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def read_rigelfile(path: Path) -> Rigelfile:
     """
     document = read_yaml(path, "a Rigelfile")
     with naming(path):
-        return _read(path, bounded(document, str(path)))
+        return _read_document(path, bounded(document, str(path)))
 
 
 @contextmanager
@@ -81,11 +81,11 @@ def naming(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
 
 
-def _read(path: Path, document: object) -> Rigelfile:
+def _read_document(path: Path, document: object) -> Rigelfile:
     if not isinstance(document, dict) or not document:
         raise InputError(f"{path}: a Rigelfile was expected: a mapping with the keys application and jobs")
     if is_simulation(document):
-        return _simulations(path, document)
+        return _read_simulations(path, document)
     if not any(key in document for key in ("application", "applications", "jobs", "packages")):
         raise InputError(f"{path}: found {shorten(', '.join(document))}, the keys application and jobs were expected")
     return _Reader(path, document).rigelfile()
@@ -93,19 +93,21 @@ def _read(path: Path, document: object) -> Rigelfile:
 
 def is_simulation(document: Mapping[str, Any]) -> bool:
     """Return whether this is a RoboMaker request: ``CreateSimulationJob``, or ``StartSimulationJobBatch``."""
-    return any(key in document for key in (_REQUESTS, "robotApplications", "simulationApplications"))
+    return any(key in document for key in (_REQUESTS_KEY, "robotApplications", "simulationApplications"))
 
 
-def _simulations(path: Path, document: dict[str, Any]) -> Rigelfile:
+def _read_simulations(path: Path, document: dict[str, Any]) -> Rigelfile:
     """Convert simulation jobs in the form of Boto3 and the AWS CLI to jobs of the plugin."""
     notes = Notes()
     substitution = Substitution({}, notes)
     if document.pop("clientRequestToken", None):
         notes.lost("clientRequestToken", "a run has a name instead: --run")
-    requests = [mapping_at(each, f"{_REQUESTS}.{i}") for i, each in enumerate(list_at(document.get(_REQUESTS), ""))]
+    requests = [
+        mapping_at(each, f"{_REQUESTS_KEY}.{i}") for i, each in enumerate(list_at(document.get(_REQUESTS_KEY), ""))
+    ]
     tags = mapping_at(document.get("tags"), "tags")
-    common = {key: value for key, value in document.items() if key not in (_REQUESTS, "tags")}
-    if _REQUESTS in document and requests:  # settings of the batch are assigned to the first job
+    common = {key: value for key, value in document.items() if key not in (_REQUESTS_KEY, "tags")}
+    if _REQUESTS_KEY in document and requests:  # settings of the batch are assigned to the first job
         requests[0] = {**common, **requests[0]}
         requests = [{**each, "tags": {**tags, **mapping_at(each.get("tags"), "tags")}} for each in requests]
     else:
@@ -113,7 +115,7 @@ def _simulations(path: Path, document: dict[str, Any]) -> Rigelfile:
     several = len(requests) > 1
     jobs = []
     for number, request in enumerate(requests):
-        where = f"{_REQUESTS}.{number}" if _REQUESTS in document else ""
+        where = f"{_REQUESTS_KEY}.{number}" if _REQUESTS_KEY in document else ""
         name = f"simulation-{number + 1}" if several else "simulation"
         jobs.append(RigelJob(name, "RoboMakerPlugin", substitution.resolved(request, where), where))
     return Rigelfile(path, None, ".", tuple(jobs), (), {}, notes, substitution.secrets)
@@ -122,29 +124,29 @@ def _simulations(path: Path, document: dict[str, Any]) -> Rigelfile:
 class _Reader:
     def __init__(self, path: Path, document: dict[str, Any]) -> None:
         self._path, self._document, self._notes = path, document, Notes()
-        self._substitution = Substitution(self._variables(), self._notes)
+        self._substitution = Substitution(self._read_variables(), self._notes)
         self._jobs: list[RigelJob] = []
 
     def rigelfile(self) -> Rigelfile:
         for key in self._document:
-            if key not in _KNOWN:
+            if key not in _KNOWN_KEYS:
                 self._notes.lost(key, self._why_lost(key))
-        application = self._application()
+        application = self._read_application()
         where = "jobs"
         declared = application.pop("jobs", None) if "jobs" not in self._document else self._document["jobs"]
-        self._jobs = [self._job(n, job, "jobs", "plugin") for n, job in mapping_at(declared, where).items()]
-        stages = self._without_unused(self._sequences())
-        folder = self._value(application.pop("dir", "."), "application.dir")
+        self._jobs = [self._read_job(n, job, "jobs", "plugin") for n, job in mapping_at(declared, where).items()]
+        stages = self._without_unused(self._read_sequences())
+        folder = self._resolved_text(application.pop("dir", "."), "application.dir")
         distro = application.pop("distro", None)
-        self._only((), application, "application")
+        self._report_unknown_keys((), application, "application")
         providers = mapping_at(self._document.get("providers"), "providers")
         return Rigelfile(
             path=self._path,
-            distro=None if distro is None else self._value(distro, "application.distro"),
+            distro=None if distro is None else self._resolved_text(distro, "application.distro"),
             folder=folder,
             jobs=tuple(self._jobs),
             stages=tuple(stages),
-            providers={name: self._job(name, entry, "providers", "provider") for name, entry in providers.items()},
+            providers={name: self._read_job(name, entry, "providers", "provider") for name, entry in providers.items()},
             notes=self._notes,
             secrets=self._substitution.secrets,
         )
@@ -154,12 +156,12 @@ class _Reader:
             return "of Rigel 0.2, which has neither jobs nor sequences: write it as jobs of 0.3 first, or by hand here"
         return "Rigel has no such key"
 
-    def _variables(self) -> dict[str, Any]:
+    def _read_variables(self) -> dict[str, Any]:
         variables = mapping_at(self._document.get("vars"), "vars")
         # {type, with} declares an instance of a class of Rigel; its content is in `with`
         return {n: v["with"] if isinstance(v, dict) and set(v) == {"type", "with"} else v for n, v in variables.items()}
 
-    def _application(self) -> dict[str, Any]:
+    def _read_application(self) -> dict[str, Any]:
         """Return the application; the first of several, because calibration.yml has one image."""
         if "application" in self._document or "applications" not in self._document:
             return dict(mapping_at(self._document.get("application"), "application"))
@@ -169,53 +171,55 @@ class _Reader:
         first = next(iter(several), None)
         return {} if first is None else dict(mapping_at(several[first], f"applications.{first}"))
 
-    def _only(self, known: tuple[str, ...], fields: Mapping[str, Any], where: str) -> None:
+    def _report_unknown_keys(self, known: tuple[str, ...], fields: Mapping[str, Any], where: str) -> None:
         for key in [key for key in fields if key not in known]:
             self._notes.lost(f"{where}.{key}", "Rigel has no such key")
 
-    def _value(self, value: object, where: str) -> str:
+    def _resolved_text(self, value: object, where: str) -> str:
         return text_at(self._substitution.resolved(value, where), where)
 
-    def _job(self, name: str, entry: object, section: str, key: str) -> RigelJob:
+    def _read_job(self, name: str, entry: object, section: str, key: str) -> RigelJob:
         where = f"{section}.{name}"
         fields = mapping_at(entry, where)
-        self._only((key, "with"), fields, where)
-        plugin = self._value(fields.get(key), f"{where}.{key}")
+        self._report_unknown_keys((key, "with"), fields, where)
+        plugin = self._resolved_text(fields.get(key), f"{where}.{key}")
         inner = self._substitution.resolved(mapping_at(fields.get("with"), f"{where}.with"), f"{where}.with")
         return RigelJob(name, plugin, inner, f"{where}.with")
 
-    def _sequences(self) -> list[Stage]:
+    def _read_sequences(self) -> list[Stage]:
         stages: list[Stage] = []
         for name, entry in mapping_at(self._document.get("sequences"), "sequences").items():
             where = f"sequences.{name}"
             if isinstance(entry, list):  # in the older form the sequence is a list of jobs
-                stages.append(Stage(self._named(entry, where), {}, where))
+                stages.append(Stage(self._jobs_of_stage(entry, where), {}, where))
                 continue
             sequence = mapping_at(entry, where)
             if "matrix" in sequence:
                 self._notes.lost(f"{where}.matrix", "Rigel takes it and does not use it: write it in the stage")
-            self._only(("stages", "description", "matrix"), sequence, where)
+            self._report_unknown_keys(("stages", "description", "matrix"), sequence, where)
             for number, stage in enumerate(list_at(sequence.get("stages"), f"{where}.stages")):
                 place = f"{where}.stages.{number}"
                 if isinstance(stage, str):
-                    stages.append(Stage(self._named([stage], place), {}, place))
+                    stages.append(Stage(self._jobs_of_stage([stage], place), {}, place))
                 else:
-                    stages += self._stage(mapping_at(stage, place), place, {})
+                    stages += self._read_stage(mapping_at(stage, place), place, {})
         return stages
 
-    def _stage(self, stage: dict[str, Any], where: str, matrix: Mapping[str, Any]) -> list[Stage]:
-        self._only(("jobs", "dependencies", "parallel", "matrix", "description"), stage, where)
+    def _read_stage(self, stage: dict[str, Any], where: str, matrix: Mapping[str, Any]) -> list[Stage]:
+        self._report_unknown_keys(("jobs", "dependencies", "parallel", "matrix", "description"), stage, where)
         own = self._substitution.resolved(mapping_at(stage.get("matrix"), f"{where}.matrix"), f"{where}.matrix")
         matrix = {**matrix, **own}
         dependencies = list_at(stage.get("dependencies"), f"{where}.dependencies")
         jobs = list_at(stage.get("jobs"), f"{where}.jobs")
-        found = [Stage(self._named([*dependencies, *jobs], where), matrix, where)] if dependencies or jobs else []
+        found = (
+            [Stage(self._jobs_of_stage([*dependencies, *jobs], where), matrix, where)] if dependencies or jobs else []
+        )
         for number, inner in enumerate(list_at(stage.get("parallel"), f"{where}.parallel")):
             place = f"{where}.parallel.{number}"
-            found += self._stage(mapping_at(inner, place), place, matrix)
+            found += self._read_stage(mapping_at(inner, place), place, matrix)
         return found
 
-    def _named(self, entries: list[Any], where: str) -> tuple[RigelJob, ...]:
+    def _jobs_of_stage(self, entries: list[Any], where: str) -> tuple[RigelJob, ...]:
         """Return the jobs that a stage names; overridden fields make a new job."""
         jobs = []
         for entry in entries:
@@ -229,7 +233,7 @@ class _Reader:
             if job is None:
                 self._notes.lost(where, f"there is no job {shown(name)}")
                 continue
-            jobs.append(self._overridden(job, override) if override else job)
+            jobs.append(self._override_job(job, override) if override else job)
         return tuple(jobs)
 
     def _without_unused(self, stages: list[Stage]) -> list[Stage]:
@@ -244,7 +248,7 @@ class _Reader:
         self._jobs = [renamed.get(job.name, job) for job in self._jobs]
         return [replace(stage, jobs=tuple(renamed.get(job.name, job) for job in stage.jobs)) for stage in stages]
 
-    def _overridden(self, job: RigelJob, override: Mapping[str, Any]) -> RigelJob:
+    def _override_job(self, job: RigelJob, override: Mapping[str, Any]) -> RigelJob:
         fields = {**job.fields, **override}
         names = {other.name for other in self._jobs}
         number = 2

@@ -7,11 +7,11 @@ from calibration.addons.rigel.document import Rigelfile, RigelJob
 from calibration.addons.rigel.fields import Fields, text_at
 from calibration.addons.rigel.substitution import names_a_secret, plain, secret_names, shell, sole_variable
 
-DOCKERFILE, BUILD = "DockerfilePlugin", "BuildXPlugin"
+DOCKERFILE_PLUGIN, BUILD_PLUGIN = "DockerfilePlugin", "BuildXPlugin"
 DOCKER_HUB = "docker.io"
-USER = "rigeluser"
+DEFAULT_USER = "rigeluser"
 """Rigel's default user, whose home directory occurs in many commands."""
-_PACKAGE = re.compile(r"[a-z0-9][a-z0-9+.-]*(:[a-z0-9]+)?(=[A-Za-z0-9.+~:-]+)?(/[a-z0-9-]+)?|\$\{\w+\}")
+_PACKAGE_NAME = re.compile(r"[a-z0-9][a-z0-9+.-]*(:[a-z0-9]+)?(=[A-Za-z0-9.+~:-]+)?(/[a-z0-9-]+)?|\$\{\w+\}")
 
 
 def image_section(rigelfile: Rigelfile) -> tuple[dict[str, Any], list[str]]:
@@ -20,8 +20,8 @@ def image_section(rigelfile: Rigelfile) -> tuple[dict[str, Any], list[str]]:
     Raises:
         InputError: a field has the wrong type.
     """
-    dockerfiles = [job for job in rigelfile.jobs if job.kind == DOCKERFILE]
-    builds = [job for job in rigelfile.jobs if job.kind == BUILD]
+    dockerfiles = [job for job in rigelfile.jobs if job.kind == DOCKERFILE_PLUGIN]
+    builds = [job for job in rigelfile.jobs if job.kind == BUILD_PLUGIN]
     if not dockerfiles and not builds:
         return {}, []
     builds.sort(
@@ -100,28 +100,28 @@ class _Section:
             entry["base"] = fields.plain("ros_image")
         if self._file.distro is not None:
             entry["ros"] = plain(self._file.distro, self._notes, "application.distro")
-        self._packages(fields)
-        self._environment(fields)
+        self._convert_packages(fields)
+        self._convert_environment(fields)
         commands = []
         for number, item in enumerate(fields.items("docker_run")):
             place = f"{fields.at('docker_run')}.{number}"
             line = text_at(item.get("command") if isinstance(item, dict) else item, place)
             for key in set(item if isinstance(item, dict) else ()) - {"command"}:
                 self._notes.lost(f"{place}.{key}", "there is no such setting of a command")
-            commands.append(self._shell(line))
+            commands.append(self._shell_text(line))
         self._entry.setdefault("commands", []).extend(commands)
         if not entry["commands"]:
             del entry["commands"]
-        user = fields.plain("username", USER)
-        self._workspace(fields, user)
-        self._start(fields)
+        user = fields.plain("username", DEFAULT_USER)
+        self._convert_workspace(fields, user)
+        self._convert_entrypoint(fields)
         entry["user"] = user
         fields.rest()
 
-    def _packages(self, fields: Fields) -> None:
+    def _convert_packages(self, fields: Fields) -> None:
         names = [name.strip() for name in fields.plains("apt")]
-        packages = [name for name in names if _PACKAGE.fullmatch(name)]
-        patterns = [name.strip("'\"") for name in names if not _PACKAGE.fullmatch(name)]
+        packages = [name for name in names if _PACKAGE_NAME.fullmatch(name)]
+        patterns = [name.strip("'\"") for name in names if not _PACKAGE_NAME.fullmatch(name)]
         if packages:
             self._entry["apt"] = list(dict.fromkeys(packages))
         if patterns:
@@ -133,7 +133,7 @@ class _Section:
         if files := fields.texts("python_requirements_files"):
             self._entry["pip"] = [f"-r {self._in_folder(file)}" for file in files]
 
-    def _environment(self, fields: Fields) -> None:
+    def _convert_environment(self, fields: Fields) -> None:
         environment = {}
         for pair in fields.several("env"):
             place = pair.where
@@ -150,7 +150,7 @@ class _Section:
         if environment:
             self._entry["environment"] = environment
 
-    def _workspace(self, fields: Fields, user: str) -> None:
+    def _convert_workspace(self, fields: Fields, user: str) -> None:
         compiler = fields.fields("compiler")
         tool = compiler.plain("name", "catkin_make")
         workspace: dict[str, Any] = {"tool": tool, "sources": [self._file.folder]}
@@ -163,11 +163,11 @@ class _Section:
         self._entry["workspace"] = workspace
         compiler.rest()
 
-    def _start(self, fields: Fields) -> None:
+    def _convert_entrypoint(self, fields: Fields) -> None:
         lines, where = fields.texts("entrypoint"), fields.at("entrypoint")
         if any(secret_names(line) for line in lines):
             self._notes.lost(where, "a secret would be in the image: name it under secrets of the container")
-        kept = [self._shell(line) for line in lines if not secret_names(line)]
+        kept = [self._shell_text(line) for line in lines if not secret_names(line)]
         if kept:
             self._entry["entrypoint"] = kept
         if any(re.search(r"\bsudo\b", line) for line in kept):
@@ -175,9 +175,9 @@ class _Section:
             self._notes.changed(where, why)
         command = fields.take("command")
         if isinstance(command, list):
-            self._entry["command"] = [self._shell(text_at(item, fields.at("command"))) for item in command]
+            self._entry["command"] = [self._shell_text(text_at(item, fields.at("command"))) for item in command]
         elif command:
-            self._entry["command"] = self._shell(text_at(command, fields.at("command")))
+            self._entry["command"] = self._shell_text(text_at(command, fields.at("command")))
 
     def providers(self) -> None:
         """Convert the providers, which contain the logins."""
@@ -185,9 +185,9 @@ class _Section:
         for name, provider in self._file.providers.items():
             where = f"providers.{name}"
             if provider.kind == "ContainerRegistryProvider":
-                self._registry(provider, registry)
+                self._convert_registry(provider, registry)
             elif provider.kind == "AWSProvider":
-                self._aws(provider)
+                self._convert_aws(provider)
             elif provider.kind == "SSHProvider":
                 self._entry["ssh"] = True
                 why = "keys are never given to a build: load the key into an SSH agent (ssh: true uses it)"
@@ -195,7 +195,7 @@ class _Section:
             else:
                 self._notes.lost(where, f"there is no provider like {provider.plugin}")
 
-    def _registry(self, provider: RigelJob, registry: str) -> None:
+    def _convert_registry(self, provider: RigelJob, registry: str) -> None:
         fields, where = Fields(provider.fields, provider.where, self._notes), provider.where
         address = re.sub(r"^https?://", "", fields.plain("server")).partition("/")[0]
         server = address or DOCKER_HUB
@@ -213,7 +213,7 @@ class _Section:
         }
         fields.rest()
 
-    def _aws(self, provider: RigelJob) -> None:
+    def _convert_aws(self, provider: RigelJob) -> None:
         fields = Fields(provider.fields, provider.where, self._notes)
         servers, services = fields.items("ecr_servers"), fields.items("services")
         registry = _registry_of(self._entry.get("name", ""))
@@ -230,7 +230,7 @@ class _Section:
     def _in_folder(self, file: str) -> str:
         return file if self._file.folder in (".", "./", "") else f"{self._file.folder.rstrip('/')}/{file}"
 
-    def _shell(self, text: str) -> str:
+    def _shell_text(self, text: str) -> str:
         def secret(name: str) -> str:
             self._secrets[name] = None
             return f"$(cat /run/secrets/{name})"

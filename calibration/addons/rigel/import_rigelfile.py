@@ -52,22 +52,22 @@ def import_rigelfile(file: Path, output: Path, runner: Runner, *, overwrite: boo
     count = {kind: sum(note.kind is kind for note in conversion.notes) for kind in Kind}
     with stop_commands(runner):
         runner.log(
-            f"{one_line(str(output))}: {_counted('system', len(conversion.systems))}, "
-            f"{_counted('simulation', len(conversion.simulations))}, {'an' if conversion.image else 'no'} image; "
+            f"{one_line(str(output))}: {_count_of('system', len(conversion.systems))}, "
+            f"{_count_of('simulation', len(conversion.simulations))}, {'an' if conversion.image else 'no'} image; "
             f"{count[Kind.TO_DO]} to do, "
             f"{count[Kind.CHANGED]} work otherwise here, {count[Kind.LOST]} not carried over"
         )
-        complaint = _complaint(output)
+        complaint = _complaint_of_reader(output)
         if complaint:
             runner.log(one_line(f"before `calibration run --config {output}`: {complaint}"))
     return ExitCode.PASS
 
 
-def _counted(what: str, number: int) -> str:
+def _count_of(what: str, number: int) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def _complaint(output: Path) -> str:
+def _complaint_of_reader(output: Path) -> str:
     """Return the error of our own reader for the new file; empty if there is none."""
     try:
         from calibration.pipeline.configuration import read_configuration  # needs the extra calibrate

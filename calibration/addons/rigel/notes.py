@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from calibration.base.text import one_line, shorten
 
-MARK = re.compile("\ue000[VSD]([^\ue001]*)\ue001")
+MARKED_TEXT = re.compile("\ue000[VSD]([^\ue001]*)\ue001")
 """Mark of a variable or of data in a text that is not written yet: see `substitution`."""
 
 
@@ -43,18 +43,18 @@ class Notes:
 
     def lost(self, where: str, why: str) -> None:
         """Note a setting that cannot be converted."""
-        self._add(Kind.LOST, where, why)
+        self._add_note(Kind.LOST, where, why)
 
     def changed(self, where: str, how: str) -> None:
         """Note a setting that is converted with a different meaning."""
-        self._add(Kind.CHANGED, where, how)
+        self._add_note(Kind.CHANGED, where, how)
 
     def to_do(self, where: str, what: str) -> None:
         """Note a setting that the user has to add, because the Rigelfile does not contain it."""
-        self._add(Kind.TO_DO, where, what)
+        self._add_note(Kind.TO_DO, where, what)
 
-    def _add(self, kind: Kind, where: str, text: str) -> None:
-        where, text = (MARK.sub(r"${\1}", part) for part in (where.removeprefix("."), text))
+    def _add_note(self, kind: Kind, where: str, text: str) -> None:
+        where, text = (MARKED_TEXT.sub(r"${\1}", part) for part in (where.removeprefix("."), text))
         note = Note(kind, shorten(one_line(where), 160), shorten(one_line(text), 400))
         if note not in self.found:
             self.found.append(note)

@@ -14,42 +14,42 @@ from calibration.addons.rigel.substitution import plain
 from calibration.ci.execution.globs import Glob
 from calibration.ci.execution.job import OUTPUT
 
-ROBOMAKER = "RoboMakerPlugin"
-_SAME = {
+ROBOMAKER_PLUGIN = "RoboMakerPlugin"
+_RIGEL_KEY_OF = {
     "max_job_duration_in_seconds": "simulation_duration",
     "robot_applications": "robot_application",
     "simulation_applications": "simulation_application",
     "exit_behaviour": "exit_behavior",
 }
 """Keys that differ in Rigel."""
-_APPLICATIONS = {"simulation": "simulation_application", "robot": "robot_application"}
-_ADDRESS = re.compile(r"ROBOMAKER_(ROBOT|SIM)_APP_IP")
-_MASTER = re.compile(r"http://(robot|simulation):(\d+)/?")
-_SUPER = re.compile(r"\*\*(?=[^/])")
+_KEY_OF_APPLICATION = {"simulation": "simulation_application", "robot": "robot_application"}
+_ADDRESS_VARIABLE = re.compile(r"ROBOMAKER_(ROBOT|SIM)_APP_IP")
+_MASTER_ADDRESS = re.compile(r"http://(robot|simulation):(\d+)/?")
+_SUPER_WILDCARD = re.compile(r"\*\*(?=[^/])")
 """RoboMaker's ``**.log``, which matches files in all subfolders."""
-_DATA = "/opt/robomaker/datasources"
+_DATA_FOLDER = "/opt/robomaker/datasources"
 """RoboMaker's default folder of data sources."""
-_SCENARIOS = "worlds come from a scenario set here: calibration schema scenario-set"
-_GONE = {
-    "worldforge_exported_job": _SCENARIOS,
+_ABOUT_SCENARIOS = "worlds come from a scenario set here: calibration schema scenario-set"
+_ADVICE_OF_LOST_KEY = {
+    "worldforge_exported_job": _ABOUT_SCENARIOS,
     "logging_config": "record a bag in a container of its own, with essential: false, into {output}",
 }
 _OF_AN_APPLICATION = {
     "stream_ui": "there is no screen: record what is to be seen into {output}",
-    "world_configs": _SCENARIOS,
+    "world_configs": _ABOUT_SCENARIOS,
     "name": "a container is called robot or simulation",
     "requirements": "requirements on ROS messages are not checked here",
     "application_version": "an image has a tag",
     "use_default_tools": "there are none",
     "use_default_upload_configurations": "name the files to be copied under artifacts",
 }
-_PORTS = "the containers reach each other; nothing is reachable from outside"
+_ABOUT_PORTS = "the containers reach each other; nothing is reachable from outside"
 
 
 def plain_key(key: str) -> str:
     """Normalise both spellings: ``s3Bucket`` and ``s3_bucket`` give ``s3_bucket``."""
     found = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", key).lower()
-    return _SAME.get(found, found)
+    return _RIGEL_KEY_OF.get(found, found)
 
 
 @dataclass(frozen=True)
@@ -77,19 +77,21 @@ def robomaker_job(job: RigelJob, around: Surroundings, region: str = "") -> Simu
     around = replace(around, replaced=_with_names)
     fields = Fields(job.fields, job.where, notes, plain_key)
     applications = {
-        name: _Application(name, found, around) for name, key in _APPLICATIONS.items() if (found := fields.fields(key))
+        name: _Application(name, found, around)
+        for name, key in _KEY_OF_APPLICATION.items()
+        if (found := fields.fields(key))
     }
     if not applications:
         notes.lost(job.where or job.name, "it has neither a robot application nor a simulation application")
         return None
     containers = {name: application.entry for name, application in applications.items()}
-    gpu = _compute(containers, fields.fields("compute"), notes)
+    gpu = _distribute_compute(containers, fields.fields("compute"), notes)
     _data_sources(containers, fields.several("data_sources"), around)
-    _order(containers)
+    _set_order(containers)
     for application in applications.values():
         containers |= application.tools()
-    fields.refuse(_GONE)
-    _failure(fields, notes)
+    fields.refuse(_ADVICE_OF_LOST_KEY)
+    _note_failure_behavior(fields, notes)
     entry = {
         "containers": containers,
         "ros": "none",
@@ -139,19 +141,19 @@ class _Application:
         self._name, self._fields, self._around = name, fields, around
         self._notes = around.notes
         self.arn = fields.text("application")
-        self.entry = component_entry(self._component(), around, fields.where)
+        self.entry = component_entry(self._convert_application(), around, fields.where)
         if self.arn:
             self.entry = {"image": "TODO", **self.entry}
             self._notes.to_do(fields.at("application"), f"write the image of {self.arn}: only RoboMaker knew it")
         if "command" not in self.entry:
             self._notes.to_do(fields.where, "write its command: on AWS Batch no image is asked for its own")
-        if uploads := list(filter(None, map(self._artifact, fields.several("upload_configurations")))):
+        if uploads := list(filter(None, map(self._convert_upload, fields.several("upload_configurations")))):
             self.entry["artifacts"] = uploads
         self._tools = fields.several("tools")
         fields.refuse(_OF_AN_APPLICATION)
         fields.rest("there is no such setting of a container here")
 
-    def _component(self) -> dict[str, Any]:
+    def _convert_application(self) -> dict[str, Any]:
         """Convert the application to a component of ComposePlugin."""
         fields = self._fields
         launch = fields.fields("launch_config")
@@ -162,14 +164,14 @@ class _Application:
         if own_address.get(environment.get("ROS_IP", "")) == self._name:
             del environment["ROS_IP"]  # the address is unknown before the containers start: the host name replaces it
             environment["ROS_HOSTNAME"] = self._name
-        command = fields.take("command") or launch.take("command") or self._launched(launch)
-        fields.refuse({"ports": _PORTS})
-        launch.refuse({"port_forwarding_config": _PORTS, "stream_ui": _OF_AN_APPLICATION["stream_ui"]})
+        command = fields.take("command") or launch.take("command") or self._launch_command(launch)
+        fields.refuse({"ports": _ABOUT_PORTS})
+        launch.refuse({"port_forwarding_config": _ABOUT_PORTS, "stream_ui": _OF_AN_APPLICATION["stream_ui"]})
         launch.rest()
         envs = {key: value for key, value in environment.items() if key}
         return {"image": fields.take("ecr") or "", "command": command, "envs": envs}
 
-    def _launched(self, launch: Fields) -> list[str]:
+    def _launch_command(self, launch: Fields) -> list[str]:
         """Return the command that RoboMaker derived from a package and a launch file."""
         package, file = launch.text("package_name"), launch.text("launch_file")
         if not (package and file):
@@ -177,9 +179,9 @@ class _Application:
         self._notes.changed(launch.at("launch_file"), "ROS 1 launches it; for ROS 2 write [ros2, launch, ...]")
         return ["roslaunch", package, file]
 
-    def _artifact(self, upload: Fields) -> dict[str, Any] | None:
+    def _convert_upload(self, upload: Fields) -> dict[str, Any] | None:
         where = upload.at("path")
-        path = _SUPER.sub("**/*", upload.plain("path"))
+        path = _SUPER_WILDCARD.sub("**/*", upload.plain("path"))
         upload.take("name")  # the subfolder of the output location, which is not used: every file keeps its own path
         if "ROLLING" in upload.text("upload_behavior"):
             self._notes.changed(upload.at("upload_behavior"), "everything is copied when the job has ended")
@@ -195,11 +197,11 @@ class _Application:
         """Return containers for the tools of the application, with its image, variables and data."""
         shared = {key: self.entry[key] for key in ("image", "environment", "secrets", "mounts") if key in self.entry}
         return {
-            named(f"{self._name}-{tool.text('name', str(number))}"): shared | self._tool(tool)
+            named(f"{self._name}-{tool.text('name', str(number))}"): shared | self._convert_tool(tool)
             for number, tool in enumerate(self._tools)
         }
 
-    def _tool(self, tool: Fields) -> dict[str, Any]:
+    def _convert_tool(self, tool: Fields) -> dict[str, Any]:
         command = ["/bin/bash", "-c", tool.text("command")]  # as in RoboMaker
         entry = component_entry({"command": command}, self._around, tool.where)
         if tool.text("exit_behavior").upper() == "FAIL":
@@ -218,7 +220,7 @@ class _Application:
         return entry
 
 
-def _compute(containers: dict[str, dict[str, Any]], compute: Fields, notes: Notes) -> bool:
+def _distribute_compute(containers: dict[str, dict[str, Any]], compute: Fields, notes: Notes) -> bool:
     """Distribute processors and memory; return whether a GPU is needed."""
     units = compute.take("simulation_unit_limit")
     if isinstance(units, int | float) and not isinstance(units, bool) and units > 0:
@@ -235,7 +237,7 @@ def _compute(containers: dict[str, dict[str, Any]], compute: Fields, notes: Note
     kind, limit = compute.text("compute_type"), compute.take("gpu_unit_limit")
     gpu = "GPU" in kind.upper() and limit != 0
     if gpu:
-        chosen = next(name for name in _APPLICATIONS if name in containers)
+        chosen = next(name for name in _KEY_OF_APPLICATION if name in containers)
         containers[chosen]["gpus"] = True
         notes.changed(
             compute.at("compute_type"), f"the GPU is that of {chosen}; a container that needs one too gets another"
@@ -249,7 +251,7 @@ def _data_sources(containers: dict[str, dict[str, Any]], sources: list[Fields], 
     for number, source in enumerate(sources):
         called, where = source.text("name", f"data-{number}"), source.where
         name, given = named(called), source.text("destination")
-        target = plain(given, around.notes, where) or f"{_DATA}/{called}"
+        target = plain(given, around.notes, where) or f"{_DATA_FOLDER}/{called}"
         bucket, keys = source.text("s3_bucket", "BUCKET"), source.texts("s3_keys")
         kind = source.text("type", "File")
         source.rest()
@@ -258,10 +260,10 @@ def _data_sources(containers: dict[str, dict[str, Any]], sources: list[Fields], 
             continue
         for entry in containers.values():
             entry.setdefault("mounts", []).append(f"data/{name}:{target}")
-        around.notes.to_do(where, _fetching(bucket, keys, kind, f"data/{name}"))
+        around.notes.to_do(where, _download_command(bucket, keys, kind, f"data/{name}"))
 
 
-def _fetching(bucket: str, keys: list[str], kind: str, folder: str) -> str:
+def _download_command(bucket: str, keys: list[str], kind: str, folder: str) -> str:
     """Return the command that downloads a data source to its folder."""
     first = shlex.quote(f"s3://{bucket}/{keys[0] if keys else ''}")
     verb = f"sync {first} {folder}" if kind.lower() == "prefix" else f"cp {first} {folder}/"
@@ -270,19 +272,19 @@ def _fetching(bucket: str, keys: list[str], kind: str, folder: str) -> str:
     return f"fill the folder before it is mounted: aws s3 {verb}{more}{unpack}"
 
 
-def _failure(fields: Fields, notes: Notes) -> None:
+def _note_failure_behavior(fields: Fields, notes: Notes) -> None:
     if fields.text("failure_behavior", "Fail").lower() == "continue":
         why = "a task ends with its job; artifacts and logs of a failed job are kept"
         notes.lost(fields.at("failure_behavior"), why)
 
 
-def _order(containers: dict[str, dict[str, Any]]) -> None:
+def _set_order(containers: dict[str, dict[str, Any]]) -> None:
     """Set the start order (the ROS master first) and the container whose end ends the job (robot, or simulation)."""
     if len(containers) < 2:
         return
     containers["simulation"]["essential"] = False
     for one, other in (("robot", "simulation"), ("simulation", "robot")):
-        found = _MASTER.fullmatch(containers[other].get("environment", {}).get("ROS_MASTER_URI", ""))
+        found = _MASTER_ADDRESS.fullmatch(containers[other].get("environment", {}).get("ROS_MASTER_URI", ""))
         if found and found[1] == one:
             containers[one]["ready"] = {"port": int(found[2])}
             containers[other]["after"] = [one]
@@ -291,4 +293,4 @@ def _order(containers: dict[str, dict[str, Any]]) -> None:
 
 def _with_names(text: str) -> str:
     """Replace RoboMaker's address variables by the names of the containers."""
-    return _ADDRESS.sub(lambda match: "robot" if match[1] == "ROBOT" else "simulation", text)
+    return _ADDRESS_VARIABLE.sub(lambda match: "robot" if match[1] == "ROBOT" else "simulation", text)

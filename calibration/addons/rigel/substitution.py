@@ -15,12 +15,12 @@ from calibration.addons.rigel.notes import Notes
 from calibration.base.errors import InputError
 from calibration.base.text import shorten
 
-_NAME = re.compile(
+_SECRET_NAME = re.compile(
     r"passw(or)?d|passphrase|secret|token|credential|private_?key|access_?key|api_?key|ssh_?key|deploy_?key"
     r"|(^|_)(key|auth|pwd)$",
     re.IGNORECASE,
 )
-_VALUES = (
+_SECRET_VALUES = (
     re.compile(r"-----BEGIN [A-Z ]*PRIVATE KEY-----.*?(?:-----END [A-Z ]*PRIVATE KEY-----|\Z)", re.DOTALL),
     re.compile(r"\b(?:AKIA|ASIA)[0-9A-Z]{16}\b"),
     re.compile(r"\bgh[pousr]_[A-Za-z0-9]{20,}\b|\bgithub_pat_[A-Za-z0-9_]{20,}\b|\bglpat-[A-Za-z0-9_-]{20,}"),
@@ -31,12 +31,12 @@ _VALUES = (
 
 def names_a_secret(name: str) -> bool:
     """Return whether a name indicates a secret: ``DOCKER_PASSWORD``, ``aws_secret_access_key``."""
-    return _NAME.search(name) is not None
+    return _SECRET_NAME.search(name) is not None
 
 
 def spans_of_secrets(text: str) -> list[tuple[int, int]]:
     """Find a text with the form of a secret: a private key, a token, a password in a URL."""
-    return [match.span() for pattern in _VALUES for match in pattern.finditer(text)]
+    return [match.span() for pattern in _SECRET_VALUES for match in pattern.finditer(text)]
 
 
 def variable_name(text: str) -> str:
@@ -52,14 +52,14 @@ MAX_LENGTH = 65536
 MAX_NODES, MAX_DEPTH = 100_000, 40
 """Limit for a document: YAML aliases and nested variables can expand a small file."""
 
-_REFERENCE = re.compile(r"\{\{\s*([A-Za-z0-9_!?.\- ]+?)\s*\}\}")
-_MARKS = re.compile("\ue000([VSD])([^\ue001]*)\ue001")
-_OURS = {"\ue000": "", "\ue001": ""}
-_GENERAL = ("PASSWORD", "TOKEN", "KEY", "SECRET", "AUTH")
+_VARIABLE_REFERENCE = re.compile(r"\{\{\s*([A-Za-z0-9_!?.\- ]+?)\s*\}\}")
+_MARK_WITH_KIND = re.compile("\ue000([VSD])([^\ue001]*)\ue001")
+_WITHOUT_MARKS = {"\ue000": "", "\ue001": ""}
+_GENERAL_NAMES = ("PASSWORD", "TOKEN", "KEY", "SECRET", "AUTH")
 _SHELL_VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 
-def _mark(kind: str, name: str) -> str:
+def _mark_of(kind: str, name: str) -> str:
     """V: a variable of the environment; S: a secret one; D: data of the matrix."""
     return f"\ue000{kind}{name}\ue001"
 
@@ -130,13 +130,13 @@ class Substitution:
         if isinstance(node, list):
             return [self.resolved(value, f"{where}.{i}", key, opened) for i, value in enumerate(node)]
         if isinstance(node, str):
-            whole = _REFERENCE.fullmatch(node.strip())
-            name = None if whole is None else self._declared(whole[1])
+            whole = _VARIABLE_REFERENCE.fullmatch(node.strip())
+            name = None if whole is None else self._declared_variable(whole[1])
             if name is not None and not names_a_secret(name):
                 self._refuse_circle(name, where, opened)
                 return self.resolved(self._variables[name], where, key, (*opened, name))
             if names_a_secret(key) and node and "{{" not in node:
-                return self._hidden(node, key, where)
+                return self._hide_secret(node, key, where)
             return self.text(node, where, opened)
         return node
 
@@ -146,31 +146,31 @@ class Substitution:
         Raises:
             InputError: as :meth:`resolved`.
         """
-        for sign, nothing in _OURS.items():
+        for sign, nothing in _WITHOUT_MARKS.items():
             text = text.replace(sign, nothing)
 
         def value(match: re.Match[str]) -> str:
             header, dot, rest = (part.strip() for part in match[1].partition("."))
             if dot and header == "data":
-                return _mark("D", rest)
+                return _mark_of("D", rest)
             if dot and header != "vars":
                 self._notes.lost(where, f"{match[0]} is no reference that Rigel knows (vars, data)")
                 return match[0]
-            name, declared = rest if dot else header, self._declared(match[1])
+            name, declared = rest if dot else header, self._declared_variable(match[1])
             if declared is None:
-                return _mark("S" if names_a_secret(name) else "V", variable_name(name))
+                return _mark_of("S" if names_a_secret(name) else "V", variable_name(name))
             self._refuse_circle(declared, where, opened)
             self._left -= 1
             found = self.resolved(self._variables[declared], where, declared, (*opened, declared))
             return "" if found is None else str(found)
 
         text = self._without_secrets(text, where)
-        put_in = _REFERENCE.sub(value, text)
+        put_in = _VARIABLE_REFERENCE.sub(value, text)
         if len(put_in) > MAX_LENGTH or self._left < 0:
             raise InputError(f"{where}: its variables make a text of more than {MAX_LENGTH} characters")
         return put_in
 
-    def _declared(self, reference: str) -> str | None:
+    def _declared_variable(self, reference: str) -> str | None:
         header, dot, rest = (part.strip() for part in reference.partition("."))
         name = rest if dot and header == "vars" else None if dot else header
         return name if name in self._variables else None
@@ -182,27 +182,27 @@ class Substitution:
     def _without_secrets(self, text: str, where: str) -> str:
         for start, end in sorted(spans_of_secrets(text), reverse=True):
             if "\ue000" not in text[start:end]:
-                text = text[:start] + self._hidden(text[start:end], "", where) + text[end:]
+                text = text[:start] + self._hide_secret(text[start:end], "", where) + text[end:]
         return text
 
-    def _hidden(self, secret: str, key: str, where: str) -> str:
+    def _hide_secret(self, secret: str, key: str, where: str) -> str:
         """Return the mark of a secret; equal secrets get equal marks."""
         if secret not in self.secrets:
             name = variable_name(key).upper() if key else f"SECRET_{len(self.secrets) + 1}"
-            if name in _GENERAL:  # the owner: providers.hub.with.password gives HUB_PASSWORD
+            if name in _GENERAL_NAMES:  # the owner: providers.hub.with.password gives HUB_PASSWORD
                 name = f"{variable_name(where.split('.')[1]).upper()}_{name}" if "." in where else name
             while name in self.secrets.values():
                 name += "_2"
             self.secrets[secret] = name
         name = self.secrets[secret]
         self._notes.to_do(where, f"a secret, which is not copied: put it into the variable {name}")
-        return _mark("S", name)
+        return _mark_of("S", name)
 
 
 def plain(text: str, notes: Notes, where: str) -> str:
     """Write a text for a field without placeholders: ``${NAME}`` for the environment."""
     _warn_of_variables(text, notes, where)
-    return _MARKS.sub(lambda m: f"{{{{ data.{m[2]} }}}}" if m[1] == "D" else f"${{{m[2]}}}", text)
+    return _MARK_WITH_KIND.sub(lambda m: f"{{{{ data.{m[2]} }}}}" if m[1] == "D" else f"${{{m[2]}}}", text)
 
 
 def shell(text: str, secret: Callable[[str], str]) -> str:
@@ -210,7 +210,9 @@ def shell(text: str, secret: Callable[[str], str]) -> str:
     text = _SHELL_VARIABLE.sub(
         r"${\1-}", text
     )  # equivalent for the shell, and not expanded by the reader of calibration.yml
-    return _MARKS.sub(lambda m: {"V": f"${{{m[2]}}}", "D": f"{{{{ data.{m[2]} }}}}"}.get(m[1]) or secret(m[2]), text)
+    return _MARK_WITH_KIND.sub(
+        lambda m: {"V": f"${{{m[2]}}}", "D": f"{{{{ data.{m[2]} }}}}"}.get(m[1]) or secret(m[2]), text
+    )
 
 
 def argument(text: str, names: Mapping[str, str], secret: Callable[[str], str], notes: Notes, where: str) -> str:
@@ -237,7 +239,7 @@ def argument(text: str, names: Mapping[str, str], secret: Callable[[str], str], 
 
     pieces = []
     at = 0
-    for match in _MARKS.finditer(text):
+    for match in _MARK_WITH_KIND.finditer(text):
         pieces += [_braces_doubled(text[at : match.start()]), written(match)]
         at = match.end()
     return "".join([*pieces, _braces_doubled(text[at:])])
@@ -245,12 +247,12 @@ def argument(text: str, names: Mapping[str, str], secret: Callable[[str], str], 
 
 def secret_names(text: str) -> list[str]:
     """Return the names of the variables of the secrets in a text."""
-    return [match[2] for match in _MARKS.finditer(text) if match[1] == "S"]
+    return [match[2] for match in _MARK_WITH_KIND.finditer(text) if match[1] == "S"]
 
 
 def sole_variable(text: str) -> str | None:
     """Return the variable that makes up the whole text; None if there is anything else."""
-    match = _MARKS.fullmatch(text)
+    match = _MARK_WITH_KIND.fullmatch(text)
     return match[2] if match and match[1] in "VS" else None
 
 

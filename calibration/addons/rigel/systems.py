@@ -18,33 +18,39 @@ from calibration.base.errors import InputError
 from calibration.base.tables.rule_set import parse_rules
 from calibration.ci.introspection.rigelfile_rules import COLUMNS_KEY, translate
 
-_SOURCE, _TARGET = ("-ss", "--sensor_source"), ("-st", "--sensor_target")
-_RANGE, _DEPTH, _CAMERA = ("-rs", "--range_sensor"), ("-ds", "--depth_sensor"), ("-cs", "--camera_sensor")
-_PATTERN = ("-pn", "--pattern_name")
+_SOURCE_FLAG, _TARGET_FLAG = ("-ss", "--sensor_source"), ("-st", "--sensor_target")
+_RANGE_FLAG, _DEPTH_FLAG, _CAMERA_FLAG = (
+    ("-rs", "--range_sensor"),
+    ("-ds", "--depth_sensor"),
+    ("-cs", "--camera_sensor"),
+)
+_PATTERN_FLAG = ("-pn", "--pattern_name")
 _Flag = tuple[str, str]
-_PAIRS: Mapping[str, tuple[_Flag, _Flag]] = {
-    "rgb_to_rgb": (_SOURCE, _TARGET),
-    "lidar_to_rgb": (_RANGE, _CAMERA),
-    "depth_to_rgb": (_DEPTH, _CAMERA),
-    "lidar_to_lidar": (_SOURCE, _TARGET),
-    "lidar_to_depth": (_RANGE, _DEPTH),
-    "depth_to_depth": (_SOURCE, _TARGET),
+_FLAGS_OF_PAIR: Mapping[str, tuple[_Flag, _Flag]] = {
+    "rgb_to_rgb": (_SOURCE_FLAG, _TARGET_FLAG),
+    "lidar_to_rgb": (_RANGE_FLAG, _CAMERA_FLAG),
+    "depth_to_rgb": (_DEPTH_FLAG, _CAMERA_FLAG),
+    "lidar_to_lidar": (_SOURCE_FLAG, _TARGET_FLAG),
+    "lidar_to_depth": (_RANGE_FLAG, _DEPTH_FLAG),
+    "depth_to_depth": (_SOURCE_FLAG, _TARGET_FLAG),
 }
-_BETWEEN = ("inter_collection_", "cross_collection_")
+_PREFIXES_BETWEEN = ("inter_collection_", "cross_collection_")
 """Prefixes of a pair's script that makes a table between collections; earlier versions used the second."""
-_NEEDED: Mapping[str, tuple[_Flag, ...]] = {
-    **_PAIRS,
-    **{f"{before}{script}": flags for before in _BETWEEN for script, flags in _PAIRS.items()},
+_REQUIRED_FLAGS: Mapping[str, tuple[_Flag, ...]] = {
+    **_FLAGS_OF_PAIR,
+    **{f"{before}{script}": flags for before in _PREFIXES_BETWEEN for script, flags in _FLAGS_OF_PAIR.items()},
     "single_rgb": (),  # its filters are Python functions: all cameras and patterns are used
     "ground_truth_transform": (("-p", "--parent"), ("-c", "--child")),
     "ground_truth_frame": (("-tf", "--target_frame"),),
 }
-_OPTIONAL: Mapping[str, tuple[_Flag, ...]] = {
+_OPTIONAL_FLAGS: Mapping[str, tuple[_Flag, ...]] = {
     "single_rgb": (),
     "ground_truth_transform": (),
     "ground_truth_frame": (("-sf", "--source_frame"),),
 }
-_SCRIPT = re.compile(rf"\b(?P<script>{'|'.join(_NEEDED)})_evaluation(?:\.py)?(?![\w.-])(?P<flags>[^\n;&|]*)")
+_EVALUATION_COMMAND = re.compile(
+    rf"\b(?P<script>{'|'.join(_REQUIRED_FLAGS)})_evaluation(?:\.py)?(?![\w.-])(?P<flags>[^\n;&|]*)"
+)
 """Match one of the scripts, and its arguments up to the end of the command."""
 
 
@@ -53,21 +59,21 @@ def evaluation_in(command: str, notes: Notes, where: str) -> str | None:
 
     An evaluation whose flags do not name the sensors is noted.
     """
-    found = _SCRIPT.search(command.replace("\\\n", " "))
+    found = _EVALUATION_COMMAND.search(command.replace("\\\n", " "))
     if found is None:
         return None
     script, flags = found["script"], found["flags"]
-    names = [_value(flags, flag) for flag in _NEEDED[script]]
+    names = [_value_of_flag(flags, flag) for flag in _REQUIRED_FLAGS[script]]
     if None in names:
-        missing = _NEEDED[script][names.index(None)][1]
+        missing = _REQUIRED_FLAGS[script][names.index(None)][1]
         notes.to_do(where, f"evaluate: {script}_evaluation has no {missing} that can be read: write the table")
         return None
-    more = [_value(flags, flag) for flag in _OPTIONAL.get(script, (_PATTERN,))]
+    more = [_value_of_flag(flags, flag) for flag in _OPTIONAL_FLAGS.get(script, (_PATTERN_FLAG,))]
     kind = script.replace("cross_", "inter_").replace("_", "-")
     return ":".join((kind, *(name for name in (*names, *more) if name)))
 
 
-def _value(flags: str, flag: _Flag) -> str | None:
+def _value_of_flag(flags: str, flag: _Flag) -> str | None:
     found = re.search(rf"(?<!\S)(?:{'|'.join(flag)})(?:\s+|=)[\"']?(\w[\w.-]*)(?=[\"'\s)]|$)", flags)
     return found[1] if found else None
 
@@ -76,7 +82,7 @@ _ROS_2 = (
     *("ardent", "bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic"),
     *("humble", "iron", "jazzy", "kilted", "lyrical", "rolling"),
 )
-_EARLIER = "columns_to_verify"
+_EARLIER_KEY = "columns_to_verify"
 """Return a key of an earlier form of the file introspection."""
 
 
@@ -96,7 +102,7 @@ def is_compose(job: RigelJob) -> bool:
 
 def is_introspection(job: RigelJob) -> bool:
     """Return whether a job judges a table."""
-    return COLUMNS_KEY in job.fields or _EARLIER in job.fields or "introspection" in job.kind.lower()
+    return COLUMNS_KEY in job.fields or _EARLIER_KEY in job.fields or "introspection" in job.kind.lower()
 
 
 def judged_by(rigelfile: Rigelfile) -> dict[str, list[RigelJob]]:
@@ -138,8 +144,8 @@ def system_of(
     Raises:
         InputError: a field has the wrong type.
     """
-    components = _components(job)
-    chosen = _calibrating(components, bool(judges))
+    components = _components_of_job(job)
+    chosen = _judged_component(components, bool(judges))
     if chosen is None:
         return None
     where = f"{job.where}.components"
@@ -154,7 +160,7 @@ def system_of(
         around.notes.to_do(where, "the command that calibrates is not in the Rigelfile: write it for TODO")
         software = {"command": ["TODO"], **software}
     software["ros"] = ros_version(distro)
-    software |= _timeout(job, around.notes)
+    software |= _convert_timeout(job, around.notes)
     if not any(str(path).endswith((".json", "*")) for path in software.get("artifacts", ())):
         software["calibrated"] = "none"
         around.notes.to_do(
@@ -171,7 +177,7 @@ def system_of(
     if evaluate:
         entry["evaluate"] = evaluate
     entry["software"] = software
-    rules = [rule for judge in judges for rule in _rules(judge, software, around.notes, folder)]
+    rules = [rule for judge in judges for rule in _convert_rules(judge, software, around.notes, folder)]
     if rules:
         entry["rules"] = rules
     elif not judges:
@@ -187,7 +193,7 @@ def collection_of(job: RigelJob, distro: str | None, around: Surroundings) -> Co
     Raises:
         InputError: a field has the wrong type.
     """
-    components = _components(job)
+    components = _components_of_job(job)
     where = f"{job.where}.components"
     containers: dict[str, dict[str, Any]] = {}
     dataset = None
@@ -210,7 +216,7 @@ def collection_of(job: RigelJob, distro: str | None, around: Surroundings) -> Co
     if all(entry.get("essential") is False for entry in containers.values()):
         raise AssertionError("the container that has the dataset is essential")
     simulation: dict[str, Any] = {"containers": containers, "ros": ros_version(distro)}
-    simulation |= _timeout(job, around.notes)
+    simulation |= _convert_timeout(job, around.notes)
     simulation["dataset"] = dataset
     _refuse_others(job, around.notes)
     return Converted(named_system(job.name), simulation, f"job {job.name}")
@@ -221,12 +227,12 @@ def named_system(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-_.")[:64] or "robot"
 
 
-def _components(job: RigelJob) -> list[dict[str, Any]]:
+def _components_of_job(job: RigelJob) -> list[dict[str, Any]]:
     where = f"{job.where}.components"
     return [mapping_at(c, f"{where}.{i}") for i, c in enumerate(list_at(job.fields.get("components"), where))]
 
 
-def _calibrating(components: list[dict[str, Any]], judged: bool) -> dict[str, Any] | None:
+def _judged_component(components: list[dict[str, Any]], judged: bool) -> dict[str, Any] | None:
     """Return the component whose table is judged: one with a CSV file as artifact, or the last one of a judged job."""
 
     def has_table(component: Mapping[str, Any]) -> bool:
@@ -237,23 +243,23 @@ def _calibrating(components: list[dict[str, Any]], judged: bool) -> dict[str, An
     return with_table[-1] if with_table else components[-1] if judged and components else None
 
 
-def _rules(judge: RigelJob, software: dict[str, Any], notes: Notes, path: str) -> list[dict[str, Any]]:
+def _convert_rules(judge: RigelJob, software: dict[str, Any], notes: Notes, path: str) -> list[dict[str, Any]]:
     if COLUMNS_KEY not in judge.fields:
         notes.lost(judge.where, "an earlier form of the file introspection: write its limits as rules")
         return []
     try:
-        document = translate(_plainly(judge.fields, notes, judge.where), f"{path}: {judge.where}")
+        document = translate(_plain_values(judge.fields, notes, judge.where), f"{path}: {judge.where}")
         parse_rules(document, f"{path}: {judge.where}")
     except InputError as error:
         notes.lost(judge.where, str(error).removeprefix(f"{path}: {judge.where}: "))
         return []
-    _table(str(document.get("file", "")), software, judge.where, notes)
+    _set_table(str(document.get("file", "")), software, judge.where, notes)
     notes.changed(judge.where, "a number equal to a limit passes here; add `exclusive: true` to a rule if it must not")
     rules: list[dict[str, Any]] = document["rules"]
     return rules
 
 
-def _table(file: str, software: dict[str, Any], where: str, notes: Notes) -> None:
+def _set_table(file: str, software: dict[str, Any], where: str, notes: Notes) -> None:
     """Return the artifact that is judged."""
     name = PurePosixPath(file).name
     tables = [path for path in software.get("artifacts", []) if path.endswith(".csv")]
@@ -264,15 +270,15 @@ def _table(file: str, software: dict[str, Any], where: str, notes: Notes) -> Non
         notes.to_do(f"{where}.file", f"{name} is no artifact of the job before it: add it to software.artifacts")
 
 
-def _plainly(node: Any, notes: Notes, where: str) -> Any:
+def _plain_values(node: Any, notes: Notes, where: str) -> Any:
     if isinstance(node, dict):
-        return {plain(key, notes, where): _plainly(value, notes, f"{where}.{key}") for key, value in node.items()}
+        return {plain(key, notes, where): _plain_values(value, notes, f"{where}.{key}") for key, value in node.items()}
     if isinstance(node, list):
-        return [_plainly(value, notes, where) for value in node]
+        return [_plain_values(value, notes, where) for value in node]
     return plain(node, notes, where) if isinstance(node, str) else node
 
 
-def _timeout(job: RigelJob, notes: Notes) -> dict[str, str]:
+def _convert_timeout(job: RigelJob, notes: Notes) -> dict[str, str]:
     timeout, where = job.fields.get("timeout"), f"{job.where}.timeout"
     if timeout in (None, 0):
         return {}

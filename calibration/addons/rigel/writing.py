@@ -11,13 +11,13 @@ from calibration.addons.rigel.notes import Kind
 from calibration.addons.rigel.systems import Converted
 from calibration.base.text import one_line
 
-WIDTH = 110
+COMMENT_WIDTH = 110
 """Line width of comments."""
 LEAST_SECRET = 6
 """Minimum length of a secret in characters; a shorter one may be a word of any text."""
-SHORT = 90
+MAX_LIST_LENGTH = 90
 """Maximum length of a list on one line, in characters."""
-_HEADINGS = {
+_HEADING_OF_KIND = {
     Kind.TO_DO: "To do:",
     Kind.CHANGED: "What works otherwise here:",
     Kind.LOST: "What was not carried over:",
@@ -34,7 +34,7 @@ class _Dumper(yaml.SafeDumper):
         super().increase_indent(flow, indentless=False)
 
 
-def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
     # A block style text cannot contain trailing blanks or non-printable characters.
     block = "\n" in text and not any(line != line.rstrip() for line in text.split("\n")) and text.strip("\n") == text
     printable = text.replace("\n", "").isprintable()
@@ -42,37 +42,40 @@ def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
 
-def _list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.SequenceNode:
+def _represent_list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.SequenceNode:
     node = dumper.represent_sequence("tag:yaml.org,2002:seq", items)
-    if sum(len(str(item)) + 2 for item in items) > SHORT:
+    if sum(len(str(item)) + 2 for item in items) > MAX_LIST_LENGTH:
         node.flow_style = False
     return node
 
 
-_Dumper.add_representer(str, _text)
-_Dumper.add_representer(list, _list)
+_Dumper.add_representer(str, _represent_text)
+_Dumper.add_representer(list, _represent_list)
 
 
 def written(conversion: Conversion, source: str) -> str:
     """Return the text of ``calibration.yml``; ``source`` is the name of the converted file."""
     parts = [
-        _comment(f"Made from {source} by `calibration import-rigelfile`; from now on it is yours to edit."),
-        _notes(conversion, Kind.TO_DO),
+        _comment_text(f"Made from {source} by `calibration import-rigelfile`; from now on it is yours to edit."),
+        _notes_text(conversion, Kind.TO_DO),
     ]
     if conversion.image:
-        parts.append(_comment(f"from the {conversion.image_origin}") + _dumped({"image": conversion.image}))
+        parts.append(_comment_text(f"from the {conversion.image_origin}") + _dump_yaml({"image": conversion.image}))
     if conversion.noise:
-        parts.append(_comment(f"from {conversion.noise_origin}; m and rad") + _dumped({"noise": conversion.noise}))
-    parts += [_section("systems", conversion.systems), _section("simulation", conversion.simulations)]
+        parts.append(
+            _comment_text(f"from {conversion.noise_origin}; m and rad") + _dump_yaml({"noise": conversion.noise})
+        )
+    parts += [_section_text("systems", conversion.systems), _section_text("simulation", conversion.simulations)]
     if conversion.batch:
         parts.append(
-            _comment(f"from the {conversion.batch_origin}") + _dumped({"aws-batch": conversion.batch}, flow=False)
+            _comment_text(f"from the {conversion.batch_origin}")
+            + _dump_yaml({"aws-batch": conversion.batch}, flow=False)
         )
-    parts += [_notes(conversion, Kind.CHANGED), _notes(conversion, Kind.LOST)]
-    return _without(conversion.secrets, "\n".join(part for part in parts if part))
+    parts += [_notes_text(conversion, Kind.CHANGED), _notes_text(conversion, Kind.LOST)]
+    return _without_secrets(conversion.secrets, "\n".join(part for part in parts if part))
 
 
-def _without(secrets: Mapping[str, str], text: str) -> str:
+def _without_secrets(secrets: Mapping[str, str], text: str) -> str:
     """Remove secrets from the text that also occur where no key marks them."""
     for secret in sorted(secrets, key=len, reverse=True):
         if len(secret) >= LEAST_SECRET:
@@ -80,29 +83,29 @@ def _without(secrets: Mapping[str, str], text: str) -> str:
     return text
 
 
-def _section(name: str, entries: list[Converted]) -> str:
+def _section_text(name: str, entries: list[Converted]) -> str:
     if not entries:
         return ""
     blocks = [
-        textwrap.indent(_comment(f"from the {entry.origin}") + _dumped({entry.name: entry.entry}), "  ")
+        textwrap.indent(_comment_text(f"from the {entry.origin}") + _dump_yaml({entry.name: entry.entry}), "  ")
         for entry in entries
     ]
     return f"{name}:\n" + "\n".join(blocks)
 
 
-def _notes(conversion: Conversion, kind: Kind) -> str:
+def _notes_text(conversion: Conversion, kind: Kind) -> str:
     notes = [note for note in conversion.notes if note.kind is kind]
-    return _comment("\n".join([_HEADINGS[kind], *(f"- {note}" for note in notes)])) if notes else ""
+    return _comment_text("\n".join([_HEADING_OF_KIND[kind], *(f"- {note}" for note in notes)])) if notes else ""
 
 
-def _comment(text: str) -> str:
+def _comment_text(text: str) -> str:
     lines: list[str] = []
     for line in text.split("\n"):
-        lines += textwrap.wrap(one_line(line), WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+        lines += textwrap.wrap(one_line(line), COMMENT_WIDTH, subsequent_indent="  ", break_on_hyphens=False)
     return "".join(f"# {line}\n" for line in lines)
 
 
-def _dumped(document: dict[str, Any], flow: bool | None = None) -> str:
+def _dump_yaml(document: dict[str, Any], flow: bool | None = None) -> str:
     return yaml.dump(
         document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**20, default_flow_style=flow
     )

@@ -13,7 +13,14 @@ from typing import Any
 from calibration.addons.aws_batch.backend import BatchBackend
 from calibration.addons.aws_batch.documents import TaskJob, TaskOutcome, outcome_document, read_job
 from calibration.addons.aws_batch.settings import BatchSettings
-from calibration.addons.aws_batch.wire import FIRST, JOBS_PER_FILE, LOCATION, OUTCOME_FILE, PREPARE, Location
+from calibration.addons.aws_batch.wire import (
+    FIRST_VARIABLE,
+    JOBS_PER_FILE,
+    LOCATION_VARIABLE,
+    OUTCOME_FILE,
+    PREPARE_CONTAINER,
+    Location,
+)
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
@@ -76,9 +83,9 @@ class Tasks:
         aws.batch.runner.function = self
 
     def __call__(self, attempt: Attempt) -> Ended | None:
-        variables = attempt.environment(PREPARE)
-        location = Location.parse(variables[LOCATION])
-        index = int(variables[FIRST]) + (attempt.index or 0)
+        variables = attempt.environment(PREPARE_CONTAINER)
+        location = Location.parse(variables[LOCATION_VARIABLE])
+        index = int(variables[FIRST_VARIABLE]) + (attempt.index or 0)
         key = location.jobs_key(index)
         task = read_job(self.aws.services.get(location.bucket, key), index % JOBS_PER_FILE, key)
         self.ran.append((task.job.name, attempt.number))

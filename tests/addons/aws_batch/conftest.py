@@ -10,12 +10,12 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
     from calibration.addons.aws_batch import following, logs, session, submitting
 
-    monkeypatch.setattr(following, "_SHORTEST", 0.05)
+    monkeypatch.setattr(following, "_MIN_POLL_SECONDS", 0.05)
     monkeypatch.setattr(submitting, "_TAKING_NOTE", 0.05)
     monkeypatch.setattr(logs, "_POLL_SECONDS", 0.05)
-    monkeypatch.setattr(logs, "_COMING", 0.0)
+    monkeypatch.setattr(logs, "_SECONDS_BETWEEN_TRIES", 0.0)
     monkeypatch.setattr(submitting, "_POLL_SECONDS", 0.05)
-    monkeypatch.setattr(session, "_FIRST", 0.05)
+    monkeypatch.setattr(session, "_FIRST_DELAY", 0.05)
     monkeypatch.setattr(botocore.session, "create_loader", _loader)
 
 

@@ -21,7 +21,7 @@ from calibration.addons.aws_batch.results import Downloader
 from calibration.addons.aws_batch.session import Aws as Client
 from calibration.addons.aws_batch.session import Backoff
 from calibration.addons.aws_batch.submitting import terminate
-from calibration.addons.aws_batch.wire import PREPARE
+from calibration.addons.aws_batch.wire import PREPARE_CONTAINER
 from calibration.base.errors import ExitCode, InfrastructureError
 from calibration.ci.execution.job import Limits, Mount
 from calibration.ci.execution.outcome import End, JobOutcome
@@ -221,12 +221,14 @@ def test_a_task_that_never_started(batch_emulator: Aws, tmp_path: Path) -> None:
 def test_failed_downloads_of_inputs_are_reported_from_our_log(batch_emulator: Aws, tmp_path: Path) -> None:
     tasks = Tasks(batch_emulator)
     tasks.do = lambda task, attempt: Did(
-        document=lambda _: None, log={PREPARE: ["error: bucket is gone"]}, result=ended(attempt, {PREPARE: 3})
+        document=lambda _: None,
+        log={PREPARE_CONTAINER: ["error: bucket is gone"]},
+        result=ended(attempt, {PREPARE_CONTAINER: 3}),
     )
     [outcome], _ = run_jobs(tmp_path, job())
     assert outcome.exit_code == ExitCode.INFRASTRUCTURE
     assert outcome.reasons == (
-        f"its inputs could not be downloaded: {PREPARE} ended with exit code 3: error: bucket is gone",
+        f"its inputs could not be downloaded: {PREPARE_CONTAINER} ended with exit code 3: error: bucket is gone",
     )
 
 
@@ -385,7 +387,7 @@ def test_a_result_that_vanishes(batch_emulator: Aws, tmp_path: Path, monkeypatch
     Tasks(batch_emulator)
     run_jobs(tmp_path, job(), run="again")
     batch_emulator.batch.jobs.jobs.clear()
-    monkeypatch.setattr(Downloader, "_read", lambda *_: None)
+    monkeypatch.setattr(Downloader, "_read_outcome", lambda *_: None)
     [outcome], _ = run_jobs(tmp_path, job(), run="again", resume=True)
     assert (outcome.exit_code, outcome.reasons) == (ExitCode.INFRASTRUCTURE, ("its result is missing in S3",))
 
@@ -405,7 +407,7 @@ def test_the_result_of_an_older_attempt_is_found(batch_emulator: Aws, tmp_path: 
 
 
 def test_aws_may_be_away_for_a_while(batch_emulator: Aws, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Client._client, "__defaults__", (1, None))  # without boto3's own retries
+    monkeypatch.setattr(Client._client_of_service, "__defaults__", (1, None))  # without boto3's own retries
     Tasks(batch_emulator)
     faults, services = batch_emulator.faults, batch_emulator.services.faults
     faults.drop("DescribeJobs", times=2)
@@ -420,7 +422,7 @@ def test_aws_may_be_away_for_a_while(batch_emulator: Aws, tmp_path: Path, monkey
 
 
 def test_aws_that_stays_away(batch_emulator: Aws, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Client._client, "__defaults__", (1, None))
+    monkeypatch.setattr(Client._client_of_service, "__defaults__", (1, None))
     monkeypatch.setattr(Backoff.__init__, "__defaults__", (0.2,))
     Tasks(batch_emulator)
     batch_emulator.services.faults.refuse("s3:GET", 503, "SlowDown", "slower", times=999)
@@ -440,7 +442,7 @@ def test_a_folder_that_cannot_be_written_is_no_verdict(batch_emulator: Aws, tmp_
 def test_more_results_than_fit_on_their_way(
     batch_emulator: Aws, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run_module, "_AHEAD", 2)
+    monkeypatch.setattr(run_module, "_MAX_DOWNLOADS", 2)
     monkeypatch.setattr(following, "AT_ONCE", 3)
     Tasks(batch_emulator)
     outcomes, _ = run_jobs(tmp_path, *jobs(12))

@@ -5,7 +5,7 @@ import pytest
 from calibration.addons.aws_batch.documents import TaskOutcome
 from calibration.addons.aws_batch.following import Attempt, ContainerEnd, Description
 from calibration.addons.aws_batch.results import ends_alone, why_no_outcome, with_ends
-from calibration.addons.aws_batch.wire import PREPARE, WATCH
+from calibration.addons.aws_batch.wire import PREPARE_CONTAINER, WATCH_CONTAINER
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import Job, Limits
 from calibration.ci.execution.outcome import ContainerOutcome, End
@@ -133,17 +133,17 @@ def described(
         ),
         (described(attempt(), reason=""), "", {}, "AWS Batch reports a failure: it gives no reason", 3),
         (
-            described(attempt(batch(code=1), batch(WATCH, 137, OUT))),
+            described(attempt(batch(code=1), batch(WATCH_CONTAINER, 137, OUT))),
             "",
             {},
             f"its results could not be uploaded: {OUT}",
             3,
         ),
         (
-            described(attempt(batch(PREPARE, 3))),
+            described(attempt(batch(PREPARE_CONTAINER, 3))),
             "",
-            {PREPARE: "no bucket"},
-            f"its inputs could not be downloaded: {PREPARE} ended with exit code 3: no bucket",
+            {PREPARE_CONTAINER: "no bucket"},
+            f"its inputs could not be downloaded: {PREPARE_CONTAINER} ended with exit code 3: no bucket",
             3,
         ),
         (
@@ -161,10 +161,10 @@ def described(
             2,
         ),
         (
-            described(attempt(batch(WATCH, None, "CannotPullContainerError: denied"))),
+            described(attempt(batch(WATCH_CONTAINER, None, "CannotPullContainerError: denied"))),
             "",
             {},
-            f"container '{WATCH}': the image cannot be pulled: CannotPullContainerError: denied",
+            f"container '{WATCH_CONTAINER}': the image cannot be pulled: CannotPullContainerError: denied",
             3,
         ),
         (

@@ -132,9 +132,9 @@ def test_jobs_that_batch_has_forgotten_are_lost_after_a_while(monkeypatch: pytes
     batch.unknown, batch.late = {"job0:1", "job1"}, {"job0:2"}
     assert [end.index for end in found.poll().ended] == [10]
     now = following.time.monotonic()
-    monkeypatch.setattr(following.time, "monotonic", lambda: now + following._SETTLING - 1)
+    monkeypatch.setattr(following.time, "monotonic", lambda: now + following._SETTLING_SECONDS - 1)
     assert found.poll().ended == ()
-    monkeypatch.setattr(following.time, "monotonic", lambda: now + following._SETTLING + 1)
+    monkeypatch.setattr(following.time, "monotonic", lambda: now + following._SETTLING_SECONDS + 1)
     ended = found.poll().ended
     assert [(end.group, end.index) for end in ended] == [("group-job0", 11), ("group-job0", 12), ("group-job1", 10)]
     assert {end.description.status_reason for end in ended} == {"AWS Batch does not know what became of it"}
@@ -192,7 +192,7 @@ def test_patience(monkeypatch: pytest.MonkeyPatch) -> None:
     from calibration.addons.aws_batch import session
     from calibration.addons.aws_batch.aws_errors import AwsLostError
 
-    monkeypatch.setattr(session, "_FIRST", 0.0)
+    monkeypatch.setattr(session, "_FIRST_DELAY", 0.0)
     answers = [AwsLostError("away"), AwsLostError("away"), 7]
 
     def ask() -> object:

@@ -106,14 +106,14 @@ def test_a_display_that_aws_leaves_alone_for_a_while(
     batch_emulator: FakeAws, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown = io.StringIO()
-    real, away = logs._page, iter([AwsLostError("away")] * 2)
+    real, away = logs._read_page, iter([AwsLostError("away")] * 2)
 
     def page(*arguments: object) -> object:
         for error in away:
             raise error
         return real(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(logs, "_page", page)
+    monkeypatch.setattr(logs, "_read_page", page)
 
     def work(task: TaskJob, attempt: Attempt) -> Did:
         attempt.starts("robot")

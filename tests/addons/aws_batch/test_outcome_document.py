@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from calibration.addons.aws_batch.documents import (
     TaskOutcome,
-    most_bytes,
+    max_outcome_bytes,
     outcome_document,
     read_outcome,
 )
@@ -59,7 +59,7 @@ def read(document: object, job: Job = JOB, attempt: int = 2) -> TaskOutcome:
 def test_round_trip(outcome: TaskOutcome) -> None:
     data = outcome_document(outcome)
     assert read_outcome(data, JOB, 2, "f") == outcome
-    assert len(data) < most_bytes(JOB)
+    assert len(data) < max_outcome_bytes(JOB)
 
 
 def containers(**changes: Any) -> list[dict[str, Any]]:
@@ -122,7 +122,7 @@ def test_lines_command_nothing() -> None:
 
 def test_documents_that_are_too_large() -> None:
     with pytest.raises(InfrastructureError, match=r"f: found .* bytes, at most .* were expected"):
-        read_outcome(b" " * (most_bytes(JOB) + 1), JOB, 2, "f")
+        read_outcome(b" " * (max_outcome_bytes(JOB) + 1), JOB, 2, "f")
 
 
 def test_many_reasons_are_cut_so_that_it_can_be_read() -> None:

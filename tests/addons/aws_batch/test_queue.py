@@ -293,7 +293,7 @@ def test_cleanup_that_makes_no_sense(arguments: list[str], message: str, capsys:
 
 
 def test_jobs_that_do_not_end(aws: Aws, batch_emulator: FakeAws, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(submitting, "_SETTLING", 0.1)
+    monkeypatch.setattr(submitting, "_SETTLING_SECONDS", 0.1)
     batch_emulator.faults.stick(lambda _: True)
     batch = batch_emulator.client("batch")
     arn = batch.register_job_definition(**definition(1024))["jobDefinitionArn"]

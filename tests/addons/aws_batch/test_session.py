@@ -33,8 +33,8 @@ def failure(aws: Aws) -> CalibrationError:
 
 @pytest.fixture
 def once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "TRIES", 1)
-    monkeypatch.setattr(Aws._client, "__defaults__", (1, None))
+    monkeypatch.setattr(session, "MAX_TRIES", 1)
+    monkeypatch.setattr(Aws._client_of_service, "__defaults__", (1, None))
 
 
 @pytest.mark.usefixtures("once")
@@ -133,7 +133,7 @@ def tokens(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[TokenService]]:
 
 
 def caller(aws: Aws) -> str:
-    client = aws._client("sts")
+    client = aws._client_of_service("sts")
     arn: str = client.get_caller_identity()["Arn"]
     aws.close()
     return arn

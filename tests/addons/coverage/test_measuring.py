@@ -8,7 +8,7 @@ import coverage
 import pytest
 
 from calibration.addons.coverage.injection import (
-    _option,
+    _option_of_team,
     bring_coverage,
     measuring,
     plain,
@@ -16,7 +16,14 @@ from calibration.addons.coverage.injection import (
     write_settings,
 )
 from calibration.addons.coverage.junit import Tally
-from calibration.addons.coverage.tests import LOST, Measurement, Tests, _Unittest, measured_environment, measurement
+from calibration.addons.coverage.tests import (
+    LOST_PROCESS,
+    Measurement,
+    Tests,
+    _Unittest,
+    measured_environment,
+    measurement,
+)
 from calibration.base.errors import InputError
 
 from .projects import TOKEN
@@ -62,7 +69,7 @@ def test_settings_that_are_none(tmp_path: Path, text: str) -> None:
 
 
 def test_a_setting_that_our_version_does_not_have() -> None:
-    assert _option(coverage.Coverage(data_file=None, config_file=False), "run:no-such-setting") is None
+    assert _option_of_team(coverage.Coverage(data_file=None, config_file=False), "run:no-such-setting") is None
 
 
 def test_settings_are_written_as_they_are_read(tmp_path: Path) -> None:
@@ -140,7 +147,7 @@ def test_what_a_measurement_has_left(tmp_path: Path) -> None:
         str(new),
         (
             expected,
-            LOST,
+            LOST_PROCESS,
         ),
     )
 

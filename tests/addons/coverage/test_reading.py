@@ -214,7 +214,7 @@ def test_a_python_that_cannot_report(root: Path, tmp_path: Path, monkeypatch: py
         data_file.report_of(file, "x", {}, root, "/no/python")
     with pytest.raises(InfrastructureError, match=r"x: coverage.py cannot report on it: .*no_such_plugin"):
         data_file.report_of(file, "x", {"run:plugins": ["no_such_plugin"]}, root, sys.executable)
-    monkeypatch.setattr(data_file, "SECONDS", 0.01)
+    monkeypatch.setattr(data_file, "XML_TIMEOUT", 0.01)
     with pytest.raises(InfrastructureError, match=r"cannot write a report of it: .*timed out"):
         data_file.report_of(file, "x", {}, root, sys.executable)
 

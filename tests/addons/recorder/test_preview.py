@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.addons.recorder.preview import WIDTH, draw_corners, draw_depth, preview
+from calibration.addons.recorder.preview import MAX_PICTURE_WIDTH, draw_corners, draw_depth, preview
 from calibration.addons.recorder.session import Session
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, translation
@@ -99,7 +99,7 @@ def test_pictures_are_at_most_so_wide_and_rings_scale_with_them(width: int) -> N
     image = np.full((width // 2, width, 3), 128, np.uint8)
     pixels = np.array([[width * 0.25, width * 0.25], [width * 0.75, width * 0.25]])
     picture = draw_corners(image, [CornerLabels(np.array([3, 4]), pixels)])
-    assert picture.shape[1] == min(width, WIDTH)
+    assert picture.shape[1] == min(width, MAX_PICTURE_WIDTH)
     rings = green(picture)
     for centre in (0.25, 0.75):
         part = rings[np.abs(rings[:, 1] / picture.shape[1] - centre) < 0.2]

@@ -2,7 +2,16 @@ import numpy as np
 import pytest
 
 from calibration.addons.recorder.preview import Preview, View
-from calibration.addons.recorder.scene import KEPT, LOST, UNKNOWN, RobotScene, extent, print_of, view_point, wxyz
+from calibration.addons.recorder.scene import (
+    KEPT_COLOUR,
+    LOST_COLOUR,
+    UNKNOWN_COLOUR,
+    RobotScene,
+    extent,
+    print_of,
+    view_point,
+    wxyz,
+)
 from calibration.addons.recorder.server import serving
 from calibration.addons.recorder.session import Session
 from calibration.engine.dataset.configuration import PatternConfiguration
@@ -56,9 +65,9 @@ def test_views_verdicts_and_saved_poses_are_shown_and_taken_away(systems: dict[s
         scene.show_views(views)
         scene.show_views(Preview({}, ("it cannot be played",)).views)
         outline = scene.outlines(session.placement)[0]
-        scene.show_saved([(outline, KEPT), (outline, LOST), (outline, UNKNOWN)])
+        scene.show_saved([(outline, KEPT_COLOUR), (outline, LOST_COLOUR), (outline, UNKNOWN_COLOUR)])
         scene.show_extras(frames=True, saved=False)
-        scene.show_saved([(outline, LOST)])
+        scene.show_saved([(outline, LOST_COLOUR)])
         scene.show_saved([])
 
 

@@ -38,8 +38,8 @@ def picture(graphs: Sequence[Graph]) -> str:
         *(_text_svg(_X_OF_TAKERS, at, name, "start", "#24292f") for at, name in enumerate(takes)),
     ]
     lines = dict.fromkeys(_arrows_svg(uses, names, gives, takes))
-    newline = "\n"
-    return f"""<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_SVG_WIDTH} {height}" width="{_SVG_WIDTH}" role="img">
+    newline, width = "\n", _SVG_WIDTH
+    return f"""<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" role="img">
 <title>Nodes, and the topics, services and actions that they use</title>
 <defs><marker id="to" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" orient="auto">
 <path d="M0 0 8 4 0 8z" fill="#57606a"/></marker></defs>

@@ -13,23 +13,23 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from calibration.addons.aws_batch.documents import MOST_BYTES, TaskJob, TaskOutcome, outcome_document, read_job
+from calibration.addons.aws_batch.documents import MAX_JOBS_BYTES, TaskJob, TaskOutcome, outcome_document, read_job
 from calibration.addons.aws_batch.inside.prepare import prepare
 from calibration.addons.aws_batch.inside.script import Signs
 from calibration.addons.aws_batch.inside.watch import Watch, ended_neighbours
 from calibration.addons.aws_batch.session import Aws, with_retries
 from calibration.addons.aws_batch.store import Store
 from calibration.addons.aws_batch.wire import (
-    ATTEMPT,
+    ATTEMPT_VARIABLE,
     FILES_FOLDER,
-    FIRST,
-    INDEX,
+    FIRST_VARIABLE,
+    INDEX_VARIABLE,
     JOB_FOLDER,
     JOBS_PER_FILE,
-    LOCATION,
+    LOCATION_VARIABLE,
     MOUNTS_FOLDER,
     OUTCOME_FILE,
-    REGION,
+    REGION_VARIABLE,
     Location,
 )
 from calibration.addons.aws_batch.workers import in_threads
@@ -40,7 +40,7 @@ from calibration.ci.execution.extraction import RefusedError
 from calibration.ci.execution.job import OUTPUT
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End
 
-_WORKERS = 8
+_UPLOAD_WORKERS = 8
 _LONGEST_KEY = 1024
 """S3's limit, in bytes."""
 
@@ -72,7 +72,7 @@ def send_files(store: Store, files: Iterable[ArtifactFile], folder: Path, place:
         if len(key.encode()) > _LONGEST_KEY:
             raise RefusedError(f"artifact '{shorten(path)}' has a longer name than S3 allows")
     for _ in in_threads(
-        _WORKERS, (partial(with_retries, partial(send, key, folder / path)) for path, key in keys.items())
+        _UPLOAD_WORKERS, (partial(with_retries, partial(send, key, folder / path)) for path, key in keys.items())
     ):
         pass
 
@@ -96,10 +96,10 @@ class Task:
             InputError: a variable is missing or wrong.
         """
         try:
-            self.location = Location.parse(variables[LOCATION])
-            self.index = int(variables[FIRST]) + int(variables.get(INDEX, "0"))
-            self.attempt = int(variables.get(ATTEMPT, "1"))
-            region = variables.get(REGION) or variables["AWS_DEFAULT_REGION"]
+            self.location = Location.parse(variables[LOCATION_VARIABLE])
+            self.index = int(variables[FIRST_VARIABLE]) + int(variables.get(INDEX_VARIABLE, "0"))
+            self.attempt = int(variables.get(ATTEMPT_VARIABLE, "1"))
+            region = variables.get(REGION_VARIABLE) or variables["AWS_DEFAULT_REGION"]
         except (KeyError, ValueError) as error:
             raise InputError(f"the variables of the task are not those of a job: {error}") from None
         self.aws = Aws(region)
@@ -127,7 +127,7 @@ class Task:
             AwsLostError: AWS does not answer.
         """
         key = self.location.jobs_key(self.index)
-        data = with_retries(lambda: self.store.get(key, MOST_BYTES))
+        data = with_retries(lambda: self.store.get(key, MAX_JOBS_BYTES))
         if data is None:
             raise InfrastructureError(f"s3://{self.location.bucket}/{key}: there is no such object")
         return read_job(data, self.index % JOBS_PER_FILE, key)
@@ -135,7 +135,7 @@ class Task:
 
 def main(arguments: Sequence[str], variables: Mapping[str, str], places: Places = Places()) -> int:
     """Run one of our containers; return its exit code."""
-    verbs = {"prepare": _prepare, "watch": _watch}
+    verbs = {"prepare": _prepare_task, "watch": _watch_task}
     try:
         if len(arguments) != 1 or arguments[0] not in verbs:
             raise InputError("expected prepare or watch")
@@ -151,7 +151,7 @@ def main(arguments: Sequence[str], variables: Mapping[str, str], places: Places 
     return 0
 
 
-def _prepare(task: Task, places: Places, _: Mapping[str, str]) -> None:
+def _prepare_task(task: Task, places: Places, _: Mapping[str, str]) -> None:
     described = task.job()
     try:
         prepare(described, task.store, Signs(places.job), places.mounts, places.output)
@@ -164,7 +164,7 @@ def _prepare(task: Task, places: Places, _: Mapping[str, str]) -> None:
         raise
 
 
-def _watch(task: Task, places: Places, variables: Mapping[str, str]) -> None:
+def _watch_task(task: Task, places: Places, variables: Mapping[str, str]) -> None:
     neighbours = partial(ended_neighbours, variables)
     watch = Watch(task.job().job, Signs(places.job), places.output, neighbours=neighbours)
     with tempfile.TemporaryDirectory() as folder:

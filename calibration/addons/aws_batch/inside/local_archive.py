@@ -14,13 +14,13 @@ from calibration.ci.execution.copying_out import Archive, NothingThereError, Ope
 from calibration.ci.execution.extraction import RefusedError
 from calibration.ci.execution.job import OUTPUT
 
-_CHUNK = 1024**2
-_BLOCK = tarfile.BLOCKSIZE
-_END = b"\0" * 2 * _BLOCK
+_CHUNK_BYTES = 1024**2
+_BLOCK_BYTES = tarfile.BLOCKSIZE
+_END_OF_ARCHIVE = b"\0" * 2 * _BLOCK_BYTES
 _MOST_LINKS = 40
 """Linux's limit."""
-_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
-_FILE = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+_FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+_FILE_FLAGS = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 def opener_of(folder: Path) -> Opener:
@@ -28,26 +28,26 @@ def opener_of(folder: Path) -> Opener:
 
     @contextmanager
     def opened(path: str) -> Iterator[Archive]:
-        parts = _inside(path)
+        parts = _parts_inside(path)
         if parts is None:
             raise RefusedError(f"artifact '{path}' is not below {OUTPUT}: other folders are not accessible")
         with ExitStack() as folders:
             try:
-                above = folders.enter_context(_descriptor(os.open(folder, _FOLDER)))
+                above = folders.enter_context(_open_descriptor(os.open(folder, _FOLDER_FLAGS)))
                 *way, name = _without_links(folder, path, parts) or (".",)
                 for part in way:
-                    above = folders.enter_context(_descriptor(os.open(part, _FOLDER, dir_fd=above)))
+                    above = folders.enter_context(_open_descriptor(os.open(part, _FOLDER_FLAGS, dir_fd=above)))
                 os.stat(name, dir_fd=above, follow_symlinks=False)
             except (FileNotFoundError, NotADirectoryError):
                 raise NothingThereError from None
             except OSError as error:
                 raise InfrastructureError(f"artifact '{path}' cannot be read: {error.strerror}") from error
-            yield Archive(_stream(above, name, parts[-1] if parts else "output"), "")
+            yield Archive(_stream_archive(above, name, parts[-1] if parts else "output"), "")
 
     return opened
 
 
-def _inside(path: str) -> tuple[str, ...] | None:
+def _parts_inside(path: str) -> tuple[str, ...] | None:
     """Return the parts of a path below `OUTPUT`, without ``.`` and ``..``; None if it is outside."""
     normal = posixpath.normpath(path)
     if not f"{normal}/".startswith(f"{OUTPUT}/"):
@@ -73,7 +73,7 @@ def _without_links(folder: Path, path: str, parts: Sequence[str]) -> tuple[str, 
             continue
         to = str(here.readlink())
         links += 1
-        inside = _inside(posixpath.join(OUTPUT, *done, to))
+        inside = _parts_inside(posixpath.join(OUTPUT, *done, to))
         if inside is None or links > _MOST_LINKS:
             shown = shorten(one_line(to), 200)
             raise RefusedError(f"artifact '{path}' is behind a link to '{shown}', which leaves the folder")
@@ -81,61 +81,61 @@ def _without_links(folder: Path, path: str, parts: Sequence[str]) -> tuple[str, 
     return done
 
 
-def _stream(above: int, name: str, shown: str) -> Iterator[bytes]:
+def _stream_archive(above: int, name: str, shown: str) -> Iterator[bytes]:
     """Yield the tar of a file or folder.
 
     Raises:
         InfrastructureError: it cannot be read.
     """
     try:
-        yield from _entries(above, name, shown)
+        yield from _stream_entries(above, name, shown)
     except OSError as error:
         raise InfrastructureError(
             f"artifact '{shorten(one_line(shown), 200)}' cannot be read: {error.strerror}"
         ) from error
-    yield _END
+    yield _END_OF_ARCHIVE
 
 
-def _entries(above: int, name: str, path: str) -> Iterator[bytes]:
+def _stream_entries(above: int, name: str, path: str) -> Iterator[bytes]:
     status = os.stat(name, dir_fd=above, follow_symlinks=False)
     entry = tarfile.TarInfo(path)
     if stat.S_ISDIR(status.st_mode):
         entry.type = tarfile.DIRTYPE
-        yield _header(entry)
-        with _descriptor(os.open(name, _FOLDER, dir_fd=above)) as folder:
+        yield _tar_header(entry)
+        with _open_descriptor(os.open(name, _FOLDER_FLAGS, dir_fd=above)) as folder:
             for child in sorted(os.listdir(folder)):  # noqa: PTH208 (a descriptor)
-                yield from _entries(folder, child, f"{path}/{child}")
+                yield from _stream_entries(folder, child, f"{path}/{child}")
     elif stat.S_ISREG(status.st_mode):
-        with _descriptor(os.open(name, _FILE, dir_fd=above)) as file:
+        with _open_descriptor(os.open(name, _FILE_FLAGS, dir_fd=above)) as file:
             entry.size = os.fstat(file).st_size
-            yield _header(entry)
-            yield from _content(file, entry)
+            yield _tar_header(entry)
+            yield from _stream_content(file, entry)
     else:
         entry.type = tarfile.SYMTYPE if stat.S_ISLNK(status.st_mode) else tarfile.FIFOTYPE
         if entry.type == tarfile.SYMTYPE:
             entry.linkname = os.readlink(name, dir_fd=above)
-        yield _header(entry)
+        yield _tar_header(entry)
 
 
-def _header(entry: tarfile.TarInfo) -> bytes:
+def _tar_header(entry: tarfile.TarInfo) -> bytes:
     return entry.tobuf(tarfile.PAX_FORMAT, "utf-8", "surrogateescape")
 
 
-def _content(file: int, entry: tarfile.TarInfo) -> Iterator[bytes]:
+def _stream_content(file: int, entry: tarfile.TarInfo) -> Iterator[bytes]:
     left = entry.size
     while left:
-        chunk = os.read(file, min(left, _CHUNK))
+        chunk = os.read(file, min(left, _CHUNK_BYTES))
         if not chunk:
             raise InfrastructureError(
                 f"artifact '{shorten(one_line(entry.name), 200)}' became shorter while it was read"
             )
         left -= len(chunk)
         yield chunk
-    yield b"\0" * (-entry.size % _BLOCK)
+    yield b"\0" * (-entry.size % _BLOCK_BYTES)
 
 
 @contextmanager
-def _descriptor(descriptor: int) -> Iterator[int]:
+def _open_descriptor(descriptor: int) -> Iterator[int]:
     try:
         yield descriptor
     finally:

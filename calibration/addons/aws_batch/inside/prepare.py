@@ -32,7 +32,7 @@ def prepare(task: TaskJob, store: Store, signs: Signs, mounts: Path, output: Pat
     """
     scripts = {container.name: script_of(container, task.job) for container in task.job.containers}
     for item in task.inputs:
-        _bring(item, store, mounts / str(item.volume))
+        _fill_volume(item, store, mounts / str(item.volume))
     try:
         output.chmod(0o1777)  # images may have any user
     except OSError as error:
@@ -44,7 +44,7 @@ def prepare(task: TaskJob, store: Store, signs: Signs, mounts: Path, output: Pat
         path.chmod(0o644)
 
 
-def _bring(item: Input, store: Store, volume: Path) -> None:
+def _fill_volume(item: Input, store: Store, volume: Path) -> None:
     where = f"volume {item.volume}: s3 object {item.key}"
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "input.tar")
@@ -55,14 +55,14 @@ def _bring(item: Input, store: Store, volume: Path) -> None:
             with tarfile.open(file, "r:") as archive:
                 # Python's own filter differs between versions
                 archive.extraction_filter = getattr(tarfile, "fully_trusted_filter", None)
-                archive.extractall(volume, members=map(_checked, archive))  # noqa: S202 (each is checked)
+                archive.extractall(volume, members=map(_check_entry, archive))  # noqa: S202 (each is checked)
             if item.writable:
                 _open_for_all(volume)
         except (tarfile.TarError, OSError, RefusedError) as error:
             raise InfrastructureError(f"{where}: cannot be unpacked: {shorten(one_line(str(error)), 200)}") from error
 
 
-def _checked(entry: tarfile.TarInfo) -> tarfile.TarInfo:
+def _check_entry(entry: tarfile.TarInfo) -> tarfile.TarInfo:
     """Return a tar entry if it is a file, folder or link within the folder.
 
     Raises:

@@ -17,8 +17,8 @@ from calibration.addons.aws_batch.wire import JOB_FOLDER
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.execution.job import Container, Job
 
-STOP, START, STATE = "stop", "start", "state"
-BEAT, PID, READY_FILE, READY_COMMAND, LOG, PIPE, ENDED = (
+STOP_SIGN, START_SIGN, STATE_FOLDER = "stop", "start", "state"
+BEAT_FILE, PID_FILE, READY_FILE, READY_COMMAND, LOG_FILE, PIPE_FILE, ENDED_FILE = (
     "beat",
     "pid",
     "ready.file",
@@ -44,9 +44,9 @@ class Signs:
             InfrastructureError: a folder cannot be created.
         """
         try:
-            (self.folder / START).mkdir(parents=True, exist_ok=True)
+            (self.folder / START_SIGN).mkdir(parents=True, exist_ok=True)
             for container in job.containers:
-                state = self.folder / STATE / container.name
+                state = self.folder / STATE_FOLDER / container.name
                 state.mkdir(parents=True, exist_ok=True)
                 state.chmod(0o1777)  # the image defines the user
         except OSError as error:
@@ -58,7 +58,7 @@ class Signs:
         Raises:
             InfrastructureError: the file cannot be written.
         """
-        self._write(self.folder / START / name)
+        self._write_sign(self.folder / START_SIGN / name)
 
     def stop(self) -> None:
         """Request all containers to end.
@@ -66,21 +66,21 @@ class Signs:
         Raises:
             InfrastructureError: the file cannot be written.
         """
-        self._write(self.folder / STOP)
+        self._write_sign(self.folder / STOP_SIGN)
 
     def has(self, name: str, sign: str) -> bool:
         """Return whether a container has given a sign."""
-        return os.path.lexists(self.folder / STATE / name / sign)
+        return os.path.lexists(self.folder / STATE_FOLDER / name / sign)
 
     def beat(self, name: str) -> int | None:
         """Return the time of the last heartbeat of a container; None before it has started."""
         with suppress(OSError):
-            return os.lstat(self.folder / STATE / name / BEAT).st_mtime_ns
+            return os.lstat(self.folder / STATE_FOLDER / name / BEAT_FILE).st_mtime_ns
         return None
 
     def ended(self, name: str) -> tuple[int, bool] | None:
         """Return exit code and whether memory ran out; None if the command has not ended."""
-        descriptor = self.open(name, ENDED)
+        descriptor = self.open(name, ENDED_FILE)
         if descriptor is None:
             return None
         with os.fdopen(descriptor, "rb") as file:
@@ -93,7 +93,7 @@ class Signs:
         """Open a regular file in the state of a container; None if it does not exist."""
         flags = access | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         try:
-            descriptor = os.open(self.folder / STATE / name / sign, flags)
+            descriptor = os.open(self.folder / STATE_FOLDER / name / sign, flags)
         except OSError:
             return None
         if stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -101,21 +101,21 @@ class Signs:
         os.close(descriptor)
         return None
 
-    def _write(self, path: Path) -> None:
+    def _write_sign(self, path: Path) -> None:
         try:
             path.touch()
         except OSError as error:
             raise InfrastructureError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-GRACE = 5
+GRACE_SECONDS = 5
 """Seconds between SIGTERM and SIGKILL."""
-_NAPS = 2
+_POLLS_PER_SECOND = 2
 """Number of polls per second."""
 _OUT_OF_MEMORY = ("/sys/fs/cgroup/memory.events", "/sys/fs/cgroup/memory/memory.oom_control")
 """Counters of processes killed by the kernel, in both versions of control groups."""
 
-_BEGINNING = """\
+_SCRIPT_BEGINNING = """\
 #!/bin/sh
 # What container {name} of the job runs.
 trap : HUP INT TERM  # its command hears of the end by the file below, so that how it ended can be said
@@ -140,7 +140,7 @@ until [ -e {start} ]; do
   nap
 done
 """
-_HOSTS = """\
+_SCRIPT_OF_HOSTS = """\
 if ! {{ echo {line} >> /etc/hosts; }} 2>/dev/null; then
   echo {advice}
 fi
@@ -157,7 +157,7 @@ _READY_COMMAND = """\
   echo > {sign}
 ) >/dev/null 2>&1 &
 """
-_LOGGED = """\
+_SCRIPT_WITH_LOG = """\
 mkfifo {pipe} || exit 126
 tee -a {log} < {pipe} &
 tee=$!
@@ -166,11 +166,11 @@ code=$?
 left=4
 while [ $left -gt 0 ] && kill -0 $tee 2>/dev/null; do left=$((left - 1)); nap; done
 """
-_PLAIN = """\
+_SCRIPT_WITHOUT_LOG = """\
 ( run )
 code=$?
 """
-_END = """\
+_SCRIPT_END = """\
 lost=0
 for file in {files}; do
   if [ -r "$file" ]; then
@@ -198,38 +198,41 @@ def script_of(container: Container, job: Job, folder: str = JOB_FOLDER) -> str:
         raise InputError(
             f"container '{container.name}': on AWS Batch a container needs a command; that of its image is not known"
         )
-    state = f"{folder}/{STATE}/{container.name}"
-    sign = {name: shlex.quote(f"{state}/{name}") for name in (BEAT, PID, READY_FILE, READY_COMMAND, LOG, PIPE, ENDED)}
+    state = f"{folder}/{STATE_FOLDER}/{container.name}"
+    sign = {
+        name: shlex.quote(f"{state}/{name}")
+        for name in (BEAT_FILE, PID_FILE, READY_FILE, READY_COMMAND, LOG_FILE, PIPE_FILE, ENDED_FILE)
+    }
     readiness = container.readiness
-    remember = f'echo "$$" > {sign[PID]}; exec "$@"'
+    remember = f'echo "$$" > {sign[PID_FILE]}; exec "$@"'
     parts = [
-        _BEGINNING.format(
+        _SCRIPT_BEGINNING.format(
             name=container.name,
             run="\n".join(
-                f"  {line}" for line in _running(container, command, ["/bin/sh", "-c", remember, container.name])
+                f"  {line}" for line in _run_lines(container, command, ["/bin/sh", "-c", remember, container.name])
             ),
-            beat=sign[BEAT],
-            pid=sign[PID],
-            stop=shlex.quote(f"{folder}/{STOP}"),
-            start=shlex.quote(f"{folder}/{START}/{container.name}"),
-            grace=GRACE * _NAPS,
+            beat=sign[BEAT_FILE],
+            pid=sign[PID_FILE],
+            stop=shlex.quote(f"{folder}/{STOP_SIGN}"),
+            start=shlex.quote(f"{folder}/{START_SIGN}/{container.name}"),
+            grace=GRACE_SECONDS * _POLLS_PER_SECOND,
         ),
-        *_hosts(job),
+        *_hosts_lines(job),
     ]
     if readiness is not None and readiness.file:
         parts.append(_READY_FILE.format(file=shlex.quote(readiness.file), sign=sign[READY_FILE]))
     if readiness is not None and readiness.command:
-        look = "; ".join(_running(container, readiness.command))
+        look = "; ".join(_run_lines(container, readiness.command))
         parts.append(_READY_COMMAND.format(run=look, sign=sign[READY_COMMAND]))
     if readiness is not None and readiness.log:
-        parts.append(_LOGGED.format(pipe=sign[PIPE], log=sign[LOG]))
+        parts.append(_SCRIPT_WITH_LOG.format(pipe=sign[PIPE_FILE], log=sign[LOG_FILE]))
     else:
-        parts.append(_PLAIN)
-    parts.append(_END.format(files=" ".join(_OUT_OF_MEMORY), ended=sign[ENDED]))
+        parts.append(_SCRIPT_WITHOUT_LOG)
+    parts.append(_SCRIPT_END.format(files=" ".join(_OUT_OF_MEMORY), ended=sign[ENDED_FILE]))
     return "".join(parts)
 
 
-def _running(container: Container, command: Sequence[str], before: Sequence[str] = ()) -> Iterator[str]:
+def _run_lines(container: Container, command: Sequence[str], before: Sequence[str] = ()) -> Iterator[str]:
     """Yield shell lines that replace a subshell by the command, with its working directory and variables."""
     if container.working_directory is not None:
         folder = shlex.quote(container.working_directory)
@@ -240,10 +243,10 @@ def _running(container: Container, command: Sequence[str], before: Sequence[str]
     yield f"exec {shlex.join([*before, 'env', '--', *variables, *command])}"
 
 
-def _hosts(job: Job) -> Iterator[str]:
+def _hosts_lines(job: Job) -> Iterator[str]:
     """Yield lines that resolve names of containers, which share one address, as on Docker's networks."""
     names = " ".join(container.name for container in job.containers)
     if len(job.containers) > 1:
         line = f"127.0.0.1 {names}"
         advice = f"calibration: this user may not add '{line}' to /etc/hosts: find other containers at 127.0.0.1"
-        yield _HOSTS.format(line=shlex.quote(line), advice=shlex.quote(advice))
+        yield _SCRIPT_OF_HOSTS.format(line=shlex.quote(line), advice=shlex.quote(advice))

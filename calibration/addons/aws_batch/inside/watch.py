@@ -12,7 +12,7 @@ from urllib.request import urlopen
 
 from calibration.addons.aws_batch.documents import TaskOutcome
 from calibration.addons.aws_batch.inside.local_archive import opener_of
-from calibration.addons.aws_batch.inside.script import GRACE, LOG, READY_COMMAND, READY_FILE, Signs
+from calibration.addons.aws_batch.inside.script import GRACE_SECONDS, LOG_FILE, READY_COMMAND, READY_FILE, Signs
 from calibration.addons.aws_batch.wire import ARRIVAL_SECONDS
 from calibration.base.errors import CalibrationError, ExitCode
 from calibration.base.text import one_line
@@ -24,22 +24,22 @@ from calibration.ci.execution.log_file import LONGEST_LINE, MOST_BYTES
 from calibration.ci.execution.outcome import End
 from calibration.ci.execution.supervision import Supervised, Supervisor
 
-ADDRESS = "ECS_CONTAINER_METADATA_URI_V4"
+METADATA_VARIABLE = "ECS_CONTAINER_METADATA_URI_V4"
 """Environment variable with the URL of ECS's task metadata."""
-_SECONDS = 2.0
+_METADATA_TIMEOUT = 2.0
 _MOST_BYTES = 4 * 1024**2
 
 
 def ended_neighbours(variables: Mapping[str, str]) -> dict[str, int | None]:
     """Return ended containers of this task with their exit codes, from ECS's metadata; empty if unavailable."""
-    address = variables.get(ADDRESS, "")
+    address = variables.get(METADATA_VARIABLE, "")
     if not address.startswith("http://"):
         return {}
     try:
-        with urlopen(f"{address}/task", timeout=_SECONDS) as answer:  # noqa: S310 (checked above)
+        with urlopen(f"{address}/task", timeout=_METADATA_TIMEOUT) as answer:  # noqa: S310 (checked above)
             containers = json.loads(answer.read(_MOST_BYTES))["Containers"]
         return {
-            str(each["Name"]): _code(each.get("ExitCode"))
+            str(each["Name"]): _exit_code_of(each.get("ExitCode"))
             for each in containers
             if each.get("KnownStatus") == "STOPPED"
         }
@@ -47,11 +47,11 @@ def ended_neighbours(variables: Mapping[str, str]) -> dict[str, int | None]:
         return {}
 
 
-def _code(value: object) -> int | None:
+def _exit_code_of(value: object) -> int | None:
     return value if isinstance(value, int) else None
 
 
-_CHUNK = 1024**2
+_CHUNK_BYTES = 1024**2
 
 
 class LogLine:
@@ -69,42 +69,44 @@ class LogLine:
 
     def poll(self) -> bool:
         """Read new lines; return whether a line has matched."""
-        descriptor = self._signs.open(self._name, LOG)
+        descriptor = self._signs.open(self._name, LOG_FILE)
         if descriptor is not None:
             try:
-                self._poll(descriptor)
+                self._poll_log(descriptor)
             finally:
                 os.close(descriptor)
         return self.found
 
-    def _poll(self, descriptor: int) -> None:
+    def _poll_log(self, descriptor: int) -> None:
         if self.found:
             self._position = os.fstat(descriptor).st_size
         else:
-            data = os.pread(descriptor, _CHUNK, self._position)
+            data = os.pread(descriptor, _CHUNK_BYTES, self._position)
             self._position += len(data)
             *lines, rest = (self._rest + data).split(b"\n")
             self._rest = rest[-LONGEST_LINE:]
-            self.found = any(self._matches(line) for line in [*lines, *([rest] if len(rest) > LONGEST_LINE else [])])
+            self.found = any(
+                self._matches_line(line) for line in [*lines, *([rest] if len(rest) > LONGEST_LINE else [])]
+            )
         if self._position > self._most:  # its content has been processed, and the writer appends
-            self._cut()
+            self._truncate_log()
             self._position = 0
 
-    def _cut(self) -> None:
-        descriptor = self._signs.open(self._name, LOG, os.O_WRONLY)
+    def _truncate_log(self) -> None:
+        descriptor = self._signs.open(self._name, LOG_FILE, os.O_WRONLY)
         if descriptor is not None:
             os.ftruncate(descriptor, 0)
             os.close(descriptor)
 
-    def _matches(self, line: bytes) -> bool:
+    def _matches_line(self, line: bytes) -> bool:
         return self._pattern.search(line[:LONGEST_LINE].decode("utf-8", "replace")) is not None
 
 
-SILENCE = 20.0
+MAX_SILENCE_SECONDS = 20.0
 """Seconds without a heartbeat after which a container is lost; there are two heartbeats a second."""
-_CHECKED = ("port", "file", "command")
+_KINDS_OF_CHECKS = ("port", "file", "command")
 """Kinds of readiness beside the line of the log, which is checked separately."""
-_CONNECTING = 0.5
+_CONNECT_TIMEOUT = 0.5
 
 
 class WatchedContainer(Supervised):
@@ -113,7 +115,7 @@ class WatchedContainer(Supervised):
     It has no last line: its log is in CloudWatch, and may contain secrets that the task does not know.
     """
 
-    def __init__(self, container: Container, signs: Signs, silence: float = SILENCE) -> None:
+    def __init__(self, container: Container, signs: Signs, silence: float = MAX_SILENCE_SECONDS) -> None:
         super().__init__(container)
         self._signs = signs
         self._silence = silence
@@ -122,7 +124,7 @@ class WatchedContainer(Supervised):
         """Last heartbeat, and when it was seen."""
         readiness = container.readiness
         self._line = LogLine(signs, self.name, readiness.log) if readiness and readiness.log else None
-        self._unmet = {name for name in _CHECKED if getattr(readiness, name, None)}
+        self._unmet = {name for name in _KINDS_OF_CHECKS if getattr(readiness, name, None)}
         """Conditions of its readiness that have not been met."""
 
     @property
@@ -188,7 +190,7 @@ class WatchedContainer(Supervised):
         if readiness is None or readiness.port is None:
             raise AssertionError("there is a port to ask for")
         try:
-            with socket.create_connection(("127.0.0.1", readiness.port), _CONNECTING):
+            with socket.create_connection(("127.0.0.1", readiness.port), _CONNECT_TIMEOUT):
                 return True
         except OSError:
             return False
@@ -203,9 +205,9 @@ class WatchedContainer(Supervised):
 
 _POLL_SECONDS = 0.2
 """Interval of polls of the containers, seconds."""
-_ASKING = 5.0
+_SECONDS_BETWEEN_REQUESTS = 5.0
 """Interval of requests to ECS about containers that have not arrived, seconds."""
-_SETTLING = GRACE + 15
+_SETTLING_SECONDS = GRACE_SECONDS + 15
 """Seconds for a container to end after the request."""
 
 
@@ -214,8 +216,8 @@ class Timeouts:
     """Time-outs for containers, seconds."""
 
     arrival: float = ARRIVAL_SECONDS
-    silence: float = SILENCE
-    settling: float = _SETTLING
+    silence: float = MAX_SILENCE_SECONDS
+    settling: float = _SETTLING_SECONDS
 
 
 class Watch(Supervisor[WatchedContainer]):
@@ -283,14 +285,14 @@ class Watch(Supervisor[WatchedContainer]):
     def _all_arrive(self) -> bool:
         """Wait until all scripts run, so that pulling images does not count for the job's time limit."""
         deadline = time.monotonic() + self._timeouts.arrival
-        next_question = time.monotonic() + _ASKING
+        next_question = time.monotonic() + _SECONDS_BETWEEN_REQUESTS
         while missing := [c.container.name for c in self.containers if not c.has_arrived]:
             now = time.monotonic()
             if now >= deadline:
-                self._never_came(f"within {self._timeouts.arrival:g} s {_named(missing)} did not start: its image")
+                self._never_came(f"within {self._timeouts.arrival:g} s {_list_names(missing)} did not start: its image")
                 return False
             if now >= next_question:
-                next_question = now + _ASKING
+                next_question = now + _SECONDS_BETWEEN_REQUESTS
                 ended = self._neighbours()
                 if gone := [name for name in missing if name in ended]:
                     code = "" if ended[gone[0]] is None else f" with exit code {ended[gone[0]]}"
@@ -325,5 +327,5 @@ class Watch(Supervisor[WatchedContainer]):
         return opener_of(self._output)
 
 
-def _named(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ("container " if len(names) == 1 else "containers ") + ", ".join(f"'{name}'" for name in names)

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.aws_batch.inside.script import LOG, Signs
+from calibration.addons.aws_batch.inside.script import LOG_FILE, Signs
 from calibration.addons.aws_batch.inside.watch import LogLine
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.log_file import LONGEST_LINE
@@ -12,7 +12,7 @@ from calibration.ci.execution.log_file import LONGEST_LINE
 def log(tmp_path: Path) -> Path:
     signs = Signs(tmp_path)
     signs.make(Job("j", (Container("a", "i"),)))
-    return tmp_path / "state" / "a" / LOG
+    return tmp_path / "state" / "a" / LOG_FILE
 
 
 def line(log: Path, pattern: str, most: int = 1000) -> LogLine:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from calibration.addons.aws_batch.inside import watch as watching
-from calibration.addons.aws_batch.inside.script import BEAT, Signs
-from calibration.addons.aws_batch.inside.watch import ADDRESS, Timeouts, Watch, ended_neighbours
+from calibration.addons.aws_batch.inside.script import BEAT_FILE, Signs
+from calibration.addons.aws_batch.inside.watch import METADATA_VARIABLE, Timeouts, Watch, ended_neighbours
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import Container, Job
 
@@ -44,7 +44,7 @@ def ecs() -> Iterator[Metadata]:
 
 
 def ask(ecs: Metadata) -> dict[str, int | None]:
-    return ended_neighbours({ADDRESS: f"http://127.0.0.1:{ecs.server_port}/v4/x"})
+    return ended_neighbours({METADATA_VARIABLE: f"http://127.0.0.1:{ecs.server_port}/v4/x"})
 
 
 def test_those_that_have_ended(ecs: Metadata) -> None:
@@ -66,8 +66,8 @@ def test_an_invalid_answer(ecs: Metadata, answer: bytes) -> None:
 
 def test_without_metadata() -> None:
     assert ended_neighbours({}) == {}
-    assert ended_neighbours({ADDRESS: "file:///etc"}) == {}
-    assert ended_neighbours({ADDRESS: "http://127.0.0.1:1"}) == {}
+    assert ended_neighbours({METADATA_VARIABLE: "file:///etc"}) == {}
+    assert ended_neighbours({METADATA_VARIABLE: "http://127.0.0.1:1"}) == {}
 
 
 @pytest.mark.parametrize(("code", "how"), [(2, " with exit code 2"), (None, "")])
@@ -75,11 +75,11 @@ def test_one_that_ended_before_it_could_be_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int | None, how: str
 ) -> None:
     """The time-out of the job must not pass before."""
-    monkeypatch.setattr(watching, "_ASKING", 0.1)
+    monkeypatch.setattr(watching, "_SECONDS_BETWEEN_REQUESTS", 0.1)
     job = Job("j", (Container("a", ""), Container("b", "")))
     signs = Signs(tmp_path)
     signs.make(job)
-    (tmp_path / "state" / "a" / BEAT).touch()
+    (tmp_path / "state" / "a" / BEAT_FILE).touch()
     watch = Watch(job, signs, tmp_path, Timeouts(60), lambda: {"a": 0, "b": code})
     watch.run(tmp_path / "artifacts")
     found = watch.outcome(1)

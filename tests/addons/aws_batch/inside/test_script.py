@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.aws_batch.inside.script import BEAT, READY_COMMAND, READY_FILE, Signs, script_of
+from calibration.addons.aws_batch.inside.script import BEAT_FILE, READY_COMMAND, READY_FILE, Signs, script_of
 from calibration.base.errors import InputError
 from calibration.ci.execution.job import Container, Job, Readiness
 from tests.docker_engine import wait_until
@@ -78,7 +78,7 @@ def test_a_stop_reaches_the_command(tmp_path: Path, shell: list[str], ready: Rea
 @pytest.mark.parametrize("shell", SHELLS)
 def test_it_beats_for_as_long_as_it_is_there(tmp_path: Path, shell: list[str]) -> None:
     with running(tmp_path, shell, sh("sleep 600")) as (signs, process):
-        wait_until(lambda: signs.has("a", BEAT), "it beats")
+        wait_until(lambda: signs.has("a", BEAT_FILE), "it beats")
         process.kill()
         process.wait()
 
@@ -96,7 +96,7 @@ def test_readiness_seen_from_inside(tmp_path: Path, shell: list[str]) -> None:
     file, other = tmp_path / "it is $(ready)", tmp_path / "other"
     readiness = Readiness(file=str(file), command=("sh", "-c", f'[ "$A" = "$(cat {other})" ]'))
     with running(tmp_path, shell, sh("sleep 600", environment={"A": "1 2"}, readiness=readiness)) as (signs, _):
-        wait_until(lambda: signs.has("a", BEAT), "it runs")
+        wait_until(lambda: signs.has("a", BEAT_FILE), "it runs")
         assert not signs.has("a", READY_FILE)
         file.touch()
         wait_until(lambda: signs.has("a", READY_FILE), "the file is there")

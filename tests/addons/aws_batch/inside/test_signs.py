@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.aws_batch.inside.script import BEAT, ENDED, LOG, PIPE, Signs
+from calibration.addons.aws_batch.inside.script import BEAT_FILE, ENDED_FILE, LOG_FILE, PIPE_FILE, Signs
 from calibration.base.errors import InfrastructureError
 from calibration.ci.execution.job import Container, Job
 
@@ -37,7 +37,7 @@ def test_signs_to_containers(signs: Signs) -> None:
 
 def test_a_beat_changes(signs: Signs) -> None:
     assert signs.beat("a") is None
-    beat = state(signs) / BEAT
+    beat = state(signs) / BEAT_FILE
     beat.touch()
     first = signs.beat("a")
     os.utime(beat, ns=(1, 1))
@@ -61,13 +61,13 @@ def test_a_beat_changes(signs: Signs) -> None:
 )
 def test_how_it_ended(signs: Signs, text: str, found: tuple[int, bool] | None) -> None:
     assert signs.ended("a") is None
-    (state(signs) / ENDED).write_text(text)
+    (state(signs) / ENDED_FILE).write_text(text)
     assert signs.ended("a") == found
 
 
 def test_nothing_but_a_file_is_read(signs: Signs, tmp_path: Path) -> None:
     (tmp_path / "secret").write_text("0 0\n")
-    place = state(signs) / ENDED
+    place = state(signs) / ENDED_FILE
     place.symlink_to(tmp_path / "secret")
     assert signs.ended("a") is None
     place.unlink()
@@ -76,9 +76,9 @@ def test_nothing_but_a_file_is_read(signs: Signs, tmp_path: Path) -> None:
     place.unlink()
     place.mkdir()
     assert signs.ended("a") is None
-    assert signs.has("a", ENDED)
-    assert not signs.has("a", PIPE)
-    assert signs.open("a", LOG) is None
+    assert signs.has("a", ENDED_FILE)
+    assert not signs.has("a", PIPE_FILE)
+    assert signs.open("a", LOG_FILE) is None
 
 
 def test_unwritable_folders(tmp_path: Path) -> None:

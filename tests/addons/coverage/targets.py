@@ -1,0 +1,32 @@
+"""Reports of coverage and tests, fuzzed by `tests.campaigns`."""
+
+from pathlib import Path
+
+from calibration.addons.coverage.junit import parse_junit
+from calibration.addons.coverage.reading import read_reports
+from calibration.addons.coverage.sources import Sources
+from calibration.ci.git.repository import Repository
+from tests.campaigns.target import Target, files_of
+
+LCOV = b"TN:\nSF:a.py\nDA:1,1\nDA:2,0\nBRDA:2,0,0,1\nLF:2\nLH:1\nend_of_record\n"
+COBERTURA = (
+    b'<?xml version="1.0"?><coverage line-rate="0.5"><sources><source>.</source></sources><packages><package name="p">'
+    b'<classes><class name="a" filename="a.py"><lines><line number="1" hits="1"/><line number="2" hits="0"/></lines>'
+    b"</class></classes></package></packages></coverage>"
+)
+
+
+def _covered(path: Path) -> None:
+    source = path.with_name("a.py")
+    source.write_text("x = 1\ny = 2\n")
+    sources = Sources(Repository(path.parent), path.parent, (), ("a.py",), ("a.py",))
+    read_reports([path], sources, {}, path.parent / "meanwhile")
+
+
+TARGETS = {
+    "junit": Target(
+        "junit.xml", files_of("datasets/*/junit.xml"), lambda path: parse_junit(path.read_bytes(), "junit.xml"), 4
+    ),
+    "coverage": Target("report.info", lambda: [LCOV, COBERTURA], _covered, 10),
+}
+"""By name."""
