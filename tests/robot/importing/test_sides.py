@@ -100,6 +100,8 @@ def test_a_cube_in_a_hand_calibrates_two_cameras_to_the_truth(
     assert np.linalg.norm(error[3:]) < 1e-3
     covariance = found.covariances[dataset.sensors["right"].edge]
     assert error @ np.linalg.solve(covariance, error) < 22.5  # chi^2 of 6 at 1 in 1000
+    for side in dataset.patterns.values():
+        assert found.sigma_mm((side.parent_link, side.link)) == 0
     monkeypatch.chdir(tmp_path)
     assert main(["init", "--dataset", "robot"]) == 0
     assert "rgb-to-rgb:left:right:cube_" in (tmp_path / "calibration.yml").read_text()
