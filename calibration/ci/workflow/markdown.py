@@ -7,7 +7,7 @@ from calibration.base.text import LONGEST_CELL, shorten, visible
 
 _ENTITY_OF_CHARACTER = {"&": "&amp;", "<": "&lt;", ">": "&gt;", "|": "&#124;"}
 # The last begins a list: in it, text that is indented further is code, where entities are shown as they are.
-_SPECIAL_CHARACTERS = re.compile(r"\r\n|\r|\n|[&<>|]|[\\`*_\[\]#~$]|\A\s*(?:\d{1,9}[.)]|[-+])(?=\s)")
+_SPECIAL_CHARACTERS = re.compile(r"\r\n|\r|\n|[&<>|]|[\\`*_\[\]#~$]|\A\s*(?:\d{1,9}[.)](?=\s|\Z)|[-+](?=\s))")
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

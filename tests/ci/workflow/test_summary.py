@@ -10,7 +10,8 @@ from markdown_it import MarkdownIt
 from calibration.base.errors import InfrastructureError
 from calibration.base.text import visible
 from calibration.ci.workflow import Runner, add_summary
-from calibration.ci.workflow.summary import SUMMARY_LIMIT, code_block, escape_markdown, markdown_table
+from calibration.ci.workflow.markdown import code_block, escape_markdown, markdown_table
+from calibration.ci.workflow.step_files import MAX_SUMMARY_BYTES
 
 
 def written(runner: Runner) -> str:
@@ -62,27 +63,27 @@ def test_a_long_summary_is_cut_at_a_line_and_says_so(github: Runner) -> None:
     add_summary(github, "first\n")
     add_summary(github, "ä line of text\n" * 100_000)
     text = written(github)
-    assert SUMMARY_LIMIT - 100 < len(text.encode()) <= SUMMARY_LIMIT
+    assert MAX_SUMMARY_BYTES - 100 < len(text.encode()) <= MAX_SUMMARY_BYTES
     *lines, note = text.rstrip().split("\n")
     assert "cut" in note
     assert set(lines) == {"first", "ä line of text", ""}
 
 
 def test_a_long_line_is_cut_between_characters(github: Runner) -> None:
-    add_summary(github, "ä" * SUMMARY_LIMIT)
-    assert len(written(github).encode()) <= SUMMARY_LIMIT
+    add_summary(github, "ä" * MAX_SUMMARY_BYTES)
+    assert len(written(github).encode()) <= MAX_SUMMARY_BYTES
     assert "cut" in written(github)
 
 
 def test_nothing_is_added_to_a_full_summary(github: Runner) -> None:
     for _ in range(3):
-        add_summary(github, "x" * SUMMARY_LIMIT)
-    assert len(written(github).encode()) <= SUMMARY_LIMIT
+        add_summary(github, "x" * MAX_SUMMARY_BYTES)
+    assert len(written(github).encode()) <= MAX_SUMMARY_BYTES
 
 
 def test_exactly_the_limit_is_not_cut(github: Runner) -> None:
-    add_summary(github, "x" * (SUMMARY_LIMIT - 1))
-    assert len(written(github)) == SUMMARY_LIMIT
+    add_summary(github, "x" * (MAX_SUMMARY_BYTES - 1))
+    assert len(written(github)) == MAX_SUMMARY_BYTES
     assert "cut" not in written(github)
 
 
