@@ -11,8 +11,7 @@ from calibration.addons.coverage.results import Span
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.git.changes import changed_lines, files_without_lines, find_base
 from calibration.ci.git.repository import Repository
-
-from .projects import commit, git
+from tests.repositories import commit, git
 
 LINE = st.sampled_from(
     ["x = 1", "++ b/other.py", "+++ b/other.py", "--- a/x", "@@ -1,9 +1,9 @@", "-", "+", "", "\\ no", "y = 2", "ü"]

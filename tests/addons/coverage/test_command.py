@@ -5,8 +5,7 @@ import pytest
 
 from calibration.addons.coverage.command import Command, parse_command
 from calibration.base.errors import InputError
-
-from .projects import write
+from tests.repositories import write
 
 
 @pytest.fixture

@@ -10,8 +10,7 @@ from calibration.ci.git.event import Event
 from calibration.ci.git.repository import Repository
 from calibration.ci.github.event import GitHubEvent
 from calibration.ci.services import event_of
-
-from .projects import commit, git
+from tests.repositories import commit, git
 
 A, B, C = "a" * 40, "b" * 40, "c" * 40
 MAIN = {"default_branch": "main"}

@@ -6,8 +6,7 @@ from calibration.addons.coverage.formats import Report
 from calibration.addons.coverage.lines import FileCoverage
 from calibration.addons.coverage.reading import MAX_COPY, PathMap, mapped
 from calibration.ci.git.repository import Repository
-
-from .projects import commit, write
+from tests.repositories import commit, write
 
 FILES = {
     "setup.py": "1\n",

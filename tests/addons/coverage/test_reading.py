@@ -18,8 +18,9 @@ from calibration.addons.coverage.reading import Found, read_reports
 from calibration.addons.coverage.sources import find_sources
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.git.repository import Repository
+from tests.repositories import commit, write
 
-from .projects import NAMING, commit, robot, write
+from .projects import NAMING, robot
 
 JUMPS = [(-1, 1), (1, 7), (7, -1), (-1, 2), (2, 4), (4, -1)]
 """Lines of naming.py that the project's test runs: 1, 2, 4 and 7."""
