@@ -8,8 +8,9 @@ from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.git import repository
 from calibration.ci.git.repository import Repository, is_commit
 from tests.conftest import NEEDS_ROOT
+from tests.repositories import commit, git
 
-from .projects import commit, git, robot
+from .projects import robot
 
 
 def sources(root: Path, *named: str, exclude: tuple[str, ...] | None = None, directory: Path | None = None) -> Sources:
