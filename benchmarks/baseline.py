@@ -12,9 +12,9 @@ import numpy as np
 from benchmarks.rows import Bar, Row
 from benchmarks.verdict.strata import entries, recording
 from calibration.base.arrays import Array
+from calibration.engine.baseline.calibration_document import CalibrationDocument, document_of_calibration
 from calibration.engine.baseline.change_points import change_points, creeps, noise_of
-from calibration.engine.baseline.comparison import Comparison, compare
-from calibration.engine.baseline.snapshot import Snapshot, snapshot
+from calibration.engine.baseline.comparison import BaselineComparison, compare
 from calibration.engine.estimation.calibrate import Options, calibrate
 
 ROBOTS, RECORDINGS = 40, 6
@@ -44,13 +44,13 @@ def measure(quick: bool) -> Iterator[Row]:
 
 
 @cache
-def _taken(name: str, robot: int, seed: int, sensor: str = "", twist: tuple[float, ...] = ()) -> Snapshot:
+def _taken(name: str, robot: int, seed: int, sensor: str = "", twist: tuple[float, ...] = ()) -> CalibrationDocument:
     scene = recording(name, robot, seed, {sensor: np.array(twist)} if sensor else {})
     found = calibrate(scene.told, Options())
-    return snapshot(found, scene.told, found.rms_px)
+    return document_of_calibration(found, scene.told, found.rms_px)
 
 
-def _red(comparison: Comparison) -> list[str]:
+def _red(comparison: BaselineComparison) -> list[str]:
     changes = [each for each in comparison.changes if each.p < comparison.significance]
     return [each.name for each in sorted(changes, key=lambda each: -each.sigmas)]
 

@@ -18,8 +18,8 @@ import yaml
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import FOLDER, ROOT, missing
 from calibration.base.arrays import Array
+from calibration.engine.baseline.calibration_document import document_of_calibration
 from calibration.engine.baseline.settings import BaselineSettings
-from calibration.engine.baseline.snapshot import snapshot
 from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.estimation.calibrate import calibrate
@@ -165,7 +165,8 @@ def _moved(name: str, system: LoadedSystem) -> Iterator[Row]:
     settings, cell = BaselineSettings(), Cell(name, StartingNoise())
     moved = with_moved_camera(system.dataset, accepted.dataset, camera, 0)
     before, now = (
-        snapshot(calibrate(each, system.options), each, None, system.options) for each in (system.dataset, moved)
+        document_of_calibration(calibrate(each, system.options), each, None, system.options)
+        for each in (system.dataset, moved)
     )
     _, findings = against_baseline(Accepted(settings, before), now)
     red = [each.text for each in findings if each.severity == "red"]

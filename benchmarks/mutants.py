@@ -15,9 +15,9 @@ import numpy as np
 
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
+from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.document import read_baseline
 from calibration.engine.baseline.settings import FILE
-from calibration.engine.baseline.snapshot import Snapshot
 from calibration.engine.geometry.transforms import local
 
 MODULES = (
@@ -97,7 +97,7 @@ def _verdict(base: Path, temporary: Path, mutant: tuple[str, str, str]) -> tuple
         return f"{what} ({change:.2g})", _run(folder, "run") == 1
 
 
-def _change_of_results(before: Snapshot, now: Snapshot) -> float:
+def _change_of_results(before: CalibrationDocument, now: CalibrationDocument) -> float:
     """The largest change of a pose in its standard deviations, and of an error bar relative to it."""
     found = [
         max(

@@ -15,8 +15,8 @@ from benchmarks.verdict.kind import ALL
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Conditions, generator, recording
 from calibration.base.errors import InputError
+from calibration.engine.baseline.calibration_document import CalibrationDocument, document_of_calibration
 from calibration.engine.baseline.settings import BaselineSettings
-from calibration.engine.baseline.snapshot import Snapshot, snapshot
 from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.geometry.transforms import retract
@@ -126,15 +126,19 @@ def second_recordings(which: tuple[str, int]) -> list[Pair]:
 
 
 @cache
-def _accepted(system: str, robot: int) -> Snapshot:
+def _accepted(system: str, robot: int) -> CalibrationDocument:
     now, _, _ = _snapshot(recording(system, robot, 0, conditions=Conditions(at_random=True), links=True))
     assert now
     return now
 
 
-def _snapshot(scene: Scene) -> tuple[Snapshot | None, Colour, tuple[str, ...]]:
+def _snapshot(scene: Scene) -> tuple[CalibrationDocument | None, Colour, tuple[str, ...]]:
     result, _, calibration = judged(with_nothing_set(scene))
-    now = snapshot(calibration, scene.told, calibration.rms_px) if calibration and result.converged else None
+    now = (
+        document_of_calibration(calibration, scene.told, calibration.rms_px)
+        if calibration and result.converged
+        else None
+    )
     return now, colour_of(result), result.reasons
 
 

@@ -30,7 +30,7 @@ from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import password_variable, registry_password_option
 from calibration.commands.record_options import chosen, option_keys, record_options
 
-SPECIFICATION = Path("calibration.yml")
+DEFAULT_SPECIFICATION = Path("calibration.yml")
 
 
 @record
@@ -61,13 +61,13 @@ class BuildSettings:
     output: Path | None = field("Folder for results.json, junit.xml and summary.md.", default=None)
 
 
-_OPTIONS = option_keys(BuildSettings)
+_OPTION_KEYS = option_keys(BuildSettings)
 
 
 @click.command(TITLE)
-@record_options(BuildSettings, *_OPTIONS[:-1])
+@record_options(BuildSettings, *_OPTION_KEYS[:-1])
 @registry_password_option
-@record_options(BuildSettings, _OPTIONS[-1])
+@record_options(BuildSettings, _OPTION_KEYS[-1])
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Build an image from a specification or a Dockerfile, unless nothing has changed."""
@@ -87,22 +87,24 @@ def build(settings: BuildSettings, runner: Runner) -> ExitCode:
     if settings.output is not None:
         remove_results(settings.output, FILES)
     begin = time.monotonic()
-    specification = _specification(settings)
+    specification = _read_specification(settings)
     if settings.render is not None:
-        return _render(specification, settings.render, runner)
+        return _print_dockerfile(specification, settings.render, runner)
     try:
         result = (
-            _promoted(settings, specification, runner) if settings.digest else _built(settings, specification, runner)
+            _promotion_result(settings, specification, runner)
+            if settings.digest
+            else _build_result(settings, specification, runner)
         )
     except BuildFailedError as error:
         result = BuildResult(failure=Failure(error.headline, error.lines))
-    source = settings.dockerfile or settings.spec or SPECIFICATION
+    source = settings.dockerfile or settings.spec or DEFAULT_SPECIFICATION
     found = report(replace(result, seconds=round(time.monotonic() - begin, 3)), source, runner)
     publish(found, runner, settings.output)
     return found.exit_code
 
 
-def _built(settings: BuildSettings, specification: ImageSpecification, runner: Runner) -> BuildResult:
+def _build_result(settings: BuildSettings, specification: ImageSpecification, runner: Runner) -> BuildResult:
     push = bool(settings.promote) or (specification.push if settings.push is None else settings.push)
     image = build_image(
         specification,
@@ -120,18 +122,18 @@ def _built(settings: BuildSettings, specification: ImageSpecification, runner: R
         raise InfrastructureError(
             f"{image.reference}: pushed, but its digest is unknown, which the tags of promote need"
         )
-    return BuildResult(**vars(image), promoted=_promote(specification, image.digest, settings, runner))
+    return BuildResult(**vars(image), promoted=_promote_image(specification, image.digest, settings, runner))
 
 
-def _promoted(settings: BuildSettings, specification: ImageSpecification, runner: Runner) -> BuildResult:
+def _promotion_result(settings: BuildSettings, specification: ImageSpecification, runner: Runner) -> BuildResult:
     if not settings.promote or settings.digest is None:
         raise InputError("digest is given without promote: give the tags of the image")
     reference = f"{specification.name}@{settings.digest}"
-    names = _promote(specification, settings.digest, settings, runner)
+    names = _promote_image(specification, settings.digest, settings, runner)
     return BuildResult(reference=reference, digest=settings.digest, promoted=names)
 
 
-def _promote(
+def _promote_image(
     specification: ImageSpecification, digest: str, settings: BuildSettings, runner: Runner
 ) -> tuple[str, ...]:
 
@@ -139,7 +141,7 @@ def _promote(
     return tuple(promote(specification.name, digest, settings.promote, credentials, runner))
 
 
-def _specification(settings: BuildSettings) -> ImageSpecification:
+def _read_specification(settings: BuildSettings) -> ImageSpecification:
     """Read the specification, and replace its keys by those given as options."""
     if settings.dockerfile is not None and settings.spec is not None:
         raise InputError("spec and dockerfile are both given: a specification can name a Dockerfile of your own")
@@ -152,7 +154,7 @@ def _specification(settings: BuildSettings) -> ImageSpecification:
     elif settings.digest is not None and settings.spec is None and named:
         specification = parse_image_specification({"base": "unused", **named}, Path(), "options")
     else:
-        specification = read_image_specification(settings.spec or SPECIFICATION)
+        specification = read_image_specification(settings.spec or DEFAULT_SPECIFICATION)
         if named:
             name = parse_image_specification({"base": "unused", **named}, Path(), "options").name
             specification = replace(specification, name=name)
@@ -168,7 +170,7 @@ def _specification(settings: BuildSettings) -> ImageSpecification:
     return specification
 
 
-def _render(specification: ImageSpecification, folder: Path, runner: Runner) -> ExitCode:
+def _print_dockerfile(specification: ImageSpecification, folder: Path, runner: Runner) -> ExitCode:
 
     if isinstance(specification.source, OwnDockerfile):
         raise InputError("render: your own Dockerfile exists already; there is nothing to generate")

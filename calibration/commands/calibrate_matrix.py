@@ -15,21 +15,21 @@ from calibration.ci.execution.backends import CLOUDS, CLOUDS_TEXT, CONTAINERS, D
 from calibration.ci.introspection.rules_file import read_rules
 from calibration.ci.registries.credentials import RegistrySettings
 from calibration.ci.workflow import Runner
-from calibration.commands.parameters import EVERYWHERE, password_variable, registry_password_option
+from calibration.commands.parameters import PASSWORD_VARIABLE, password_variable, registry_password_option
 from calibration.commands.record_options import chosen, given, record_options
 from calibration.commands.target import execution_target
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import Software, adjusted_software
-from calibration.pipeline.stages import Run, run_stages
+from calibration.pipeline.stages import PipelineRun, run_stages
 from calibration.pipeline.system import Noise, NoiseGrid, System, chosen_systems
 
 if TYPE_CHECKING:
-    from calibration.pipeline.configuration import Configuration
+    from calibration.pipeline.configuration import PipelineConfiguration
 
-TITLE = "calibrate-matrix"
+COMMAND_NAME = "calibrate-matrix"
 
 
-NOISE = {"translation": "translation-noise", "rotation": "rotation-noise"}
+NOISE_OPTION_OF_KEY = {"translation": "translation-noise", "rotation": "rotation-noise"}
 """Options of the noise whose names differ from its keys."""
 OF_SOFTWARE = {
     "image": "Image with the team's own calibration, used instead of our engine.",
@@ -77,16 +77,16 @@ class MatrixSettings:
         return chosen(
             cls,
             options,
-            noise=read(Noise, given(Noise, options, names=NOISE), "options"),
+            noise=read(Noise, given(Noise, options, names=NOISE_OPTION_OF_KEY), "options"),
             of_systems=given(System, options),
             software=given(Software, options, *OF_SOFTWARE),
             password_variable=options.get("password_variable"),
         )
 
 
-@click.command(TITLE)
+@click.command(COMMAND_NAME)
 @record_options(MatrixSettings, "dataset", "config", "systems")
-@record_options(Noise, names=NOISE)
+@record_options(Noise, names=NOISE_OPTION_OF_KEY)
 @record_options(System)
 @record_options(MatrixSettings, "rules")
 @record_options(Software, *OF_SOFTWARE, helps=OF_SOFTWARE)
@@ -114,11 +114,11 @@ def calibrate_matrix(settings: MatrixSettings, runner: Runner) -> ExitCode:
     target = target_of(settings, configuration, matrix, runner)
     pull(settings, runner)
     baseline = configuration.baseline if configuration else None
-    run = Run(
+    run = PipelineRun(
         matrix,
         settings.output,
         runner,
-        TITLE,
+        COMMAND_NAME,
         settings.config,
         settings.jobs,
         settings.fail_fast,
@@ -129,7 +129,7 @@ def calibrate_matrix(settings: MatrixSettings, runner: Runner) -> ExitCode:
 
 
 def target_of(
-    settings: MatrixSettings, configuration: "Configuration | None", matrix: Matrix, runner: Runner
+    settings: MatrixSettings, configuration: "PipelineConfiguration | None", matrix: Matrix, runner: Runner
 ) -> ExecutionTarget:
     """Return the execution target of the team's software.
 
@@ -158,7 +158,7 @@ def target_of(
 
 def pull(settings: MatrixSettings, runner: Runner) -> None:
     """Pull the image if a login for it is given; the backend then finds it on the engine."""
-    if settings.registry_username is None and settings.password_variable in (None, EVERYWHERE):
+    if settings.registry_username is None and settings.password_variable in (None, PASSWORD_VARIABLE):
         return  # the variable may be set for other commands
     if settings.registry_username is None or settings.password_variable is None:
         missing = "registry-username" if settings.registry_username is None else "registry-password"
@@ -169,21 +169,21 @@ def pull(settings: MatrixSettings, runner: Runner) -> None:
     login = RegistrySettings(username=settings.registry_username, password_variable=settings.password_variable)
     from calibration.ci.image.bases import pull_image  # imports the engine's SDK
 
-    pull_image(image, login, runner, TITLE)
+    pull_image(image, login, runner, COMMAND_NAME)
 
 
-def matrix_of(settings: MatrixSettings, configuration: "Configuration | None") -> Matrix:
+def matrix_of(settings: MatrixSettings, configuration: "PipelineConfiguration | None") -> Matrix:
     """Return the matrix of calibrations: the configuration's or the single dataset's; the settings take precedence.
 
     Raises:
         InputError: a selected system is missing, or the settings are wrong.
     """
-    known = configuration.systems if configuration else (_single(settings),)
-    systems = tuple(_adjusted(system, settings) for system in chosen_systems(known, settings.systems))
+    known = configuration.systems if configuration else (_single_system(settings),)
+    systems = tuple(_with_options(system, settings) for system in chosen_systems(known, settings.systems))
     return Matrix(systems, settings.noise.grid(configuration.noise if configuration else NoiseGrid()))
 
 
-def configuration_of(settings: MatrixSettings) -> "Configuration | None":
+def configuration_of(settings: MatrixSettings) -> "PipelineConfiguration | None":
     """Read the configuration; None for a single dataset.
 
     Raises:
@@ -198,14 +198,14 @@ def configuration_of(settings: MatrixSettings) -> "Configuration | None":
     return read_configuration(settings.config)
 
 
-def _single(settings: MatrixSettings) -> System:
+def _single_system(settings: MatrixSettings) -> System:
     """Return the system of a single dataset, named as its folder."""
     assert settings.dataset is not None  # noqa: S101 (else there is a configuration)
     folder = settings.dataset.resolve()
     return System(folder.parent.name if folder.suffix == ".json" else folder.name, settings.dataset)
 
 
-def _adjusted(system: System, settings: MatrixSettings) -> System:
+def _with_options(system: System, settings: MatrixSettings) -> System:
     """Return a system with the keys given as options replaced."""
     system = changed(system, settings.of_systems, "options")
     if settings.rules is not None:

@@ -1,56 +1,196 @@
 """``collect-data-sim``: collect a dataset of a system and a motion in simulation, and check it by calibrating it."""
 
 import os
+from collections.abc import Mapping
 from contextlib import nullcontext
+from dataclasses import field as dataclass_field
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import click
 
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
+from calibration.base.records import Place, at_least, changed, field, read, record
+from calibration.base.variables import with_variables
+from calibration.base.yaml_file import read_yaml
 from calibration.ci.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, ExecutionTarget, check_backend
+from calibration.ci.execution.sizes import parse_seconds
 from calibration.ci.report import publish, show
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.ci.workflow.progress import progress
 from calibration.ci.workflow.streams import LogDisplay
-from calibration.commands.collection_settings import (
-    CollectionSettings,
-    application_options,
-    application_request,
-    applications_entry,
-    collection_request,
-    scenario_image,
-)
-from calibration.commands.record_options import chosen, record_options
+from calibration.commands.parameters import find_system, system_folder
+from calibration.commands.record_options import chosen, given, option_keys, record_options
 from calibration.commands.target import execution_target
 from calibration.pipeline.collection import report, scenario_report
+from calibration.pipeline.collection.applications import DEFAULT_SECONDS, checked_applications
 from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
-from calibration.pipeline.collection.report import TITLE, pose_line
+from calibration.pipeline.collection.report import COMMAND_NAME, collection_page, pose_line
 from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,
+    CollectionLimits,
     CollectionRequest,
-    ContainerRequest,
+    ScenarioImage,
     ScenarioRequest,
+    Share,
 )
 from calibration.pipeline.collection.scenario_report import scenario_line
 from calibration.pipeline.collection.scenarios import ScenarioFolder
-from calibration.pipeline.page.collection_page import collection_page
 from calibration.pipeline.results import PAGE_FILE
 from calibration.robot.simulation.collection.record import Record
 from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.scenarios.scenario import ScenarioResult
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult, parse_id
 from calibration.robot.simulation.system import System
 
-MOST_SHOWN = 16
+Tolerance = Annotated[float, at_least(0)]
+OF_DATASET = ("robot", "config", "motion", "seed", "minimum-collections", "minimum-detection-rate", "minimum-coverage")
+"""Keys of `CollectionRequest` that are options of every collection."""
+OF_APPLICATIONS = ("image", "player", "ros", "truth", "timeout")
+"""Keys of `CollectionRequest` that are options of collections in containers."""
+
+
+@record(kw_only=True)
+class CollectionSettings:
+    """Inputs of ``collect-data-sim`` beside those of `CollectionRequest`."""
+
+    system: str = field("Name of a system in datasets/, or the folder of one.")
+    scenarios: Annotated[int, at_least(1)] | None = field(
+        "Number of scenarios of the set, or of datasets of the applications.", default=None
+    )
+    scenario_set: Path | None = field("YAML file of the parameters that vary between scenarios.", default=None)
+    scenario: str | None = field("Only this scenario, with its images: s1-00017 (seed 1, number 17).", default=None)
+    minimum_success_rate: Share = field("Share of the scenarios that must pass, 0 to 1 (1).", default=1.0)
+    max_translation_mm: Tolerance | None = field("Largest error against the truth, mm (5).", default=None)
+    max_rotation_deg: Tolerance | None = field("Largest error against the truth, degrees (0.3).", default=None)
+    stillness_mm: Tolerance | None = field("Largest movement of the pattern during a collection, mm (2).", default=None)
+    backend: str | None = field("embedded, or containers on docker or aws-batch.", default=None)
+    aws_batch: Path | None = field("YAML file with the section aws-batch (calibration.yml).", default=None)
+    run: str | None = field("Name of the run in containers or the cloud (a new one).", default=None)
+    resume: bool = field("Run only what is missing of an earlier run into this folder, or of this name.", default=False)
+    applications: Path | None = field("YAML file of the team's applications, each in a container.", default=None)
+    simulation_command: str | None = field(
+        "Command of the simulation application, instead of a file of applications.", default=None
+    )
+    robot_command: str | None = field("Command of the robot application, which labels and saves.", default=None)
+    jobs: Annotated[int, at_least(1)] | None = field(
+        "Number of parallel processes or containers (one per core).", default=None
+    )
+    output: Path = field("Folder for the dataset, or for the report on the scenarios.")
+    overwrite: bool = field("Replace a dataset that the folder has.", default=False)
+    keys: Mapping[str, Any] = dataclass_field(default_factory=dict)
+    """Given keys of `CollectionRequest`."""
+
+
+def collection_request(settings: CollectionSettings, applications: Mapping[str, Any]) -> CollectionRequest:
+    """Return the request of the options.
+
+    Args:
+        settings: settings of the command.
+        applications: description of the team's applications (`described_applications`); empty for our own simulation.
+
+    Raises:
+        InputError: the system does not exist, the description is wrong, or a container has no image.
+    """
+    used: tuple[str, ...] = OF_DATASET
+    if applications:
+        request, used = _request_of_applications(settings, applications), (*OF_DATASET, "truth")
+    else:
+        request = CollectionRequest(system_folder(settings.system), scenario_set=settings.scenario_set)
+    request = changed(request, {key: value for key, value in settings.keys.items() if key in used}, "options")
+    checks = replace(request.checks, limits=_limits_of_truth(settings, request.checks.limits))
+    stillness = None if settings.stillness_mm is None else settings.stillness_mm / 1000
+    request = replace(request, checks=checks, stillness=stillness)
+    if settings.scenario is None:
+        return request
+    seed, number = parse_id(settings.scenario)
+    return replace(request, seed=seed, number=number)
+
+
+def _request_of_applications(settings: CollectionSettings, applications: Mapping[str, Any]) -> CollectionRequest:
+    where = str(settings.applications or "applications")
+    folder = settings.applications.parent if settings.applications is not None else Path()
+    system = find_system(settings.system)
+    request = read(CollectionRequest, with_variables(applications, where), where, folder)
+    checked = checked_applications(request.applications, Place(where))
+    for container in checked.containers:
+        if not container.image:
+            raise InputError(f"{where}: containers.{container.name}: missing image (or give one for all)")
+    return replace(request, applications=checked, system=system, name=system.name if system else settings.system)
+
+
+def described_applications(settings: CollectionSettings) -> dict[str, Any]:
+    """Return the description of applications in the options, as an entry ``simulation`` of calibration.yml, or empty.
+
+    Raises:
+        InputError: the file of the applications is wrong.
+    """
+    commands = {"simulation": settings.simulation_command, "robot": settings.robot_command}
+    containers: dict[str, Any] = {
+        name: {"command": command} for name, command in commands.items() if command is not None
+    }
+    if settings.applications is not None and containers:
+        raise InputError("applications: excludes simulation-command and robot-command, which are part of the file")
+    entry: dict[str, Any] = {"containers": containers} if containers else {}
+    if "robot" in containers and "simulation" in containers:
+        containers["robot"]["after"] = ["simulation"]
+    if settings.applications is not None:
+        document = read_yaml(settings.applications, "a description of applications")
+        if not isinstance(document, dict) or "containers" not in document:
+            raise InputError(f"{settings.applications}: expected a mapping with containers, as in calibration.yml")
+        entry = document
+    given = {key: settings.keys[key] for key in ("image", "player", "ros", "timeout") if key in settings.keys}
+    for name in ("player", "ros"):
+        if name in given and not entry:
+            raise InputError(f"{name}: needs applications, or simulation-command and robot-command")
+    return {**entry, **given} if entry else {}
+
+
+def application_options(settings: CollectionSettings) -> tuple[str, ...]:
+    """Return the options of the applications, for the command that reproduces one dataset."""
+    commands = {"simulation-command": settings.simulation_command, "robot-command": settings.robot_command}
+    given = {"applications": settings.applications, **commands} | {
+        key: value for key, value in settings.keys.items() if key in OF_APPLICATIONS
+    }
+    return tuple(word for name, value in given.items() if value is not None for word in (f"--{name}", str(value)))
+
+
+def scenario_image(settings: CollectionSettings, backend: str) -> ScenarioImage:
+    """Return the image of scenarios of our own simulation.
+
+    Raises:
+        InputError: the image is missing, or the time-out is invalid.
+    """
+    image, timeout = settings.keys.get("image"), settings.keys.get("timeout")
+    if image is None:
+        raise InputError(f"image: missing: {backend} runs every scenario in an image that has calibration-ci")
+    return ScenarioImage(image, DEFAULT_SECONDS if timeout is None else parse_seconds(timeout, "timeout"))
+
+
+def _limits_of_truth(settings: CollectionSettings, limits: CollectionLimits) -> CollectionLimits:
+    """Return the limits of the errors against the truth: those of the options, else of the applications' file."""
+    given = {"translation_mm": settings.max_translation_mm, "rotation_deg": settings.max_rotation_deg}
+    return replace(limits, **{name: limit for name, limit in given.items() if limit is not None})
+
+
+MAX_SHOWN_LOGS = 16
 """Limit of scenarios whose containers' logs are shown; with more, the logs are only in files."""
+_UNTIL_APPLICATIONS = tuple(
+    key for key in option_keys(CollectionSettings) if key not in ("system", "jobs", "output", "overwrite")
+)
 
 
 @click.command("collect-data-sim")
-@record_options(CollectionSettings, required=True)
+@record_options(CollectionSettings, "system", required=True)
+@record_options(CollectionRequest, *OF_DATASET)
+@record_options(CollectionSettings, *_UNTIL_APPLICATIONS)
+@record_options(CollectionRequest, *OF_APPLICATIONS)
+@record_options(CollectionSettings, "jobs", "output", "overwrite", required=True)
 def command(**options: Any) -> ExitCode:
     """Collect a dataset in simulation: images, point clouds, labels and ground truth; and calibrate it."""
-    settings = chosen(CollectionSettings, options)
+    keys = given(CollectionRequest, options, *OF_DATASET, *OF_APPLICATIONS)
+    settings = chosen(CollectionSettings, options, keys=keys)
     runner = Runner.from_environment(os.environ)
     return collect_data_sim(settings, runner)
 
@@ -62,24 +202,25 @@ def collect_data_sim(settings: CollectionSettings, runner: Runner) -> ExitCode:
         InputError: an input is missing or wrong, or the folder already contains a dataset.
         InfrastructureError: the folder cannot be written, or a process died; an existing dataset is unchanged.
     """
-    entry = applications_entry(settings)
-    backend = settings.backend or (str(entry.get("backend", DOCKER)) if entry else EMBEDDED)
+    applications = described_applications(settings)
+    backend = settings.backend or (str(applications.get("backend", DOCKER)) if applications else EMBEDDED)
     check_backend(backend)
-    _check(settings, backend, applications=bool(entry))
-    collection = application_request(settings, entry) if entry else collection_request(settings)
+    _check_settings(settings, backend, applications=bool(applications))
+    request = collection_request(settings, applications)
+    request = replace(request, target=_target_of(settings, backend, runner))
     if settings.scenarios is not None:
-        return _many_scenarios(settings, settings.scenarios, collection, backend, runner)
-    return _one_scenario(settings, collection, backend, runner)
+        return _many_scenarios(settings, settings.scenarios, request, backend, runner)
+    return _one_scenario(settings, request, backend, runner)
 
 
-def _check(settings: CollectionSettings, backend: str, applications: bool) -> None:
+def _check_settings(settings: CollectionSettings, backend: str, applications: bool) -> None:
     """Refuse inconsistent settings.
 
     Raises:
         InputError: names the settings, and what to do.
     """
     containers = " or ".join(CONTAINERS)
-    if settings.scenarios is not None and settings.checks.minimum_coverage is not None:
+    if settings.scenarios is not None and "minimum-coverage" in settings.keys:
         raise InputError("minimum-coverage: judges one dataset; with scenarios give minimum-detection-rate")
     if settings.scenarios is not None and settings.scenarios > MAX_SCENARIOS:
         raise InputError(f"scenarios: found {settings.scenarios}, expected {MAX_SCENARIOS} at most")
@@ -109,7 +250,7 @@ def _check(settings: CollectionSettings, backend: str, applications: bool) -> No
             )
         return
     for name in ("image", "timeout", "run"):
-        if getattr(settings, name) is not None:
+        if name in settings.keys or (name == "run" and settings.run is not None):
             raise InputError(
                 f"{name}: is for containers: give applications, or simulation-command and robot-command, or backend "
                 f"{containers} with a scenario-set"
@@ -118,9 +259,7 @@ def _check(settings: CollectionSettings, backend: str, applications: bool) -> No
         raise InputError(f"resume: is for scenarios in containers: backend {containers}")
 
 
-def _one_scenario(
-    settings: CollectionSettings, request: CollectionRequest | ContainerRequest, backend: str, runner: Runner
-) -> ExitCode:
+def _one_scenario(settings: CollectionSettings, request: CollectionRequest, backend: str, runner: Runner) -> ExitCode:
     """Collect one dataset."""
 
     def begin(system: System, motion: Motion) -> None:
@@ -130,12 +269,12 @@ def _one_scenario(
     def done(count: int, total: int, record: Record) -> None:
         advance(count, total, pose_line(record), important=not record.kept)
 
-    target, embedded = _target(settings, backend, runner), backend == EMBEDDED
+    embedded = backend == EMBEDDED
     with (
         stop_commands(runner) if embedded else nullcontext(),  # names in files are untrusted
-        progress(runner, TITLE, bar=embedded, kept="poses") as advance,
+        progress(runner, COMMAND_NAME, bar=embedded, kept="poses") as advance,
     ):
-        results = collect_dataset(request, settings.output, settings.overwrite, settings.jobs, target, begin, done)
+        results = collect_dataset(request, settings.output, settings.overwrite, settings.jobs, begin, done)
     found = report.report(results, settings.output)
     if settings.scenario is None:  # a scenario of many must have the same files wherever it is collected
         sheet = settings.output / report.CONTACT_SHEET if results.contact_sheet else None
@@ -148,16 +287,15 @@ def _one_scenario(
 def _many_scenarios(
     settings: CollectionSettings,
     count: int,
-    collection: CollectionRequest | ContainerRequest,
+    collection: CollectionRequest,
     backend: str,
     runner: Runner,
 ) -> ExitCode:
     """Collect many datasets, with one report."""
-    applications = isinstance(collection, ContainerRequest)
+    applications = bool(collection.applications.containers)
     embedded = backend == EMBEDDED
     request = ScenarioRequest(
         collection,
-        settings.scenario_set,
         count,
         settings.minimum_success_rate,
         application_options(settings) if applications else (),
@@ -166,26 +304,23 @@ def _many_scenarios(
 
     def begin(system: str, scenarios: int) -> None:
         of = "datasets of the applications" if applications else f"scenarios of {settings.scenario_set}"
-        runner.log(f"{system}: {scenarios} {of}, seed {settings.seed}")
+        runner.log(f"{system}: {scenarios} {of}, seed {collection.seed}")
 
     def done(count: int, total: int, result: ScenarioResult) -> None:
         advance(count, total, scenario_line(result), important=not result.converged)
 
-    target = _target(settings, backend, runner)
-    if backend == DOCKER and count > MOST_SHOWN:
-        target = replace(target, show=None)
     folder = ScenarioFolder(settings.output, settings.resume, settings.overwrite)
     with (
         stop_commands(runner) if embedded else nullcontext(),
-        progress(runner, TITLE, bar=embedded, kept="scenarios" if embedded else "") as advance,
+        progress(runner, COMMAND_NAME, bar=embedded, kept="scenarios" if embedded else "") as advance,
     ):
-        results = collect_scenarios(request, folder, settings.jobs, target, begin, done)
+        results = collect_scenarios(request, folder, settings.jobs, begin, done)
     found = scenario_report.report(results, settings.output)
     publish(found, runner, settings.output)
     return found.exit_code
 
 
-def _target(settings: CollectionSettings, backend: str, runner: Runner) -> ExecutionTarget:
+def _target_of(settings: CollectionSettings, backend: str, runner: Runner) -> ExecutionTarget:
     """Return the execution target of containers.
 
     Raises:
@@ -195,4 +330,5 @@ def _target(settings: CollectionSettings, backend: str, runner: Runner) -> Execu
     if backend == EMBEDDED:
         return ExecutionTarget()
     found = execution_target(backend, settings.aws_batch, settings.output, settings.run, settings.resume, runner)
-    return replace(found, show=LogDisplay(runner))
+    many = settings.scenarios is not None and settings.scenarios > MAX_SHOWN_LOGS
+    return found if backend == DOCKER and many else replace(found, show=LogDisplay(runner))

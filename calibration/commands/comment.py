@@ -16,7 +16,7 @@ from calibration.ci.workflow import Annotation, Level, Runner, add_mask, annotat
 from calibration.ci.workflow.runner import PullRequestComments
 from calibration.commands.record_options import chosen, record_options
 
-TITLE = "comment"
+COMMAND_NAME = "comment"
 NO_RESULTS = Brief(verdict="fail", sentence="The run ended without results: see its log.")
 
 
@@ -36,7 +36,7 @@ class CommentSettings:
     )
 
 
-@click.command(TITLE)
+@click.command(COMMAND_NAME)
 @record_options(CommentSettings)
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
@@ -88,5 +88,5 @@ def _comment_of_run(settings: CommentSettings, comments: PullRequestComments) ->
 
 
 def _note_absence(runner: Runner, reason: str) -> ExitCode:
-    annotate(runner, [Annotation(f"no comment: {reason}", Level.NOTICE, title=TITLE)])
+    annotate(runner, [Annotation(f"no comment: {reason}", Level.NOTICE, title=COMMAND_NAME)])
     return ExitCode.PASS

@@ -35,20 +35,19 @@ from calibration.commands.parameters import (
 from calibration.commands.record_options import option_keys
 from calibration.engine.estimation.solve.options import Start
 from calibration.pipeline.configuration import DEFAULT_FILE
-from calibration.pipeline.convergence.convergence_map import maps_of
-from calibration.pipeline.convergence.report import ALL_FILES, TITLE, report
-from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
+from calibration.pipeline.convergence.convergence_map import ConvergenceResults, Minimums, maps_of
+from calibration.pipeline.convergence.report import ALL_FILES, COMMAND_NAME, report
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.system import System
 
-STARTS = ("given", "linear")
-SEEDS = 10
-MOST_LEVELS = 50
+KINDS_OF_START = ("given", "linear")
+DEFAULT_SEEDS = 10
+MAX_LEVELS = 50
 """Limit of levels of an axis, to keep tables and figures readable."""
-MOST_STARTS = 1_000_000
+MAX_STARTS = 1_000_000
 """Limit of starts of one map."""
-SHARED = frozenset(
+SHARED_OPTIONS = frozenset(
     {
         *(
             key.replace("-", "_")
@@ -64,16 +63,16 @@ SHARED = frozenset(
 
 def levels(value: str) -> tuple[float, ...]:
     """Parse noise levels: numbers, and ranges FIRST:LAST:COUNT, separated by commas; returned sorted, including 0."""
-    found = {0.0, *(level for part in TEXT_LIST(value) for level in _levels(part))}
-    if len(found) > MOST_LEVELS:
-        raise click.BadParameter(f"{len(found)} levels with 0, at most {MOST_LEVELS} were expected")
+    found = {0.0, *(level for part in TEXT_LIST(value) for level in _levels_of_part(part))}
+    if len(found) > MAX_LEVELS:
+        raise click.BadParameter(f"{len(found)} levels with 0, at most {MAX_LEVELS} were expected")
     return tuple(sorted(found))
 
 
 levels.__name__ = "levels"
 
 
-def _levels(part: str) -> tuple[float, ...]:
+def _levels_of_part(part: str) -> tuple[float, ...]:
     if ":" not in part:
         return (non_negative(part),)
     try:
@@ -81,9 +80,9 @@ def _levels(part: str) -> tuple[float, ...]:
     except ValueError:
         raise click.BadParameter(f"{part!r} is no range: FIRST:LAST:COUNT was expected, such as 0:2:9") from None
     low, high, number = non_negative(first), non_negative(last), integer(steps)
-    if not 2 <= number <= MOST_LEVELS or low >= high:
+    if not 2 <= number <= MAX_LEVELS or low >= high:
         raise click.BadParameter(
-            f"{part!r} is no range: FIRST below LAST, and a COUNT of 2 to {MOST_LEVELS} were expected, such as 0:2:9"
+            f"{part!r} is no range: FIRST below LAST, and a COUNT of 2 to {MAX_LEVELS} were expected, such as 0:2:9"
         )
     return tuple(float(f"{low + (high - low) * step / (number - 1):.12g}") for step in range(number))
 
@@ -92,8 +91,8 @@ def starts(value: str) -> tuple[str, ...]:
     """Parse kinds of start, without duplicates."""
     found = tuple(dict.fromkeys(TEXT_LIST(value)))
     for start in found:
-        if start not in STARTS:
-            raise click.BadParameter(f"{start!r} is neither given nor linear{did_you_mean(start, STARTS)}")
+        if start not in KINDS_OF_START:
+            raise click.BadParameter(f"{start!r} is neither given nor linear{did_you_mean(start, KINDS_OF_START)}")
     return found
 
 
@@ -103,12 +102,12 @@ class ConvergenceSettings:
 
     matrix: MatrixSettings
     """Inputs of the matrix, including the levels of the noise, and the seeds."""
-    start: tuple[str, ...] = STARTS
+    start: tuple[str, ...] = KINDS_OF_START
     minimum_translation_noise: float | None = None
     minimum_rotation_noise: float | None = None
 
 
-@click.command(TITLE, params=[option for option in calibrate_matrix.params if option.name in SHARED])
+@click.command(COMMAND_NAME, params=[option for option in calibrate_matrix.params if option.name in SHARED_OPTIONS])
 @click.option(
     "--translation-noise",
     type=levels,
@@ -123,7 +122,9 @@ class ConvergenceSettings:
 )
 @click.option("--seeds", type=count, help="How many seeds for each pair of noises (10).")
 @click.option("--seed-list", type=INTEGER_LIST, help="The seeds themselves, instead of their number: 3,7.")
-@click.option("--start", type=starts, default=",".join(STARTS), help="given (the noisy guess), linear, or both (both).")
+@click.option(
+    "--start", type=starts, default=",".join(KINDS_OF_START), help="given (the noisy guess), linear, or both (both)."
+)
 @click.option(
     "--minimum-translation-noise",
     type=non_negative,
@@ -167,7 +168,7 @@ def convergence(settings: ConvergenceSettings, runner: Runner) -> ExitCode:
     software = bool(matrix.software)
     total = sum(len(each.cells) for each in matrices)
     runner.log(f"{count_of(total, 'start')}; a stopped sweep is continued by the same command")
-    with progress(runner, TITLE, bar=not software, kept="starts") as advance:
+    with progress(runner, COMMAND_NAME, bar=not software, kept="starts") as advance:
 
         def done(number: int, total: int, cell: CellResult) -> None:
             failed = "" if cell.verdict != "fail" else f": {'; '.join(cell.reasons) or 'does not converge'}"
@@ -201,11 +202,11 @@ def _with_seeds(settings: ConvergenceSettings) -> MatrixSettings:
         if minimum is not None and minimum > last:
             raise InputError(f"minimum-{axis}-noise: found {minimum:g}, but the sweep ends at {last:g}")
     if not settings.start:
-        raise InputError(f"start is empty: expected {' or '.join(STARTS)}, or both")
+        raise InputError(f"start is empty: expected {' or '.join(KINDS_OF_START)}, or both")
     if asked.noise.seeds is None and asked.noise.seed_list is None:
-        asked = replace(asked, noise=replace(asked.noise, seeds=SEEDS))
+        asked = replace(asked, noise=replace(asked.noise, seeds=DEFAULT_SEEDS))
     grid = asked.noise.grid()
     total = len(grid.translations) * len(grid.rotations) * len(grid.seeds)
-    if total > MOST_STARTS:
-        raise InputError(f"found {total} starts for each system, at most {MOST_STARTS} were expected: take fewer seeds")
+    if total > MAX_STARTS:
+        raise InputError(f"found {total} starts for each system, at most {MAX_STARTS} were expected: take fewer seeds")
     return asked

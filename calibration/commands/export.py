@@ -13,7 +13,7 @@ from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import TEXT_LIST, assignments, path, text
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.finding import AFTER_MOVE
-from calibration.pipeline.exportable import cell_that_wrote, refuse_what_has_not_passed
+from calibration.pipeline.results import cell_that_wrote, refuse_what_has_not_passed
 from calibration.robot.exports.files import exported
 from calibration.robot.exports.names import FORMATS, URDF
 from calibration.robot.robot_description import NO_INPUTS, XacroInputs

@@ -13,14 +13,13 @@ from calibration.base.errors import ExitCode
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import DEFAULT_ARTIFACT_NAME, artifact_name, path, text
-from calibration.pipeline.distribution.artifacts import name_folders_by_slug, read_plan
-from calibration.pipeline.distribution.cost import cost_of_run
 from calibration.pipeline.distribution.gathering import gather, report_of_run
-from calibration.pipeline.distribution.jobs import SUCCESS, parse_needs, parse_seconds
+from calibration.pipeline.distribution.jobs import JOB_SUCCESS, cost_of_run, parse_needs, parse_seconds
+from calibration.pipeline.distribution.plan_outputs import name_folders_by_slug, read_plan
 from calibration.pipeline.page.run_page import report_page
 from calibration.pipeline.results import PAGE_FILE, clear_results
 
-TITLE = "gather-results"
+COMMAND_NAME = "gather-results"
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class GatherSettings:
     """A text, because an invalid time must not fail the command."""
 
 
-@click.command(TITLE)
+@click.command(COMMAND_NAME)
 @click.option("--needs", required=True, help="Result, seconds and error of every job, as JSON.")
 @click.option(
     "--folder", type=path, required=True, help="Folder with the artifacts of the jobs, each in a folder of its name."
@@ -62,13 +61,13 @@ def gather_results(settings: GatherSettings, runner: Runner) -> ExitCode:
     clear_results(settings.output)
     needs = parse_needs(settings.needs)
     name_folders_by_slug(settings.folder, settings.artifact_name)
-    planned = needs.results["plan"] == SUCCESS
+    planned = needs.results["plan"] == JOB_SUCCESS
     plan = read_plan(settings.folder, settings.plan_sha256) if planned else None
     gathered = gather(needs, plan, settings.folder)
     code = gathered.exit_code
     promotes = bool(gathered.plan.promote) and code == ExitCode.PASS
     cost = cost_of_run(gathered.plan, needs, settings.folder, _seconds_since(settings.began), promotes=promotes)
-    found = report_of_run(gathered, cost, settings.output, TITLE)
+    found = report_of_run(gathered, cost, settings.output, COMMAND_NAME)
     files = {**found.files, PAGE_FILE: report_page(found, gathered.results, settings.folder)}
     outputs = {**found.outputs, "report": settings.output / PAGE_FILE}
     publish(replace(found, files=files, outputs=outputs), runner, settings.output)

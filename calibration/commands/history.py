@@ -11,11 +11,10 @@ from calibration.ci.report import Lines, Report, Table, count_of, publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
-from calibration.pipeline.history import History, Step, Trend, history_of
-from calibration.pipeline.trend_figure import figure
+from calibration.pipeline.history import History, LevelStep, Trend, figure, history_of
 
-FIGURE = "history.svg"
-MOST_COMMITS = 10_000
+FIGURE_FILE = "history.svg"
+MAX_COMMITS = 10_000
 STEPS_SHOWN = 200
 
 
@@ -31,7 +30,7 @@ def command(config: Path, systems: tuple[str, ...] | None, since: str | None, ou
     """
     runner = Runner.from_environment(os.environ)
     file = read_configuration(config).baseline.file
-    found = history_of(file, systems or (), since, MOST_COMMITS)
+    found = history_of(file, systems or (), since, MAX_COMMITS)
     try:
         drawing = figure(found)
     except CalibrationError as error:
@@ -57,46 +56,49 @@ def report(found: History, drawing: bytes | None) -> Report:
         blocks=(
             Table(
                 ("Commit", "What", "Change", "Subject"),
-                tuple((f"{step.date} {step.commit[:7]}", _name(t), _size(step), step.subject) for t, step in steps),
+                tuple(
+                    (f"{step.date} {step.commit[:7]}", _name_of_trend(t), _size_of_step(step), step.subject)
+                    for t, step in steps
+                ),
                 STEPS_SHOWN,
             ),
-            Lines(tuple(_crept(trend) for trend in creeping), title="Creeping"),
+            Lines(tuple(_creep_text(trend) for trend in creeping), title="Creeping"),
             Lines(tuple(f"{each[:12]}: no baseline of this version" for each in found.unreadable), title="Left out"),
             Table(
                 ("Trend", "From", "To", "Moved in all", "Standard deviation"),
-                tuple(_trends(found)),
+                tuple(_rows_of_trends(found)),
                 STEPS_SHOWN,
             ),
         ),
         suites={},
         results=found,
         outputs={"changes": found.changes},
-        notes=tuple(_crept(trend) for trend in creeping),
-        files={FIGURE: drawing} if drawing else {},
+        notes=tuple(_creep_text(trend) for trend in creeping),
+        files={FIGURE_FILE: drawing} if drawing else {},
     )
 
 
-def _name(trend: Trend) -> str:
+def _name_of_trend(trend: Trend) -> str:
     return f"{trend.system}: {trend.name}"
 
 
-def _size(step: Step) -> str:
+def _size_of_step(step: LevelStep) -> str:
     return f"{step.rms_px:+.3g} px" if step.rms_px is not None else f"{step.mm:.3g} mm, {step.deg:.2g} deg"
 
 
-def _crept(trend: Trend) -> str:
+def _creep_text(trend: Trend) -> str:
     first, count = trend.points[0], len(trend.points)
     return (
-        f"{_name(trend)} has crept {trend.crept_mm:.3g} mm in {count - 1} accepted changes since {first.date} "
+        f"{_name_of_trend(trend)} has crept {trend.crept_mm:.3g} mm in {count - 1} accepted changes since {first.date} "
         f"({first.commit[:7]})"
     )
 
 
-def _trends(found: History) -> Iterator[tuple[str, ...]]:
+def _rows_of_trends(found: History) -> Iterator[tuple[str, ...]]:
     for trend in found.trends:
         first, last = trend.points[0], trend.points[-1]
         if trend.name == "RMS":
-            yield _name(trend), f"{first.rms_px:.4g} px", f"{last.rms_px:.4g} px", "-", "-"
+            yield _name_of_trend(trend), f"{first.rms_px:.4g} px", f"{last.rms_px:.4g} px", "-", "-"
         else:
             moved = sum(v * v for v in last.translation_mm) ** 0.5
-            yield _name(trend), first.date, last.date, f"{moved:.3g} mm", f"{last.sigma_mm:.2g} mm"
+            yield _name_of_trend(trend), first.date, last.date, f"{moved:.3g} mm", f"{last.sigma_mm:.2g} mm"

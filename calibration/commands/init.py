@@ -15,14 +15,14 @@ from calibration.commands.parameters import boolean_option, path
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.first_configuration import FirstConfiguration, first_configuration
 
-SUITE = "OWNER/calibration-ci@v1"
-CONFIGURATION = Path("calibration.yml")
+DEFAULT_SUITE = "OWNER/calibration-ci@v1"
+CONFIGURATION_FILE = Path("calibration.yml")
 
 
 @click.command("init")
 @click.option("--dataset", type=path, required=True, help="Dataset: its folder in the repository.")
 @click.option("--output", type=path, default=".", show_default=True, help="Folder of the repository.")
-@click.option("--suite", default=SUITE, show_default=True, help="Where the workflow comes from.")
+@click.option("--suite", default=DEFAULT_SUITE, show_default=True, help="Where the workflow comes from.")
 @boolean_option("--overwrite", help="Replace files that are there.")
 @boolean_option("--although", help="Write them although the recording does not pass; it will be red.")
 def command(dataset: Path, output: Path, suite: str, overwrite: bool, although: bool) -> ExitCode:
@@ -46,7 +46,7 @@ def init(
     repository, at, version = suite.partition("@")
     if not at or repository.count("/") != 1 or any(not (c.isalnum() or c in "/._-@") for c in suite):
         raise InputError(f"suite: found '{suite}', expected OWNER/REPOSITORY@VERSION")
-    configuration, workflow = output / CONFIGURATION, output / WORKFLOW_FILE
+    configuration, workflow = output / CONFIGURATION_FILE, output / WORKFLOW_FILE
     for file in (configuration, workflow):
         if file.exists() and not overwrite:
             raise InputError(f"{file}: there is such a file already: move it, or add --overwrite")
@@ -57,12 +57,12 @@ def init(
         write_atomically(workflow, first_workflow(repository, version))
         read_configuration(configuration)
     with stop_commands(runner):
-        for each in _said(first, dataset, configuration, workflow, suite=suite, written=written):
+        for each in _messages(first, dataset, configuration, workflow, suite=suite, written=written):
             runner.log(one_line(each))
     return ExitCode.FAIL if first.reasons or first.undecided else ExitCode.PASS
 
 
-def _said(
+def _messages(
     first: FirstConfiguration, dataset: Path, configuration: Path, workflow: Path, *, suite: str, written: bool
 ) -> Iterator[str]:
     """Yield the lines of the log: all that was found, what was written, what is next."""
@@ -77,7 +77,7 @@ def _said(
         return
     word = "fails as it is" if first.reasons else "is undecided" if first.undecided else "passes"
     yield f"{configuration}, {workflow}: written; {first.name} {word}"
-    if suite == SUITE:
+    if suite == DEFAULT_SUITE:
         yield f"{workflow}: put the owner of your copy of the suite in the place of OWNER"
     if word == "passes":
         commit = f"commit these, {dataset} and calibration-baseline.json"

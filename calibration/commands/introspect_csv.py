@@ -66,7 +66,7 @@ def settings_from(options: dict[str, Any]) -> IntrospectionSettings:
     Raises :class:`InputError` if there is no rule or no file, or one of them is wrong.
     """
     given = {name.replace("_", "-"): value for name, value in options.items() if value not in (None, ())}
-    rules = _rules(given)
+    rules = _rules_of_options(given)
     files = given.get("file") or ((rules.file,) if rules.file else ())
     if not files:
         raise InputError("file is not given: name the CSV files to judge")
@@ -102,7 +102,7 @@ def introspect(settings: IntrospectionSettings, runner: Runner) -> ExitCode:
     return found.exit_code
 
 
-def _rules(given: dict[str, Any]) -> RuleSet:
+def _rules_of_options(given: dict[str, Any]) -> RuleSet:
     """Return the rules of the file, followed by those of the options (one column)."""
     document = {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
     rule = {key: document[key] for key in flat_fields(RuleEntry) if document.get(key, False) is not False}

@@ -16,20 +16,20 @@ import click
 from calibration.base.errors import InputError
 from calibration.ci.workflow import Runner, add_mask
 
-SYSTEMS = Path("datasets")
+SYSTEMS_FOLDER = Path("datasets")
 """Folder of named systems, relative to the working directory."""
-EVERYWHERE, IN_ACTIONS = "CALIBRATION_REGISTRY_PASSWORD", "INPUT_REGISTRY_PASSWORD"
+PASSWORD_VARIABLE, PASSWORD_VARIABLE_IN_ACTIONS = "CALIBRATION_REGISTRY_PASSWORD", "INPUT_REGISTRY_PASSWORD"
 """Variables with a registry password; the first is also read by the command line."""
 DEFAULT_ARTIFACT_NAME = "calibration"
-_TRUTH = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-_SEPARATOR = re.compile(r"[,\r\n]")
+_TRUTH_OF_WORD = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+_LIST_SEPARATOR = re.compile(r"[,\r\n]")
 _Item = TypeVar("_Item")
 _Callback = TypeVar("_Callback", bound=Callable[..., Any])
 
 
 def boolean(value: str | bool) -> bool:
     """Parse true, false, yes, no, 1 or 0 in any case; a usage error for anything else."""
-    truth = _TRUTH.get(str(value).strip().lower())
+    truth = _TRUTH_OF_WORD.get(str(value).strip().lower())
     if truth is None:
         raise click.BadParameter(f"{value!r} is neither true nor false")
     return truth
@@ -107,7 +107,7 @@ def list_of(item: Callable[[str], _Item]) -> Callable[[str | Sequence[_Item]], t
     def items(value: str | Sequence[_Item]) -> tuple[_Item, ...]:
         if not isinstance(value, str):
             return tuple(value)
-        texts = (part.strip() for part in _SEPARATOR.split(value))
+        texts = (part.strip() for part in _LIST_SEPARATOR.split(value))
         return tuple(item(part) for part in texts if part)
 
     items.__name__ = f"{item.__name__},..."  # shown by --help
@@ -128,8 +128,6 @@ def assignments(value: str | Mapping[str, str]) -> Mapping[str, str]:
 
 
 TEXT_LIST = list_of(text)
-NUMBER_LIST = list_of(number)
-NON_NEGATIVE_LIST = list_of(non_negative)
 INTEGER_LIST = list_of(integer)
 PATH_LIST = list_of(path)
 
@@ -149,8 +147,8 @@ def boolean_option(
 
 
 def find_system(system: str) -> Path | None:
-    """Return the folder of a system by its name in `SYSTEMS` or by its path; None if it does not exist."""
-    return next((folder for folder in (SYSTEMS / system, Path(system)) if system and folder.is_dir()), None)
+    """Return the folder of a system by its name in `SYSTEMS_FOLDER` or by its path; None if it does not exist."""
+    return next((folder for folder in (SYSTEMS_FOLDER / system, Path(system)) if system and folder.is_dir()), None)
 
 
 def system_folder(system: str) -> Path:
@@ -161,15 +159,16 @@ def system_folder(system: str) -> Path:
     """
     if (folder := find_system(system)) is not None:
         return folder
-    known = sorted(folder.parent.name for folder in SYSTEMS.glob("*/simulation.yml"))
-    own = f"a folder with robot.urdf, config.yml and simulation.yml; {Path.cwd()} has no {SYSTEMS}/ of systems by name"
+    known = sorted(folder.parent.name for folder in SYSTEMS_FOLDER.glob("*/simulation.yml"))
+    files = "a folder with robot.urdf, config.yml and simulation.yml"
+    own = f"{files}; {Path.cwd()} has no {SYSTEMS_FOLDER}/ of systems by name"
     names = f"one of {', '.join(known)} or a folder" if known else own
     raise InputError(f"system: found '{system}', expected {names}")
 
 
 registry_password_option = click.option(
     "--registry-password",
-    envvar=EVERYWHERE,
+    envvar=PASSWORD_VARIABLE,
     help="Password or token of this user; on a command line by the variable CALIBRATION_REGISTRY_PASSWORD instead.",
 )
 """Option for a registry password, to be passed to `password_variable`."""
@@ -187,6 +186,6 @@ def password_variable(context: click.Context, password: str | None, runner: Runn
     if context.get_parameter_source("registry_password") is click.core.ParameterSource.COMMANDLINE:
         raise InputError(
             "registry-password: found on the command line, where every process reads it: "
-            f"put it into the environment variable {EVERYWHERE}"
+            f"put it into the environment variable {PASSWORD_VARIABLE}"
         )
-    return EVERYWHERE if os.environ.get(EVERYWHERE) else IN_ACTIONS
+    return PASSWORD_VARIABLE if os.environ.get(PASSWORD_VARIABLE) else PASSWORD_VARIABLE_IN_ACTIONS

@@ -16,9 +16,9 @@ from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.printed_sheet import PAPERS, board_sheet, pdf, svg
 from calibration.robot.labelling.corner_detector import corner_detector
 
-NAME = "board"
+PATTERN_NAME = "board"
 """Name of the pattern in import.yml."""
-MARKER, DICTIONARY, SPACING, DIAMETER = 0.75, "DICT_5X5_1000", 0.3, 0.6
+DEFAULT_MARKER, DEFAULT_DICTIONARY, DEFAULT_SPACING, DEFAULT_DIAMETER = 0.75, "DICT_5X5_1000", 0.3, 0.6
 """What is taken without an option: a marker's side in squares, the dictionary, the gap between tags in their sides, a
 circle's diameter in spacings."""
 
@@ -40,25 +40,25 @@ circle's diameter in spacings."""
 @click.option("--first", type=int, help="Lowest id of its markers or tags (0); id of a single tag.")
 @click.option("--inverted", is_flag=True, help="Exchange black and white.")
 @click.option("--paper", type=click.Choice(list(PAPERS)), default="A4", help="Size of the paper (A4).")
-@click.option("--output", type=path, default=Path(NAME), help="Files without their endings (board).")
+@click.option("--output", type=path, default=Path(PATTERN_NAME), help="Files without their endings (board).")
 def command(kind: PatternKind, paper: str, output: Path, **given: Any) -> ExitCode:
     """Write a board as SVG and PDF, true to size, with a ruler on it, and print its lines of import.yml."""
     keys = {"type": kind} | {key: value for key, value in given.items() if value not in (None, False)}
     if kind == "charuco":
         if "square" in keys:
-            keys.setdefault("marker", MARKER * keys["square"])
-        keys.setdefault("dictionary", DICTIONARY)
+            keys.setdefault("marker", DEFAULT_MARKER * keys["square"])
+        keys.setdefault("dictionary", DEFAULT_DICTIONARY)
     if kind == "aprilgrid":
-        keys.setdefault("spacing", SPACING)
+        keys.setdefault("spacing", DEFAULT_SPACING)
     if kind in CIRCLES and "spacing" in keys:
-        keys.setdefault("diameter", DIAMETER * keys["spacing"])
+        keys.setdefault("diameter", DEFAULT_DIAMETER * keys["spacing"])
     lengths = ("square", "marker", "tag", "diameter", *(("spacing",) if kind in CIRCLES else ()))
     if kind == "tags":
-        keys.setdefault("dictionary", DICTIONARY)
+        keys.setdefault("dictionary", DEFAULT_DICTIONARY)
         side = {"size": round(keys.pop("tag") / 1000, 9)} if "tag" in keys else {}
         keys["tags"] = [{"id": keys.pop("first", 0), **side}]
     keys |= {key: round(keys[key] / 1000, 9) for key in lengths if key in keys}
-    document = {"sensors": {"camera": {"images": "images"}}, "patterns": {NAME: keys}}
+    document = {"sensors": {"camera": {"images": "images"}}, "patterns": {PATTERN_NAME: keys}}
     (described,) = read(ImportDescription, document, "the board").patterns
     pattern = pattern_configuration(described, "world")
     corner_detector(pattern)  # refuses what cannot be printed
@@ -66,5 +66,5 @@ def command(kind: PatternKind, paper: str, output: Path, **given: Any) -> ExitCo
     for ending, content in (("svg", svg(sheet).encode()), ("pdf", pdf(sheet))):
         write_atomically(output.with_name(f"{output.name}.{ending}"), content)
     values = ", ".join(f"{key}: {str(value).lower() if value is True else value}" for key, value in keys.items())
-    sys.stdout.write(f"patterns:\n  {NAME}: {{{values}}}\n")
+    sys.stdout.write(f"patterns:\n  {PATTERN_NAME}: {{{values}}}\n")
     return ExitCode.PASS

@@ -24,13 +24,13 @@ from calibration.commands.parameters import (
     text,
 )
 from calibration.commands.record_options import given, record_options
-from calibration.pipeline.configuration import DEFAULT_FILE, Configuration, read_configuration
-from calibration.pipeline.distribution.plan import JobInputs, Plan, datasets_as_configuration, plan_jobs
+from calibration.pipeline.configuration import DEFAULT_FILE, PipelineConfiguration, read_configuration
+from calibration.pipeline.distribution.plan import JobInputs, WorkflowPlan, datasets_as_configuration, plan_jobs
 from calibration.pipeline.distribution.plan_outputs import plan_outputs, plan_text
 from calibration.pipeline.system import Noise
 
-NOISE = {"translation": "translation-noise", "rotation": "rotation-noise"}
-HIGHEST_RATE = 1000.0
+NOISE_OPTION_OF_KEY = {"translation": "translation-noise", "rotation": "rotation-noise"}
+MAX_MINUTE_RATE = 1000.0
 """Limit of the price of a minute, in any currency, to find typing errors."""
 
 
@@ -57,8 +57,8 @@ class PlanSettings:
 def minute_rate(value: str | float) -> float:
     """Parse the price of a minute; a usage error if it is not a price."""
     rate = non_negative(value)
-    if rate > HIGHEST_RATE:
-        raise click.BadParameter(f"{value!r} is above {HIGHEST_RATE:g}")
+    if rate > MAX_MINUTE_RATE:
+        raise click.BadParameter(f"{value!r} is above {MAX_MINUTE_RATE:g}")
     return rate
 
 
@@ -66,7 +66,11 @@ def minute_rate(value: str | float) -> float:
 @click.option("--config", type=path, help="The configuration (calibration.yml).")
 @click.option("--datasets", type=PATH_LIST, help="Datasets, each a system; instead of config.")
 @click.option("--systems", type=TEXT_LIST, help="Only these systems.")
-@record_options(Noise, names=NOISE, helps={"seeds": "How many seeds for each pair of noises (1); always inside a job."})
+@record_options(
+    Noise,
+    names=NOISE_OPTION_OF_KEY,
+    helps={"seeds": "How many seeds for each pair of noises (1); always inside a job."},
+)
 @boolean_option(
     "--noise-inside-cells",
     default=None,
@@ -84,7 +88,7 @@ def minute_rate(value: str | float) -> float:
 def command(**options: Any) -> ExitCode:
     """Plan the jobs of a workflow: one for each system and pair of noises, as the matrix of a GitHub job."""
     own = {each.name: value for each in fields(PlanSettings) if (value := options.get(each.name)) is not None}
-    settings = PlanSettings(**own, noise=read(Noise, given(Noise, options, names=NOISE), "options"))
+    settings = PlanSettings(**own, noise=read(Noise, given(Noise, options, names=NOISE_OPTION_OF_KEY), "options"))
     return plan_matrix(settings, Runner.from_environment(os.environ))
 
 
@@ -110,7 +114,7 @@ def plan_matrix(settings: PlanSettings, runner: Runner) -> ExitCode:
     return ExitCode.PASS
 
 
-def plan_of(settings: PlanSettings, event: Event) -> Plan:
+def plan_of(settings: PlanSettings, event: Event) -> WorkflowPlan:
     """Return the plan; changes of strangers push no image.
 
     Raises:
@@ -118,7 +122,7 @@ def plan_of(settings: PlanSettings, event: Event) -> Plan:
     """
     if settings.config is not None and settings.datasets:
         raise InputError("config and datasets exclude each other: a calibration.yml, or the datasets themselves")
-    configuration = _configuration(settings)
+    configuration = _read_configuration(settings)
     inputs = JobInputs(
         settings.jobs,
         settings.noise_inside_cells,
@@ -135,7 +139,7 @@ def plan_of(settings: PlanSettings, event: Event) -> Plan:
     return plan_jobs(configuration, systems, noise, inputs, by_path=bool(settings.datasets))
 
 
-def _configuration(settings: PlanSettings) -> Configuration | None:
+def _read_configuration(settings: PlanSettings) -> PipelineConfiguration | None:
     if settings.datasets:
         return datasets_as_configuration(settings.datasets)
     of_code = {"unit-tests": bool(settings.tests), "static-analysis": settings.analyse}

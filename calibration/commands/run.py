@@ -13,7 +13,7 @@ from calibration.ci.workflow import Runner, set_outputs
 from calibration.commands.parameters import TEXT_LIST, boolean_option, count, path
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.stages import STAGES, Run, run_stages
+from calibration.pipeline.stages import STAGES, PipelineRun, run_stages
 
 
 @dataclass(frozen=True)
@@ -50,14 +50,14 @@ def run(settings: RunSettings, runner: Runner) -> ExitCode:
     """
     configuration = read_configuration(settings.config)
     matrix = Matrix(configuration.systems, configuration.noise)
-    asked = Run(
+    asked = PipelineRun(
         matrix,
         settings.output,
         runner,
         config=settings.config,
         jobs=settings.jobs,
         simulations=configuration.simulations,
-        image=_image(configuration.image, settings.push),
+        image=_image_to_build(configuration.image, settings.push),
         baseline=configuration.baseline,
         sections=configuration.sections,
         target=configuration.target,
@@ -68,7 +68,7 @@ def run(settings: RunSettings, runner: Runner) -> ExitCode:
     return results.exit_code
 
 
-def _image(image: ImageSpecification | None, push: bool | None) -> ImageSpecification | None:
+def _image_to_build(image: ImageSpecification | None, push: bool | None) -> ImageSpecification | None:
     if image is None or push is None:
         return image
     return replace(image, push=push, promote=image.promote if push else ())

@@ -12,40 +12,42 @@ from calibration.ci.report import Head
 
 _PIPELINE, _COLLECTION = "calibration.pipeline", "calibration.pipeline.collection"
 _CONVERGENCE, _SCENARIOS = "calibration.pipeline.convergence", "calibration.robot.simulation.scenarios"
-_RESULTS = "results.schema.json"
-SCHEMAS = {
-    "calibration.yml": SchemaFile(_PIPELINE, "calibration.schema.json", "configuration:Configuration"),
+_RESULTS_FILE = "results.schema.json"
+SHIPPED_SCHEMAS = {
+    "calibration.yml": SchemaFile(_PIPELINE, "calibration.schema.json", "configuration:PipelineConfiguration"),
     "baseline": SchemaFile("calibration.engine.baseline", "baseline.schema.json", "document:Baseline"),
     "image": SchemaFile("calibration.ci.image", "image.schema.json", "specification:ImageDocument"),
-    "results": SchemaFile(_PIPELINE, _RESULTS, "distribution.gathering:RunResults", "calibrate-matrix and run"),
-    "convergence": SchemaFile(_CONVERGENCE, "convergence.schema.json", "results:ConvergenceResults", "convergence"),
+    "results": SchemaFile(_PIPELINE, _RESULTS_FILE, "distribution.gathering:RunResults", "calibrate-matrix and run"),
+    "convergence": SchemaFile(
+        _CONVERGENCE, "convergence.schema.json", "convergence_map:ConvergenceResults", "convergence"
+    ),
     "collection": SchemaFile(_COLLECTION, "collection.schema.json", "results:CollectionDocument", "collect-data-sim"),
     "simulation.yml": SchemaFile("calibration.robot.simulation", "simulation.schema.json", "system:Simulation"),
     "motion": SchemaFile("calibration.robot.simulation.motion", "motion.schema.json", "sequence:MotionFile"),
     "import.yml": SchemaFile("calibration.robot.importing", "import.schema.json", "description:ImportDescription"),
-    "import-results": SchemaFile("calibration.robot.importing", _RESULTS, "results:ImportResults", "import-data"),
+    "import-results": SchemaFile("calibration.robot.importing", _RESULTS_FILE, "results:ImportResults", "import-data"),
     "look-results": SchemaFile("calibration.robot.importing", "look.schema.json", "look.results:LookResults", "look"),
     "label-results": SchemaFile("calibration.robot.importing", "label.schema.json", "results:LabelResults", "label"),
     "scenario-set": SchemaFile(_SCENARIOS, "scenario_set.schema.json", "parameters:ScenarioSetFile"),
-    "image-results": SchemaFile("calibration.ci.image", _RESULTS, "report:BuildResult", "build-image"),
-    "introspection": SchemaFile("calibration.base.tables", _RESULTS, "result:Results", "introspect-csv"),
+    "image-results": SchemaFile("calibration.ci.image", _RESULTS_FILE, "report:BuildResult", "build-image"),
+    "introspection": SchemaFile("calibration.base.tables", _RESULTS_FILE, "result:Results", "introspect-csv"),
     **of_addons(lambda addon: addon.schemas),
 }
 """JSON Schemas by name."""
 
 
 @click.command("schema")
-@click.argument("name", type=click.Choice(list(SCHEMAS)), default="calibration.yml")
+@click.argument("name", type=click.Choice(list(SHIPPED_SCHEMAS)), default="calibration.yml")
 def command(name: str) -> ExitCode:
     """Print a JSON Schema: of calibration.yml, of another input file, or of the results of a command."""
-    shipped = SCHEMAS[name]
+    shipped = SHIPPED_SCHEMAS[name]
     sys.stdout.write(files(shipped.package).joinpath(shipped.file).read_text(encoding="utf-8"))
     return ExitCode.PASS
 
 
 def generated(name: str) -> str:
     """Return the text of a schema, generated from its record."""
-    shipped = SCHEMAS[name]
+    shipped = SHIPPED_SCHEMAS[name]
     record = import_attribute(f"{shipped.package}.{shipped.record}")
     if shipped.command:
         return schema_text(record, f"results.json of {shipped.command}", Head)

@@ -12,7 +12,7 @@ DEFAULT_FILE = Path("calibration.yml")
 """Default file with the section aws-batch."""
 RUN_FILE = "run.txt"
 """File in the output folder with the name of the run, to resume it."""
-_MOST_BYTES = 1000
+_MAX_RUN_FILE_BYTES = 1000
 
 
 def execution_target(
@@ -61,7 +61,7 @@ def name_of_run(output: Path, given: str | None, resume: bool) -> str:
     if given is None and resume:
         if not path.exists():
             raise InputError(f"resume: there is no {path}, which names the earlier run; give its name (run)")
-        given = read_bytes(path, _MOST_BYTES, "the name of a run").decode("utf-8", "replace").strip()
+        given = read_bytes(path, _MAX_RUN_FILE_BYTES, "the name of a run").decode("utf-8", "replace").strip()
     name = given if given is not None else new_run()
     write_atomically(path, f"{name}\n")
     return name

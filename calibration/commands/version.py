@@ -9,7 +9,7 @@ from calibration import __version__
 from calibration.base.errors import ExitCode
 from calibration.ci.workflow import Runner
 
-PACKAGES = ("click", "pyyaml", "numpy", "defusedxml", "rich", "opencv-python-headless", "docker", "boto3")
+SHOWN_DISTRIBUTIONS = ("click", "pyyaml", "numpy", "defusedxml", "rich", "opencv-python-headless", "docker", "boto3")
 """Distributions that the suite uses, required or optional."""
 
 
@@ -19,7 +19,7 @@ def command() -> ExitCode:
     runner = Runner()
     runner.log(f"calibration-ci {__version__}")
     runner.log(f"python {platform.python_version()} on {platform.system()} {platform.machine()}")
-    for package in PACKAGES:
+    for package in SHOWN_DISTRIBUTIONS:
         try:
             runner.log(f"{package} {version(package)}")
         except PackageNotFoundError:

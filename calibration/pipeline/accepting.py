@@ -9,21 +9,21 @@ from calibration.base.tables.numbers import parse_number
 from calibration.base.tables.selection import KeyedTable, LabelledRow
 from calibration.base.tables.table import read_table
 from calibration.base.text import did_you_mean, shorten
+from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.document import VERSION, Baseline
 from calibration.engine.baseline.quality import QUALITY
-from calibration.engine.baseline.snapshot import Snapshot
 from calibration.engine.baseline.verdict import MOVED, NO_BASELINE
 from calibration.engine.evaluation.table import AVERAGES
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.software_cell import start_of
-from calibration.pipeline.results import Results, own_details
+from calibration.pipeline.results import PipelineResults, own_details
 
 ABOUT_THE_BASELINE = (MOVED, QUALITY, NO_BASELINE)
 """Kinds of findings that are resolved by accepting."""
 
 
 def accept(
-    results: Results, output: Path, names: Sequence[str], although: str | None, before: Baseline | None
+    results: PipelineResults, output: Path, names: Sequence[str], although: str | None, before: Baseline | None
 ) -> tuple[Baseline, tuple[str, ...]]:
     """Return the baseline with the results of a run.
 
@@ -46,16 +46,18 @@ def accept(
             raise InputError(
                 f"{output}: there is no result of '{name}'{did_you_mean(name, known)} (found: {', '.join(known)})"
             )
-    accepted = {name: _accepted(name, results, output, although) for name in names or known}
+    accepted = {name: _accepted_snapshot(name, results, output, although) for name in names or known}
     if not accepted:
         raise InputError(f"{output}: there is no calibrated system to accept: run the calibration first")
     systems = {**(before.systems if before else {}), **accepted}
     return Baseline(VERSION, dict(sorted(systems.items()))), tuple(accepted)
 
 
-def _accepted(system: str, results: Results, output: Path, although: str | None) -> Snapshot:
+def _accepted_snapshot(
+    system: str, results: PipelineResults, output: Path, although: str | None
+) -> CalibrationDocument:
     cells = [cell for cell in results.cells if cell.system == system]
-    failed = [(cell, why) for cell in cells if (why := _against(cell))]
+    failed = [(cell, why) for cell in cells if (why := _unsettled_reasons(cell))]
     if failed and although is None:
         cell, why = failed[0]
         what = "has failed" if cell.verdict == "fail" else "is undecided"
@@ -69,16 +71,18 @@ def _accepted(system: str, results: Results, output: Path, although: str | None)
         if details is not None and details.snapshot is not None:
             return replace(
                 details.snapshot,
-                averages=_averages(output / cell.table) if cell.table else {},
+                averages=_table_averages(output / cell.table) if cell.table else {},
                 passed=len(cells) - len(failed),
                 starts=len(cells),
-                software=tuple(start_of(cell, not _against(cell)) for cell in cells if cell.method != OUR_METHOD),
+                software=tuple(
+                    start_of(cell, not _unsettled_reasons(cell)) for cell in cells if cell.method != OUR_METHOD
+                ),
                 although=although if failed else None,
             )
     raise InputError(f"{output}: {system}: no cell has a calibration that could be accepted")
 
 
-def _against(cell: CellResult) -> tuple[str, ...]:
+def _unsettled_reasons(cell: CellResult) -> tuple[str, ...]:
     """Return the reasons why a cell has failed, without those that accepting resolves."""
     settled = {finding.text for finding in cell.findings if finding.kind in ABOUT_THE_BASELINE}
     reasons = tuple(reason for reason in cell.reasons if reason not in settled)
@@ -87,7 +91,7 @@ def _against(cell: CellResult) -> tuple[str, ...]:
     return reasons or (() if cell.converged else ("it has not converged",))
 
 
-def _averages(path: Path) -> dict[str, float]:
+def _table_averages(path: Path) -> dict[str, float]:
     """Return the row of averages of a table, by column; empty if there is none."""
     table = read_table(path)
     keyed = KeyedTable.of(table, None, ())

@@ -24,6 +24,7 @@ from calibration.engine.estimation.start.chosen_lenses import with_chosen_lenses
 from calibration.engine.estimation.start.lens_choice import LensChoice
 from calibration.engine.estimation.start.single_views import noise_inside_views
 from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.evaluation.specification import KINDS, Suggestion
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import load
@@ -31,19 +32,19 @@ from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.system import System
 from calibration.robot.importing.document import ROUGH
 
-SHARED = 3
+MIN_SHARED_COLLECTIONS = 3
 """Minimum of collections in which two sensors see a pattern, for a table of both."""
 OF_GUARD_BAND = 2 / 3
 """Share of a default limit that a cause may move a sensor by: two of the three standard deviations of a good robot."""
-UNITS = ("mm", "deg")
-STEPS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+UNITS_OF_LIMITS = ("mm", "deg")
+ROUND_MANTISSAS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Mantissas of rounded limits."""
-HEAD = """\
+HEAD_COMMENT = """\
 # Written by `calibration init`: the checks of this recording, and of later ones in its place.
 # Change the limits to what your robot needs; `calibration run` checks them.
 """
-ALTHOUGH = "# This recording does not pass, and was to be written although it does not:"
-_PLAIN = re.compile(r"[A-Za-z_./][\w./:-]*")
+ALTHOUGH_COMMENT = "# This recording does not pass, and was to be written although it does not:"
+_PLAIN_SCALAR = re.compile(r"[A-Za-z_./][\w./:-]*")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,38 +80,42 @@ def first_configuration(path: Path, root: Path) -> FirstConfiguration:
     if not path.resolve().is_relative_to(root.resolve()):
         raise InputError(f"{path}: expected a dataset in the folder of calibration.yml, {root}, which is checked out")
     dataset = read_dataset(path)
-    evaluate, why = _table(dataset)
-    options = _options(dataset)
+    evaluate, why = _choose_table(dataset)
+    options = _options_for(dataset)
     lenses = with_chosen_lenses(dataset, options).choices
     options = replace(options, lens={name: each.chosen.name for name, each in lenses.items()})
     system = System(dataset.name, path, evaluate=evaluate, options=options)
-    first, calibration = _calibrated(system)
+    first, calibration = _calibrate_system(system)
     named = any(each.kind == CONVENTION for each in first.findings)
     if calibration is None or first.error is not None or not first.converged:
         why = "; ".join(first.reasons) or "no optimum was found"
         raise InputError(f"{path}: cannot be calibrated: {why}{'' if named else _other_mounting(dataset)}")
-    limits, comments = _limits(calibration) if first.sigma else _limits_of_cameras(dataset)
-    judged, _ = _calibrated(replace(system, limits=limits))
-    found_here = () if named else (*_noisy(calibration), *_moving(calibration, first))
+    limits, comments = _default_limits(calibration) if first.sigma else _limits_of_cameras(dataset)
+    judged, _ = _calibrate_system(replace(system, limits=limits))
+    found_here = (
+        () if named else (*_reasons_of_noisy_corners(calibration), *_causes_that_move_sensors(calibration, first))
+    )
     reasons = (*first.reasons, *found_here) or judged.reasons
     lines = [
-        *(_comment(f"{ALTHOUGH} {each}") for each in reasons),
+        *(_printable(f"{ALTHOUGH_COMMENT} {each}") for each in reasons),
         "",
         "systems:",
-        f"  {_scalar(system.name)}:",
-        _line("dataset", path.resolve().relative_to(root.resolve()).as_posix(), _seen(dataset)),
+        f"  {_yaml_scalar(system.name)}:",
+        _yaml_line("dataset", path.resolve().relative_to(root.resolve()).as_posix(), _seen_collections(dataset)),
         *_option_lines(system.options, lenses),
-        *([_line("evaluate", evaluate, why)] if evaluate else []),
+        *([_yaml_line("evaluate", evaluate, why)] if evaluate else []),
         "    limits:",
-        *(f"      {key}: {value:g}   # {comments[key]}" for key, value in _set(limits).items()),
+        *(f"      {key}: {value:g}   # {comments[key]}" for key, value in _given_limits(limits).items()),
     ]
     others = (each for each in first.findings if each.severity != "undecided" and each.text not in reasons)
     found = tuple(f"{each.severity}: {each.text}" for each in others)
     missing = tuple(map(dataset.missing_files_of, dataset.missing_files))
-    return FirstConfiguration(system.name, HEAD + "\n".join(lines) + "\n", reasons, judged.undecided, found, missing)
+    return FirstConfiguration(
+        system.name, HEAD_COMMENT + "\n".join(lines) + "\n", reasons, judged.undecided, found, missing
+    )
 
 
-def _noisy(calibration: Calibration) -> Iterator[str]:
+def _reasons_of_noisy_corners(calibration: Calibration) -> Iterator[str]:
     """Yield a reason for each camera whose corners are worse than a detector's, where they place a sensor."""
     if calibration.of_cameras_alone:
         return
@@ -124,7 +129,7 @@ def _noisy(calibration: Calibration) -> Iterator[str]:
             )
 
 
-def _moving(calibration: Calibration, first: CellResult) -> Iterator[str]:
+def _causes_that_move_sensors(calibration: Calibration, first: CellResult) -> Iterator[str]:
     """Yield the causes that move a sensor by more than the error bar of collections that agree."""
     for each in first.findings:
         if each.kind != SUSPECT or each.severity == "red" or each.moves_mm is None or each.moves_deg is None:
@@ -142,7 +147,7 @@ def _other_mounting(dataset: Dataset) -> str:
     return f"; or are '{sensor}' and '{pattern}' mounted the other way round ('parent' in import.yml)?"
 
 
-def _options(dataset: Dataset) -> Options:
+def _options_for(dataset: Dataset) -> Options:
     """Return the options for what an imported dataset says of itself: rough poses, cameras without intrinsics.
 
     Of one camera before a pattern that moves freely nothing but its intrinsics can be calibrated.
@@ -156,64 +161,68 @@ def _options(dataset: Dataset) -> Options:
 
 def _option_lines(options: Options, lenses: Mapping[str, LensChoice]) -> Iterator[str]:
     if options.description == "rough":
-        yield _line("description", "rough", "the sensors' true poses are unknown: there is no comparison with a truth")
+        yield _yaml_line(
+            "description", "rough", "the sensors' true poses are unknown: there is no comparison with a truth"
+        )
     if options.intrinsics:
         why = "of these none were given: they are calibrated with the rest"
         if not options.lens:
             why = "nothing else can be calibrated of one camera before a pattern that moves freely"
-        yield _line("intrinsics", list(options.intrinsics), why)
+        yield _yaml_line("intrinsics", list(options.intrinsics), why)
     if options.lens:
         yield "    lens:"
         for name, model in options.lens.items():
-            yield f"  {_line(name, model, lenses[name].reason)}"
+            yield f"  {_yaml_line(name, model, lenses[name].reason)}"
 
 
 def nice(number: float) -> float:
     """Return the next larger round number."""
     power = 10.0 ** math.floor(math.log10(number))
-    return float(f"{next(step for step in STEPS if step * power >= number * (1 - 1e-9)) * power:.6g}")
+    return float(f"{next(step for step in ROUND_MANTISSAS if step * power >= number * (1 - 1e-9)) * power:.6g}")
 
 
-def _calibrated(system: System) -> tuple[CellResult, Calibration | None]:
+def _calibrate_system(system: System) -> tuple[CellResult, Calibration | None]:
     return calibrate_cell(Cell(system.name, StartingNoise()), load(system))
 
 
-def _table(dataset: Dataset) -> tuple[str | None, str]:
+def _choose_table(dataset: Dataset) -> tuple[str | None, str]:
     """Return the table that covers most of the dataset, a description; None if no sensors see a pattern together."""
-    kinds = {name: sensor.modality.family for name, sensor in dataset.sensors.items()}
-    cameras = [name for name, kind in kinds.items() if kind == "camera"]
-    pairs_of = {
-        "rgb": combinations(cameras, 2),
-        "lidar": product((name for name, kind in kinds.items() if kind == "lidar"), cameras),
-        "depth": product((name for name, kind in kinds.items() if kind == "depth camera"), cameras),
-    }
-    for word, pairs in pairs_of.items():
-        shared = {pair: _most_shared(dataset, *pair) for pair in pairs}
-        one, other = best = max(shared, key=lambda pair: shared[pair][0], default=("", ""))
-        count, pattern = shared.get(best, (0, ""))
-        if count >= SHARED:
-            what = f"the corners that {one} sees, in" if word == "rgb" else f"the points of {one} against"
-            return (
-                f"{word}-to-rgb:{one}:{other}{pattern}",
-                f"{what} the images of {other}; {count} collections have both",
-            )
-    if len(cameras) == 1 and any(pattern.fixed for pattern in dataset.patterns.values()):
-        both = f"{cameras[0]}:{cameras[0]}{_most_shared(dataset, cameras[0], cameras[0])[1]}"
-        return f"inter-collection-rgb-to-rgb:{both}", "each view of the pattern carried to all others by the arm"
-    if trackers := [name for name, kind in kinds.items() if kind == "tracker"]:
-        named = f"{trackers[0]}{_most_shared(dataset, trackers[0], trackers[0])[1]}"
-        return f"measured-poses:{named}", "the poses as they were measured, against those of the result"
+    suggested = [(name, kind.suggestion) for name, kind in KINDS.items() if kind.suggestion is not None]
+    for name, suggestion in sorted(suggested, key=lambda entry: -len(entry[1].families)):  # of two sensors first
+        if (chosen := _names_for(suggestion, dataset)) is not None:
+            names, counted = chosen
+            return ":".join((name, *names)), suggestion.reason.format(*names) + counted
     return None, ""
 
 
-def _most_shared(dataset: Dataset, one: str, other: str) -> tuple[int, str]:
-    """Return in how many collections two sensors see the same pattern, and, of several, ":" and the one most seen."""
+def _names_for(suggestion: Suggestion, dataset: Dataset) -> tuple[tuple[str, ...], str] | None:
+    """Return the sensors and the pattern that a table fits best, and what both have; None if it fits none."""
+    of_family = [
+        [name for name, sensor in dataset.sensors.items() if sensor.modality.family == family]
+        for family in suggestion.families
+    ]
+    if len(of_family) == 1:
+        sensors = of_family[0][:1]
+        if suggestion.by_arm:
+            alone = len(of_family[0]) == 1 and any(pattern.fixed for pattern in dataset.patterns.values())
+            sensors = 2 * sensors if alone else []
+        return ((*sensors, *_most_shared(dataset, sensors[0], sensors[0])[1]), "") if sensors else None
+    first, second = of_family
+    pairs = combinations(first, 2) if first == second else product(first, second)
+    shared = {pair: _most_shared(dataset, *pair) for pair in pairs}
+    best = max(shared, key=lambda pair: shared[pair][0], default=("", ""))
+    count, pattern = shared.get(best, (0, ()))
+    return ((*best, *pattern), f"; {count} collections have both") if count >= MIN_SHARED_COLLECTIONS else None
+
+
+def _most_shared(dataset: Dataset, first: str, second: str) -> tuple[int, tuple[str, ...]]:
+    """Return in how many collections two sensors see the same pattern, and, of several, the one most seen."""
     counts = {
-        pattern: sum({(pattern, one), (pattern, other)} <= each.labels.keys() for each in dataset.collections)
+        pattern: sum({(pattern, first), (pattern, second)} <= each.labels.keys() for each in dataset.collections)
         for pattern in dataset.patterns
     }
     most = max(counts, key=counts.__getitem__)
-    return counts[most], f":{most}" if len(counts) > 1 else ""
+    return counts[most], (most,) if len(counts) > 1 else ()
 
 
 def _collections_of(dataset: Dataset, sensor: str) -> set[int]:
@@ -221,12 +230,12 @@ def _collections_of(dataset: Dataset, sensor: str) -> set[int]:
     return {i for i, each in enumerate(dataset.collections) if any(name == sensor for _, name in each.labels)}
 
 
-def _seen(dataset: Dataset) -> str:
+def _seen_collections(dataset: Dataset) -> str:
     counts = [f"{name} sees it in {len(_collections_of(dataset, name))}" for name in dataset.sensors]
     return f"{len(dataset.collections)} collections; {', '.join(counts)}"
 
 
-def _limits(calibration: Calibration) -> tuple[Limits, dict[str, str]]:
+def _default_limits(calibration: Calibration) -> tuple[Limits, dict[str, str]]:
     """Return the default limits, of the least precise sensor and joint, rounded up, with the reason of each."""
     sensors = [name for name in stated(calibration) if name not in calibration.joints]
     values, comments = {}, {}
@@ -236,7 +245,9 @@ def _limits(calibration: Calibration) -> tuple[Limits, dict[str, str]]:
             numbers = {name: (limit.translation_mm, limit.rotation_deg)[i] for name, limit in each.items()}
             name = max(numbers, key=lambda one: numbers[one])
             values[key] = nice(numbers[name])
-            comments[key.replace("_", "-")] = _why(numbers[name], stated(calibration)[name][i], SMALLEST[i], UNITS[i])
+            comments[key.replace("_", "-")] = _reason_of_limit(
+                numbers[name], stated(calibration)[name][i], SMALLEST[i], UNITS_OF_LIMITS[i]
+            )
     return Limits(**values), comments
 
 
@@ -250,7 +261,7 @@ def _limits_of_cameras(dataset: Dataset) -> tuple[Limits, dict[str, str]]:
     return Limits(projection_px=nice(most)), {"projection-px": why}
 
 
-def _why(limit: float, sigma: float, least: float, unit: str) -> str:
+def _reason_of_limit(limit: float, sigma: float, least: float, unit: str) -> str:
     """Return the reason of a limit."""
     what = f"{UNSET:g} standard deviations of a good robot that sees this: {limit:.2g} {unit}"
     if limit <= least:
@@ -258,23 +269,23 @@ def _why(limit: float, sigma: float, least: float, unit: str) -> str:
     return f"{what}; this recording states {sigma:.2g} {unit} in all"
 
 
-def _set(limits: Limits) -> Mapping[str, float]:
+def _given_limits(limits: Limits) -> Mapping[str, float]:
     keys = ("translation-mm", "rotation-deg", "joint-mm", "joint-deg", "projection-px")
     found = {key: getattr(limits, key.replace("-", "_")) for key in keys}
     return {key: value for key, value in found.items() if value is not None}
 
 
-def _line(key: str, value: Any, why: str) -> str:
-    shown = f"[{', '.join(map(_scalar, value))}]" if isinstance(value, list) else _scalar(value)
+def _yaml_line(key: str, value: Any, why: str) -> str:
+    shown = f"[{', '.join(map(_yaml_scalar, value))}]" if isinstance(value, list) else _yaml_scalar(value)
     printable = "".join(c if c.isprintable() else "?" for c in why)
-    return f"    {_scalar(key)}: {shown}   # {printable}"
+    return f"    {_yaml_scalar(key)}: {shown}   # {printable}"
 
 
-def _comment(text: str) -> str:
+def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def _scalar(text: str) -> str:
+def _yaml_scalar(text: str) -> str:
     """Format a text as a YAML scalar on one line, quoted if necessary."""
-    plain = _PLAIN.fullmatch(text) is not None and not text.endswith(":") and yaml.safe_load(text) == text
+    plain = _PLAIN_SCALAR.fullmatch(text) is not None and not text.endswith(":") and yaml.safe_load(text) == text
     return text if plain else json.dumps(text)

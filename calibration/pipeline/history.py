@@ -1,26 +1,34 @@
 """History of accepted calibrations in a repository: level changes and drift, with the commits that introduced them."""
 
+import io
 import json
+import math
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.base.json_file import parse_json
+from calibration.base.optional import optional
 from calibration.base.records import computed, field, result
+from calibration.base.text import one_line, shorten
 from calibration.ci.git.repository import Commit, Repository
+from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
 from calibration.engine.baseline.change_points import change_points, creeps, noise_of
 from calibration.engine.baseline.comparison import covariance_of_difference
 from calibration.engine.baseline.document import LARGEST, VERSION, parse_baseline
-from calibration.engine.baseline.snapshot import Pose, Snapshot
 from calibration.engine.geometry.transforms import local
 
-LEAST = np.array([1e-6] * 3 + [1e-6] * 3)
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MIN_NOISE = np.array([1e-6] * 3 + [1e-6] * 3)
 """Lower limit of the noise: a micrometre, a microradian."""
 
 
@@ -29,7 +37,7 @@ class Revision:
     """Accepted calibrations of one commit."""
 
     commit: Commit
-    systems: Mapping[str, Snapshot]
+    systems: Mapping[str, CalibrationDocument]
 
 
 @result(kw_only=True)
@@ -46,7 +54,7 @@ class Point:
 
 
 @result(kw_only=True)
-class Step:
+class LevelStep:
     """Commit at which the level of a series changes."""
 
     commit: str = field("Hash of the commit.")
@@ -64,7 +72,7 @@ class Trend:
     system: str = field("The system.")
     name: str = field("The sensor or the transform; RMS.")
     points: tuple[Point, ...] = field("A point for each commit that changed the file, the earliest first.")
-    steps: tuple[Step, ...] = field("Changes of its level; none if it drifts.")
+    steps: tuple[LevelStep, ...] = field("Changes of its level; none if it drifts.")
     crept_mm: float | None = field(
         "Distance that it has drifted in one direction; null if it has not.", unit="mm", default=None
     )
@@ -94,23 +102,25 @@ def read_history(repository: Repository, path: str, commits: Sequence[Commit]) -
         path: of the file, in the checkout.
         commits: those that changed the file, newest first.
     """
-    found: list[Revision] = []
+    revisions: list[Revision] = []
     unreadable: list[str] = []
-    known: dict[str, tuple[Any, Snapshot]] = {}
+    known: dict[str, tuple[Any, CalibrationDocument]] = {}
     by_hash = {each.hash: each for each in commits}
     for commit, content in repository.contents([each.hash for each in commits], path, LARGEST):
         if content is None:
             continue
         try:
-            systems = _read(content, f"{commit[:12]}:{path}", known)
+            systems = _read_systems(content, f"{commit[:12]}:{path}", known)
         except InputError:
             unreadable.append(commit)
             continue
-        found.append(Revision(by_hash[commit], systems))
-    return found[::-1], unreadable
+        revisions.append(Revision(by_hash[commit], systems))
+    return revisions[::-1], unreadable
 
 
-def _read(content: bytes, where: str, known: dict[str, tuple[Any, Snapshot]]) -> dict[str, Snapshot]:
+def _read_systems(
+    content: bytes, where: str, known: dict[str, tuple[Any, CalibrationDocument]]
+) -> dict[str, CalibrationDocument]:
     """Parse the systems of a file; unchanged ones are taken from the previous revision."""
     try:
         document = parse_json(content)
@@ -119,7 +129,7 @@ def _read(content: bytes, where: str, known: dict[str, tuple[Any, Snapshot]]) ->
         new = {name: entry for name, entry in entries.items() if name not in stayed}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return dict(parse_baseline(content, where).systems)  # raises with the full message
-    read: Mapping[str, Snapshot] = {}
+    read: Mapping[str, CalibrationDocument] = {}
     if new or not entries:
         read = parse_baseline(json.dumps({**document, "systems": new}).encode(), where).systems
     for name, snapshot in read.items():
@@ -162,13 +172,13 @@ def history(file: str, accepted: Sequence[Revision], unreadable: Iterable[str], 
     for name in systems:
         if name not in known:
             raise InputError(f"{file}: no commit has accepted '{name}' (accepted: {', '.join(known) or 'nothing'})")
-    trends = [trend for name in systems or known for trend in _trends(name, accepted)]
+    trends = [trend for name in systems or known for trend in _trends_of_system(name, accepted)]
     return History(file=file, commits=len(accepted), unreadable=tuple(unreadable), trends=tuple(trends))
 
 
-def _trends(system: str, accepted: Sequence[Revision]) -> Iterator[Trend]:
+def _trends_of_system(system: str, accepted: Sequence[Revision]) -> Iterator[Trend]:
     having = [(each.commit, each.systems[system]) for each in accepted if system in each.systems]
-    poses: dict[str, list[tuple[Commit, Snapshot, Pose]]] = {}
+    poses: dict[str, list[tuple[Commit, CalibrationDocument, CalibratedPose]]] = {}
     for commit, snapshot in having:
         for pose in snapshot.poses:
             poses.setdefault(pose.name, []).append((commit, snapshot, pose))
@@ -178,47 +188,47 @@ def _trends(system: str, accepted: Sequence[Revision]) -> Iterator[Trend]:
     yield _of_rms(system, [(commit, snapshot) for commit, snapshot in having if snapshot.rms_px is not None])
 
 
-def _of_pose(system: str, name: str, entries: Sequence[tuple[Commit, Snapshot, Pose]]) -> Trend:
+def _of_pose(system: str, name: str, entries: Sequence[tuple[Commit, CalibrationDocument, CalibratedPose]]) -> Trend:
     first = entries[0][2].matrix
     moved = local(first, np.stack([pose.matrix for _, _, pose in entries]))
-    noise = np.maximum(noise_of(moved, _stated([pose for _, _, pose in entries])), LEAST)
+    noise = np.maximum(noise_of(moved, _stated_deviation([pose for _, _, pose in entries])), MIN_NOISE)
     at = change_points(moved, noise)
     crept = None
     if creeps(moved, noise, at):
         at, crept = [], round(1e3 * float(np.linalg.norm(moved[-1, :3] - moved[0, :3])), 4)
     levels = np.split(moved, at)
     steps = tuple(
-        Step(
+        LevelStep(
             commit=entries[i][0].hash,
             date=entries[i][0].date,
             subject=entries[i][0].subject,
-            mm=round(1e3 * float(np.linalg.norm(_step(levels, k)[:3])), 6),
-            deg=round(float(np.degrees(np.linalg.norm(_step(levels, k)[3:]))), 8),
+            mm=round(1e3 * float(np.linalg.norm(_step_between(levels, k)[:3])), 6),
+            deg=round(float(np.degrees(np.linalg.norm(_step_between(levels, k)[3:]))), 8),
         )
         for k, i in enumerate(at)
     )
     return Trend(
         system=system,
         name=name,
-        points=tuple(_point(*entry, twist) for entry, twist in zip(entries, moved, strict=True)),
+        points=tuple(_trend_point(*entry, twist) for entry, twist in zip(entries, moved, strict=True)),
         steps=steps,
         crept_mm=crept,
     )
 
 
-def _stated(poses: Sequence[Pose]) -> Array:
+def _stated_deviation(poses: Sequence[CalibratedPose]) -> Array:
     """Standard deviation (6,) of a pose by its reported covariances, among recordings of the same robot."""
-    found = [covariance_of_difference(*pair) for pair in pairwise(poses)]
-    sigmas = [np.sqrt(np.maximum(np.diagonal(C), 0.0) / 2) for C in found if C is not None]
-    return np.maximum(np.median(sigmas, axis=0), LEAST) if sigmas else LEAST
+    covariances = [covariance_of_difference(*pair) for pair in pairwise(poses)]
+    sigmas = [np.sqrt(np.maximum(np.diagonal(C), 0.0) / 2) for C in covariances if C is not None]
+    return np.maximum(np.median(sigmas, axis=0), MIN_NOISE) if sigmas else MIN_NOISE
 
 
-def _step(levels: Sequence[Array], k: int) -> Array:
+def _step_between(levels: Sequence[Array], k: int) -> Array:
     step: Array = levels[k + 1].mean(axis=0) - levels[k].mean(axis=0)
     return step
 
 
-def _point(commit: Commit, snapshot: Snapshot, pose: Pose, twist: Array) -> Point:
+def _trend_point(commit: Commit, snapshot: CalibrationDocument, pose: CalibratedPose, twist: Array) -> Point:
     return Point(
         commit=commit.hash,
         date=commit.date,
@@ -230,7 +240,7 @@ def _point(commit: Commit, snapshot: Snapshot, pose: Pose, twist: Array) -> Poin
     )
 
 
-def _of_rms(system: str, entries: Sequence[tuple[Commit, Snapshot]]) -> Trend:
+def _of_rms(system: str, entries: Sequence[tuple[Commit, CalibrationDocument]]) -> Trend:
     values = np.array([[snapshot.rms_px or 0.0] for _, snapshot in entries]).reshape(-1, 1)
     typical = max(float(np.median(values)), 1e-6) if len(values) else 1.0
     # A standard deviation estimated from n views has a relative one of 1 / sqrt(4 n): two coordinates each.
@@ -254,12 +264,79 @@ def _of_rms(system: str, entries: Sequence[tuple[Commit, Snapshot]]) -> Trend:
             for commit, snapshot in entries
         ),
         steps=tuple(
-            Step(
+            LevelStep(
                 commit=entries[i][0].hash,
                 date=entries[i][0].date,
                 subject=entries[i][0].subject,
-                rms_px=round(float(_step(levels, k)[0]), 6),
+                rms_px=round(float(_step_between(levels, k)[0]), 6),
             )
             for k, i in enumerate(at)
         ),
     )
+
+
+MAX_PANELS = 24
+PANEL_COLUMNS = 2
+MAX_TICKS = 6
+MAX_MARKED_POINTS = 60
+"""Above this number of points, a line has no markers."""
+_PANEL_WIDTH, _PANEL_HEIGHT = 5.0, 2.2
+"""Size of a panel in inches."""
+_LINE_COLOUR, _BAND_COLOUR, _CHANGE_COLOUR = "#1f5fa8", "#b9cfe8", "#c8102e"
+_FIGURE_STYLE: Any = {
+    "font.size": 8,
+    "font.family": ["DejaVu Sans"],  # bundled with matplotlib: the same picture on every machine
+    "text.parse_math": False,  # names come from the user and may contain $
+    "svg.hashsalt": "calibration-ci",
+    "svg.fonttype": "path",
+}
+
+
+def figure(found: History) -> bytes:
+    """Draw the trends as SVG; the same history gives the same bytes with the same matplotlib.
+
+    Raises:
+        InputError: there are too many trends.
+        InfrastructureError: matplotlib is not installed.
+    """
+    if len(found.trends) > MAX_PANELS:
+        raise InputError(f"no figure: found {len(found.trends)} trends, at most {MAX_PANELS} can be drawn: --systems")
+    figures, rc_context = optional("matplotlib.figure", "the figure"), optional("matplotlib", "the figure").rc_context
+    with rc_context(_FIGURE_STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font lacks
+        columns = min(PANEL_COLUMNS, len(found.trends))
+        rows = math.ceil(len(found.trends) / columns)
+        drawing = figures.Figure(figsize=(columns * _PANEL_WIDTH, rows * _PANEL_HEIGHT + 0.4), layout="constrained")
+        drawing.suptitle("Since the first accepted calibration", fontsize=10)
+        for number, trend in enumerate(found.trends):
+            _draw_panel(drawing.add_subplot(rows, columns, number + 1), trend)
+        svg = io.BytesIO()
+        drawing.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
+    return svg.getvalue()
+
+
+def _draw_panel(axes: "Axes", trend: Trend) -> None:
+    at = np.arange(len(trend.points))
+    marker = "." if len(at) <= MAX_MARKED_POINTS else ""
+    if trend.name == "RMS":
+        axes.plot(at, [point.rms_px or 0.0 for point in trend.points], "-", marker=marker, color=_LINE_COLOUR)
+        axes.set_ylabel("px")
+    else:
+        moved = np.array([point.translation_mm for point in trend.points])
+        sigma = max(point.sigma_mm for point in trend.points) / math.sqrt(3)
+        for axis, style in zip("xyz", ("-", "--", ":"), strict=True):
+            values = moved[:, "xyz".index(axis)]
+            axes.fill_between(at, values - sigma, values + sigma, color=_BAND_COLOUR, alpha=0.4, linewidth=0)
+            axes.plot(at, values, style, marker=marker, color=_LINE_COLOUR, label=axis)
+        axes.set_ylabel("mm")
+        axes.legend(loc="upper left", ncols=3, frameon=False)
+    for step in trend.steps:
+        place = next(i for i, point in enumerate(trend.points) if point.commit == step.commit)
+        axes.axvline(place - 0.5, color=_CHANGE_COLOUR, linewidth=1)
+        axes.annotate(
+            step.commit[:7], (place - 0.5, 1.0), xycoords=("data", "axes fraction"), color=_CHANGE_COLOUR, fontsize=6
+        )
+    crept = f", creeping: {trend.crept_mm:.2g} mm" if trend.crept_mm is not None else ""
+    axes.set_title(f"{shorten(one_line(f'{trend.system}: {trend.name}'), 50)}{crept}", loc="left", pad=10)
+    shown = at[:: max(1, math.ceil(len(at) / MAX_TICKS))]
+    axes.set_xticks(shown, [trend.points[i].date for i in shown])

@@ -1,4 +1,4 @@
-"""Baselines of a matrix's systems: the checkout's, and its changes against the base branch's."""
+"""The checkout around a run: its commit, and the baselines of the systems with their changes since the base branch."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -13,6 +13,7 @@ from calibration.engine.baseline.settings import BaselineSettings
 from calibration.engine.baseline.update import BaselineUpdate, updates
 from calibration.engine.baseline.verdict import Accepted
 from calibration.pipeline.matrix.matrix import Matrix
+from calibration.pipeline.results import CommitOfRun
 
 
 def with_accepted(
@@ -59,7 +60,7 @@ def _against_base(
     """Return the update with the changes of the base's file; an unreadable base is reported in it."""
     try:
         path = repository.path(settings.file)
-        commit = _base(repository, event_of(environment))
+        commit = _base_commit(repository, event_of(environment))
         if path is None or commit is None:
             return found
         found = replace(found, base=commit)
@@ -71,7 +72,7 @@ def _against_base(
     return replace(found, updates=updates(before, now))
 
 
-def _base(repository: Repository, event: Event) -> str | None:
+def _base_commit(repository: Repository, event: Event) -> str | None:
     """Return the commit that a change is compared with; the checkout's own outside of a change; None without one.
 
     A shallow checkout of a pull request has the base as the merge's first parent (``fetch-depth: 2``); else that one
@@ -100,3 +101,18 @@ def _last_change(path: Path, repository: Repository) -> str:
     except CalibrationError:
         return ""
     return f" of {commits[0]}" if commits else ""
+
+
+def commit_of_run(folder: Path, environment: Mapping[str, str]) -> CommitOfRun | None:
+    """Return the commit of the checkout around a folder; None without a checkout, a commit or git.
+
+    On a pull request the checkout is a merge that nobody has written, so the hash is that of the branch.
+    """
+    try:
+        commit = Repository.around(folder.resolve()).newest()
+        branch = event_of(environment).pull_request_commit
+    except CalibrationError:
+        return None
+    if commit is None:
+        return None
+    return CommitOfRun(branch or commit.hash, commit.date)

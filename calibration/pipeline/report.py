@@ -12,40 +12,38 @@ from calibration.ci.report import Lines, Outcome, Report, Text, results_text
 from calibration.ci.report.badge import FILE as BADGE
 from calibration.ci.report.badge import verdict_badge
 from calibration.pipeline.matrix.cell_result import CellResult
-from calibration.pipeline.result_messages import (
+from calibration.pipeline.report_blocks import (
     baseline_line,
-    cells_without_table,
-    export_lines,
-    failures,
-    findings_of,
-    image_line,
-    other_methods,
-    undecided_limits,
-    verdict_sentence,
-    without_result,
-)
-from calibration.pipeline.result_tables import (
     cameras_table,
     cells_table,
     changes_table,
     collections_table,
+    export_lines,
+    failures,
+    findings_of,
     grid,
     hangs_on_table,
+    image_line,
+    origin_of_rms,
+    other_methods,
     parameters_table,
     precision_table,
     recordings_table,
     transforms_table,
     truth_table,
+    undecided_limits,
     updates_table,
+    verdict_sentence,
+    without_result,
 )
-from calibration.pipeline.results import CELLS_FILE, Collected, Results, own_file
+from calibration.pipeline.results import CELLS_FILE, Collected, PipelineResults, own_file
 
 NOTES_SHOWN = 30
 CELLS_A_PROCESS = 50
 """Least number of cells whose files a process writes: in less time than one takes to begin."""
 
 
-def write_results(results: Results, output: Path, stopped: str | None = None) -> None:
+def write_results(results: PipelineResults, output: Path, stopped: str | None = None) -> None:
     """Write the files of some stages' results into the output folder, for a run of the other stages.
 
     Args:
@@ -71,7 +69,7 @@ def write_results(results: Results, output: Path, stopped: str | None = None) ->
     found.write(output)
 
 
-def report(results: Results, output: Path, title: str) -> Report:
+def report(results: PipelineResults, output: Path, title: str) -> Report:
     """Return the report.
 
     Args:
@@ -100,7 +98,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             recordings_table(results),
             main,
             Text(_UNDER_GRID if main.rows else "", only="summary"),
-            Text(cells_without_table(results)),
+            *map(Text, origin_of_rms(results)),
             truth_table(results),
             precision_table(results),
             Lines(tuple(other_methods(results)), only="summary"),
@@ -119,7 +117,7 @@ def report(results: Results, output: Path, title: str) -> Report:
             *(Text(each.line(output)) for each in results.of_stages.all),
             Lines(left_out, title="Methods without a result", only="summary"),
         ),
-        suites=_suites(results),
+        suites=_junit_suites(results),
         results=results.without_details,
         outputs={
             "output": output,
@@ -135,7 +133,7 @@ def report(results: Results, output: Path, title: str) -> Report:
 _UNDER_GRID = "RMS of the evaluation table, and, if known, the largest error of a calibrated sensor."
 
 
-def write_cells(results: Results, output: Path, jobs: int | None = None) -> None:
+def write_cells(results: PipelineResults, output: Path, jobs: int | None = None) -> None:
     """Write each cell's own results into the output folder, of many cells in several processes.
 
     Args:
@@ -156,10 +154,10 @@ def _write_cells(cells: Sequence[CellResult], output: Path) -> None:
     """Write one after the other, as they are large."""
     for cell in cells:
         if cell.details and (file := own_file(cell)):
-            write_atomically(output / file, results_text(cell.verdict, Results((cell,)), cell.all_reasons))
+            write_atomically(output / file, results_text(cell.verdict, PipelineResults((cell,)), cell.all_reasons))
 
 
-def _suites(results: Results) -> dict[str, list[Outcome]]:
+def _junit_suites(results: PipelineResults) -> dict[str, list[Outcome]]:
     def outcome(group: str, each: CellResult | Collected) -> Outcome:
         found = Outcome(name=each.name, group=group, reasons=each.reasons, error=each.error, seconds=each.seconds)
         if not isinstance(each, CellResult) or not each.undecided:

@@ -10,18 +10,22 @@ from typing import Protocol
 from calibration.base.addons import import_attribute, of_addons
 from calibration.base.errors import ExitCode, InputError, exit_code_of
 from calibration.base.records import computed, field, result, with_fields
+from calibration.base.text import shorten
 from calibration.ci.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
 from calibration.ci.report.badge import FILE as BADGE
 from calibration.ci.report.brief import BRIEF_FILE
 from calibration.ci.report.outcome import ErrorCode
 from calibration.engine.baseline.update import BaselineUpdate
+from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, Details
+from calibration.robot.importing.document import ROUGH
 
-SCHEMA = Path(__file__).with_name("results.schema.json")
+SCHEMA_FILE = Path(__file__).with_name("results.schema.json")
 CELLS_FILE = "cells.csv"
 PAGE_FILE = "report.html"
-_COMMAND = "calibrate-matrix or run"
+_COMMANDS_TEXT = "calibrate-matrix or run"
 
 
 @result
@@ -162,7 +166,7 @@ class Summary:
 
 
 @result
-class Results:
+class PipelineResults:
     """Results of a pipeline: cells of a matrix, comparison methods on the same data, collections, the image."""
 
     cells: tuple[CellResult, ...] = field("The cells of the matrix.", default=())
@@ -188,7 +192,7 @@ class Results:
         return Summary(Numbers.of(self.cells), by_system)
 
     @property
-    def without_details(self) -> "Results":
+    def without_details(self) -> "PipelineResults":
         """Return the results without the details in the cells' own results."""
 
         def less(cells: tuple[CellResult, ...]) -> tuple[CellResult, ...]:
@@ -231,16 +235,16 @@ class Results:
         return tuple(dict.fromkeys(cell.system for cell in (*self.cells, *self.comparisons)))
 
 
-def read_results(folder: Path) -> Results:
+def read_results(folder: Path) -> PipelineResults:
     """Read ``results.json`` in a folder, of this version or an older one.
 
     Raises:
         InputError: there is none, a value has another type, or a verdict contradicts its own numbers and reasons.
     """
     path = folder / RESULTS_FILE
-    results, written = read_results_file(Results, path, _COMMAND)
+    results, written = read_results_file(PipelineResults, path, _COMMANDS_TEXT)
     if "cells" not in written:
-        raise InputError(f"{path}: this is not a results file of {_COMMAND}: it has no list of cells")
+        raise InputError(f"{path}: this is not a results file of {_COMMANDS_TEXT}: it has no list of cells")
     for key in ("cells", "comparisons", "collections"):
         for each, entry in zip(getattr(results, key), written.get(key, ()), strict=True):
             if each.verdict != (stored := entry.get("verdict")):
@@ -248,7 +252,7 @@ def read_results(folder: Path) -> Results:
     return results
 
 
-def results_of(output: Path) -> Results:
+def results_of(output: Path) -> PipelineResults:
     """Read the results in an output folder, with the details from the cells' own files.
 
     Raises:
@@ -262,7 +266,7 @@ def results_of(output: Path) -> Results:
     return replace(results, cells=tuple(map(whole, results.cells)), comparisons=tuple(map(whole, results.comparisons)))
 
 
-def without_verdicts(results: Results) -> Results:
+def without_verdicts(results: PipelineResults) -> PipelineResults:
     """Return results without verdicts, to judge their cells again."""
 
     def reset(cell: CellResult) -> CellResult:
@@ -289,7 +293,9 @@ def own_details(cell: CellResult, output: Path) -> Details | None:
         InputError: the file cannot be read.
     """
     file = own_file(cell)
-    return None if file is None else read_results_file(Results, output / file, _COMMAND)[0].cells[0].details
+    return (
+        None if file is None else read_results_file(PipelineResults, output / file, _COMMANDS_TEXT)[0].cells[0].details
+    )
 
 
 def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
@@ -308,7 +314,7 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
     try:
         earlier = read_results(output)
     except InputError:
-        earlier = Results()
+        earlier = PipelineResults()
     names = [*FILES, BRIEF_FILE, PAGE_FILE, CELLS_FILE, BADGE]
     for cell in (*earlier.cells, *earlier.comparisons):
         own = own_file(cell)
@@ -327,3 +333,49 @@ def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:
     for folder in sorted({(output / name).parent for name in inside} - {output}, reverse=True):
         with suppress(OSError):  # it contains other files
             folder.rmdir()
+
+
+MAX_FOLDERS_ABOVE = 4
+"""Number of folders above a dataset in which its run's results are looked for: OUTPUT/SYSTEM/START/dataset.json."""
+
+
+def refuse_what_has_not_passed(path: Path, dataset: Dataset, cell: CellResult | None) -> None:
+    """Refuse a dataset that may not be put on a robot.
+
+    Args:
+        path: the dataset's folder or file, for messages.
+        dataset: what it contains.
+        cell: the result of the cell that wrote it; None if it is not from a run of ours.
+
+    Raises:
+        InputError: the cell has not passed; or the dataset was imported, and no run has calibrated it.
+    """
+    if cell is not None and not cell.passes:
+        why = (*cell.reasons, *cell.undecided, "it has not converged")[0]
+        raise InputError(
+            f"{path}: the verdict of this cell is {cell.verdict} ({shorten(why, 300)}); what has not passed is "
+            "exported with --although 'why' only"
+        )
+    if cell is None and ROUGH in dataset.document["_metadata"]:
+        raise InputError(
+            f"{path}: this dataset was imported, and has not been calibrated: its transforms are guesses. Export the "
+            "folder of a cell of a run (output/SYSTEM/START); --although 'why' exports it as it is"
+        )
+
+
+def cell_that_wrote(path: Path) -> CellResult | None:
+    """Return the cell whose results, beside a dataset's folder or file or in a folder above, name it as theirs."""
+    file = path if path.suffix == ".json" else path / FILE_NAME
+    for folder in [file.parent, *file.resolve().parents[1 : MAX_FOLDERS_ABOVE + 1]]:
+        if not (folder / RESULTS_FILE).is_file():
+            continue
+        try:
+            cells = read_results(folder).cells
+        except InputError:  # of another command
+            continue
+        if folder == file.parent and len(cells) == 1:  # a cell's own results
+            return cells[0]
+        for cell in cells:
+            if cell.dataset is not None and (folder / cell.dataset).resolve() == file.resolve():
+                return cell
+    return None

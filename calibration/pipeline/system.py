@@ -28,20 +28,20 @@ from calibration.robot.exports.names import FORMATS, URDF
 from calibration.robot.robot_description import XacroInputs
 
 FormatName = Annotated[str, matching("|".join((URDF, *FORMATS)), f"one of {', '.join((URDF, *FORMATS))}")]
-COLLECTED = "simulation:"
+COLLECTED_PREFIX = "simulation:"
 """Prefix of a system's dataset that an entry of ``simulation`` collects."""
 Text = Annotated[str, length(1)]
 
 
-def _dataset(text: str, place: Place) -> Path:
-    return Path(text) if text.startswith(COLLECTED) else place.folder / text
+def _dataset_path(text: str, place: Place) -> Path:
+    return Path(text) if text.startswith(COLLECTED_PREFIX) else place.folder / text
 
 
-def _truth(text: str, place: Place) -> str:
+def _truth_path(text: str, place: Place) -> str:
     return text if text in ("dataset", "none") else str(place.folder / text)
 
 
-def _rules(found: RuleSet | tuple[RuleEntry, ...], place: Place) -> RuleSet:
+def _rules_from(found: RuleSet | tuple[RuleEntry, ...], place: Place) -> RuleSet:
     return checked(RuleSet(unfolded(found)) if isinstance(found, tuple) else found, str(place))
 
 
@@ -49,7 +49,7 @@ Undecided = Literal["fail", "pass"]
 Datasets = Literal["full", "changes", "none"]
 Copies = Literal["leave-out", "refuse"]
 """What happens to collections that are exact copies of others."""
-Truth = Annotated[str, Converted(Text, _truth)]
+Truth = Annotated[str, Converted(Text, _truth_path)]
 """A path, "dataset" or "none"."""
 
 
@@ -78,7 +78,7 @@ class System:
     """Robot to calibrate."""
 
     name: str
-    dataset: Annotated[Path, Converted(Text, _dataset)] = field(
+    dataset: Annotated[Path, Converted(Text, _dataset_path)] = field(
         "A folder with dataset.json, or the file, relative to this one; simulation:NAME for what that entry of "
         "simulation collects in this run.",
         option=False,
@@ -104,7 +104,7 @@ class System:
         default=(),
         option="Other methods on the same data: opencv-stereo, shah, tsai, icp, ...",
     )
-    rules: Annotated[RuleSet, Converted(RuleSet | tuple[RuleEntry, ...], _rules)] | None = field(
+    rules: Annotated[RuleSet, Converted(RuleSet | tuple[RuleEntry, ...], _rules_from)] | None = field(
         "Rules over the table of every cell, as introspect-csv takes them.",
         default=None,
         option=False,
@@ -143,7 +143,7 @@ class System:
     def collected(self) -> str | None:
         """Entry of ``simulation`` that collects its dataset, whose path only a run knows."""
         place = str(self.dataset)
-        return place.removeprefix(COLLECTED) if place.startswith(COLLECTED) else None
+        return place.removeprefix(COLLECTED_PREFIX) if place.startswith(COLLECTED_PREFIX) else None
 
 
 Magnitudes = Annotated[tuple[Annotated[float, between(0, 1000)], ...], length(1), UNIQUE]

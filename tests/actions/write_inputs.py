@@ -15,7 +15,7 @@ import click
 import yaml
 
 from calibration.__main__ import load_command
-from calibration.commands.schema import SCHEMAS, generated
+from calibration.commands.schema import SHIPPED_SCHEMAS, generated
 
 PROJECT = Path(__file__).resolve().parents[2]
 README = PROJECT / "README.md"
@@ -132,12 +132,12 @@ def lock_of(name: str) -> str:
 
 def schema_file(name: str) -> Path:
     """Return the file in which a schema ships."""
-    shipped = SCHEMAS[name]
+    shipped = SHIPPED_SCHEMAS[name]
     return PROJECT / shipped.package.replace(".", "/") / shipped.file
 
 
 if __name__ == "__main__":
-    for schema in SCHEMAS:
+    for schema in SHIPPED_SCHEMAS:
         schema_file(schema).write_text(generated(schema))
     for name, path in FILES.items():
         path.write_text(with_inputs(path.read_text(), name, lock_of(name)))

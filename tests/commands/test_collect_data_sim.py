@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
+from calibration.commands.collect_data_sim import CollectionSettings, collection_request, described_applications
 from calibration.engine.dataset.reading import read_dataset
+from calibration.pipeline.collection.request import CollectionLimits, CollectionRequest
 from tests.small import first_poses
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -215,6 +217,31 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert len(err.splitlines()) == 1
     assert "Traceback" not in out + err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_of_applications_is_an_entry_of_calibration_yml_and_options_take_precedence(tmp_path: Path) -> None:
+    file = tmp_path / "applications.yml"
+    file.write_text("containers: {robot: {image: i, command: run}}\nseed: 7\nlimits: {translation-mm: 9}\ntruth: none")
+
+    def asked(keys: dict[str, object], **inputs: float) -> CollectionRequest:
+        settings = CollectionSettings(system="t2rgb", applications=file, output=tmp_path, keys=keys, **inputs)
+        return collection_request(settings, described_applications(settings))
+
+    told = asked({})
+    assert (told.name, told.seed, told.truth, told.effective_checks.limits) == (
+        "t2rgb",
+        7,
+        "none",
+        CollectionLimits(9),
+    )
+    given = asked({"seed": 8, "truth": "dataset"}, max_translation_mm=4)
+    assert (given.seed, given.truth, given.effective_checks.limits) == (8, "dataset", CollectionLimits(4, 0.3))
+
+
+def test_our_own_simulation_knows_its_truth(tmp_path: Path) -> None:
+    settings = CollectionSettings(system="t2rgb", output=tmp_path, keys={"truth": "none"})
+    request = collection_request(settings, {})
+    assert (request.truth, request.effective_checks.limits) == (None, CollectionLimits(5, 0.3))
 
 
 def test_a_name_where_there_are_no_systems(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from calibration.__main__ import main
 from calibration.commands.calibrate_matrix import command as calibrate_matrix
-from calibration.commands.convergence import MOST_LEVELS, SHARED, command, levels, starts
+from calibration.commands.convergence import MAX_LEVELS, SHARED_OPTIONS, command, levels, starts
 
 ROOT = Path(__file__).parents[2]
 T2RGB = str(ROOT / "datasets" / "t2rgb")
@@ -159,8 +159,8 @@ def test_an_infrastructure_failure(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_the_shared_options_are_those_of_calibrate_matrix() -> None:
     theirs = {option.name: option for option in calibrate_matrix.params}
     mine = {option.name: option for option in command.params}
-    assert set(theirs) >= SHARED
-    assert all(mine[name] is theirs[name] for name in SHARED)
+    assert set(theirs) >= SHARED_OPTIONS
+    assert all(mine[name] is theirs[name] for name in SHARED_OPTIONS)
     assert set(theirs) - set(mine) == {"compare", "fail_fast", "datasets", "undecided"}
 
 
@@ -171,7 +171,7 @@ def test_levels_are_sorted_each_once_and_begin_with_0() -> None:
     assert str(levels("-0")[0]) == "0.0"
 
 
-@given(st.floats(0, 1e6), st.floats(1e-6, 1e6), st.integers(2, MOST_LEVELS - 1))
+@given(st.floats(0, 1e6), st.floats(1e-6, 1e6), st.integers(2, MAX_LEVELS - 1))
 def test_a_range_has_its_ends_and_its_count(first: float, width: float, count: int) -> None:
     found = levels(f"{first!r}:{first + width!r}:{count}")
     assert found[-1] == pytest.approx(first + width, rel=1e-9)

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from calibration.__main__ import main
+from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.document import Baseline, write_baseline
-from calibration.engine.baseline.snapshot import Snapshot
 from tests.engine.baseline.scenes import stereo, taken
 from tests.repositories import git
 
@@ -23,7 +23,7 @@ FILE = "calibration-baseline.json"
 
 
 @pytest.fixture(scope="module")
-def accepted() -> Snapshot:
+def accepted() -> CalibrationDocument:
     return taken(stereo())
 
 
@@ -35,7 +35,9 @@ def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def accept(root: Path, accepted: Snapshot, count: int, place: Callable[[int], float], name: str = "robot") -> None:
+def accept(
+    root: Path, accepted: CalibrationDocument, count: int, place: Callable[[int], float], name: str = "robot"
+) -> None:
     """Commit calibrations with a position of the right camera along its x, mm, and a little noise."""
     rng = np.random.default_rng(3)
     for i in range(count):
@@ -55,7 +57,7 @@ def results() -> dict:
 
 
 def test_a_sensor_that_moved_is_found_at_its_commit(
-    repository: Path, accepted: Snapshot, capsys: pytest.CaptureFixture[str]
+    repository: Path, accepted: CalibrationDocument, capsys: pytest.CaptureFixture[str]
 ) -> None:
     accept(repository, accepted, 12, lambda i: 5.0 * (i >= 7))
     assert main(["history"]) == 0
@@ -68,14 +70,18 @@ def test_a_sensor_that_moved_is_found_at_its_commit(
     assert Path("output/history/history.svg").read_bytes().startswith(b"<?xml")
 
 
-def test_slow_drift_is_creeping(repository: Path, accepted: Snapshot, capsys: pytest.CaptureFixture[str]) -> None:
+def test_slow_drift_is_creeping(
+    repository: Path, accepted: CalibrationDocument, capsys: pytest.CaptureFixture[str]
+) -> None:
     accept(repository, accepted, 10, lambda i: 0.3 * i)
     assert main(["history"]) == 0
     assert re.search(r"robot: right has crept 2\.\d+ mm in 9 accepted changes since", capsys.readouterr().out)
     assert next(each for each in results()["trends"] if each["name"] == "right")["steps"] == []
 
 
-def test_since_a_commit_and_a_system(repository: Path, accepted: Snapshot, capsys: pytest.CaptureFixture[str]) -> None:
+def test_since_a_commit_and_a_system(
+    repository: Path, accepted: CalibrationDocument, capsys: pytest.CaptureFixture[str]
+) -> None:
     accept(repository, accepted, 6, lambda i: 5.0 * (i >= 2))
     assert main(["history", "--since", "HEAD~3", "--systems", "robot"]) == 0
     assert "pass: 3 accepted, 0 changes" in capsys.readouterr().out
@@ -87,7 +93,7 @@ def test_since_a_commit_and_a_system(repository: Path, accepted: Snapshot, capsy
 
 @pytest.mark.parametrize("text", ["{]", '{"version": 1, "systems": {"a": 1}, "systems": {}}'])
 def test_a_commit_with_a_broken_file_is_skipped_and_reported(
-    text: str, repository: Path, accepted: Snapshot, capsys: pytest.CaptureFixture[str]
+    text: str, repository: Path, accepted: CalibrationDocument, capsys: pytest.CaptureFixture[str]
 ) -> None:
     accept(repository, accepted, 3, lambda i: 0.0)
     (repository / FILE).write_text(text)

@@ -15,8 +15,8 @@ from calibration.base.errors import InputError
 from calibration.ci.registries.promotion import promote
 from calibration.ci.workflow import Runner
 from calibration.commands.plan_matrix import artifact_name
-from calibration.pipeline.distribution.jobs import ERROR, FILE, SECONDS, parse_needs
-from calibration.pipeline.distribution.plan import Plan
+from calibration.pipeline.distribution.jobs import ERROR_OUTPUT, SECONDS_FILE, SECONDS_OUTPUT, parse_needs
+from calibration.pipeline.distribution.plan import WorkflowPlan
 from calibration.pipeline.distribution.plan_outputs import plan_outputs
 from tests.actions.write_inputs import options
 
@@ -70,8 +70,8 @@ def test_every_variable_of_a_step_is_an_input_of_its_command() -> None:
 
 
 def test_the_plan_hands_on_all_that_it_says() -> None:
-    told = {name: f"${{{{ steps.plan.outputs.{name} }}}}" for name in plan_outputs(Plan())}
-    own = {SECONDS: "${{ steps.seconds.outputs.seconds }}", ERROR: "${{ steps.plan.outputs.error }}"}
+    told = {name: f"${{{{ steps.plan.outputs.{name} }}}}" for name in plan_outputs(WorkflowPlan())}
+    own = {SECONDS_OUTPUT: "${{ steps.seconds.outputs.seconds }}", ERROR_OUTPUT: "${{ steps.plan.outputs.error }}"}
     assert JOBS["plan"]["outputs"] == {**told, **own}
     assert set(options("plan-matrix")) - {"plan-file"} <= set(CALL["inputs"])
 
@@ -80,7 +80,7 @@ def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
     verdict = JOBS["verdict"]
     assert set(verdict["needs"]) == set(JOBS) - {"verdict", "comment", "promote"}
     assert verdict["if"] == "${{ always() }}"
-    assert set(Plan().jobs) == set(JOBS) - {"plan", "coverage", "verdict", "comment", "promote"}
+    assert set(WorkflowPlan().jobs) == set(JOBS) - {"plan", "coverage", "verdict", "comment", "promote"}
     [told] = [step["env"]["INPUT_NEEDS"] for step in verdict["steps"] if "INPUT_NEEDS" in step.get("env", {})]
     needs = parse_needs(re.sub(r"\$\{\{ toJSON\(needs\.([\w-]+)\..*?\) \}\}", r'"\1"', told))
     assert dict(needs.results) == {job: job for job in verdict["needs"]}
@@ -144,13 +144,13 @@ def test_every_job_measures_itself() -> None:
         if "strategy" in job:
             [_, read, kept] = job["steps"][-3:]
             assert kept["uses"].startswith("actions/upload-artifact@")
-            assert read["run"].endswith(f'echo "$(($(date +%s) - BEGAN))" >"$FOLDER/{FILE}"\n')
+            assert read["run"].endswith(f'echo "$(($(date +%s) - BEGAN))" >"$FOLDER/{SECONDS_FILE}"\n')
             [folder] = [step["env"]["INPUT_OUTPUT"] for step in job["steps"] if "INPUT_OUTPUT" in step.get("env", {})]
             assert read["env"]["FOLDER"] == folder
         else:
             assert last["if"] == "${{ always() }}"
-            assert last["run"] == f'echo "{SECONDS}=$(($(date +%s) - BEGAN))" >>"$GITHUB_OUTPUT"'
-            assert job["outputs"][SECONDS] == "${{ steps.seconds.outputs.seconds }}"
+            assert last["run"] == f'echo "{SECONDS_OUTPUT}=$(($(date +%s) - BEGAN))" >>"$GITHUB_OUTPUT"'
+            assert job["outputs"][SECONDS_OUTPUT] == "${{ steps.seconds.outputs.seconds }}"
 
 
 def test_no_job_that_runs_the_tests_of_the_team_has_a_secret() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from calibration.commands.schema import SCHEMAS
+from calibration.commands.schema import SHIPPED_SCHEMAS
 
 from .yaml_lines import ACTIONS, PROJECT, WORKFLOWS
 
@@ -95,8 +95,8 @@ def made_whole(part: Any) -> tuple[str | None, Any]:
 
 def check(schema: str, paths: list[Path]) -> Iterator[str]:
     """What check-jsonschema says of files."""
-    if schema in SCHEMAS:
-        shipped = SCHEMAS[schema]
+    if schema in SHIPPED_SCHEMAS:
+        shipped = SHIPPED_SCHEMAS[schema]
         arguments = ["--schemafile", str(files(shipped.package).joinpath(shipped.file))]
     else:
         arguments = ["--builtin-schema", schema]

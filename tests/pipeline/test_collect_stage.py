@@ -14,9 +14,9 @@ from calibration.ci.workflow import Runner
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.report import report
-from calibration.pipeline.result_tables import collections_table
-from calibration.pipeline.results import SCHEMA, Collected, Results, read_results
-from calibration.pipeline.stages import Run, run_stages
+from calibration.pipeline.report_blocks import collections_table
+from calibration.pipeline.results import SCHEMA_FILE, Collected, PipelineResults, read_results
+from calibration.pipeline.stages import PipelineRun, run_stages
 from tests.pipeline.conftest import DATASETS
 from tests.pipeline.matrix.test_cell_verdict import CELL
 from tests.small import first_poses
@@ -44,17 +44,17 @@ def configured(small: Path, tmp_path: Path) -> Configured:
     return write
 
 
-def run(path: Path, output: Path, *stages: str) -> tuple[Results, str]:
+def run(path: Path, output: Path, *stages: str) -> tuple[PipelineResults, str]:
     configuration = read_configuration(path)
     log = io.StringIO()
     runner = Runner(stdout=log, stderr=log)
     matrix = Matrix(configuration.systems, configuration.noise)
-    asked = Run(matrix, output, runner, simulations=configuration.simulations, jobs=1)
+    asked = PipelineRun(matrix, output, runner, simulations=configuration.simulations, jobs=1)
     results = run_stages(asked, stages or ("calibrate", "introspect", "collect"))
     return results, log.getvalue()
 
 
-def told(results: Results) -> Report:
+def told(results: PipelineResults) -> Report:
     return report(results, Path("out"), "calibration")
 
 
@@ -69,7 +69,7 @@ def test_collected_datasets_are_in_the_results(configured: Configured, tmp_path:
     assert (output / "collected" / "small" / "dataset.json").exists()
     assert "small      3 of 3 poses" in log
     document = json.loads((output / "results.json").read_text())
-    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    jsonschema.validate(document, json.loads(SCHEMA_FILE.read_text()))
     assert read_results(output).collections == results.collections
     assert '<testsuite name="collected" tests="1" failures="0"' in (output / "junit.xml").read_text()
     results, _ = run(configured(), output)  # over what is there
@@ -108,11 +108,11 @@ def test_alone(configured: Configured, tmp_path: Path) -> None:
 
 
 def test_nothing_at_all_is_no_pass() -> None:
-    assert Results().verdict == "fail"
-    assert told(Results()).line == "fail: 0 of 0 cells failed"
+    assert PipelineResults().verdict == "fail"
+    assert told(PipelineResults()).line == "fail: 0 of 0 cells failed"
     failed = Collected("a", reasons=("x",))
-    assert Results((CELL,), collections=(failed,)).verdict == "fail"
-    assert Results((CELL,), collections=(Collected("a"),)).verdict == "pass"
+    assert PipelineResults((CELL,), collections=(failed,)).verdict == "fail"
+    assert PipelineResults((CELL,), collections=(Collected("a"),)).verdict == "pass"
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 
-from calibration.pipeline.commit_of_run import commit_of_run
+from calibration.pipeline.matrix_baselines import commit_of_run
 from tests.repositories import git
 
 

@@ -7,7 +7,6 @@ import pytest
 from calibration.base.errors import InputError
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.problem.assumptions import EXACT, Assumptions
-from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import read_configuration
 
 ROOT = Path(__file__).parents[2]
@@ -185,8 +184,7 @@ def test_software_and_applications_run_in_the_image_unless_they_name_another(tmp
     assert configuration.image is not None
     assert configuration.image.name == "team/robot"
     assert configuration.systems[0].collected == "fresh"
-    request = configuration.simulations[0].request
-    assert isinstance(request, ContainerRequest)
+    [request] = configuration.simulations
     assert [c.image for c in request.applications.with_image("built").containers] == ["built", "other"]
 
 

@@ -17,7 +17,7 @@ from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.geometry.transforms import inverse
 from calibration.pipeline.collection.dispatch import collect_dataset
-from calibration.pipeline.collection.report import SCHEMA, report
+from calibration.pipeline.collection.report import SCHEMA_FILE, report
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.robot.simulation.motion.expected import expected_dataset
@@ -70,7 +70,7 @@ def test_the_error_against_the_truth_matches_the_covariance(collected: tuple[Col
 
 def test_what_is_written_of_it_keeps_to_the_schema(collected: tuple[CollectionResults, Path]) -> None:
     written = json.loads(json.dumps(report(collected[0], Path()).document))
-    jsonschema.validate(written, json.loads(SCHEMA.read_text()))
+    jsonschema.validate(written, json.loads(SCHEMA_FILE.read_text()))
 
 
 def test_its_dataset_holds_whole_scans_and_no_file_of_it(collected: tuple[CollectionResults, Path]) -> None:

@@ -9,17 +9,16 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
+from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.document import Baseline, write_baseline
 from calibration.engine.baseline.settings import BaselineSettings
-from calibration.engine.baseline.snapshot import Snapshot
 from calibration.engine.baseline.update import BaselineUpdate
 from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.pipeline.matrix.cell_result import Details
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix_baselines import with_accepted
-from calibration.pipeline.result_messages import baseline_line
-from calibration.pipeline.result_tables import changes_table
-from calibration.pipeline.results import Results
+from calibration.pipeline.report_blocks import baseline_line, changes_table
+from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import NoiseGrid, System
 from tests.displaced import displace
 from tests.engine.baseline.scenes import stereo, taken
@@ -32,7 +31,7 @@ MATRIX = Matrix((System("robot", Path("robot")),), NoiseGrid())
 
 
 @pytest.fixture(scope="module")
-def snapshots() -> tuple[Snapshot, Snapshot]:
+def snapshots() -> tuple[CalibrationDocument, CalibrationDocument]:
     return taken(stereo(1)), taken(stereo(2, (0.0, 0.0, 0.005, 0.0, 0.0, 0.0)))
 
 
@@ -43,7 +42,7 @@ def commit(root: Path, message: str) -> str:
 
 
 @pytest.fixture
-def repository(tmp_path: Path, snapshots: tuple[Snapshot, Snapshot]) -> Path:
+def repository(tmp_path: Path, snapshots: tuple[CalibrationDocument, CalibrationDocument]) -> Path:
     root = tmp_path / "repository"
     root.mkdir()
     git(root, "init", "--quiet", "--initial-branch=main")
@@ -71,7 +70,7 @@ def test_a_file_that_stayed_accepts_nothing(repository: Path) -> None:
 
 
 def test_a_pull_request_that_updates_the_file_shows_what_it_accepts(
-    repository: Path, tmp_path: Path, snapshots: tuple[Snapshot, Snapshot]
+    repository: Path, tmp_path: Path, snapshots: tuple[CalibrationDocument, CalibrationDocument]
 ) -> None:
     base = head_of(repository)
     moved = replace(snapshots[1], although="knocked, and glued")
@@ -114,7 +113,9 @@ def test_an_invalid_file_in_the_base_is_reported(repository: Path, tmp_path: Pat
     assert "version: found 7" in str(update.problem)
 
 
-def test_without_git_there_is_the_file_alone(tmp_path: Path, snapshots: tuple[Snapshot, Snapshot]) -> None:
+def test_without_git_there_is_the_file_alone(
+    tmp_path: Path, snapshots: tuple[CalibrationDocument, CalibrationDocument]
+) -> None:
     write_baseline(tmp_path / FILE, Baseline(1, {"robot": snapshots[0]}))
     matrix, update = with_accepted(MATRIX, BaselineSettings(tmp_path / FILE), {})
     assert matrix.systems[0].accepted is not None
@@ -122,18 +123,20 @@ def test_without_git_there_is_the_file_alone(tmp_path: Path, snapshots: tuple[Sn
     assert (update.base, update.problem) == (None, None)
 
 
-def test_differences_of_rounding_are_no_rows_and_no_change(snapshots: tuple[Snapshot, Snapshot]) -> None:
-    def shown(accepted: Snapshot) -> tuple[int, str]:
+def test_differences_of_rounding_are_no_rows_and_no_change(
+    snapshots: tuple[CalibrationDocument, CalibrationDocument],
+) -> None:
+    def shown(accepted: CalibrationDocument) -> tuple[int, str]:
         comparison, findings = against_baseline(Accepted(BaselineSettings(), accepted, FILE), snapshots[0])
         assert comparison is not None
         details = Details(changes=comparison.changes)
         cell = replace(CELL, details=details, findings=findings)
-        results = Results((cell,), baseline=BaselineUpdate(file=FILE, since=FILE, compared=("robot",)))
+        results = PipelineResults((cell,), baseline=BaselineUpdate(file=FILE, since=FILE, compared=("robot",)))
         return len(changes_table(results).rows), baseline_line(results)
 
     [pose] = [each for each in snapshots[0].poses if each.sensor == "right"]
 
-    def along_x(mm: float) -> Snapshot:
+    def along_x(mm: float) -> CalibrationDocument:
         x, *yz = pose.xyz_mm
         poses = (replace(pose, xyz_mm=(x + mm, *yz)) if each is pose else each for each in snapshots[0].poses)
         return replace(snapshots[0], poses=tuple(poses))

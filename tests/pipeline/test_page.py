@@ -11,7 +11,7 @@ import pytest
 
 from calibration.__main__ import main
 from calibration.pipeline.page import run_page
-from calibration.pipeline.page.worst_views import SHOWN
+from calibration.pipeline.page.label_residuals import MAX_VIEWS
 from tests.chromium import CHROMIUM
 
 pytest.importorskip("playwright")
@@ -65,7 +65,7 @@ def test_it_opens_offline_without_an_error_and_axe_finds_nothing(report: Path, c
     assert page.locator("h1").inner_text() == "Calibration"
     assert page.locator("h2").all_inner_texts() == list(CONFIGURATION["systems"])
     assert page.locator("canvas").count() == 3
-    assert page.locator("image").count() == SHOWN  # of the system whose images are there
+    assert page.locator("image").count() == MAX_VIEWS  # of the system whose images are there
     drawn = page.evaluate(
         "[...document.querySelectorAll('canvas')].map(c => new Set(c.getContext('2d').getImageData(0, 0, c.width,"
         " c.height).data).size)"

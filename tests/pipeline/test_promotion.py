@@ -9,8 +9,8 @@ from calibration.base.errors import InfrastructureError
 from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
 from calibration.ci.workflow import Runner
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.results import Collected, ImageResult, Results
-from calibration.pipeline.stages import Run
+from calibration.pipeline.results import Collected, ImageResult, PipelineResults
+from calibration.pipeline.stages import PipelineRun
 from calibration.pipeline.stages.building import promote_stage
 from calibration.pipeline.system import NoiseGrid
 
@@ -18,12 +18,12 @@ SPECIFICATION = ImageSpecification(
     OwnDockerfile(Path("Dockerfile"), Path()), name="127.0.0.1:9/team/robot", promote=("stable",)
 )  # where nobody answers
 IMAGE = ImageResult("127.0.0.1:9/team/robot:key-1", "1", built=True, digest="sha256:" + "0" * 64, seconds=1.0)
-PASSED = Results((), (), (Collected("fresh"),), IMAGE)
+PASSED = PipelineResults((), (), (Collected("fresh"),), IMAGE)
 
 
-def asked(results: Results, output: Path, pull_request: bool = False) -> Run:
+def asked(results: PipelineResults, output: Path, pull_request: bool = False) -> PipelineRun:
     runner = Runner(pull_request=pull_request)
-    return Run(Matrix((), NoiseGrid()), output, runner, image=SPECIFICATION, results=results)
+    return PipelineRun(Matrix((), NoiseGrid()), output, runner, image=SPECIFICATION, results=results)
 
 
 def test_a_pull_request_promotes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,15 +15,21 @@ from calibration.ci.workflow.annotation import Level
 from calibration.engine.baseline.verdict import UNMOVED
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.what_does_not_fit import NOTHING
-from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, Parameter
+from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, ParameterResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import CELLS_A_PROCESS, report, write_cells, write_results
-from calibration.pipeline.result_messages import failures, findings_of
-from calibration.pipeline.result_tables import grid, parameters_table, precision_table, truth_table
+from calibration.pipeline.report_blocks import (
+    failures,
+    findings_of,
+    grid,
+    parameters_table,
+    precision_table,
+    truth_table,
+)
 from calibration.pipeline.results import (
-    SCHEMA,
+    SCHEMA_FILE,
     ImageResult,
-    Results,
+    PipelineResults,
     clear_results,
     read_results,
     results_of,
@@ -37,17 +43,17 @@ FAILED = replace(CELL, rotation_noise=0.5, converged=False, reasons=("a false mi
 BROKEN = replace(FAILED, seed=2, reasons=("no labels | <b>",), error=ExitCode.BAD_INPUT)
 
 
-def told(results: Results) -> Report:
+def told(results: PipelineResults) -> Report:
     return report(results, Path("out"), "calibration")
 
 
 def test_real_results_follow_their_schema_and_read_back(tmp_path: Path) -> None:
     found = run_matrix(Matrix((replace(RIWBOT, compare=("shah", "opencv-stereo")),), NoiseGrid()), tmp_path, 1)
-    results = Results(found.cells, found.comparisons)
+    results = PipelineResults(found.cells, found.comparisons)
 
     write_results(results, tmp_path)
 
-    schema = json.loads(SCHEMA.read_text())
+    schema = json.loads(SCHEMA_FILE.read_text())
     document = json.loads((tmp_path / "results.json").read_text())
     jsonschema.validate(document, schema)
     assert found.cells[0].dataset is not None
@@ -59,7 +65,7 @@ def test_real_results_follow_their_schema_and_read_back(tmp_path: Path) -> None:
 
 def test_results_of_an_older_version_are_read(tmp_path: Path) -> None:
     """Without what was added since; what a newer version adds is left alone."""
-    write_results(Results((CELL, FAILED)), tmp_path)
+    write_results(PipelineResults((CELL, FAILED)), tmp_path)
     path = tmp_path / "results.json"
     document = json.loads(path.read_text())
     for key in ("reasons", "comparisons", "collections", "image", "summary"):
@@ -74,7 +80,7 @@ def test_results_of_an_older_version_are_read(tmp_path: Path) -> None:
 
 def test_writing_what_was_read_changes_nothing(tmp_path: Path) -> None:
     found = run_matrix(Matrix((RIWBOT,), NoiseGrid()), tmp_path, 1)
-    write_results(Results(found.cells), tmp_path)
+    write_results(PipelineResults(found.cells), tmp_path)
     before = {p: p.read_bytes() for p in tmp_path.rglob("results.json")}
 
     write_results(without_verdicts(results_of(tmp_path)), tmp_path)
@@ -89,7 +95,7 @@ def test_many_cells_are_written_by_several_processes_as_by_one(tmp_path: Path) -
         for seed in range(2 * CELLS_A_PROCESS + 1)
     )
     for jobs in (1, 3):
-        write_cells(Results(cells), tmp_path / str(jobs), jobs)
+        write_cells(PipelineResults(cells), tmp_path / str(jobs), jobs)
 
     written = {path.parent.name: path.read_bytes() for path in tmp_path.glob("3/s/*/results.json")}
     assert len(written) == len(cells)
@@ -109,16 +115,16 @@ def test_many_cells_are_written_by_several_processes_as_by_one(tmp_path: Path) -
     ],
 )
 def test_the_verdict_is_red_if_any_cell_is(cells: tuple, verdict: str, code: ExitCode) -> None:  # type: ignore[type-arg]
-    assert Results(cells).verdict == verdict
-    assert Results(cells).exit_code == code
+    assert PipelineResults(cells).verdict == verdict
+    assert PipelineResults(cells).exit_code == code
 
 
 def test_a_comparison_has_no_part_in_the_verdict() -> None:
-    assert Results((CELL,), (replace(BROKEN, method="shah"),)).exit_code == ExitCode.PASS
+    assert PipelineResults((CELL,), (replace(BROKEN, method="shah"),)).exit_code == ExitCode.PASS
 
 
 def test_numbers_over_all_cells() -> None:
-    numbers = Results((CELL, FAILED, replace(CELL, seed=2, rms_px=0.7))).summary
+    numbers = PipelineResults((CELL, FAILED, replace(CELL, seed=2, rms_px=0.7))).summary
 
     assert numbers.all.cells == 3
     assert numbers.all.success_rate == pytest.approx(2 / 3, abs=1e-6)
@@ -128,7 +134,9 @@ def test_numbers_over_all_cells() -> None:
 
 def test_the_table_has_noise_down_and_systems_across() -> None:
     other = replace(CELL, system="other", truth=None)
-    table = grid(Results((CELL, FAILED, BROKEN, other), (replace(CELL, method="shah", translation_noise=None),)))
+    table = grid(
+        PipelineResults((CELL, FAILED, BROKEN, other), (replace(CELL, method="shah", translation_noise=None),))
+    )
 
     assert table.columns == ("Start", "robot", "other")
     assert table.rows == (
@@ -138,10 +146,10 @@ def test_the_table_has_noise_down_and_systems_across() -> None:
     )
 
 
-def icp_rows() -> Results:
+def icp_rows() -> PipelineResults:
     found = replace(CELL, method="icp", rms_px=None, loss=None, start="given", detail="built in")
     lost = replace(found, rotation_noise=0.5, truth=None, converged=False, reasons=("no points near",), detail=None)
-    return Results((CELL, FAILED), (found, lost, replace(lost, seed=2)))
+    return PipelineResults((CELL, FAILED), (found, lost, replace(lost, seed=2)))
 
 
 def test_a_method_that_depends_on_the_start_has_a_row_for_each_noise() -> None:
@@ -161,7 +169,7 @@ def test_a_method_that_depends_on_the_start_is_neither_our_engine_nor_judged(tmp
     write_results(results, tmp_path)
 
     assert without_verdicts(results_of(tmp_path)) == results
-    jsonschema.validate(json.loads((tmp_path / "results.json").read_text()), json.loads(SCHEMA.read_text()))
+    jsonschema.validate(json.loads((tmp_path / "results.json").read_text()), json.loads(SCHEMA_FILE.read_text()))
     rows = list(csv.DictReader((tmp_path / "cells.csv").read_text().splitlines()))
     assert [row["Verdict"] for row in rows] == ["pass", "fail", "", "", ""]
     assert len({row["Cell"] for row in rows}) == 5
@@ -180,11 +188,11 @@ def test_the_summary_names_the_implementations_of_other_methods() -> None:
 
 def test_without_a_truth_standard_deviations_are_reported() -> None:
     real = replace(CELL, truth=None, sigma=Deviation(1.03, 0.057), label_sigma=Deviation(0.15, 0.006))
-    sure = precision_table(Results((real, replace(real, seed=2, sigma=Deviation(0.9, 0.06)))))
+    sure = precision_table(PipelineResults((real, replace(real, seed=2, sigma=Deviation(0.9, 0.06)))))
     assert sure.rows == (("robot", "1.03 mm, 0.06 deg", "0.15 mm, 0.006 deg"),)
     known = replace(real, truth=Deviation(0.5, 0.02))
-    assert precision_table(Results((known,))).rows == ()
-    assert "| robot | 1.03 mm, 0.057 deg | 0.15 mm, 0.006 deg |" in told(Results((real,))).markdown()
+    assert precision_table(PipelineResults((known,))).rows == ()
+    assert "| robot | 1.03 mm, 0.057 deg | 0.15 mm, 0.006 deg |" in told(PipelineResults((real,))).markdown()
 
 
 def test_errors_are_reported_with_standard_deviations(tmp_path: Path) -> None:
@@ -192,21 +200,23 @@ def test_errors_are_reported_with_standard_deviations(tmp_path: Path) -> None:
     worse = replace(known, seed=2, truth=Deviation(0.3, 0.03), sigma=Deviation(0.6, 0.005))
     software = replace(CELL, system="theirs", method="atom", truth=Deviation(9, 9))
     unknown = replace(CELL, system="unknown", truth=None, sigma=Deviation(9, 9))
-    results = Results((known, worse, software, unknown))
+    results = PipelineResults((known, worse, software, unknown))
 
     assert truth_table(results).rows == (("robot", "0.5 mm, 0.03 deg", "0.6 mm, 0.01 deg, joints 0.2 mm"),)
     assert "| robot | 0.5 mm, 0.03 deg | 0.6 mm, 0.01 deg, joints 0.2 mm |" in told(results).markdown()
-    assert "Standard deviation" not in told(Results((software, unknown))).markdown()
+    assert "Standard deviation" not in told(PipelineResults((software, unknown))).markdown()
     write_results(results, tmp_path)
     document = json.loads((tmp_path / "results.json").read_text())
-    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    jsonschema.validate(document, json.loads(SCHEMA_FILE.read_text()))
     assert document["cells"][0]["sigma"] == {"translation_mm": 0.4, "rotation_deg": 0.01, "joint_mm": 0.2}
     assert without_verdicts(results_of(tmp_path)) == results
 
 
 def test_of_many_parameters_the_first_are_shown() -> None:
-    rows = tuple(Parameter("left", f"p{i}", 1.0, "1", 0.1) for i in range(203))
-    shown = parameters_table(Results((replace(CELL, details=Details(intrinsics=rows)),))).markdown().splitlines()
+    rows = tuple(ParameterResult("left", f"p{i}", 1.0, "1", 0.1) for i in range(203))
+    shown = (
+        parameters_table(PipelineResults((replace(CELL, details=Details(intrinsics=rows)),))).markdown().splitlines()
+    )
 
     assert len(shown) == 2 + 201
     assert shown[-1].startswith("| and 3 more, see results.json |")
@@ -215,7 +225,7 @@ def test_of_many_parameters_the_first_are_shown() -> None:
 def test_joints_are_in_the_table_and_in_the_results(tmp_path: Path) -> None:
     both = replace(CELL, truth=Deviation(0.5, 0.02, joint_mm=0.03, joint_deg=0.004))
     turning = replace(CELL, system="turning", truth=Deviation(0.5, 0.02, joint_deg=0.004))
-    results = Results((both, replace(both, seed=2, truth=Deviation(0.5, 0.02, 0.04, 0.001)), turning))
+    results = PipelineResults((both, replace(both, seed=2, truth=Deviation(0.5, 0.02, 0.04, 0.001)), turning))
 
     (row,) = grid(results).rows
     assert row[1:] == (
@@ -224,7 +234,7 @@ def test_joints_are_in_the_table_and_in_the_results(tmp_path: Path) -> None:
     )
     write_results(results, tmp_path)
     document = json.loads((tmp_path / "results.json").read_text())
-    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    jsonschema.validate(document, json.loads(SCHEMA_FILE.read_text()))
     assert document["cells"][0]["truth"] == {
         "translation_mm": 0.5,
         "rotation_deg": 0.02,
@@ -239,7 +249,7 @@ def test_joints_are_in_the_table_and_in_the_results(tmp_path: Path) -> None:
 def test_many_systems_take_several_tables(count: int, widths: list[int]) -> None:
     """A method that only one of them has is a row where that one is."""
     cells = tuple(replace(CELL, system=f"robot{k}") for k in range(count))
-    whole = grid(Results(cells, (replace(cells[-1], method="shah", translation_noise=None),)))
+    whole = grid(PipelineResults(cells, (replace(cells[-1], method="shah", translation_noise=None),)))
     parts = whole.parts()
     assert [len(part.columns) for part in parts] == widths
     assert [name for part in parts for name in part.columns[1:]] == list(whole.columns[1:])
@@ -251,21 +261,21 @@ def test_many_systems_take_several_tables(count: int, widths: list[int]) -> None
 def test_a_method_without_a_result_does_not_look_like_a_failure() -> None:
     missing = replace(BROKEN, method="opencv-stereo", translation_noise=None, reasons=("OpenCV is not installed",))
 
-    assert grid(Results((CELL,), (missing,))).rows[1] == ("opencv-stereo", "no result")
-    assert "OpenCV is not installed" in told(Results((CELL,), (missing,))).markdown()
+    assert grid(PipelineResults((CELL,), (missing,))).rows[1] == ("opencv-stereo", "no result")
+    assert "OpenCV is not installed" in told(PipelineResults((CELL,), (missing,))).markdown()
 
 
 def test_the_summary_names_what_failed_and_escapes_it() -> None:
-    text = told(Results((CELL, FAILED, BROKEN))).markdown()
+    text = told(PipelineResults((CELL, FAILED, BROKEN))).markdown()
 
-    assert told(Results((CELL, FAILED, BROKEN))).line == "fail: 2 of 3 cells failed"
+    assert told(PipelineResults((CELL, FAILED, BROKEN))).line == "fail: 2 of 3 cells failed"
     assert "robot, 0.5 m, 0.5 rad, seed 1: a false minimum" in text
     assert "<b>" not in text
 
 
 def test_equal_reasons_of_several_starts_are_merged() -> None:
     def line(*cells: CellResult) -> list[str]:
-        return failures(Results(cells))
+        return failures(PipelineResults(cells))
 
     two = (FAILED, replace(FAILED, seed=2))
     other = replace(FAILED, seed=3, reasons=("too far",))
@@ -282,12 +292,12 @@ def test_each_reason_is_a_line_of_its_own_named_only_among_several_cells() -> No
     reasons = tuple(f"reason {number}" for number in range(9))
     one = replace(CELL, reasons=reasons)
 
-    assert told(Results((one,))).reasons == reasons
-    assert failures(Results((one, replace(one, seed=2, reasons=reasons[:1])))) == [
+    assert told(PipelineResults((one,))).reasons == reasons
+    assert failures(PipelineResults((one, replace(one, seed=2, reasons=reasons[:1])))) == [
         "robot, all 2 starts: reason 0",
         *(f"robot, 0.5 m, 0 rad, seed 1: {reason}" for reason in reasons[1:]),
     ]
-    document = told(Results((one,)))
+    document = told(PipelineResults((one,)))
     for text in (document.markdown(), document.brief.text if document.brief else ""):
         assert [text.count(reason) for reason in reasons] == [1] * 9
 
@@ -296,7 +306,7 @@ def test_an_undecided_limit_is_a_reason_and_a_warning_after_what_is_red(tmp_path
     open_ = CELL.found((Finding("precision", "undecided", "'camera' is not determined well enough"),))
     line = "undecided: 'camera' is not determined well enough"
     for rule, code in ((False, ExitCode.FAIL), (True, ExitCode.PASS)):
-        found = told(Results((replace(open_, undecided_passes=rule),)))
+        found = told(PipelineResults((replace(open_, undecided_passes=rule),)))
         assert (found.verdict, found.exit_code, found.sentence) == ("undecided", code, "1 of 1 cell undecided")
         assert [(each.level, each.message) for each in found.all_annotations()] == [(Level.WARNING, line)]
         assert found.document["reasons"] == [line]
@@ -304,16 +314,20 @@ def test_an_undecided_limit_is_a_reason_and_a_warning_after_what_is_red(tmp_path
         assert case[0].tag == ("skipped" if rule else "failure")
         assert case[0].get("type") == (None if rule else "undecided")
     red = open_.failing("RMS: found 3")
-    assert told(Results((red,))).all_reasons == ("RMS: found 3", line)
-    assert told(Results((red, replace(open_, seed=2)))).sentence == "1 of 2 cells failed, 1 undecided"
+    assert told(PipelineResults((red,))).all_reasons == ("RMS: found 3", line)
+    assert told(PipelineResults((red, replace(open_, seed=2)))).sentence == "1 of 2 cells failed, 1 undecided"
 
 
 def test_a_failed_cell_does_not_say_that_all_is_well() -> None:
     notes = (Finding(NOTHING, "note", "nothing suspicious"), Finding(UNMOVED, "note", "nothing has moved"))
     well = CELL.found((*notes, Finding("rejected-labels", "note", "3 of 90 labels"), notes[0]))
 
-    assert findings_of(Results((well,)), "note") == ("nothing suspicious", "nothing has moved", "3 of 90 labels")
-    assert findings_of(Results((well.failing("RMS: found 3"),)), "note") == ("3 of 90 labels",)
+    assert findings_of(PipelineResults((well,)), "note") == (
+        "nothing suspicious",
+        "nothing has moved",
+        "3 of 90 labels",
+    )
+    assert findings_of(PipelineResults((well.failing("RMS: found 3"),)), "note") == ("3 of 90 labels",)
     assert len(well.findings) == 3  # each once
 
 
@@ -321,7 +335,7 @@ def test_the_summary_has_each_warning_once() -> None:
     found = (Finding("far", "warning", "the camera is far off"), Finding("rejected-labels", "note", "3 of 90 labels"))
     warned = CELL.found(found)
 
-    report = told(Results((warned, replace(warned, seed=2))))
+    report = told(PipelineResults((warned, replace(warned, seed=2))))
 
     assert report.warnings == ("the camera is far off",)
     assert [report.markdown().count(each.text) for each in found] == [1, 1]
@@ -330,7 +344,7 @@ def test_the_summary_has_each_warning_once() -> None:
 
 def test_a_red_finding_fails_the_cell_whoever_reads_it(tmp_path: Path) -> None:
     red = CELL.found((Finding("far", "red", "the camera is far off", ("camera",), value=0.3, unit="m"),))
-    write_results(Results((red,)), tmp_path)
+    write_results(PipelineResults((red,)), tmp_path)
 
     read = without_verdicts(results_of(tmp_path))
 
@@ -339,8 +353,17 @@ def test_a_red_finding_fails_the_cell_whoever_reads_it(tmp_path: Path) -> None:
     assert told(read).reasons == ("the camera is far off",)
 
 
+def test_an_rms_that_is_not_of_the_table_says_so() -> None:
+    alone = told(PipelineResults((replace(CELL, table="a/lidar_to_lidar_results.csv"),))).markdown()
+    assert "RMS of robot: of all corners" in alone
+    assert "lidar\\_to\\_lidar\\_results.csv has none" in alone
+    assert "RMS of robot" not in told(PipelineResults((replace(CELL, table="a/rgb_to_rgb_results.csv"),))).markdown()
+    software = replace(CELL, method="software", table="a/lidar_to_lidar_results.csv")
+    assert "RMS of robot" not in told(PipelineResults((software,))).markdown()
+
+
 def test_cells_as_a_table_and_as_junit(tmp_path: Path) -> None:
-    write_results(Results((CELL, FAILED, BROKEN)), tmp_path)
+    write_results(PipelineResults((CELL, FAILED, BROKEN)), tmp_path)
 
     rows = list(csv.DictReader((tmp_path / "cells.csv").read_text().splitlines()))
     assert [row["Verdict"] for row in rows] == ["pass", "fail", "fail"]
@@ -368,7 +391,7 @@ def test_missing_results_are_bad_input(tmp_path: Path) -> None:
 
 def test_what_an_earlier_matrix_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
     found = run_matrix(Matrix((replace(RIWBOT, compare=("shah",)),), NoiseGrid()), tmp_path / "output", 1)
-    write_results(Results(found.cells, found.comparisons), tmp_path / "output")
+    write_results(PipelineResults(found.cells, found.comparisons), tmp_path / "output")
     (tmp_path / "output" / "notes.txt").write_text("mine")
 
     clear_results(tmp_path / "output")
@@ -380,7 +403,9 @@ def test_no_path_in_results_reaches_out_of_the_folder(tmp_path: Path) -> None:
     precious = tmp_path / "precious.csv"
     precious.write_text("1")
     output = tmp_path / "output"
-    write_results(Results((replace(CELL, table="../precious.csv"), replace(CELL, seed=2, table=str(precious)))), output)
+    write_results(
+        PipelineResults((replace(CELL, table="../precious.csv"), replace(CELL, seed=2, table=str(precious)))), output
+    )
 
     clear_results(output)
 
@@ -390,7 +415,7 @@ def test_no_path_in_results_reaches_out_of_the_folder(tmp_path: Path) -> None:
 
 def test_an_input_among_the_earlier_results_is_not_removed(tmp_path: Path) -> None:
     found = run_matrix(Matrix((RIWBOT,), NoiseGrid()), tmp_path, 1)
-    write_results(Results(found.cells), tmp_path)
+    write_results(PipelineResults(found.cells), tmp_path)
     assert found.cells[0].dataset is not None
     dataset = tmp_path / found.cells[0].dataset
 
@@ -400,10 +425,10 @@ def test_an_input_among_the_earlier_results_is_not_removed(tmp_path: Path) -> No
     assert dataset.exists()
 
 
-def software_cells(reference_passes: bool) -> Results:
+def software_cells(reference_passes: bool) -> PipelineResults:
     theirs = replace(CELL, method="software", loss=None, start="given", rms_px=3.0, reasons=("RMS: found 3",))
     ours = replace(CELL, rms_px=0.5, reasons=() if reference_passes else ("RMS: found 2.5",))
-    return Results((theirs,), (ours, replace(CELL, method="shah", translation_noise=None, rotation_noise=None)))
+    return PipelineResults((theirs,), (ours, replace(CELL, method="shah", translation_noise=None, rotation_noise=None)))
 
 
 def test_the_team_s_software_and_our_engine_side_by_side() -> None:
@@ -441,13 +466,16 @@ def test_our_engine_beside_the_software_has_no_part_in_the_verdict() -> None:
 
 def test_the_image_is_part_of_the_results(tmp_path: Path) -> None:
     image = ImageResult("team/robot:key-1", "1" * 64, False, "sha256:2", 0.5, ("stable",))
-    results = Results((CELL,), image=image)
+    results = PipelineResults((CELL,), image=image)
     write_results(results, tmp_path)
-    jsonschema.validate(json.loads((tmp_path / "results.json").read_text()), json.loads(SCHEMA.read_text()))
+    jsonschema.validate(json.loads((tmp_path / "results.json").read_text()), json.loads(SCHEMA_FILE.read_text()))
     assert read_results(tmp_path).image == image
     assert "Image team/robot:key-1: unchanged, nothing was built; promoted to stable\n" in told(results).markdown()
 
 
 def test_only_an_image_is_a_pass_and_nothing_at_all_is_none() -> None:
-    assert told(Results((), image=ImageResult("team/robot:key-1", "1" * 64, True))).line == "pass: the image is built"
-    assert told(Results()).line == "fail: 0 of 0 cells failed"
+    assert (
+        told(PipelineResults((), image=ImageResult("team/robot:key-1", "1" * 64, True))).line
+        == "pass: the image is built"
+    )
+    assert told(PipelineResults()).line == "fail: 0 of 0 cells failed"

@@ -6,12 +6,12 @@ from calibration.addons.analysis.process import analysed
 from calibration.addons.analysis.settings import AnalysisSettings
 from calibration.addons.analysis.stage_result import Analysed
 from calibration.ci.workflow import annotate
-from calibration.pipeline.stages.running import Run
+from calibration.pipeline.stages.running import PipelineRun
 
 STAGE_FOLDER = "static-analysis"
 
 
-def analyse_stage(run: Run) -> Run:
+def analyse_stage(run: PipelineRun) -> PipelineRun:
     """Analyse the repository; a limit that is exceeded is a reason of the verdict.
 
     Raises:

@@ -17,7 +17,12 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.records import field, result
-from calibration.engine.baseline.snapshot import POSITIONS, Parameter, Pose, Snapshot
+from calibration.engine.baseline.calibration_document import (
+    POSITIONS,
+    CalibratedParameter,
+    CalibratedPose,
+    CalibrationDocument,
+)
 from calibration.engine.estimation.covariance.significance import FAMILY_WISE, score_of_f
 from calibration.engine.geometry.transforms import local
 
@@ -29,7 +34,7 @@ LEAST = 1e-9
 
 
 @result(kw_only=True)
-class Change:
+class BaselineChange:
     """Difference of one calibrated transform or parameter from an earlier one."""
 
     name: str = field("The sensor, the transform or the parameter.")
@@ -56,12 +61,12 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class BaselineComparison:
     """Comparison of two calibrations of one system."""
 
-    before: Snapshot
-    now: Snapshot
-    changes: tuple[Change, ...]
+    before: CalibrationDocument
+    now: CalibrationDocument
+    changes: tuple[BaselineChange, ...]
 
     @property
     def same_data(self) -> bool:
@@ -84,7 +89,7 @@ class Comparison:
         return FAMILY_WISE / max(1, sum(each.kind in ("pose", "parameter", "lens") for each in self.changes))
 
 
-def compare(before: Snapshot, now: Snapshot) -> Comparison:
+def compare(before: CalibrationDocument, now: CalibrationDocument) -> BaselineComparison:
     """Compare an accepted calibration with another."""
     same = before.data == now.data
     earlier = {each.edge: each for each in before.poses}
@@ -102,23 +107,25 @@ def compare(before: Snapshot, now: Snapshot) -> Comparison:
     changes += [each for name in lenses if (each := _lens_change(before, now, name, freedom))]
     changes += _unmatched({each.name for each in earlier.values()}, {each.name for each in later.values()})
     changes += _unmatched(values.keys(), new_values.keys())
-    return Comparison(before, now, tuple(changes))
+    return BaselineComparison(before, now, tuple(changes))
 
 
-def _freedom(before: Snapshot, now: Snapshot) -> float:
+def _freedom(before: CalibrationDocument, now: CalibrationDocument) -> float:
     """Degrees of freedom of the covariance of a difference; infinite if unknown."""
     known = [each.effective_collections for each in (before, now)]
     return sum(each - 1 if each is not None else math.inf for each in known)
 
 
-def _unmatched(before: Set[str], now: Set[str]) -> Iterator[Change]:
+def _unmatched(before: Set[str], now: Set[str]) -> Iterator[BaselineChange]:
     for name in sorted(before - now):
-        yield Change(name=name, kind="removed")
+        yield BaselineChange(name=name, kind="removed")
     for name in sorted(now - before):
-        yield Change(name=name, kind="added")
+        yield BaselineChange(name=name, kind="added")
 
 
-def _pose_change(before: Pose, now: Pose, same: bool, threshold: float, freedom: float) -> Change:
+def _pose_change(
+    before: CalibratedPose, now: CalibratedPose, same: bool, threshold: float, freedom: float
+) -> BaselineChange:
     d = local(before.matrix, now.matrix)
     C = _label_covariance(before) if same else covariance_of_difference(before, now)
     chi_squared, worst = (0.0, 0.0) if C is None else _chi_squared(d, C)
@@ -126,7 +133,7 @@ def _pose_change(before: Pose, now: Pose, same: bool, threshold: float, freedom:
     if C is None and np.abs(d).max() > 0:
         chi_squared = math.inf  # fixed in both: no standard deviation, and no noise
     mm, deg = _norms(d)
-    return Change(
+    return BaselineChange(
         name=now.name,
         kind="pose",
         translation_mm=_digits(1e3 * d[:3]),
@@ -141,14 +148,16 @@ def _pose_change(before: Pose, now: Pose, same: bool, threshold: float, freedom:
     )
 
 
-def _parameter_change(before: Parameter, now: Parameter, same: bool, freedom: float) -> Change:
+def _parameter_change(
+    before: CalibratedParameter, now: CalibratedParameter, same: bool, freedom: float
+) -> BaselineChange:
     difference = now.value - before.value
     variances = [each.sigma**2 for each in (before, now)]
     if same:
         variances = [(before.label_sigma if before.label_sigma is not None else before.sigma) ** 2]
     sigma = math.sqrt(sum(variances))
     sigmas = abs(difference) / sigma if sigma > 0 else (math.inf if difference else 0.0)
-    return Change(
+    return BaselineChange(
         name=now.name,
         kind="parameter",
         value=difference,
@@ -163,7 +172,9 @@ def _parameter_change(before: Parameter, now: Parameter, same: bool, freedom: fl
     )
 
 
-def _lens_change(before: Snapshot, now: Snapshot, camera: str, freedom: float) -> Change | None:
+def _lens_change(
+    before: CalibrationDocument, now: CalibrationDocument, camera: str, freedom: float
+) -> BaselineChange | None:
     """Compare all parameters of a camera together, which make up for each other; None for another lens model.
 
     Of its covariance only a factor is estimated from the collections, by all k parameters of each, so that the squared
@@ -174,7 +185,7 @@ def _lens_change(before: Snapshot, now: Snapshot, camera: str, freedom: float) -
         return None
     chi_squared, k = _mahalanobis(later[1] - earlier[1], earlier[2] + later[2]), len(earlier[0])
     score = float(score_of_f(chi_squared / k, k, k * min(max(freedom, 1.0), MOST_FREEDOM)))
-    return Change(
+    return BaselineChange(
         name=f"{camera}'s lens",
         kind="lens",
         sigmas=_finite(math.sqrt(chi_squared)),
@@ -182,7 +193,7 @@ def _lens_change(before: Snapshot, now: Snapshot, camera: str, freedom: float) -
     )
 
 
-def _label_covariance(pose: Pose) -> Array | None:
+def _label_covariance(pose: CalibratedPose) -> Array | None:
     """Covariance (6, 6) from the labels' noise alone, without that of fixed parameters; None for a fixed pose."""
     C = pose.covariance
     if C is None or pose.label_sigma_mm is None or pose.label_sigma_deg is None:
@@ -192,7 +203,7 @@ def _label_covariance(pose: Pose) -> Array | None:
     return C * np.outer(scale, scale)
 
 
-def covariance_of_difference(before: Pose, now: Pose) -> Array | None:
+def covariance_of_difference(before: CalibratedPose, now: CalibratedPose) -> Array | None:
     """Covariance (6, 6) of the difference of two poses from independent recordings; None if both are fixed."""
     parts = [each for each in (before.covariance, now.covariance) if each is not None]
     if not parts:

@@ -9,7 +9,7 @@ from calibration.base.errors import InputError
 from calibration.base.files import read_bytes, write_atomically
 from calibration.base.json_file import parse_json
 from calibration.base.records import document_of, field, length, read, record
-from calibration.engine.baseline.snapshot import Snapshot
+from calibration.engine.baseline.calibration_document import CalibrationDocument
 
 VERSION: Literal[1] = 1
 LARGEST = 32_000_000
@@ -24,7 +24,7 @@ class Baseline:
     """Accepted calibration of each system."""
 
     version: Literal[1] = field("Version of this format.")
-    systems: Annotated[Mapping[str, Snapshot], length(0, 10_000)] = field("The systems by name.")
+    systems: Annotated[Mapping[str, CalibrationDocument], length(0, 10_000)] = field("The systems by name.")
 
 
 def read_baseline(path: Path) -> Baseline | None:

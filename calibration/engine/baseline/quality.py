@@ -19,9 +19,9 @@ from calibration.base.check import Check, at_most
 from calibration.base.tables.allowance import Allowance
 from calibration.base.tables.numbers import number_text
 from calibration.base.text import shorten
-from calibration.engine.baseline.comparison import Comparison
+from calibration.engine.baseline.calibration_document import CalibrationDocument
+from calibration.engine.baseline.comparison import BaselineComparison
 from calibration.engine.baseline.settings import BaselineSettings
-from calibration.engine.baseline.snapshot import Snapshot
 from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.estimation.covariance.significance import score_of_f, threshold
 
@@ -45,7 +45,7 @@ class _Measure:
     """Whether the difference, beyond what is allowed, is more than chance; always on the same data."""
 
 
-def quality(comparison: Comparison, settings: BaselineSettings) -> Iterator[Finding]:
+def quality(comparison: BaselineComparison, settings: BaselineSettings) -> Iterator[Finding]:
     """Yield findings on measures of quality that are worse than the baseline's by more than allowed."""
     severity: Severity = "red" if comparison.same_data else "warning"
     if comparison.same_data:
@@ -66,7 +66,7 @@ def worse_than_baseline(check: Check, before: float) -> str:
     return f"worse than the baseline: {shorten(str(check), 200)} (baseline {number_text(round(before, 6))})"
 
 
-def largest_standard_deviations(before: Snapshot, now: Snapshot) -> tuple[float, float]:
+def largest_standard_deviations(before: CalibrationDocument, now: CalibrationDocument) -> tuple[float, float]:
     """Return the largest standard deviation of a translation, mm, of each calibration, over the poses of both."""
     common = {each.edge for each in before.poses} & {each.edge for each in now.poses}
     first, second = (
@@ -75,7 +75,7 @@ def largest_standard_deviations(before: Snapshot, now: Snapshot) -> tuple[float,
     return first, second
 
 
-def _measures(comparison: Comparison, settings: BaselineSettings) -> list[_Measure]:
+def _measures(comparison: BaselineComparison, settings: BaselineSettings) -> list[_Measure]:
     before, now, most = comparison.before, comparison.now, settings.max_increase
     levels = now.noise.given()
     pairs = [("RMS", before.rms_px, now.rms_px, most.rms, "px")]
@@ -102,20 +102,20 @@ def _measures(comparison: Comparison, settings: BaselineSettings) -> list[_Measu
     return measures
 
 
-def _are_as_large_in_the_images(before: Snapshot, now: Snapshot) -> bool:
+def _are_as_large_in_the_images(before: CalibrationDocument, now: CalibrationDocument) -> bool:
     """Whether the patterns are about as large in the images of both recordings, and as far from LiDARs."""
     ratios = [now.extents[name] / before.extents[name] for name in before.extents.keys() & now.extents.keys()]
     return all(1 / MAX_RATIO_OF_EXTENTS <= each <= MAX_RATIO_OF_EXTENTS for each in ratios)
 
 
-def _more_by_fewer_collections(before: Snapshot, now: Snapshot) -> float:
+def _more_by_fewer_collections(before: CalibrationDocument, now: CalibrationDocument) -> float:
     """Return the factor by which a standard deviation is larger because there are fewer independent collections."""
     counts = [each.effective_collections or each.collections for each in (before, now)]
     return math.sqrt(max(1.0, counts[0] / max(counts[1], 1e-9)))
 
 
 def _score_of_deviations(
-    old: float | None, new: float | None, allowance: Allowance, before: Snapshot, now: Snapshot
+    old: float | None, new: float | None, allowance: Allowance, before: CalibrationDocument, now: CalibrationDocument
 ) -> float:
     """Return the standard score of a larger standard deviation than the allowed one; infinite if one is unknown."""
     if old is None or new is None or old <= 0:
@@ -124,7 +124,7 @@ def _score_of_deviations(
     return float(score_of_f((new / allowance.above(old)) ** 2, second, first))
 
 
-def _score_of_proportions(before: Snapshot, now: Snapshot, allowance: Allowance) -> float:
+def _score_of_proportions(before: CalibrationDocument, now: CalibrationDocument, allowance: Allowance) -> float:
     """Return the standard score of a larger share of rejected labels than the allowed one."""
     shares = [each.rejected_labels / max(1, each.labels) for each in (before, now)]
     allowed = min(1.0, allowance.above(100 * shares[0]) / 100)
@@ -132,11 +132,11 @@ def _score_of_proportions(before: Snapshot, now: Snapshot, allowance: Allowance)
     return difference / math.sqrt(sum(1 / _views_in_all(each) for each in (before, now)))
 
 
-def _views_in_all(snapshot: Snapshot) -> int:
+def _views_in_all(snapshot: CalibrationDocument) -> int:
     return max(1, sum(snapshot.views.values()))
 
 
-def _error_bars_on_same_data(comparison: Comparison, settings: BaselineSettings) -> Iterator[Finding]:
+def _error_bars_on_same_data(comparison: BaselineComparison, settings: BaselineSettings) -> Iterator[Finding]:
     """Yield findings on differing noise and standard deviations, which are deterministic too."""
     before, now, share = comparison.before, comparison.now, settings.same_data.error_bars / 100
     levels, new = before.noise.given(), now.noise.given()

@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 
 from calibration.base.records import field, result
-from calibration.engine.baseline.comparison import Change, compare
+from calibration.engine.baseline.calibration_document import CalibrationDocument
+from calibration.engine.baseline.comparison import BaselineChange, compare
 from calibration.engine.baseline.document import Baseline
-from calibration.engine.baseline.snapshot import Snapshot
 
 
 @result(kw_only=True)
@@ -15,7 +15,7 @@ class Update:
     system: str = field("The system.")
     before: str = field("Previously accepted value; empty if there was none.", default="")
     now: str = field("Now accepted value; empty if there is none.", default="")
-    change: Change | None = field("The difference, if both exist.", default=None)
+    change: BaselineChange | None = field("The difference, if both exist.", default=None)
     although: str | None = field("Reason for accepting it although it had failed.", default=None)
 
 
@@ -48,7 +48,7 @@ def updates(before: Baseline | None, now: Baseline | None) -> tuple[Update, ...]
     return tuple(found)
 
 
-def _updates(name: str, before: Snapshot, now: Snapshot) -> Iterator[Update]:
+def _updates(name: str, before: CalibrationDocument, now: CalibrationDocument) -> Iterator[Update]:
     old, new = _texts(before), _texts(now)
     for change in compare(before, now).changes:
         if change.mm or change.deg or change.value or change.kind in ("added", "removed"):
@@ -59,11 +59,11 @@ def _updates(name: str, before: Snapshot, now: Snapshot) -> Iterator[Update]:
         yield Update(system=name, before=was, now=is_now, although=now.although)
 
 
-def _count(snapshot: Snapshot) -> str:
+def _count(snapshot: CalibrationDocument) -> str:
     return f"{len(snapshot.poses)} transforms of {snapshot.collections} collections"
 
 
-def _texts(snapshot: Snapshot) -> dict[str, str]:
+def _texts(snapshot: CalibrationDocument) -> dict[str, str]:
     """Return the calibrated values as text, by name."""
     poses = {each.name: f"{_numbers(each.xyz_mm, 2)} mm, {_numbers(each.rpy_deg, 3)} deg" for each in snapshot.poses}
     values = {

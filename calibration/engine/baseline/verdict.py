@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.base.check import at_most
-from calibration.engine.baseline.comparison import Change, Comparison, compare
+from calibration.engine.baseline.calibration_document import CalibrationDocument, SoftwareStart
+from calibration.engine.baseline.comparison import BaselineChange, BaselineComparison, compare
 from calibration.engine.baseline.quality import (
     ACCEPT,
     QUALITY,
@@ -15,7 +16,6 @@ from calibration.engine.baseline.quality import (
     worse_than_baseline,
 )
 from calibration.engine.baseline.settings import BaselineSettings, SameData
-from calibration.engine.baseline.snapshot import Snapshot, Start
 from calibration.engine.diagnosis.finding import Finding
 
 MOVED = "baseline"
@@ -33,13 +33,15 @@ class Accepted:
     """Accepted calibration that a system's cells are compared with."""
 
     settings: BaselineSettings
-    snapshot: Snapshot | None
+    snapshot: CalibrationDocument | None
     """The accepted calibration; None if none of the system has been accepted."""
     since: str = ""
     """The file and its last commit, for messages: "calibration-baseline.json of 2026-11-02 (1a2b3c4)"."""
 
 
-def against_baseline(accepted: Accepted, now: Snapshot) -> tuple[Comparison | None, tuple[Finding, ...]]:
+def against_baseline(
+    accepted: Accepted, now: CalibrationDocument
+) -> tuple[BaselineComparison | None, tuple[Finding, ...]]:
     """Compare a calibration with the accepted one.
 
     Returns:
@@ -64,7 +66,9 @@ def nothing_accepted(accepted: Accepted) -> tuple[Finding, ...]:
     return (Finding(NO_BASELINE, "red", text),)
 
 
-def _finding(change: Change, comparison: Comparison, settings: BaselineSettings, since: str) -> Finding | None:
+def _finding(
+    change: BaselineChange, comparison: BaselineComparison, settings: BaselineSettings, since: str
+) -> Finding | None:
     if change.kind == "added":
         return Finding(MOVED, "note", f"{change.name} is calibrated, and not in {since}: {ACCEPT}")
     if change.kind == "removed":
@@ -75,7 +79,9 @@ def _finding(change: Change, comparison: Comparison, settings: BaselineSettings,
     return _on_other_data(change, comparison, settings, since)
 
 
-def _on_the_same_data(change: Change, comparison: Comparison, settings: BaselineSettings, since: str) -> Finding | None:
+def _on_the_same_data(
+    change: BaselineChange, comparison: BaselineComparison, settings: BaselineSettings, since: str
+) -> Finding | None:
     if not exceeds(change, settings.same_data):
         return None
     text = (
@@ -85,7 +91,7 @@ def _on_the_same_data(change: Change, comparison: Comparison, settings: Baseline
     return _found("red", change, text)
 
 
-def exceeds(change: Change, least: SameData) -> bool:
+def exceeds(change: BaselineChange, least: SameData) -> bool:
     """Whether the difference of a pose or a parameter is larger than the tolerances of a result on the same data."""
     over_mm = change.mm > max(least.translation_mm, least.sigmas * change.sigma_mm)
     over_deg = change.deg > max(least.rotation_deg, least.sigmas * change.sigma_deg)
@@ -93,7 +99,9 @@ def exceeds(change: Change, least: SameData) -> bool:
     return over_mm or over_deg or plain
 
 
-def _on_other_data(change: Change, comparison: Comparison, settings: BaselineSettings, since: str) -> Finding | None:
+def _on_other_data(
+    change: BaselineChange, comparison: BaselineComparison, settings: BaselineSettings, since: str
+) -> Finding | None:
     if change.p >= comparison.significance:
         return None
     moved = "has moved" if change.kind == "pose" else "has changed"
@@ -108,7 +116,7 @@ def _on_other_data(change: Change, comparison: Comparison, settings: BaselineSet
     return _found("red", change, f"{text}: look at {_suspected(change)}{others}, or {ACCEPT}")
 
 
-def _suspected(change: Change) -> str:
+def _suspected(change: BaselineChange) -> str:
     """Return what is likely to have changed on the robot."""
     if change.kind == "pose":
         return "its mount"
@@ -117,7 +125,7 @@ def _suspected(change: Change) -> str:
     return "the joint" if change.unit in ("m", "rad") else "the lens"
 
 
-def _why(comparison: Comparison) -> str:
+def _why(comparison: BaselineComparison) -> str:
     """Return possible causes of a different result on the same data."""
     if comparison.other_inputs:
         return f"what changed beside: {', '.join(comparison.other_inputs)}: look there"
@@ -126,7 +134,7 @@ def _why(comparison: Comparison) -> str:
     return "look at what this change does to the description, the options or the engine"
 
 
-def _found(severity: str, change: Change, text: str) -> Finding:
+def _found(severity: str, change: BaselineChange, text: str) -> Finding:
     return Finding(
         MOVED,
         "red" if severity == "red" else "note",
@@ -137,7 +145,7 @@ def _found(severity: str, change: Change, text: str) -> Finding:
     )
 
 
-def _nothing_moved(comparison: Comparison, since: str) -> list[Finding]:
+def _nothing_moved(comparison: BaselineComparison, since: str) -> list[Finding]:
     """Return the note that no pose has moved, with the largest move that would not be detected."""
     poses = [each for each in comparison.changes if each.kind == "pose"]
     if not poses:
@@ -147,7 +155,7 @@ def _nothing_moved(comparison: Comparison, since: str) -> list[Finding]:
     return [Finding(UNMOVED, "note", text, (worst.name,))]
 
 
-def size_of_change(change: Change) -> str:
+def size_of_change(change: BaselineChange) -> str:
     """Describe a change's size and direction: "4.9 +- 0.3 mm along its x, 0.5 +- 0.02 deg about its z"."""
     if change.kind == "lens":
         return f"its parameters together by {_sigmas(change.sigmas)}"
@@ -183,7 +191,7 @@ def _probability(p: float) -> str:
     return f"< {LEAST_P:.0e}" if p < LEAST_P else f"= {p:.1g}"
 
 
-def software_against_baseline(accepted: Accepted, now: Start, data: str) -> tuple[Finding, ...]:
+def software_against_baseline(accepted: Accepted, now: SoftwareStart, data: str) -> tuple[Finding, ...]:
     """Return findings on other software that got worse from one initial guess on the same data; empty on other data.
 
     Args:

@@ -9,6 +9,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.truth import Truth
 from calibration.engine.evaluation.annotation import Annotation, annotation_for
 from calibration.engine.evaluation.ground_truth import ground_truth_frame, ground_truth_transform
+from calibration.engine.evaluation.measured_poses import COLUMNS as POSE_COLUMNS
 from calibration.engine.evaluation.measured_poses import measured_poses
 from calibration.engine.evaluation.range_to_range import depth_to_depth, lidar_to_depth, lidar_to_lidar
 from calibration.engine.evaluation.range_to_rgb import (
@@ -20,13 +21,25 @@ from calibration.engine.evaluation.range_to_rgb import (
 from calibration.engine.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
 from calibration.engine.evaluation.selection import pattern_of
 from calibration.engine.evaluation.single_rgb import single_rgb
-from calibration.engine.evaluation.table import Table
+from calibration.engine.evaluation.table import RMS_PIX, Table
 
 Names = tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Kind:
+class Suggestion:
+    """Datasets for which a kind of table is the first choice, of two sensors or of one."""
+
+    families: Names
+    """Families of the two sensors, which see a pattern together; or of the only sensor."""
+    reason: str
+    """What the table compares, with ``{0}`` and ``{1}`` for the names of the sensors."""
+    by_arm: bool = False
+    """Whether it needs a pattern that is fixed, and one sensor of the family."""
+
+
+@dataclass(frozen=True)
+class TableKind:
     """Kind of table: the names in its text, and the function that computes it."""
 
     needs: Names
@@ -35,6 +48,12 @@ class Kind:
     """Optional names after them."""
     run: Callable[[Dataset, Truth | None, Names], Table]
     """Function of the dataset, the truth if there is one, and the names."""
+    rms: str | None = RMS_PIX
+    """Column whose average is the RMS of a calibration, px; None if the table has none."""
+    poses: tuple[str, str] | None = None
+    """Columns whose averages are the distance of measured poses, mm and degrees; None if the table has none."""
+    suggestion: Suggestion | None = None
+    """For which datasets `calibration init` takes it; None for none."""
 
     def sensors(self, names: Names) -> Names:
         """Return the names that must be sensors."""
@@ -64,37 +83,75 @@ def _nth(names: Names, n: int) -> str | None:
 
 
 _PATTERN = ("PATTERN",)
-KINDS: Mapping[str, Kind] = {
-    "rgb-to-rgb": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(rgb_to_rgb)),
-    "inter-collection-rgb-to-rgb": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(inter_collection_rgb_to_rgb)),
-    "single-rgb": Kind(
-        (), ("CAMERA", "PATTERN"), lambda dataset, _, names: single_rgb(dataset, _nth(names, 0), _nth(names, 1))
+KINDS: Mapping[str, TableKind] = {
+    "rgb-to-rgb": TableKind(
+        ("SOURCE", "TARGET"),
+        _PATTERN,
+        _pair(rgb_to_rgb),
+        suggestion=Suggestion(("camera", "camera"), "the corners that {0} sees, in the images of {1}"),
     ),
-    "measured-poses": Kind(
-        ("SENSOR",), _PATTERN, lambda dataset, _, names: measured_poses(dataset, names[0], _nth(names, 1))
+    "inter-collection-rgb-to-rgb": TableKind(
+        ("SOURCE", "TARGET"),
+        _PATTERN,
+        _pair(inter_collection_rgb_to_rgb),
+        suggestion=Suggestion(("camera",), "each view of the pattern carried to all others by the arm", by_arm=True),
     ),
-    "lidar-to-rgb": Kind(("LIDAR", "CAMERA"), _PATTERN, _to_image(lidar_to_rgb)),
-    "inter-collection-lidar-to-rgb": Kind(("LIDAR", "CAMERA"), _PATTERN, _to_image(inter_collection_lidar_to_rgb)),
-    "depth-to-rgb": Kind(("DEPTH", "CAMERA"), _PATTERN, _to_image(depth_to_rgb)),
-    "inter-collection-depth-to-rgb": Kind(("DEPTH", "CAMERA"), _PATTERN, _to_image(inter_collection_depth_to_rgb)),
-    "lidar-to-lidar": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(lidar_to_lidar)),
-    "inter-collection-lidar-to-lidar": Kind(
-        ("SOURCE", "TARGET"), _PATTERN, _pair(partial(lidar_to_lidar, between=True))
+    "single-rgb": TableKind(
+        (),
+        ("CAMERA", "PATTERN"),
+        lambda dataset, _, names: single_rgb(dataset, _nth(names, 0), _nth(names, 1)),
+        rms=None,
     ),
-    "lidar-to-depth": Kind(("LIDAR", "DEPTH"), _PATTERN, _pair(lidar_to_depth)),
-    "inter-collection-lidar-to-depth": Kind(("LIDAR", "DEPTH"), _PATTERN, _pair(partial(lidar_to_depth, between=True))),
-    "depth-to-depth": Kind(("SOURCE", "TARGET"), _PATTERN, _pair(depth_to_depth)),
-    "inter-collection-depth-to-depth": Kind(
+    "measured-poses": TableKind(
+        ("SENSOR",),
+        _PATTERN,
+        lambda dataset, _, names: measured_poses(dataset, names[0], _nth(names, 1)),
+        rms=None,
+        poses=POSE_COLUMNS,
+        suggestion=Suggestion(("tracker",), "the poses as they were measured, against those of the result"),
+    ),
+    "lidar-to-rgb": TableKind(
+        ("LIDAR", "CAMERA"),
+        _PATTERN,
+        _to_image(lidar_to_rgb),
+        suggestion=Suggestion(("lidar", "camera"), "the points of {0} against the images of {1}"),
+    ),
+    "inter-collection-lidar-to-rgb": TableKind(("LIDAR", "CAMERA"), _PATTERN, _to_image(inter_collection_lidar_to_rgb)),
+    "depth-to-rgb": TableKind(
+        ("DEPTH", "CAMERA"),
+        _PATTERN,
+        _to_image(depth_to_rgb),
+        suggestion=Suggestion(("depth camera", "camera"), "the points of {0} against the images of {1}"),
+    ),
+    "inter-collection-depth-to-rgb": TableKind(("DEPTH", "CAMERA"), _PATTERN, _to_image(inter_collection_depth_to_rgb)),
+    "lidar-to-lidar": TableKind(("SOURCE", "TARGET"), _PATTERN, _pair(lidar_to_lidar), rms=None),
+    "inter-collection-lidar-to-lidar": TableKind(
+        ("SOURCE", "TARGET"), _PATTERN, _pair(partial(lidar_to_lidar, between=True)), rms=None
+    ),
+    "lidar-to-depth": TableKind(("LIDAR", "DEPTH"), _PATTERN, _pair(lidar_to_depth)),
+    "inter-collection-lidar-to-depth": TableKind(
+        ("LIDAR", "DEPTH"), _PATTERN, _pair(partial(lidar_to_depth, between=True))
+    ),
+    "depth-to-depth": TableKind(("SOURCE", "TARGET"), _PATTERN, _pair(depth_to_depth)),
+    "inter-collection-depth-to-depth": TableKind(
         ("SOURCE", "TARGET"), _PATTERN, _pair(partial(depth_to_depth, between=True))
     ),
-    "ground-truth-transform": Kind(
-        ("PARENT", "CHILD"), (), lambda dataset, truth, names: ground_truth_transform(dataset, truth, *names)
+    "ground-truth-transform": TableKind(
+        ("PARENT", "CHILD"), (), lambda dataset, truth, names: ground_truth_transform(dataset, truth, *names), rms=None
     ),
-    "ground-truth-frame": Kind(
-        ("FRAME",), ("SENSOR",), lambda dataset, truth, names: ground_truth_frame(dataset, truth, *names)
+    "ground-truth-frame": TableKind(
+        ("FRAME",), ("SENSOR",), lambda dataset, truth, names: ground_truth_frame(dataset, truth, *names), rms=None
     ),
 }
 """Kinds of tables: ATOM's, by the name of its script, and the one of measured poses, which ATOM lacks."""
+
+
+def _file_name(kind: str) -> str:
+    return f"{kind.replace('-', '_')}_results.csv"
+
+
+FILES_WITHOUT_RMS = frozenset(_file_name(name) for name, kind in KINDS.items() if kind.rms is None)
+"""Names of the files of tables that have no RMS in px."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +171,16 @@ class Evaluation:
     def sensors(self) -> Names:
         """Names that must be sensors of the dataset."""
         return KINDS[self.kind].sensors(self.names)
+
+    @property
+    def table(self) -> TableKind:
+        """Kind of the table."""
+        return KINDS[self.kind]
+
+    @property
+    def file_name(self) -> str:
+        """Name of the table's file."""
+        return _file_name(self.kind)
 
     def run(self, dataset: Dataset, truth: Truth | None = None) -> Table:
         """Return the table of a dataset with its current transforms.

@@ -2,6 +2,6 @@
 
 - ``request``: description of a collection; ``applications``: containers of a team's own simulation;
 - ``dispatch``: the entry point; it calls ``by_simulation`` or ``by_applications``;
-- ``scenarios``: many datasets as jobs in containers; ``scenario_file``: the result file of each scenario;
+- ``scenarios``: many datasets as jobs in containers;
 - ``results``: checks and verdict; ``report``, ``scenario_report``: tables and outputs, of one dataset and of many.
 """

@@ -7,26 +7,25 @@ the other: ours, or one of the team's containers. In their commands ``{output}``
 ``{scenario}`` the number of the collection, from 0, if there are several.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from calibration.base.errors import InputError
-from calibration.base.records import ByName, Converted, Place, between, field, length, matching, read, record
+from calibration.base.records import ByName, Converted, Place, between, field, length, matching, record
 from calibration.ci.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network, with_secrets
 from calibration.ci.execution.job_check import check_job
 from calibration.ci.execution.placeholders import fill
 from calibration.ci.execution.ros import ROS_HELP, Ros, with_ros
 from calibration.ci.execution.sizes import Seconds
 
-INPUTS = "/calibration/in"
+INPUT_FOLDER = "/calibration/in"
 """Read-only folder in all containers."""
-MOTION, PLAYER = f"{INPUTS}/motion.json", f"{INPUTS}/player.py"
-REPORT = f"{OUTPUT}/.player.json"
+MOTION_PATH, PLAYER_PATH = f"{INPUT_FOLDER}/motion.json", f"{INPUT_FOLDER}/player.py"
+REPORT_PATH = f"{OUTPUT}/.player.json"
 """Report of our player on each pose."""
-PLACEHOLDERS = ("output", "motion", "system", "seed", "scenario")
-SECONDS = 3600.0
+COMMAND_PLACEHOLDERS = ("output", "motion", "system", "seed", "scenario")
+DEFAULT_SECONDS = 3600.0
 
 
 Text = Annotated[str, length(1)]
@@ -51,7 +50,7 @@ class Ros1Player:
     settle: Annotated[float, between(0, 600)] = field("Seconds between the pose and the call.", default=0.5)
 
 
-def _player(value: str | Ros1Player, _: Place) -> Ros1Player:
+def _player_from(value: str | Ros1Player, _: Place) -> Ros1Player:
     return Ros1Player("ros1") if isinstance(value, str) else value
 
 
@@ -66,16 +65,24 @@ class Applications:
     )
     """An empty image name means the one that the pipeline builds."""
     image: str = field(
-        "Image of the containers that name none; by default the one that the pipeline builds.", default=""
+        "Image of the containers that name none; by default the one that the pipeline builds.",
+        default="",
+        option="Default image of the applications; or image with calibration-ci for scenarios.",
     )
-    player: Annotated[Ros1Player, Converted(Literal["ros1"] | Ros1Player, _player)] | None = field(
+    player: Annotated[Ros1Player, Converted(Literal["ros1"] | Ros1Player, _player_from)] | None = field(
         "What moves the pattern and asks for collections: ros1 for ours, in the image of the applications; by default "
         "one of the containers does.",
         default=None,
+        option="ros1: our player moves the pattern and asks for collections.",
     )
-    ros: Ros = field(ROS_HELP, default="none")
+    ros: Ros = field(ROS_HELP, default="none", option="1 starts a ROS master beside the applications.")
     network: Network = field(NETWORK_HELP, default="private")
-    seconds: Seconds = field("A longer collection is stopped, and has failed.", default=SECONDS, key="timeout")
+    seconds: Seconds = field(
+        "A longer collection is stopped, and has failed.",
+        default=DEFAULT_SECONDS,
+        key="timeout",
+        option="Time limit of the applications, or of a scenario in a container: 10m (1h).",
+    )
     dataset: Text = field(
         "The folder of the dataset; outside of {output} that of the last container.", default="{output}/dataset"
     )
@@ -104,15 +111,6 @@ def checked_applications(applications: Applications, place: Place) -> Applicatio
     return applications
 
 
-def applications_from(entry: Mapping[str, Any], folder: Path, where: str) -> Applications:
-    """Read applications from the corresponding keys of an entry of ``simulation`` in calibration.yml.
-
-    Raises:
-        InputError: a value is wrong; names the key.
-    """
-    return checked_applications(read(Applications, entry, where, folder), Place(where))
-
-
 def collection_job(
     applications: Applications, name: str, system: str, seed: int, scenario: int = 0, inputs: Path | None = None
 ) -> Job:
@@ -124,13 +122,13 @@ def collection_job(
         system: the system's name.
         seed: of its noise, for applications that add noise.
         scenario: the number of the collection among those of the seed.
-        inputs: the folder mounted as `INPUTS`; None if the team's player has its own motion.
+        inputs: the folder mounted as `INPUT_FOLDER`; None if the team's player has its own motion.
 
     Raises:
         InputError: a command has an unknown placeholder.
     """
-    values = _values(system, seed, scenario)
-    mounts = () if inputs is None else (Mount(inputs.resolve(), INPUTS),)
+    values = _placeholder_values(system, seed, scenario)
+    mounts = () if inputs is None else (Mount(inputs.resolve(), INPUT_FOLDER),)
     containers = [
         replace(
             container,
@@ -145,7 +143,7 @@ def collection_job(
         containers.append(_player_container(applications, applications.player, mounts))
     brought = [Artifact(dataset_place(applications, system, seed, scenario))]
     if applications.player is not None:
-        brought.append(Artifact(REPORT, required=False))
+        brought.append(Artifact(REPORT_PATH, required=False))
     containers[-1] = replace(containers[-1], artifacts=(*containers[-1].artifacts, *brought))
     return with_ros(Job(name, tuple(containers), applications.network, applications.seconds), applications.ros)
 
@@ -156,19 +154,19 @@ def dataset_place(applications: Applications, system: str, seed: int, scenario: 
     Raises:
         InputError: there is an unknown placeholder.
     """
-    [place] = fill([applications.dataset], _values(system, seed, scenario), "dataset")
+    [place] = fill([applications.dataset], _placeholder_values(system, seed, scenario), "dataset")
     return place.rstrip("/")
 
 
-def _values(system: str, seed: int, scenario: int) -> dict[str, str]:
-    """Return the values of the `PLACEHOLDERS`."""
-    return {"output": OUTPUT, "motion": MOTION, "system": system, "seed": str(seed), "scenario": str(scenario)}
+def _placeholder_values(system: str, seed: int, scenario: int) -> dict[str, str]:
+    """Return the values of the `COMMAND_PLACEHOLDERS`."""
+    return {"output": OUTPUT, "motion": MOTION_PATH, "system": system, "seed": str(seed), "scenario": str(scenario)}
 
 
 def _player_container(applications: Applications, player: Ros1Player, mounts: tuple[Mount, ...]) -> Container:
     options = {
-        "--motion": MOTION,
-        "--report": REPORT,
+        "--motion": MOTION_PATH,
+        "--report": REPORT_PATH,
         "--pose-topic": player.pose_topic,
         "--frame": player.frame,
         "--service": player.service,
@@ -177,7 +175,7 @@ def _player_container(applications: Applications, player: Ros1Player, mounts: tu
     return Container(
         name="player",
         image=player.image or applications.containers[0].image,
-        command=("python3", "-u", PLAYER, *(part for option in options.items() for part in option)),
+        command=("python3", "-u", PLAYER_PATH, *(part for option in options.items() for part in option)),
         mounts=mounts,
         after=player.after or tuple(container.name for container in applications.containers),
     )

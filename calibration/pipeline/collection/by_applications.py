@@ -16,7 +16,6 @@ from calibration.base.files import read_bytes, write_atomically
 from calibration.base.json_file import parse_json
 from calibration.base.temporary_folder import temporary_folder
 from calibration.base.text import one_line, shorten
-from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.job_folder import ARTIFACTS, LOGS
 from calibration.ci.execution.outcome import JobOutcome
@@ -25,9 +24,15 @@ from calibration.engine.dataset import truth
 from calibration.engine.dataset.model import CornerLabels, Dataset, label_count
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import write_document
-from calibration.pipeline.collection.applications import MOTION, PLAYER, REPORT, collection_job, dataset_place
+from calibration.pipeline.collection.applications import (
+    MOTION_PATH,
+    PLAYER_PATH,
+    REPORT_PATH,
+    collection_job,
+    dataset_place,
+)
 from calibration.pipeline.collection.report import report
-from calibration.pipeline.collection.request import ContainerRequest
+from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenarios import Judged, Scenarios
 from calibration.robot.simulation.collection.contact_sheet import write_contact_sheet
@@ -43,20 +48,20 @@ from calibration.robot.simulation.scenarios.run import finished_result
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult, scenario_id
 from calibration.robot.simulation.system import MOTION_FILE, System, read_system
 
-NO_FILE = "missing"
+MISSING_IMAGE = "missing"
 """Name of a missing image."""
-MAX_REPORT = 16 * 1024 * 1024
+MAX_REPORT_BYTES = 16 * 1024 * 1024
 """Limit of our player's report in bytes."""
 _HASH_DIGITS = 12
-JOB = "collection"
+JOB_NAME = "collection"
 """Name of the job of one dataset."""
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class ApplicationPlan:
     """Request with its files read."""
 
-    request: ContainerRequest
+    request: CollectionRequest
     system: System | None
     motion: Motion | None
 
@@ -76,9 +81,7 @@ class Plan:
         return PurePosixPath(dataset_place(request.applications, self.name, request.seed, scenario)).name
 
 
-def collect_by_applications(
-    request: ContainerRequest, output: Path, target: ExecutionTarget | None = None, overwrite: bool = False
-) -> CollectionResults:
+def collect_by_applications(request: CollectionRequest, output: Path, overwrite: bool = False) -> CollectionResults:
     """Collect a dataset, like `calibration.pipeline.collection.dispatch.collect_dataset`.
 
     Raises:
@@ -90,29 +93,29 @@ def collect_by_applications(
 
         def judge(outcome: JobOutcome) -> CollectionResults:
             _keep_logs(outcome, output)
-            return judged(plan, outcome, request.scenario, new)
+            return judged(plan, outcome, request.number, new)
 
         inputs = write_inputs(work / "in", plan)
-        job = plan.job(JOB, request.scenario, inputs)
-        return run_tasks([Task.containers(JOB, job, judge)], work, target=target)[JOB]
+        job = plan.job(JOB_NAME, request.number, inputs)
+        return run_tasks([Task.containers(JOB_NAME, job, judge)], work, target=request.target)[JOB_NAME]
 
 
-def read_plan(request: ContainerRequest) -> Plan:
+def read_plan(request: CollectionRequest) -> ApplicationPlan:
     """Read the system and the motion of a request.
 
     Raises:
         InputError: one is missing or wrong.
     """
-    system = read_system(request.system, request.robot, request.configuration) if request.system else None
+    system = read_system(request.system, request.robot, request.config) if request.system else None
     motion = optional_motion(request, system)
     if request.applications.player is not None:
         if motion is None:
             raise InputError(f"{request.name}: our player needs a motion: a file, or a system with one")
         check_motion(motion)
-    return Plan(request, system, motion)
+    return ApplicationPlan(request, system, motion)
 
 
-def optional_motion(request: ContainerRequest, system: System | None) -> Motion | None:
+def optional_motion(request: CollectionRequest, system: System | None) -> Motion | None:
     """Return the motion for the team's applications; None if they have their own.
 
     Raises:
@@ -126,7 +129,7 @@ def optional_motion(request: ContainerRequest, system: System | None) -> Motion 
     return None if given is None else named_motion(given, system, request.seed)
 
 
-def write_inputs(folder: Path, plan: Plan) -> Path | None:
+def write_inputs(folder: Path, plan: ApplicationPlan) -> Path | None:
     """Write the content of the containers' `INPUTS` into a new folder; None if there is none.
 
     Raises:
@@ -134,9 +137,9 @@ def write_inputs(folder: Path, plan: Plan) -> Path | None:
     """
     if plan.motion is None:
         return None
-    write_document(motion_document(plan.motion), folder / PurePosixPath(MOTION).name)
+    write_document(motion_document(plan.motion), folder / PurePosixPath(MOTION_PATH).name)
     if plan.request.applications.player is not None:
-        write_atomically(folder / PurePosixPath(PLAYER).name, player_file().read_bytes())
+        write_atomically(folder / PurePosixPath(PLAYER_PATH).name, player_file().read_bytes())
     return folder
 
 
@@ -150,18 +153,18 @@ def _keep_logs(outcome: JobOutcome, output: Path) -> None:
         raise InfrastructureError(f"{output / LOGS}: cannot be written: {error.strerror or error}") from error
 
 
-def judged(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
+def judged(plan: ApplicationPlan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
     """Copy the output into a new folder, with the results beside it.
 
     Raises:
         InfrastructureError: a file cannot be written.
     """
-    results = _results(plan, outcome, scenario, new)
+    results = _results_of_output(plan, outcome, scenario, new)
     report(results, new).write(new)
     return results
 
 
-def _results(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
+def _results_of_output(plan: ApplicationPlan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
     request = plan.request
     dataset, records, proof = None, [], None
     failures, error = outcome.reasons, None
@@ -171,14 +174,14 @@ def _results(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> Colle
         brought = outcome.folder / ARTIFACTS / plan.dataset_name(scenario)
         try:
             dataset = read_dataset(brought)
-            records = _records(dataset, _report(outcome))
+            records = _records_of_poses(dataset, _read_player_report(outcome))
             _check_sensors(dataset, plan)
         except CalibrationError as problem:  # of files that the applications wrote: they have failed
             failures = (str(problem).replace(f"{brought}/", ""),)
     if dataset is not None and not failures:
         for path in sorted(brought.iterdir()):
             path.rename(new / path.name)
-        _describe(plan, new)
+        _write_descriptions(plan, new)
         proof = prove(new, request.truth)
         if plan.system is not None:
             write_contact_sheet(new, plan.system, records, new)
@@ -190,14 +193,14 @@ def _results(plan: Plan, outcome: JobOutcome, scenario: int, new: Path) -> Colle
         modalities=dict(modalities),
         records=tuple(records),
         proof=proof,
-        limits=request.checks,
+        limits=request.effective_checks,
         failures=tuple(failures),
         error=error,
         contact_sheet=proof is not None and plan.system is not None,
     )
 
 
-def _check_sensors(dataset: Dataset, plan: Plan) -> None:
+def _check_sensors(dataset: Dataset, plan: ApplicationPlan) -> None:
     """Compare a dataset's sensors with those of the system.
 
     Raises:
@@ -210,7 +213,7 @@ def _check_sensors(dataset: Dataset, plan: Plan) -> None:
             raise InputError(f"dataset.json: missing sensor '{name}' (it has {', '.join(dataset.sensors)})")
 
 
-def _describe(plan: Plan, new: Path) -> None:
+def _write_descriptions(plan: ApplicationPlan, new: Path) -> None:
     """Add the files of the system, the motion and the truth to the dataset."""
     if plan.motion is not None:
         write_document(motion_document(plan.motion), new / MOTION_FILE)
@@ -223,38 +226,38 @@ def _describe(plan: Plan, new: Path) -> None:
         write_document(truth_document(play(plan.system, plan.motion, request.seed), ()), new / truth.FILE_NAME)
 
 
-def _report(outcome: JobOutcome) -> list[dict[str, Any]]:
+def _read_player_report(outcome: JobOutcome) -> list[dict[str, Any]]:
     """Read our player's report on each pose: its number, whether it was saved, the response; empty if it did not run.
 
     Raises:
         InputError: it is invalid; a container may have written it.
     """
-    path = outcome.folder / ARTIFACTS / PurePosixPath(REPORT).name
+    path = outcome.folder / ARTIFACTS / PurePosixPath(REPORT_PATH).name
     if not path.exists():
         return []
     try:
-        report = parse_json(read_bytes(path, MAX_REPORT, "the report of the player"))
+        report = parse_json(read_bytes(path, MAX_REPORT_BYTES, "the report of the player"))
         return [{"pose": int(p["pose"]), "saved": p["saved"] is True, "answer": str(p["answer"])} for p in report]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{path.name}: this is no report of the player") from None
 
 
-def _records(dataset: Dataset, report: list[dict[str, Any]]) -> list[Record]:
+def _records_of_poses(dataset: Dataset, report: list[dict[str, Any]]) -> list[Record]:
     """Return a record for each collection, and for each pose that the robot application did not save."""
     saved = [pose["pose"] for pose in report if pose["saved"]]
     numbers = saved if len(saved) == len(dataset.collections) else list(range(1, len(dataset.collections) + 1))
-    kept = [_record(dataset, index, number - 1) for index, number in enumerate(numbers)]
-    lost = [_lost(dataset, pose["pose"] - 1, pose["answer"]) for pose in report if not pose["saved"]]
+    kept = [_record_of_collection(dataset, index, number - 1) for index, number in enumerate(numbers)]
+    lost = [_record_of_lost_pose(dataset, pose["pose"] - 1, pose["answer"]) for pose in report if not pose["saved"]]
     return sorted([*kept, *lost], key=lambda record: record.number)
 
 
-def _lost(dataset: Dataset, number: int, answer: str) -> Record:
+def _record_of_lost_pose(dataset: Dataset, number: int, answer: str) -> Record:
     reason = f"not saved: {shorten(one_line(answer), 200)}" if answer else "not saved"
-    nothing = {"data": {name: {"data_file": NO_FILE} for name in dataset.sensors}, "labels": {}}
+    nothing = {"data": {name: {"data_file": MISSING_IMAGE} for name in dataset.sensors}, "labels": {}}
     return Record(number, (reason,), dict.fromkeys(dataset.sensors, 0), {}, {}, {}, nothing, {}, (), named="")
 
 
-def _record(dataset: Dataset, index: int, number: int) -> Record:
+def _record_of_collection(dataset: Dataset, index: int, number: int) -> Record:
     """Return the record of a collection; the errors of its labels are unknown."""
     collection = dataset.collections[index]
     corners: dict[str, list[CornerLabels]] = {name: [] for name, s in dataset.sensors.items() if s.camera}
@@ -278,7 +281,7 @@ def _data_files(dataset: Dataset, index: int) -> dict[str, dict[str, str]]:
     data = dataset.document["collections"][dataset.keys[index]].get("data")
     names = {name: data[name].get("data_file") for name in dataset.sensors} if isinstance(data, dict) else {}
     inside = {n: f for n, f in names.items() if isinstance(f, str) and PurePosixPath(f).name == f}
-    return {name: {"data_file": inside.get(name, NO_FILE)} for name in dataset.sensors}
+    return {name: {"data_file": inside.get(name, MISSING_IMAGE)} for name in dataset.sensors}
 
 
 def _drawn_labels(dataset: Dataset, index: int) -> dict[str, dict[str, dict[str, Any]]]:
@@ -303,7 +306,7 @@ class ApplicationScenarios(Scenarios):
 
     stillness = None
 
-    def __init__(self, request: ContainerRequest, count: int) -> None:
+    def __init__(self, request: CollectionRequest, count: int) -> None:
         """Read the request's files.
 
         Raises:
@@ -313,7 +316,7 @@ class ApplicationScenarios(Scenarios):
         self.system = self._plan.name
         names = [scenario_id(request.seed, number) for number in range(count)]
         self.pending = [
-            ScenarioResult(name, _hash(self._plan, self._plan.job(name, number, None)), {})
+            ScenarioResult(name, _hash_of_collection(self._plan, self._plan.job(name, number, None)), {})
             for number, name in enumerate(names)
         ]
 
@@ -334,7 +337,7 @@ class ApplicationScenarios(Scenarios):
         return Judged(finished_result(pending, results.records, results.proof))
 
 
-def _hash(plan: Plan, job: Job) -> str:
+def _hash_of_collection(plan: ApplicationPlan, job: Job) -> str:
     """Return a hash that identifies a collection: of the containers and their inputs."""
     content = {
         "containers": [(container.name, container.image, container.command) for container in job.containers],

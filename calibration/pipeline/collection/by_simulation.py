@@ -23,12 +23,18 @@ from calibration.ci.execution.job_folder import ARTIFACTS, LOGS
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.tasks import run_tasks
 from calibration.ci.execution.workspace import identity, workspace
-from calibration.pipeline.collection.applications import INPUTS
+from calibration.pipeline.collection.applications import INPUT_FOLDER
 from calibration.pipeline.collection.report import report
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionResults
-from calibration.pipeline.collection.scenario_file import FILE, read_scenario, write_scenario
-from calibration.pipeline.collection.scenarios import Judged, ScenarioDone, Scenarios
+from calibration.pipeline.collection.scenarios import (
+    SCENARIO_FILE,
+    Judged,
+    ScenarioDone,
+    Scenarios,
+    read_scenario,
+    write_scenario,
+)
 from calibration.robot.simulation.collection.capture import Requirements
 from calibration.robot.simulation.collection.contact_sheet import write_contact_sheet
 from calibration.robot.simulation.collection.dataset_folder import replacing_dataset, write_dataset
@@ -45,19 +51,19 @@ from calibration.robot.simulation.scenarios.run import (
     scenario_play,
     scenario_task,
 )
-from calibration.robot.simulation.scenarios.scenario import ScenarioResult, parse_id
+from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.robot.simulation.system import MOTION_FILE, System, read_system
 
-CONTAINER = "scenario"
+CONTAINER_NAME = "scenario"
 """Name of the container."""
-DATASET = "dataset"
+DATASET_FOLDER = "dataset"
 """Name of its output folder."""
 SET_FILE, MOTION_INPUT, SYSTEM_FOLDER = "scenarios.yml", "motion.json", "system"
-"""Names in `INPUTS`; the system's folder is inside the last one, by its own name."""
-MAX_INPUT = 64 * 1024**2
+"""Names in `INPUT_FOLDER`; the system's folder is inside the last one, by its own name."""
+MAX_INPUT_BYTES = 64 * 1024**2
 """Limit of the size of a scenario set or a motion in bytes."""
-_TAIL = 4096
+_LOG_TAIL_BYTES = 4096
 
 Begin = Callable[[System, Motion], None]
 PoseDone = Callable[[int, int, Record], None]
@@ -79,15 +85,14 @@ def collect_by_simulation(
         InfrastructureError: a file cannot be written, or a process died; the folder's dataset is unchanged.
     """
     requirements = requirements_of(request)
-    system = read_system(request.system, request.robot, request.configuration)
-    if request.scenario is None:
+    system = read_system(request.folder, request.robot, request.config)
+    if request.scenario_set is None:
         played = play(system, required_motion(request, system), request.seed)
         begin(system, played.motion)
-        return _collected(played, request, requirements, output, overwrite, jobs, done)
-    seed, index = parse_id(request.scenario.id)
-    scenarios = read_scenario_set(request.scenario.scenario_set, system)
-    motion = None if request.motion is None else required_motion(request, system, seed)
-    scenario = scenarios.scenario(seed, index)
+        return _collect_motion(played, request, requirements, output, overwrite, jobs, done)
+    scenarios = read_scenario_set(request.scenario_set, system)
+    motion = None if request.motion is None else required_motion(request, system)
+    scenario = scenarios.scenario(request.seed, request.number)
     result = pending_result(scenarios, scenario, motion)
     try:
         played = scenario_play(scenarios, scenario, motion)
@@ -95,21 +100,21 @@ def collect_by_simulation(
         write_scenario(replace(result, reasons=(str(error),)), requirements.stillness, output)
         raise
     begin(played.system, played.motion)
-    found = _collected(played, request, requirements, output, overwrite, jobs, done, result.hash)
+    found = _collect_motion(played, request, requirements, output, overwrite, jobs, done, result.hash)
     write_scenario(finished_result(result, found.records, found.proof), requirements.stillness, output)
     return found
 
 
-def required_motion(request: CollectionRequest, system: System, seed: int | None = None) -> Motion:
-    """Return the motion that our own simulation plays; a generated one uses the request's seed by default.
+def required_motion(request: CollectionRequest, system: System) -> Motion:
+    """Return the motion that our own simulation plays; a generated one uses the request's seed.
 
     Raises:
         InputError: it cannot be read or generated, or there is none.
     """
-    path = request.system / MOTION_FILE
+    path = request.folder / MOTION_FILE
     if request.motion is None and not path.exists():
         raise InputError(f"{path}: does not exist; give a motion: a file or {GENERATED_PREFIX}N")
-    return named_motion(request.motion or str(path), system, request.seed if seed is None else seed)
+    return named_motion(request.motion or str(path), system, request.seed)
 
 
 def requirements_of(request: CollectionRequest) -> Requirements:
@@ -117,7 +122,7 @@ def requirements_of(request: CollectionRequest) -> Requirements:
     return Requirements() if request.stillness is None else Requirements(stillness=request.stillness)
 
 
-def _collected(
+def _collect_motion(
     played: Play,
     request: CollectionRequest,
     requirements: Requirements,
@@ -128,7 +133,7 @@ def _collected(
     scenario: str = "",
 ) -> CollectionResults:
     """Collect the dataset of a motion; ``scenario`` identifies the scenario, empty for the system as described."""
-    depends_on = _identity(played, requirements, scenario)
+    depends_on = _hash_of_inputs(played, requirements, scenario)
     with workspace(output, depends_on, Record.to_json, Record.from_json) as work:
         records = collect(played, requirements, work, jobs, done)
         good = kept(records)
@@ -144,14 +149,14 @@ def _collected(
                 modalities={name: each.modality for name, each in played.system.configuration.sensors.items()},
                 records=tuple(records),
                 proof=proof,
-                limits=request.checks,
+                limits=request.effective_checks,
             )
             write_contact_sheet(new, played.system, records, work.folder)
             report(results, new).write(new)
     return results
 
 
-def _identity(played: Play, requirements: Requirements, scenario: str) -> str:
+def _hash_of_inputs(played: Play, requirements: Requirements, scenario: str) -> str:
     """Return a hash of the inputs of a collection's records."""
     versions = f"{__version__} {np.__version__} {cv2.__version__} {played.seed} {requirements} {scenario}"
     motion = json.dumps(motion_document(played.motion))
@@ -161,22 +166,23 @@ def _identity(played: Play, requirements: Requirements, scenario: str) -> str:
 class SimulatedScenarios(Scenarios):
     """Scenarios of a scenario set."""
 
-    def __init__(self, collection: CollectionRequest, request: ScenarioRequest) -> None:
+    def __init__(self, request: ScenarioRequest) -> None:
         """Read the request's files, and draw the scenarios.
 
         Raises:
             InputError: one is missing or wrong, or no draw of a scenario satisfies the constraints.
         """
-        if request.scenario_set is None:
+        collection = request.collection
+        if collection.scenario_set is None:
             raise InputError("scenarios and scenario need a scenario-set: a YAML file of the parameters that vary")
         self.image = request.image
         self._collection = collection
         self._requirements = requirements_of(collection)
         self.stillness = self._requirements.stillness
-        self._system = read_system(collection.system, collection.robot, collection.configuration)
+        self._system = read_system(collection.folder, collection.robot, collection.config)
         self.system = self._system.name
-        self._set_file = request.scenario_set
-        self._set = read_scenario_set(request.scenario_set, self._system)
+        self._set_file = collection.scenario_set
+        self._set = read_scenario_set(collection.scenario_set, self._system)
         self._motion = None if collection.motion is None else required_motion(collection, self._system)
         self._scenarios = [self._set.scenario(collection.seed, number) for number in range(request.count)]
         self.pending = [pending_result(self._set, scenario, self._motion) for scenario in self._scenarios]
@@ -187,7 +193,7 @@ class SimulatedScenarios(Scenarios):
         Raises:
             InfrastructureError: a file cannot be written, or a process died.
         """
-        resumed = workspace(output, self._identity, text_of, _decoded)
+        resumed = workspace(output, self._hash_of_inputs, text_of, _scenario_result_from)
         with resumed as work, temporary_folder() as scratch, single_threaded_opencv():
             asked = self._motion, self._requirements, scratch
             tasks = [scenario_task(self._set, each, *asked) for each in self._scenarios]
@@ -195,20 +201,20 @@ class SimulatedScenarios(Scenarios):
         return [Judged(result) for result in found.values()]
 
     @property
-    def _identity(self) -> str:
+    def _hash_of_inputs(self) -> str:
         """Return a hash of the inputs that all scenarios share."""
         versions = f"{__version__} {np.__version__} {cv2.__version__} {self._requirements}"
         motion = json.dumps(motion_document(self._motion)) if self._motion else ""
-        content = read_bytes(self._set_file, MAX_INPUT, "a scenario set")
+        content = read_bytes(self._set_file, MAX_INPUT_BYTES, "a scenario set")
         return identity(versions.encode(), motion.encode(), content, *self._system.sources.values())
 
     def write_inputs(self, folder: Path) -> Path:
         """Write the system, the set and the motion."""
         for name, content in self._system.sources.items():
             write_atomically(folder / SYSTEM_FOLDER / self.system / name, content)
-        write_atomically(folder / SET_FILE, read_bytes(self._set_file, MAX_INPUT, "a scenario set"))
+        write_atomically(folder / SET_FILE, read_bytes(self._set_file, MAX_INPUT_BYTES, "a scenario set"))
         if (motion := self._motion_file) is not None:
-            write_atomically(folder / MOTION_INPUT, read_bytes(motion, MAX_INPUT, "a motion sequence"))
+            write_atomically(folder / MOTION_INPUT, read_bytes(motion, MAX_INPUT_BYTES, "a motion sequence"))
         return folder
 
     @property
@@ -220,27 +226,27 @@ class SimulatedScenarios(Scenarios):
         """Return the job of a scenario."""
         of, image, name = self._collection, self.image or ScenarioImage(""), self.pending[number].id
         options = {
-            "--system": f"{INPUTS}/{SYSTEM_FOLDER}/{self.system}",
-            "--scenario-set": f"{INPUTS}/{SET_FILE}",
+            "--system": f"{INPUT_FOLDER}/{SYSTEM_FOLDER}/{self.system}",
+            "--scenario-set": f"{INPUT_FOLDER}/{SET_FILE}",
             "--scenario": name,
-            "--output": f"{OUTPUT}/{DATASET}",
+            "--output": f"{OUTPUT}/{DATASET_FOLDER}",
             "--jobs": "1",  # the scenarios run in parallel
         }
         if of.motion is not None:
-            options["--motion"] = of.motion if self._motion_file is None else f"{INPUTS}/{MOTION_INPUT}"
+            options["--motion"] = of.motion if self._motion_file is None else f"{INPUT_FOLDER}/{MOTION_INPUT}"
         if of.stillness is not None:
             options["--stillness-mm"] = repr(1000 * of.stillness)
         container = Container(
-            name=CONTAINER,
+            name=CONTAINER_NAME,
             image=image.image,
             command=("calibration", "collect-data-sim", *(word for option in options.items() for word in option)),
-            mounts=() if inputs is None else (Mount(inputs.resolve(), INPUTS),),
+            mounts=() if inputs is None else (Mount(inputs.resolve(), INPUT_FOLDER),),
             success=(
                 ExitCode.PASS,
                 ExitCode.FAIL,
                 ExitCode.BAD_INPUT,
             ),  # the exit codes are explained in the scenario's file
-            artifacts=(Artifact(f"{OUTPUT}/{DATASET}", required=False),),
+            artifacts=(Artifact(f"{OUTPUT}/{DATASET_FOLDER}", required=False),),
         )
         return Job(name, (container,), seconds=image.seconds)
 
@@ -250,10 +256,10 @@ class SimulatedScenarios(Scenarios):
         if outcome.exit_code != ExitCode.PASS:
             error = None if outcome.exit_code == ExitCode.FAIL else outcome.exit_code
             return Judged(replace(known, reasons=outcome.reasons), error, complete=False)
-        brought = outcome.folder / ARTIFACTS / DATASET
+        brought = outcome.folder / ARTIFACTS / DATASET_FOLDER
         try:
-            if not (brought / FILE).exists():
-                raise InputError(f"the image left no {FILE} (it needs calibration-ci){_last_line(outcome)}")
+            if not (brought / SCENARIO_FILE).exists():
+                raise InputError(f"the image left no {SCENARIO_FILE} (it needs calibration-ci){_last_line(outcome)}")
             stored = read_scenario(brought, known, self.stillness)
         except InputError as error:
             return Judged(replace(known, reasons=(str(error),)), complete=False)
@@ -266,16 +272,16 @@ class SimulatedScenarios(Scenarios):
         return Judged(replace(result, reasons=stored.reasons or ("no pose gave a collection",)))
 
 
-def _decoded(text: bytes) -> ScenarioResult:
+def _scenario_result_from(text: bytes) -> ScenarioResult:
     return read(ScenarioResult, json.loads(text), "a finished scenario")
 
 
 def _last_line(outcome: JobOutcome) -> str:
     """Return the last line of the container's log, for messages; empty if there is none."""
     try:
-        with (outcome.folder / LOGS / f"{CONTAINER}.log").open("rb") as log:
-            log.seek(max(0, log.seek(0, 2) - _TAIL))
-            lines = log.read(_TAIL).decode("utf-8", "replace").splitlines()
+        with (outcome.folder / LOGS / f"{CONTAINER_NAME}.log").open("rb") as log:
+            log.seek(max(0, log.seek(0, 2) - _LOG_TAIL_BYTES))
+            lines = log.read(_LOG_TAIL_BYTES).decode("utf-8", "replace").splitlines()
     except OSError:
         return ""
     last = next((line for line in reversed(lines) if line.strip()), "")

@@ -3,10 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from calibration.ci.execution.backends import ExecutionTarget
 from calibration.pipeline.collection.by_applications import ApplicationScenarios, collect_by_applications
 from calibration.pipeline.collection.by_simulation import Begin, PoseDone, SimulatedScenarios, collect_by_simulation
-from calibration.pipeline.collection.request import CollectionRequest, ContainerRequest, ScenarioRequest
+from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionResults, ScenarioResults
 from calibration.pipeline.collection.scenarios import ScenarioDone, ScenarioFolder, Scenarios, run_in_containers
 from calibration.robot.simulation.collection.dataset_folder import refuse_existing
@@ -17,11 +16,10 @@ ScenariosBegin = Callable[[str, int], None]
 
 
 def collect_dataset(
-    request: CollectionRequest | ContainerRequest,
+    request: CollectionRequest,
     output: Path,
     overwrite: bool = False,
     jobs: int | None = None,
-    target: ExecutionTarget | None = None,
     begin: Begin = lambda *_: None,
     done: PoseDone = lambda *_: None,
 ) -> CollectionResults:
@@ -36,7 +34,6 @@ def collect_dataset(
         output: the folder; files other than a dataset are kept.
         overwrite: whether an existing dataset is replaced.
         jobs: number of processes of our own simulation; None for one per core.
-        target: execution target of the containers; by default this machine's engine.
         begin: called after everything was read and checked, only by our own simulation.
         done: called after each pose, only by our own simulation.
 
@@ -46,8 +43,8 @@ def collect_dataset(
             unchanged.
     """
     refuse_existing(output, overwrite)
-    if isinstance(request, ContainerRequest):
-        return collect_by_applications(request, output, target, overwrite)
+    if request.applications.containers:
+        return collect_by_applications(request, output, overwrite)
     return collect_by_simulation(request, output, overwrite, jobs, begin, done)
 
 
@@ -55,7 +52,6 @@ def collect_scenarios(
     request: ScenarioRequest,
     folder: ScenarioFolder,
     jobs: int | None = None,
-    target: ExecutionTarget | None = None,
     begin: ScenariosBegin = lambda *_: None,
     done: ScenarioDone = lambda *_: None,
 ) -> ScenarioResults:
@@ -69,7 +65,6 @@ def collect_scenarios(
         request: description of the scenarios.
         folder: folder for the datasets and logs.
         jobs: number of parallel processes or containers; None for as many as the machine can run.
-        target: execution target of the containers; by default this machine's engine.
         begin: see `ScenariosBegin`.
         done: see `ScenarioDone`.
 
@@ -77,15 +72,16 @@ def collect_scenarios(
         InputError: an input is wrong, an image is missing, or the folder has scenarios already.
         InfrastructureError: a file cannot be written, a process died, or the backend cannot be reached.
     """
-    if isinstance(request.collection, ContainerRequest):
-        scenarios: Scenarios = ApplicationScenarios(request.collection, request.count)
+    collection = request.collection
+    if collection.applications.containers:
+        scenarios: Scenarios = ApplicationScenarios(collection, request.count)
     else:
-        scenarios = SimulatedScenarios(request.collection, request)
+        scenarios = SimulatedScenarios(request)
     begin(scenarios.system, request.count)
     if isinstance(scenarios, SimulatedScenarios) and scenarios.image is None:
         found = scenarios.run(folder.output, jobs, done)
     else:
-        found = run_in_containers(scenarios, folder, jobs, target, done)
+        found = run_in_containers(scenarios, folder, jobs, collection.target, done)
     errors = {each.result.id: each.error for each in found if each.error is not None}
     statistics = Statistics([each.result for each in found], lost=tuple(errors))
     return ScenarioResults(scenarios.system, request, statistics, errors)

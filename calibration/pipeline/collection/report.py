@@ -1,5 +1,6 @@
-"""Report of a simulated collection."""
+"""Report of a simulated collection, and its page."""
 
+from base64 import b64encode
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -8,13 +9,16 @@ import numpy as np
 
 from calibration import __version__
 from calibration.base.records import value_of
+from calibration.ci.pages.html import Html, element, join
+from calibration.ci.pages.page import bullets, figure, page, verdict_line
+from calibration.ci.pages.tables import table
 from calibration.ci.report import Lines, Outcome, Report, Table, Text, outcome_of_check
 from calibration.pipeline.collection.results import CollectionDocument, CollectionResults, LostPose, SensorNumbers
 from calibration.robot.simulation.collection.proof import Proof
 from calibration.robot.simulation.collection.record import Record
 
-SCHEMA = Path(__file__).with_name("collection.schema.json")
-TITLE = "collect-data-sim"
+SCHEMA_FILE = Path(__file__).with_name("collection.schema.json")
+COMMAND_NAME = "collect-data-sim"
 POSES_FILE = "poses.csv"
 CONTACT_SHEET = "contact_sheet.png"
 LOST_SHOWN = 50
@@ -32,7 +36,7 @@ def report(results: CollectionResults, output: Path) -> Report:
     lines = tuple(map(lost_line, results.lost))
     sheet = results.contact_sheet
     return Report(
-        title=TITLE,
+        title=COMMAND_NAME,
         verdict=results.verdict,
         error=results.exit_code,
         sentence=f"{results.system}: {kept} of {len(results.records)} collections kept, {_calibration_text(results)}",
@@ -43,7 +47,7 @@ def report(results: CollectionResults, output: Path) -> Report:
             Lines(lines, LOST_SHOWN, POSES_FILE, title="Lost", only="summary"),
             Text(f"Motion: {results.motion}, seed {results.seed}.", only="summary"),
         ),
-        suites={f"{TITLE} {results.system}": list(_outcomes(results))},
+        suites={f"{COMMAND_NAME} {results.system}": list(_junit_outcomes(results))},
         results=CollectionDocument(
             system=results.system,
             seed=results.seed,
@@ -132,12 +136,12 @@ def _calibration_text(results: CollectionResults) -> str:
     error = (
         ""
         if proof.translation_mm is None
-        else f", {proof.translation_mm:.3g} mm and {proof.rotation_deg:.2g} deg{_joints(proof)} from the truth"
+        else f", {proof.translation_mm:.3g} mm and {proof.rotation_deg:.2g} deg{_joints_text(proof)} from the truth"
     )
     return f"calibrates with {proof.rms_px:.4f} px{error}" if proof.rms_px is not None else f"calibrates{error}"
 
 
-def _joints(proof: Proof) -> str:
+def _joints_text(proof: Proof) -> str:
     """Return the largest errors of joints, if some were calibrated."""
     shown = [
         f"{error:{form}} {unit}"
@@ -147,10 +151,36 @@ def _joints(proof: Proof) -> str:
     return f", joints {' and '.join(shown)}" if shown else ""
 
 
-def _outcomes(results: CollectionResults) -> Iterable[Outcome]:
+def _junit_outcomes(results: CollectionResults) -> Iterable[Outcome]:
     """Return the cases of JUnit: whether the dataset calibrates, and each check."""
     calibrates = results.proof is not None and results.proof.converged
     reasons = () if calibrates else tuple(results.reasons)
     yield Outcome(name="the dataset calibrates", group=results.system, reasons=reasons)
     for check in results.checks:
         yield outcome_of_check(check, results.system)
+
+
+_SHEET_CAPTION = "Every pose that was collected: what each sensor saw, with its labels; red where a pose was lost."
+
+
+def collection_page(report: Report, contact_sheet: Path | None) -> str:
+    """Return the page, a single file.
+
+    Args:
+        report: of the collection.
+        contact_sheet: the PNG, if there is one.
+    """
+    tables = [table(block.columns, block.rows) for block in report.blocks if isinstance(block, Table)]
+    head = join(
+        [
+            element("h1", "Collected in simulation"),
+            verdict_line(report.verdict, report.sentence),
+            bullets((*report.reasons, *report.warnings)),
+            *tables,
+        ]
+    )
+    if contact_sheet is None:
+        return page(f"Collected: {report.verdict}", [head])
+    address = f"data:image/png;base64,{b64encode(contact_sheet.read_bytes()).decode('ascii')}"
+    sheet = figure(Html(element("img", src=address, alt="Contact sheet of all poses")), _SHEET_CAPTION)
+    return page(f"Collected: {report.verdict}", [head, sheet])

@@ -1,17 +1,38 @@
 """Requests of a collection: a dataset, or many, by our own simulation or by the team's applications."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from calibration.base.records import at_least, between, field, record
-from calibration.pipeline.collection.applications import SECONDS, Applications
+from calibration.base.records import Converted, Place, at_least, between, field, needs, one_of, record
+from calibration.ci.execution.backends import CONTAINERS, BackendName, ContainerBackend, ExecutionTarget
+from calibration.engine.diagnosis.limits import Limit
+from calibration.pipeline.collection.applications import DEFAULT_SECONDS, Applications, checked_applications
+from calibration.pipeline.system import Text, Truth
+from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX
 
 MAX_SCENARIOS = 100_000
-
+KEYS_OF_APPLICATIONS = ("player", "ros", "network", "timeout", "dataset", "image", "truth")
+"""Keys that only collections by the team's applications have."""
 
 Share = Annotated[float, between(0, 1)]
+
+
+def _motion_in_folder(text: str, place: Place) -> str:
+    return text if text.startswith(GENERATED_PREFIX) else str(place.folder / text)
+
+
+@record(rules=(one_of("translation-mm", "rotation-deg", why="expected translation-mm or rotation-deg"),))
+class CollectionLimits:
+    """Limits of the errors of sensors and joints against the truth."""
+
+    translation_mm: Limit | None = field(
+        "Limit of the largest error of a sensor, and of a joint's length, in mm (5).", default=None
+    )
+    rotation_deg: Limit | None = field("Limit of the largest rotation error, in degrees (0.3).", default=None)
+
+
+USUAL_LIMITS = CollectionLimits(translation_mm=5.0, rotation_deg=0.3)
 
 
 @record
@@ -23,59 +44,107 @@ class CollectionChecks:
     )
     minimum_detection_rate: Share | None = field("Share of the poses that every sensor detects, 0 to 1.", default=None)
     minimum_coverage: Share | None = field("Share of every image that the corners cover, 0 to 1.", default=None)
-    max_translation_mm: float | None = 5.0
-    """Largest error of a sensor against the truth, and of a joint's length."""
-    max_rotation_deg: float | None = 0.3
-    """Likewise for rotations and angles."""
+    limits: CollectionLimits = field(
+        "The largest errors of sensors and joints against the truth that pass (5 mm, 0.3 degrees).",
+        default_factory=CollectionLimits,
+        option=False,
+    )
+
+    def with_usual_limits(self) -> "CollectionChecks":
+        """Return the checks with `USUAL_LIMITS` in place of limits that are not given."""
+        translation, rotation = self.limits.translation_mm, self.limits.rotation_deg
+        limits = CollectionLimits(
+            USUAL_LIMITS.translation_mm if translation is None else translation,
+            USUAL_LIMITS.rotation_deg if rotation is None else rotation,
+        )
+        return replace(self, limits=limits)
 
 
-@dataclass(frozen=True)
-class ScenarioOfSet:
-    """Scenario of a scenario set."""
-
-    scenario_set: Path
-    id: str
-
-
-@dataclass(frozen=True)
+@record(
+    rules=(
+        one_of("system", "containers", why="expected a system, or containers that simulate and collect"),
+        *(needs(key, "containers") for key in KEYS_OF_APPLICATIONS),
+    )
+)
 class CollectionRequest:
-    """Request of a collection by our own simulation."""
+    """Dataset to collect in simulation, and to calibrate."""
 
-    system: Path
-    """Folder of a system."""
-    robot: Path | None = None
-    """Robot description that replaces the system's."""
-    configuration: Path | None = None
-    """Calibration configuration that replaces the system's."""
-    motion: str | None = None
-    """A file, or ``generate:N``; None for the system's own motion."""
-    seed: int = 1
-    """Seed of the noise and of a generated motion, or of the scenarios."""
+    system: Path | None = field(
+        "The folder of a system (robot.urdf, config.yml, simulation.yml), relative to this file.",
+        default=None,
+        option=False,
+    )
+    """With applications optional: its sensors are expected in the dataset, and its robot is the truth."""
+    applications: Applications = field(flat=True, default_factory=Applications)
+    """Without containers it is a collection by our own simulation."""
+    truth: Truth | None = field(
+        "What the calibrated dataset is compared with: a file, 'dataset' for the transforms in it, 'none'; by default "
+        "the system's.",
+        default=None,
+        option="Ground truth of the applications' dataset: a file, dataset or none (the system's).",
+    )
+    backend: BackendName | None = field(
+        "embedded: our own simulation. docker, aws-batch: where the containers run; by default where the others do.",
+        default=None,
+        option=False,
+    )
+    robot: Path | None = field(
+        "Another robot description (URDF or xacro).",
+        default=None,
+        option="URDF or xacro, in place of the system's robot.urdf.",
+    )
+    config: Path | None = field(
+        "Another calibration configuration.",
+        default=None,
+        option="ATOM's calibration configuration, in place of the system's config.yml.",
+    )
+    motion: Annotated[str, Converted(Text, _motion_in_folder)] | None = field(
+        "A motion sequence (JSON), or generate:N; by default the system's motion.json.",
+        default=None,
+        option="Motion sequence (JSON), or generate:N; by default the system's motion.json.",
+    )
+    seed: Annotated[int, at_least(0)] = field(
+        "Seed of the noise and of a generated motion.",
+        default=1,
+        option="Seed of the noise, of a generated motion, of the scenarios (1).",
+    )
+    checks: CollectionChecks = field(flat=True, default_factory=CollectionChecks)
+    name: str = ""
+    """Name of the entry; by default the system's."""
     stillness: float | None = None
     """Limit of a pattern's motion while the sensors measure, m; None for the default."""
-    checks: CollectionChecks = dataclasses.field(default_factory=CollectionChecks)
-    scenario: ScenarioOfSet | None = None
-    """Scenario that changes the system; None for the system as described."""
+    scenario_set: Path | None = None
+    """Scenarios that change the system of our own simulation; None for the system as described."""
+    number: int = 0
+    """Number of the collection among those of the seed, or of the scenario in the set."""
+    target: ExecutionTarget | None = None
+    """Execution target of the containers; None for this machine's engine."""
 
+    def checked(self, backend: ContainerBackend, place: Place) -> "CollectionRequest":
+        """Return the request as it runs; its containers use this backend unless it names its own.
 
-@dataclass(frozen=True)
-class ContainerRequest:
-    """Request of a collection by the team's applications."""
+        Raises:
+            InputError: the containers are invalid, or there are none for the backend; names the key.
+        """
+        contained = bool(self.applications.containers)
+        found: BackendName = self.backend or (backend if contained else "embedded")
+        if (found in CONTAINERS) != contained:
+            raise place.below("backend").fault(
+                f"found {found}; containers run with {' or '.join(CONTAINERS)}, and these need containers"
+            )
+        applications = checked_applications(self.applications, place) if contained else self.applications
+        return replace(self, applications=applications, backend=found)
 
-    name: str
-    applications: Applications
-    system: Path | None = None
-    """Folder of a system: its sensors are expected in the dataset, and its robot is the truth."""
-    robot: Path | None = None
-    configuration: Path | None = None
-    motion: str | None = None
-    """A file, or ``generate:N``; None for the system's own motion."""
-    seed: int = 1
-    checks: CollectionChecks = dataclasses.field(default_factory=CollectionChecks)
-    truth: str | None = None
-    """Choice of the truth, see `truth.choose_truth`; None for the system's, if there is one."""
-    scenario: int = 0
-    """Number of the collection among those of the seed."""
+    @property
+    def effective_checks(self) -> CollectionChecks:
+        """Checks of the dataset: with the usual limits, unless there is no truth."""
+        return self.checks if self.truth == "none" else self.checks.with_usual_limits()
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the system, which our own simulation always has."""
+        assert self.system is not None  # noqa: S101 (a rule of the record)
+        return self.system
 
 
 @dataclass(frozen=True)
@@ -83,7 +152,7 @@ class ScenarioImage:
     """Image with this package, for scenarios of our own simulation."""
 
     image: str
-    seconds: float = SECONDS
+    seconds: float = DEFAULT_SECONDS
     """Time limit of a scenario."""
 
 
@@ -91,10 +160,8 @@ class ScenarioImage:
 class ScenarioRequest:
     """Request of many datasets."""
 
-    collection: CollectionRequest | ContainerRequest
-    """The system, the seed of the scenarios, and their requirements; a motion, if it is the same for all."""
-    scenario_set: Path | None
-    """Scenario set of our own simulation; None for the team's applications, which define their own variations."""
+    collection: CollectionRequest
+    """The system, the scenario set and the seed, and the requirements; a motion, if it is the same for all."""
     count: int
     minimum_success_rate: float = 1.0
     """Minimum share of scenarios that pass."""

@@ -10,20 +10,20 @@ from calibration.base.errors import ExitCode, exit_code_of
 from calibration.base.records import field, result
 from calibration.ci.report import Check, Verdict, at_least, at_most, count_of, verdict_of
 from calibration.engine.dataset.modalities import MODALITIES
-from calibration.pipeline.collection.request import CollectionChecks, ScenarioRequest
+from calibration.pipeline.collection.request import CollectionChecks, CollectionLimits, ScenarioRequest
 from calibration.robot.simulation.collection.proof import Proof
 from calibration.robot.simulation.collection.record import COVERAGE_COLUMNS, COVERAGE_ROWS, CornerErrors, Record
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 from calibration.robot.simulation.scenarios.statistics import Statistics
 
 
-def truth_checks(found: Proof | ScenarioResult | None, limits: CollectionChecks) -> list[Check]:
+def truth_checks(found: Proof | ScenarioResult | None, limits: CollectionLimits) -> list[Check]:
     """Check the errors of sensors, and of joints if some were calibrated, against their limits."""
     errors = (
-        ("translation", "translation_mm", limits.max_translation_mm, "mm"),
-        ("joint translation", "joint_mm", limits.max_translation_mm, "mm"),
-        ("rotation", "rotation_deg", limits.max_rotation_deg, "deg"),
-        ("joint rotation", "joint_deg", limits.max_rotation_deg, "deg"),
+        ("translation", "translation_mm", limits.translation_mm, "mm"),
+        ("joint translation", "joint_mm", limits.translation_mm, "mm"),
+        ("rotation", "rotation_deg", limits.rotation_deg, "deg"),
+        ("joint rotation", "joint_deg", limits.rotation_deg, "deg"),
     )
     values = ((kind, getattr(found, key) if found else None, limit, unit) for kind, key, limit, unit in errors)
     return [
@@ -110,7 +110,7 @@ class CollectionResults:
     records: tuple[Record, ...]
     proof: Proof | None
     """Calibration of the dataset that proves it usable; None if no collection was kept."""
-    limits: CollectionChecks = dataclass_field(default_factory=CollectionChecks)
+    limits: CollectionChecks = dataclass_field(default_factory=CollectionChecks().with_usual_limits)
     failures: tuple[str, ...] = ()
     """Failures of a team's applications."""
     error: ExitCode | None = None
@@ -150,7 +150,7 @@ class CollectionResults:
                 checks.append(at_least(f"detection rate of {name}", rate, limits.minimum_detection_rate))
             if limits.minimum_coverage is not None and numbers.coverage is not None:
                 checks.append(at_least(f"coverage of {name}", numbers.coverage, limits.minimum_coverage))
-        return checks + truth_checks(proof, limits)
+        return checks + truth_checks(proof, limits.limits)
 
     @property
     def reasons(self) -> list[str]:
@@ -203,7 +203,7 @@ class ScenarioResults:
     @cached_property
     def failed(self) -> dict[str, list[str]]:
         """Failed scenarios by id, with the reasons."""
-        checks = self.request.collection.checks
+        checks = self.request.collection.effective_checks
         return {result.id: why for result in self.statistics.results if (why := scenario_reasons(result, checks))}
 
     @property
@@ -243,5 +243,5 @@ def scenario_reasons(result: ScenarioResult, checks: CollectionChecks) -> list[s
     if checks.minimum_detection_rate is not None:
         for name, rate in (result.detection or {}).items():
             limits.append(at_least(f"detection rate of {name}", rate, checks.minimum_detection_rate))
-    limits += truth_checks(result, checks)
+    limits += truth_checks(result, checks.limits)
     return [str(check) for check in limits if not check.passed]

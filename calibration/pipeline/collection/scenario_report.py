@@ -10,7 +10,7 @@ from typing import Any
 
 from calibration.base.errors import InfrastructureError
 from calibration.ci.report import FILES, Block, Code, Lines, Outcome, Report, Table, Text, count_of, shown
-from calibration.pipeline.collection.report import TITLE
+from calibration.pipeline.collection.report import COMMAND_NAME
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.robot.simulation.scenarios.drivers import SIGNIFICANCE_LEVEL
 from calibration.robot.simulation.scenarios.figure import figure
@@ -22,8 +22,8 @@ REPORT_FILES = (*FILES, TABLE_FILE, FIGURE_FILE)
 WORST_SHOWN = 5
 DRIVERS_SHOWN = 8
 REASONS_SHOWN = 20
-_NAMES = {0: "least", 50: "median", 100: "worst"}
-_MEASURES = {
+_NAME_OF_PERCENTILE = {0: "least", 50: "median", 100: "worst"}
+_HEADING_OF_MEASURE = {
     "translation_mm": "Translation error (mm)",
     "rotation_deg": "Rotation error (deg)",
     "joint_mm": "Joint error (mm)",
@@ -31,7 +31,7 @@ _MEASURES = {
     "rms_px": "RMS of the reprojection (px)",
     "corner_rms_px": "Corners against the truth (px)",
 }
-_NUMBER = re.compile(r"\d+(\.\d+)?")
+_NUMBER_PATTERN = re.compile(r"\d+(\.\d+)?")
 
 
 def report(results: ScenarioResults, output: Path) -> Report:
@@ -41,18 +41,18 @@ def report(results: ScenarioResults, output: Path) -> Report:
         results: the results.
         output: the folder for the results.
     """
-    statistics, checks = results.statistics, results.request.collection.checks
+    statistics, checks = results.statistics, results.request.collection.effective_checks
     notes: tuple[str, ...] = ()
     pictures: dict[str, str | bytes] = {}
     try:
-        drawn = figure(statistics, results.title, checks.max_translation_mm, checks.max_rotation_deg)
+        drawn = figure(statistics, results.title, checks.limits.translation_mm, checks.limits.rotation_deg)
         pictures = {FIGURE_FILE: drawn}
     except InfrastructureError as error:  # matplotlib is not installed
         notes = (str(error),)
     worst = [result.id for result in statistics.worst(WORST_SHOWN)]
     passed = len(statistics.results) - len(results.failed)
     return Report(
-        title=TITLE,
+        title=COMMAND_NAME,
         verdict=results.verdict,
         error=results.exit_code,
         sentence=f"{passed} of {results.title} pass",
@@ -60,14 +60,14 @@ def report(results: ScenarioResults, output: Path) -> Report:
         warnings=tuple(f"{each}: {'; '.join(why)}" for each, why in results.failed.items()),
         notes=notes,
         blocks=(
-            Text(_sentence(statistics), only="summary"),
+            Text(_counts_sentence(statistics), only="summary"),
             distribution(statistics),
             Text("Over the scenarios that calibrate; errors are those of the worst sensor.", only="summary"),
-            *_worst(results),
+            *_worst_scenarios(results),
             *drivers(statistics),
-            _losses(statistics),
+            _reasons_of_losses(statistics),
         ),
-        suites={f"scenarios of {results.system}": [_outcome(results, result) for result in statistics.results]},
+        suites={f"scenarios of {results.system}": [_junit_outcome(results, result) for result in statistics.results]},
         results={
             "system": results.system,
             "seed": results.request.collection.seed,
@@ -103,7 +103,8 @@ def document(statistics: Statistics) -> dict[str, Any]:
         "count": len(statistics.results),
         "calibrated": len(statistics.calibrated),
         "percentiles": {
-            measure: {str(p): value for p, value in statistics.percentiles(measure).items()} for measure in _MEASURES
+            measure: {str(p): value for p, value in statistics.percentiles(measure).items()}
+            for measure in _HEADING_OF_MEASURE
         },
         "worst": [result.id for result in statistics.worst(WORST_SHOWN)],
         "drivers": [{**asdict(driver), "stands_out": driver.stands_out} for driver in statistics.drivers],
@@ -111,12 +112,12 @@ def document(statistics: Statistics) -> dict[str, Any]:
     }
 
 
-def _outcome(results: ScenarioResults, result: ScenarioResult) -> Outcome:
+def _junit_outcome(results: ScenarioResults, result: ScenarioResult) -> Outcome:
     reasons = tuple(results.failed.get(result.id, ()))
     return Outcome(name=result.id, group=results.system, reasons=reasons, error=results.errors.get(result.id))
 
 
-def _sentence(statistics: Statistics) -> str:
+def _counts_sentence(statistics: Statistics) -> str:
     poses, kept = (sum(getattr(result, what) for result in statistics.results) for what in ("poses", "kept"))
     scenarios = count_of(len(statistics.results), "scenario")
     return f"{len(statistics.calibrated)} of {scenarios} calibrate; {kept} of {poses} poses gave a collection."
@@ -125,14 +126,14 @@ def _sentence(statistics: Statistics) -> str:
 def distribution(statistics: Statistics) -> Table:
     """Return the percentiles of each error."""
     rows = (
-        (name, *(f"{value:.3g}" for value in found.values()))
-        for measure, name in _MEASURES.items()
-        if (found := statistics.percentiles(measure))
+        (name, *(f"{value:.3g}" for value in percentiles.values()))
+        for measure, name in _HEADING_OF_MEASURE.items()
+        if (percentiles := statistics.percentiles(measure))
     )
-    return Table(("", *(_NAMES.get(p, f"{p} %") for p in REPORTED_PERCENTILES)), tuple(rows))
+    return Table(("", *(_NAME_OF_PERCENTILE.get(p, f"{p} %") for p in REPORTED_PERCENTILES)), tuple(rows))
 
 
-def _worst(results: ScenarioResults) -> list[Block]:
+def _worst_scenarios(results: ScenarioResults) -> list[Block]:
     """Return the worst scenarios, with their parameters and replay commands folded."""
     statistics = results.statistics
     worst = statistics.worst(WORST_SHOWN)
@@ -165,7 +166,7 @@ def replay(results: ScenarioResults, scenario: str) -> str:
     of, request = results.request.collection, results.request
     words = ["calibration", "collect-data-sim", "--system", str(of.system or results.system)]
     words += [*request.applications, "--scenario", scenario]
-    options = (("scenario-set", request.scenario_set), ("robot", of.robot), ("config", of.configuration))
+    options = (("scenario-set", of.scenario_set), ("robot", of.robot), ("config", of.config))
     for option, value in (*options, ("motion", of.motion)):
         words += [f"--{option}", str(value)] if value is not None else []
     return shlex.join([*words, "--output", scenario])
@@ -173,33 +174,33 @@ def replay(results: ScenarioResults, scenario: str) -> str:
 
 def drivers(statistics: Statistics) -> list[Block]:
     """Return the parameters that correlate significantly with the translation error."""
-    title, found = "What drives the error", statistics.drivers
-    strong = [driver for driver in found if driver.stands_out]
-    if not found:
+    title, ranked = "What drives the error", statistics.drivers
+    strong = [driver for driver in ranked if driver.stands_out]
+    if not ranked:
         return [Text(f"Not known: {why_unknown(len(statistics.ran))}.", title=title)]
     if not strong:
         text = (
-            f"None of the parameters that vary ({len(found)}) stands out. The strongest is {found[0].parameter}, rank "
-            f"correlation {found[0].correlation:+.2f}: chance gives as much with probability {found[0].p:.2g}."
+            f"None of the parameters that vary ({len(ranked)}) stands out. The strongest is {ranked[0].parameter}, "
+            f"rank correlation {ranked[0].correlation:+.2f}: chance gives as much with probability {ranked[0].p:.2g}."
         )
         return [Text(text, title=title)]
     rows = tuple((d.parameter, f"{d.correlation:+.2f}", f"{d.p:.2g}") for d in strong[:DRIVERS_SHOWN])
     text = (
         f"Spearman's; p (below {SIGNIFICANCE_LEVEL:g} here) is the probability that chance gives as much with any of "
-        f"the {len(found)} parameters. Between bars: a parameter's magnitude. A scenario without a calibration counts "
+        f"the {len(ranked)} parameters. Between bars: a parameter's magnitude. A scenario without a calibration counts "
         "as the worst."
     )
     header = ("Parameter", "Rank correlation with the translation error", "p")
     return [Table(header, rows, title=title), Text(text, only="summary")]
 
 
-def _losses(statistics: Statistics) -> Lines:
+def _reasons_of_losses(statistics: Statistics) -> Lines:
     """Return the reasons of rejected poses, most frequent first; reasons that differ only in numbers are merged."""
     lost = [each for result in statistics.results for reasons in (result.lost or {}).values() for each in reasons]
     examples: dict[str, str] = {}
     for reason in lost:
-        examples.setdefault(_NUMBER.sub("#", reason), reason)
-    counts = Counter(_NUMBER.sub("#", reason) for reason in lost)
+        examples.setdefault(_NUMBER_PATTERN.sub("#", reason), reason)
+    counts = Counter(_NUMBER_PATTERN.sub("#", reason) for reason in lost)
     listed = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     lines = tuple(f"{count}: {examples[kind]}" for kind, count in listed)
     title = "Why poses were lost: one example of each reason"
@@ -208,11 +209,13 @@ def _losses(statistics: Statistics) -> Lines:
 
 def scenarios_table(results: Sequence[ScenarioResult]) -> Table:
     """Return a row for each scenario, for ``scenarios.csv``; an empty cell where there is no value."""
-    rows = [{name: "" if value is None else str(value) for name, value in _row(each).items()} for each in results]
+    rows = [
+        {name: "" if value is None else str(value) for name, value in _csv_row(result).items()} for result in results
+    ]
     return Table(tuple(rows[0]) if rows else (), tuple(tuple(row.values()) for row in rows))
 
 
-def _row(result: ScenarioResult) -> dict[str, object]:
+def _csv_row(result: ScenarioResult) -> dict[str, object]:
     measures = (
         "corner_rms_px",
         "rms_px",

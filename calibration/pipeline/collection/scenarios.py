@@ -1,23 +1,96 @@
-"""Many scenarios in containers: each is a job with an output folder, which is kept once it is complete."""
+"""Many scenarios in containers: each is a job with an output folder, which is kept once it is complete.
 
+The file ``scenario.json`` beside the dataset of a scenario has its result.
+"""
+
+import json
 import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
+from calibration import __version__
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base.files import read_bytes, write_atomically
+from calibration.base.json_file import parse_json
+from calibration.base.records import document_of, field, length, read, record
 from calibration.base.temporary_folder import temporary_folder
+from calibration.base.text import one_line
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.job_folder import LOGS
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.tasks import Task, run_tasks
-from calibration.pipeline.collection.scenario_file import read_scenario, write_scenario
 from calibration.pipeline.collection.scenario_report import REPORT_FILES
-from calibration.robot.simulation.scenarios.scenario import ScenarioResult
+from calibration.robot.simulation.scenarios.scenario import Amount, ScenarioResult
 
-SCENARIOS = "scenarios"
+SCENARIO_FILE = "scenario.json"
+MAX_SCENARIO_FILE_BYTES = 16 * 1024**2
+
+
+@record(case="snake", nulls=True)
+class ScenarioFile:
+    """Result of one scenario, beside its dataset."""
+
+    schema: Literal[1] = field("Of this form.")
+    version: Annotated[str, length(most=100)] = field("Version of the package that made it.")
+    stillness_m: Amount | None = field(
+        "How far the pattern may have moved while the sensors looked; null where the team's applications collected."
+    )
+    result: ScenarioResult = field("Result of the scenario.")
+
+
+def write_scenario(result: ScenarioResult, stillness: float | None, folder: Path) -> None:
+    """Write the file into the folder of the dataset.
+
+    Args:
+        result: result of the scenario.
+        stillness: limit of a pattern's motion while the sensors measure, m; None if unknown.
+        folder: the target folder.
+
+    Raises:
+        InfrastructureError: it cannot be written.
+    """
+    document = document_of(ScenarioFile(1, __version__, stillness, result))
+    write_atomically(folder / SCENARIO_FILE, json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+
+def read_scenario(folder: Path, expected: ScenarioResult, stillness: float | None) -> ScenarioResult:
+    """Read the file of a scenario; its content is not trusted.
+
+    Args:
+        folder: the scenario's folder.
+        expected: the expected scenario, without a result.
+        stillness: limit of a pattern's motion, m.
+
+    Raises:
+        InputError: there is no such file, or it is of another scenario, another version or invalid.
+    """
+    path = folder / SCENARIO_FILE
+    text = read_bytes(path, MAX_SCENARIO_FILE_BYTES, "what came of a scenario")
+    try:
+        document = parse_json(text)
+    except (ValueError, RecursionError):
+        raise InputError(f"{SCENARIO_FILE}: this is no JSON") from None
+    found = read(ScenarioFile, document, SCENARIO_FILE)
+    if found.version != __version__:
+        raise InputError(
+            f"{SCENARIO_FILE}: made by calibration-ci {one_line(found.version)}, this is {__version__}: "
+            "another version makes other scenarios; have the same in the image"
+        )
+    for what, theirs, ours in (
+        ("id", found.result.id, expected.id),
+        ("hash", found.result.hash, expected.hash),
+        ("stillness", found.stillness_m, stillness),
+    ):
+        if theirs != ours:
+            raise InputError(f"{SCENARIO_FILE}: it is of another scenario: {what}: found {theirs}, expected {ours}")
+    return found.result
+
+
+SCENARIOS_FOLDER = "scenarios"
 """Folder of the datasets, with a folder for each scenario."""
 
 ScenarioDone = Callable[[int, int, ScenarioResult], None]
@@ -74,7 +147,7 @@ class ScenarioFolder:
             InputError: there are scenarios of an earlier run, and neither `resume` nor `overwrite` is set.
             InfrastructureError: the folder cannot be written.
         """
-        place = self.output / SCENARIOS
+        place = self.output / SCENARIOS_FOLDER
         if place.exists() and not (self.resume or self.overwrite):
             raise InputError(
                 f"{place}: exists already; --overwrite replaces the scenarios, --resume runs what is missing"
@@ -101,7 +174,7 @@ class ScenarioFolder:
         """
 
         def judge(outcome: JobOutcome) -> Judged:
-            return self._take(scenarios, number, outcome, work / "new")
+            return self._take_output(scenarios, number, outcome, work / "new")
 
         return Task.containers(scenarios.pending[number].id, scenarios.job(number, inputs), judge)
 
@@ -110,19 +183,19 @@ class ScenarioFolder:
         if not self.resume:
             return None
         try:
-            return Judged(read_scenario(self.output / SCENARIOS / pending.id, pending, stillness))
+            return Judged(read_scenario(self.output / SCENARIOS_FOLDER / pending.id, pending, stillness))
         except InputError:
             return None
 
-    def _take(self, scenarios: Scenarios, number: int, outcome: JobOutcome, new: Path) -> Judged:
+    def _take_output(self, scenarios: Scenarios, number: int, outcome: JobOutcome, new: Path) -> Judged:
         """Judge a scenario, and move its output into place as a whole."""
         name = scenarios.pending[number].id
         try:
             judged = scenarios.judge(number, outcome, new)
-            _replace(outcome.folder / LOGS, self.output / LOGS / name)
+            _move_folder(outcome.folder / LOGS, self.output / LOGS / name)
             if judged.complete:
                 write_scenario(judged.result, scenarios.stillness, new)
-                _replace(new, self.output / SCENARIOS / name)
+                _move_folder(new, self.output / SCENARIOS_FOLDER / name)
             for left in (new, outcome.folder):
                 if left.exists():
                     shutil.rmtree(left)
@@ -155,7 +228,7 @@ def run_in_containers(
     return list(found.values())
 
 
-def _replace(source: Path, target: Path) -> None:
+def _move_folder(source: Path, target: Path) -> None:
     """Move a folder, if it exists, to replace another one."""
     if target.exists():
         shutil.rmtree(target)

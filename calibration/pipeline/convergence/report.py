@@ -1,20 +1,118 @@
-"""Report of ``convergence``: a table and a figure of each map, translation noise down, rotation noise across."""
+"""Report of ``convergence``: a table and a panel of the figure for each map."""
 
+import io
+import math
 import shlex
+import warnings
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from calibration.base.errors import CalibrationError
+from calibration.base.errors import CalibrationError, InputError
+from calibration.base.optional import optional
 from calibration.base.tables.numbers import number_text
+from calibration.base.text import one_line, shorten
 from calibration.ci.report import FILES, Lines, Outcome, Report, Table, outcome_of_check
-from calibration.pipeline.convergence.convergence_map import ConvergenceMap
-from calibration.pipeline.convergence.figure import figures
-from calibration.pipeline.convergence.results import ConvergenceResults, without_noise
+from calibration.pipeline.convergence.convergence_map import ConvergenceMap, ConvergenceResults, without_noise
 from calibration.pipeline.matrix.cell import noise_text
 
-SCHEMA = Path(__file__).with_name("convergence.schema.json")
-TITLE = "convergence"
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.patches import Rectangle
+
+
+MAX_MAPS = 24
+PANEL_COLUMNS = 2
+_CELL_SIDE, _MARGIN_WIDTH, _MARGIN_HEIGHT = 0.44, 1.3, 1.35
+"""Inches: the side of a cell, and the margins of a panel."""
+_MIN_WIDTH = 4.2
+_DOTS_PER_INCH = 130
+_COLOUR_MAP = "cividis"
+"""Perceptually uniform, also for the colour-blind and in print."""
+_MAX_DARK_PERCENT = 55
+"""Percent below which numbers are white."""
+_OUTLINE_COLOUR = "#c8102e"
+_FIGURE_STYLE: Any = {
+    "font.size": 9,
+    "font.family": ["DejaVu Sans"],  # bundled with matplotlib: the same picture on every machine
+    "text.parse_math": False,  # names come from the user and may contain $
+    "svg.hashsalt": "calibration-ci",
+    "svg.fonttype": "path",
+}
+
+
+def figures(results: ConvergenceResults) -> tuple[bytes, bytes]:
+    """Draw the maps as PNG and SVG; the same results give the same bytes with the same matplotlib.
+
+    Raises:
+        InputError: there are too many maps.
+        InfrastructureError: matplotlib is not installed.
+    """
+    if len(results.maps) > MAX_MAPS:
+        raise InputError(f"no figure: found {len(results.maps)} maps, at most {MAX_MAPS} can be drawn")
+    figure, patches = (optional(f"matplotlib.{name}", "the figure") for name in ("figure", "patches"))
+    rc_context = optional("matplotlib", "the figure").rc_context
+    with rc_context(_FIGURE_STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font lacks
+        columns = min(PANEL_COLUMNS, len(results.maps))
+        rows = math.ceil(len(results.maps) / columns)
+        width = max(_CELL_SIDE * len(results.noise.rotations) + _MARGIN_WIDTH, _MIN_WIDTH)
+        height = _CELL_SIDE * len(results.noise.translations) + _MARGIN_HEIGHT
+        size = (columns * width, rows * height + 0.5)
+        drawing = figure.Figure(figsize=size, dpi=_DOTS_PER_INCH, layout="constrained")
+        seeds = len(results.noise.seeds)
+        drawing.suptitle(f"Starts that converge, % of {seeds} for each pair of noises", fontsize=11)
+        for number, each in enumerate(results.maps):
+            _draw_panel(drawing.add_subplot(rows, columns, number + 1), each, patches.Rectangle)
+        png, svg = io.BytesIO(), io.BytesIO()
+        drawing.savefig(png, format="png", metadata={"Software": None})
+        drawing.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
+    return png.getvalue(), svg.getvalue()
+
+
+def _draw_panel(axes: "Axes", map_: ConvergenceMap, rectangle: "type[Rectangle]") -> None:
+    shares = [[100 * map_.pairs[t, r].share for r in map_.rotations] for t in map_.translations]
+    axes.imshow(shares, cmap=_COLOUR_MAP, vmin=0, vmax=100, origin="lower", aspect="equal")
+    for y, t in enumerate(map_.translations):
+        for x, r in enumerate(map_.rotations):
+            pair = map_.pairs[t, r]
+            colour = "white" if 100 * pair.share < _MAX_DARK_PERCENT else "black"
+            weight = "bold" if pair.always else "normal"
+            axes.text(x, y, pair.percent, ha="center", va="center", color=colour, fontsize=8, fontweight=weight)
+    axes.set_xticks(
+        range(len(map_.rotations)), [number_text(r) for r in map_.rotations], rotation=_label_rotation(map_.rotations)
+    )
+    axes.set_yticks(range(len(map_.translations)), [number_text(t) for t in map_.translations])
+    axes.set(xlabel="Rotation noise (rad)", ylabel="Translation noise (m)")
+    axes.set_title(f"{shorten(one_line(map_.name), 60)}\n{_largest_text(map_)}", fontsize=9)
+    _draw_outline(axes, map_, rectangle)
+
+
+def _label_rotation(levels: tuple[float, ...]) -> float:
+    """Return the rotation of labels in degrees: long ones would overlap."""
+    return 45.0 if max(len(number_text(level)) for level in levels) > 4 else 0.0
+
+
+def _largest_text(map_: ConvergenceMap) -> str:
+    if map_.largest.diagonal is None:
+        return "not even without noise"
+    translation, rotation = map_.largest.diagonal
+    return f"all, up to {number_text(translation)} m with {number_text(rotation)} rad (outlined)"
+
+
+def _draw_outline(axes: "Axes", map_: ConvergenceMap, rectangle: "type[Rectangle]") -> None:
+    """Mark the cells up to the largest diagonal noise."""
+    if map_.largest.diagonal is not None:
+        translation, rotation = map_.largest.diagonal
+        width, height = map_.rotations.index(rotation) + 1, map_.translations.index(translation) + 1
+        box = rectangle((-0.5, -0.5), width, height, fill=False, edgecolor=_OUTLINE_COLOUR, linewidth=2, clip_on=False)
+        box.set_zorder(3)
+        axes.add_patch(box)
+
+
+SCHEMA_FILE = Path(__file__).with_name("convergence.schema.json")
+COMMAND_NAME = "convergence"
 TABLE_FILE, LARGEST_FILE = "convergence.csv", "largest-noise.csv"
 PNG_FILE, SVG_FILE = "convergence.png", "convergence.svg"
 ALL_FILES = (*FILES, TABLE_FILE, LARGEST_FILE, PNG_FILE, SVG_FILE)
@@ -37,14 +135,14 @@ def report(results: ConvergenceResults, output: Path, source: str = "--config ca
         pictures = dict(zip((PNG_FILE, SVG_FILE), figures(results), strict=True))
     except CalibrationError as error:  # matplotlib is not installed, or there are too many maps
         notes = (str(error),)
-    lost = tuple(line for each in results.maps if (line := first_lost(each, source)))
+    lost = tuple(line for map_ in results.maps if (line := first_lost(map_, source)))
     largest = results.largest
     translation, rotation = largest.diagonal or (None, None)
     return Report(
-        title=TITLE,
+        title=COMMAND_NAME,
         verdict=results.verdict,
         error=results.exit_code,
-        sentence=_sentence(results),
+        sentence=_convergence_sentence(results),
         reasons=tuple(results.reasons),
         notes=notes,
         blocks=(
@@ -53,7 +151,7 @@ def report(results: ConvergenceResults, output: Path, source: str = "--config ca
             Lines(lost, most=LOST_SHOWN, title="Starts that do not converge: one of each map"),
             Lines(notes),
         ),
-        suites={TITLE: list(_outcomes(results))},
+        suites={COMMAND_NAME: list(_junit_outcomes(results))},
         results=replace(results, figures=tuple(pictures), notes=notes),
         outputs={
             "largest-translation-noise": largest.translation,
@@ -68,16 +166,17 @@ def report(results: ConvergenceResults, output: Path, source: str = "--config ca
     )
 
 
-def map_table(of: ConvergenceMap) -> Table:
+def map_table(map_: ConvergenceMap) -> Table:
     """Return the convergence rate in percent of each pair of noises."""
-    starts = len(next(iter(of.pairs.values())).cells)
+    starts = len(next(iter(map_.pairs.values())).cells)
     return Table(
-        ("", *(f"{number_text(r)} rad" for r in of.rotations)),
+        ("", *(f"{number_text(r)} rad" for r in map_.rotations)),
         tuple(
-            (f"{number_text(t)} m", *(of.pairs[t, r].percent for r in of.rotations))  # in the format of the noise pairs
-            for t in of.translations
+            # in the format of the noise pairs
+            (f"{number_text(t)} m", *(map_.pairs[t, r].percent for r in map_.rotations))
+            for t in map_.translations
         ),
-        title=f"{of.name}: starts that converge, % of {starts}",
+        title=f"{map_.name}: starts that converge, % of {starts}",
     )
 
 
@@ -89,12 +188,12 @@ def largest_table(results: ConvergenceResults) -> Table:
 
     rows = (
         (
-            each.name if each.judged else f"{each.name} (to compare)",
-            shown(each.largest.translation, "m"),
-            shown(each.largest.rotation, "rad"),
-            noise_text(*each.largest.diagonal) if each.largest.diagonal else "none",
+            map_.name if map_.judged else f"{map_.name} (to compare)",
+            shown(map_.largest.translation, "m"),
+            shown(map_.largest.rotation, "rad"),
+            noise_text(*map_.largest.diagonal) if map_.largest.diagonal else "none",
         )
-        for each in results.maps
+        for map_ in results.maps
     )
     return Table(("Every start converges up to", "Translation alone", "Rotation alone", "Both, up to"), tuple(rows))
 
@@ -130,23 +229,23 @@ def largest_noise(results: ConvergenceResults) -> Table:
     return Table((*header, "Diagonal translation noise (m)", "Diagonal rotation noise (rad)"), tuple(rows))
 
 
-def first_lost(of: ConvergenceMap, source: str) -> str:
+def first_lost(map_: ConvergenceMap, source: str) -> str:
     """Return an initial guess with the least noise that does not converge, and its command; empty if all converge.
 
     Args:
-        of: the map.
+        map_: the map.
         source: option that selects the swept systems.
     """
-    for (t, r), pair in of.pairs.items():
+    for (t, r), pair in map_.pairs.items():
         if pair.lost:
-            which = source if source.startswith("--dataset") else f"{source} --systems {shlex.quote(of.system)}"
+            which = source if source.startswith("--dataset") else f"{source} --systems {shlex.quote(map_.system)}"
             options = f"{which} --translation-noise {number_text(t)} --rotation-noise {number_text(r)}"
-            how = f"calibration calibrate-matrix {options} --seed-list {pair.lost[0]} --start {of.start}"
-            return f"{of.name}, {noise_text(t, r)}, seed {pair.lost[0]}: {pair.reason}: to look at it, {how}"
+            how = f"calibration calibrate-matrix {options} --seed-list {pair.lost[0]} --start {map_.start}"
+            return f"{map_.name}, {noise_text(t, r)}, seed {pair.lost[0]}: {pair.reason}: to look at it, {how}"
     return ""
 
 
-def _sentence(results: ConvergenceResults) -> str:
+def _convergence_sentence(results: ConvergenceResults) -> str:
     largest = results.largest
     if largest.diagonal is None:
         return "the start without noise does not converge"
@@ -156,13 +255,13 @@ def _sentence(results: ConvergenceResults) -> str:
     )
 
 
-def _outcomes(results: ConvergenceResults) -> Iterable[Outcome]:
+def _junit_outcomes(results: ConvergenceResults) -> Iterable[Outcome]:
     """Return the cases of JUnit: each map without noise, and each check."""
-    for each in results.judged:
-        why = without_noise(each)
-        if each.error is not None and not why:
+    for map_ in results.judged:
+        why = without_noise(map_)
+        if map_.error is not None and not why:
             why = "a start could not be run: see results.json"
-        name = f"{each.name}: converges without noise"
-        yield Outcome(name=name, group=each.system, reasons=(why,) if why else (), error=each.error)
+        name = f"{map_.name}: converges without noise"
+        yield Outcome(name=name, group=map_.system, reasons=(why,) if why else (), error=map_.error)
     for check in results.checks:
-        yield outcome_of_check(check, TITLE)
+        yield outcome_of_check(check, COMMAND_NAME)

@@ -28,12 +28,12 @@ from calibration.engine.estimation.solve.options import Start
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.cell_verdict import judge_cells
 from calibration.pipeline.matrix.matrix import Done, Matrix, matrix_tasks
-from calibration.pipeline.matrix.software import SOFTWARE
+from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 from calibration.pipeline.system import System
 
-CELLS = "cells"
+CELLS_FOLDER = "cells"
 """Folder, in the output folder, of the files of the team's software."""
-SAME_RELATIVE, SAME_PX = 0.01, 0.001
+MAX_RELATIVE_EXCESS, MAX_EXCESS_PX = 0.01, 0.001
 """Tolerances of the RMS above the best one, relative and in px, within which it is the same optimum."""
 
 
@@ -53,11 +53,11 @@ def sweep_matrices(matrix: Matrix, starts: Sequence[Start]) -> tuple[Matrix, ...
         if not software.container.image:
             raise InputError(f"systems.{name}.software: missing image, or give image; nothing is built here")
     return tuple(
-        replace(matrix, systems=tuple(_starting(system, start) for system in matrix.systems)) for start in starts
+        replace(matrix, systems=tuple(_with_start(system, start) for system in matrix.systems)) for start in starts
     )
 
 
-def _starting(system: System, start: Start) -> System:
+def _with_start(system: System, start: Start) -> System:
     """Return a system with another kind of initial guess, without comparison methods, which use none, and datasets."""
     software = system.software if start == "given" else None
     options = replace(system.options, start=start)
@@ -77,7 +77,7 @@ def run_sweep(
 
     Args:
         matrices: from `sweep_matrices`.
-        output: the output folder; its `CELLS` keeps the logs and files of the team's software.
+        output: the output folder; its `CELLS_FOLDER` keeps the logs and files of the team's software.
         jobs: number of parallel processes or containers; None for as many as the machine can run.
         done: called after each cell; first for those already finished.
         target: execution target of the containers; by default this machine's engine.
@@ -91,32 +91,32 @@ def run_sweep(
     """
     with ExitStack() as stack:
         tasks = []
-        work = stack.enter_context(workspace(output, _identity(matrices), _encoded, _decoded))
+        work = stack.enter_context(workspace(output, _hash_of_inputs(matrices), _cell_as_text, _cell_from_text))
         cells = stack.enter_context(temporary_folder(parent=work.folder, ignore_cleanup_errors=True))
         for matrix in matrices:
             start = matrix.systems[0].options.start
             folder = cells / start
-            found = stack.enter_context(matrix_tasks(matrix, folder, output / CELLS))
-            judge = partial(_judged, systems=matrix.systems, ours=folder, theirs=output / CELLS)
+            found = stack.enter_context(matrix_tasks(matrix, folder, output / CELLS_FOLDER))
+            judge = partial(_judge_cell, systems=matrix.systems, ours=folder, theirs=output / CELLS_FOLDER)
             named = (replace(task, name=f"{start}/{task.name}") for task in (*found.references, *found.cells))
             tasks += [work.keeping(task.then(judge)) for task in named]
-        results = run_tasks(tasks, output / CELLS, jobs, target, work.find, done)
+        results = run_tasks(tasks, output / CELLS_FOLDER, jobs, target, work.find, done)
     return _of_the_same_optimum(list(results.values()), matrices[0].systems)
 
 
-def _identity(matrices: Sequence[Matrix]) -> str:
+def _hash_of_inputs(matrices: Sequence[Matrix]) -> str:
     """Return a hash of the inputs of all cells, except for their noise: versions, options and files."""
     asked = [matrix.systems for matrix in matrices]
     files = [
         (str(path), status.st_size, status.st_mtime_ns)
         for system in matrices[0].systems
-        for path in sorted(_files(system))
+        for path in sorted(_files_of_system(system))
         for status in (path.stat(),)
     ]
     return identity(repr((__version__, np.__version__, asked, files)).encode())
 
 
-def _files(system: System) -> Iterator[Path]:
+def _files_of_system(system: System) -> Iterator[Path]:
     """Return the files that a system's calibration reads."""
     folder = system.dataset if system.dataset.is_dir() else system.dataset.parent
     yield from (path for path in folder.rglob("*") if path.is_file())
@@ -125,15 +125,15 @@ def _files(system: System) -> Iterator[Path]:
             yield path
 
 
-def _encoded(cell: CellResult) -> str:
+def _cell_as_text(cell: CellResult) -> str:
     return json.dumps(document_of(cell))
 
 
-def _decoded(text: bytes) -> CellResult:
+def _cell_from_text(text: bytes) -> CellResult:
     return read(CellResult, json.loads(text), "a start")
 
 
-def _judged(cell: CellResult, systems: Sequence[System], ours: Path, theirs: Path) -> CellResult:
+def _judge_cell(cell: CellResult, systems: Sequence[System], ours: Path, theirs: Path) -> CellResult:
     """Judge a cell by rules and limits, and drop its details: thousands would fill disk and memory."""
     folder = ours if cell.method == OUR_METHOD else theirs
     [judged] = judge_cells([cell], systems, folder)
@@ -151,23 +151,23 @@ def _of_the_same_optimum(cells: Sequence[CellResult], systems: Sequence[System])
             key = (cell.system, cell.method)
             best[key] = min(cell.rms_px, best.get(key, cell.rms_px))
     return [
-        _compared(cell, best.get((cell.system, cell.method)))
-        if cell.system in unjudged and cell.verdict != "fail" and not _verified(cell)
+        _compare_with_best(cell, best.get((cell.system, cell.method)))
+        if cell.system in unjudged and cell.verdict != "fail" and not _is_verified(cell)
         else cell
         for cell in cells
     ]
 
 
-def _verified(cell: CellResult) -> bool:
+def _is_verified(cell: CellResult) -> bool:
     """Whether the calibrated dataset of the team's software has been compared with the optimum."""
-    return cell.method == SOFTWARE and cell.dataset is not None
+    return cell.method == SOFTWARE_METHOD and cell.dataset is not None
 
 
-def _compared(cell: CellResult, best: float | None) -> CellResult:
+def _compare_with_best(cell: CellResult, best: float | None) -> CellResult:
     if cell.rms_px is None or best is None:
         return cell.failing(
             "there is no criterion for convergence: expected rules, limits, or a table with 'RMS (pix)'"
         )
-    if cell.rms_px > best * (1 + SAME_RELATIVE) + SAME_PX:
+    if cell.rms_px > best * (1 + MAX_RELATIVE_EXCESS) + MAX_EXCESS_PX:
         return cell.failing(f"another optimum: RMS {cell.rms_px:.4f} px, while {best:.4f} px can be reached")
     return cell

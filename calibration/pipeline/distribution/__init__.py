@@ -2,7 +2,6 @@
 
 - ``plan``: the jobs, and the cells of each;
 - ``plan_outputs``: the plan as outputs of a job, and back;
-- ``jobs``: results and durations of the jobs, as reported by themselves;
-- ``cost``: billed minutes and money of the jobs;
+- ``jobs``: results and durations of the jobs, as reported by themselves; billed minutes and money;
 - ``gathering``: the jobs' files as one set of results with one verdict.
 """

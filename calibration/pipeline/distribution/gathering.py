@@ -11,20 +11,19 @@ from calibration.base.text import one_line
 from calibration.ci.report import RESULTS_FILE, Report, Text, Verdict, reasons_in, verdict_of
 from calibration.ci.report.badge import FILE as BADGE
 from calibration.ci.report.badge import verdict_badge
-from calibration.pipeline.distribution.cost import Cost, jobs_table, money
-from calibration.pipeline.distribution.jobs import SUCCESS, Needs
-from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, Plan
+from calibration.pipeline.distribution.jobs import JOB_SUCCESS, Cost, Needs, jobs_table, money
+from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, WorkflowPlan
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, nothing_yet
-from calibration.pipeline.matrix.software import SOFTWARE
+from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 from calibration.pipeline.report import report
-from calibration.pipeline.results import CELLS_FILE, Collected, Results, own_details, own_file, read_results
+from calibration.pipeline.results import CELLS_FILE, Collected, PipelineResults, own_details, own_file, read_results
 
 NO_RESULT = "its job left no result: see the job's log"
 
 
 @result
-class RunResults(Results):
+class RunResults(PipelineResults):
     """Results of a pipeline, with the times of the workflow's jobs."""
 
     cost: Cost | None = records.field(
@@ -36,12 +35,12 @@ class RunResults(Results):
 class Gathered:
     """Results of all jobs of a workflow run."""
 
-    results: Results
+    results: PipelineResults
     jobs: Mapping[str, str]
     """Result of each planned job."""
     problems: tuple[str, ...] = ()
     """Jobs that did not succeed, without results that give the reason."""
-    plan: Plan = field(default_factory=Plan)
+    plan: WorkflowPlan = field(default_factory=WorkflowPlan)
     """Empty if planning failed."""
 
     @property
@@ -57,7 +56,7 @@ class Gathered:
         return max(found, ExitCode.FAIL) if self.problems else found
 
 
-def gather(needs: Needs, plan: Plan | None, folder: Path) -> Gathered:
+def gather(needs: Needs, plan: WorkflowPlan | None, folder: Path) -> Gathered:
     """Read the files of the jobs below a folder, each in a folder with its slug, and compare them with the plan.
 
     Of each job only what it was planned to do counts, as code of the repository may have written its files. Planned
@@ -72,12 +71,12 @@ def gather(needs: Needs, plan: Plan | None, folder: Path) -> Gathered:
         InputError: a file is not a results file, or has unplanned cells.
     """
     if plan is None:
-        return Gathered(Results(), {"plan": needs.results["plan"]}, _problems("plan", needs, folder))
-    jobs = {"plan": SUCCESS} | {job: needs.results.get(job, "missing") for job, runs in plan.jobs.items() if runs}
+        return Gathered(PipelineResults(), {"plan": needs.results["plan"]}, _reasons_of_job("plan", needs, folder))
+    jobs = {"plan": JOB_SUCCESS} | {job: needs.results.get(job, "missing") for job, runs in plan.jobs.items() if runs}
     jobs |= {job: result for job, result in needs.unplanned.items() if result != "skipped"}
     parts = [_cells_of(cell, plan, folder) for cell in plan.cells]
     collected = _collections_of(plan, folder)
-    results = Results(
+    results = PipelineResults(
         tuple(cell for part in parts for cell in part.cells),
         _each_once(other for part in parts for other in part.comparisons),
         collected.collections,
@@ -91,12 +90,12 @@ def gather(needs: Needs, plan: Plan | None, folder: Path) -> Gathered:
     }
     if any(each.verdict == "fail" for each in results.collections):
         failed |= {job for job in jobs if job.startswith("collect-data")}
-    lost = [job for job, result in jobs.items() if result != SUCCESS and job not in failed]
+    lost = [job for job, result in jobs.items() if result != JOB_SUCCESS and job not in failed]
     needs = replace(needs, results={**needs.results, **jobs})
-    return Gathered(results, jobs, tuple(each for job in lost for each in _problems(job, needs, folder)), plan)
+    return Gathered(results, jobs, tuple(each for job in lost for each in _reasons_of_job(job, needs, folder)), plan)
 
 
-def _problems(job: str, needs: Needs, folder: Path) -> tuple[str, ...]:
+def _reasons_of_job(job: str, needs: Needs, folder: Path) -> tuple[str, ...]:
     """Return the reasons why a job did not succeed: of its own results, or the error that it has reported."""
     if reasons := reasons_in(folder / job):
         return tuple(f"{job}: {reason}" for reason in reasons)
@@ -116,61 +115,61 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
         output: the folder of the results.
         title: of the report and its annotations.
     """
-    found = report(gathered.results, output, title)
-    others = [f"{job} {result}" for job, result in gathered.jobs.items() if result != SUCCESS]
-    judged = [found.sentence] if gathered.results.judged else []
+    report_of_cells = report(gathered.results, output, title)
+    others = [f"{job} {result}" for job, result in gathered.jobs.items() if result != JOB_SUCCESS]
+    judged = [report_of_cells.sentence] if gathered.results.judged else []
     verdict = gathered.verdict
     return replace(
-        found,
+        report_of_cells,
         verdict=verdict,
         error=gathered.exit_code,
         sentence="; ".join((*judged, *([", ".join(others)] if others else []))) or "all jobs succeeded",
-        reasons=(*gathered.problems, *found.reasons),
-        blocks=(*found.blocks, jobs_table(gathered.jobs, cost), Text(cost.sentence)),
-        results=RunResults(**vars(found.results), cost=cost),
+        reasons=(*gathered.problems, *report_of_cells.reasons),
+        blocks=(*report_of_cells.blocks, jobs_table(gathered.jobs, cost), Text(cost.sentence)),
+        results=RunResults(**vars(report_of_cells.results), cost=cost),
         # The cells' own results stay in the artifacts of their jobs.
-        files={CELLS_FILE: found.files[CELLS_FILE], BADGE: verdict_badge("calibration", verdict)},
-        outputs={**found.outputs, "billed-minutes": cost.minutes, "cost": money(cost.amount)},
+        files={CELLS_FILE: report_of_cells.files[CELLS_FILE], BADGE: verdict_badge("calibration", verdict)},
+        outputs={**report_of_cells.outputs, "billed-minutes": cost.minutes, "cost": money(cost.amount)},
     )
 
 
-def _cells_of(job: JobCell, plan: Plan, folder: Path) -> Results:
+def _cells_of(job: JobCell, plan: WorkflowPlan, folder: Path) -> PipelineResults:
     """Return the results of one job of the matrix, in the order of the plan; missing ones have failed."""
-    found = _read(folder / job.slug)
-    by_start = {cell.start_of_cell: cell for cell in found.cells}
-    planned = {_start(cell): cell for cell in job.starts(plan.seeds)}
-    cells = [by_start.get(start) or _missing(cell, job) for start, cell in planned.items()]
-    if other := by_start.keys() - planned.keys():
-        name = by_start[min(other, key=str)].name
+    results = _read_results(folder / job.slug)
+    by_start = {cell.start_of_cell: cell for cell in results.cells}
+    planned = {_start_of_cell(cell): cell for cell in job.starts(plan.seeds)}
+    cells = [by_start.get(start) or _result_of_missing_cell(cell, job) for start, cell in planned.items()]
+    if unplanned := by_start.keys() - planned.keys():
+        name = by_start[min(unplanned, key=str)].name
         raise InputError(
             f"{folder / job.slug / RESULTS_FILE}: has a result of {name}, which was not planned for this job"
         )
-    comparisons = tuple(each for each in found.comparisons if each.system == job.system)
-    exports = tuple(each for each in found.exports if each.system == job.system)
-    return replace(found, cells=tuple(cells), comparisons=comparisons, exports=exports, collections=(), image=None)
+    comparisons = tuple(each for each in results.comparisons if each.system == job.system)
+    exports = tuple(each for each in results.exports if each.system == job.system)
+    return replace(results, cells=tuple(cells), comparisons=comparisons, exports=exports, collections=(), image=None)
 
 
-def _start(cell: Cell) -> tuple[str, float, float, int]:
+def _start_of_cell(cell: Cell) -> tuple[str, float, float, int]:
     return (cell.system, cell.noise.translation, cell.noise.rotation, cell.noise.seed)
 
 
-def _missing(cell: Cell, job: JobCell) -> CellResult:
-    result = nothing_yet(cell, SOFTWARE if job.image else OUR_METHOD)
+def _result_of_missing_cell(cell: Cell, job: JobCell) -> CellResult:
+    result = nothing_yet(cell, SOFTWARE_METHOD if job.image else OUR_METHOD)
     return replace(result.failing(NO_RESULT), error=ExitCode.INFRASTRUCTURE)
 
 
-def _collections_of(plan: Plan, folder: Path) -> Results:
+def _collections_of(plan: WorkflowPlan, folder: Path) -> PipelineResults:
     if not plan.simulations:
-        return Results()
-    found = _read(folder / COLLECTED_DATA)
-    by_name = {each.name: each for each in found.collections}
+        return PipelineResults()
+    results = _read_results(folder / COLLECTED_DATA)
+    by_name = {collected.name: collected for collected in results.collections}
     collections = [
         by_name.get(name) or Collected(name, reasons=(NO_RESULT,), error=ExitCode.INFRASTRUCTURE)
         for name in plan.simulations
     ]
-    if other := by_name.keys() - set(plan.simulations):
-        raise InputError(f"{folder / COLLECTED_DATA / RESULTS_FILE}: has {min(other)}, which was not planned")
-    return replace(found, collections=tuple(collections))
+    if unplanned := by_name.keys() - set(plan.simulations):
+        raise InputError(f"{folder / COLLECTED_DATA / RESULTS_FILE}: has {min(unplanned)}, which was not planned")
+    return replace(results, collections=tuple(collections))
 
 
 def _each_once(comparisons: Iterable[CellResult]) -> tuple[CellResult, ...]:
@@ -178,15 +177,15 @@ def _each_once(comparisons: Iterable[CellResult]) -> tuple[CellResult, ...]:
     return tuple({(cell.start_of_cell, cell.method): cell for cell in comparisons}.values())
 
 
-def _read(folder: Path) -> Results:
+def _read_results(folder: Path) -> PipelineResults:
     """Read the results in a folder, with their verdicts; empty if there is no file.
 
     Raises:
         InputError: the file is not a results file.
     """
     if not (folder / RESULTS_FILE).exists():
-        return Results()
-    found = read_results(folder)
+        return PipelineResults()
+    results = read_results(folder)
 
     def below(path: str | None) -> str | None:
         return None if path is None else f"{folder.name}/{path}"
@@ -198,9 +197,9 @@ def _read(folder: Path) -> Results:
         return replace(cell, table=table, dataset=dataset, folder=own, details=details)
 
     return replace(
-        found,
-        cells=tuple(map(moved, found.cells)),
-        comparisons=tuple(map(moved, found.comparisons)),
-        exports=tuple(replace(each, folder=f"{folder.name}/{each.folder}") for each in found.exports),
-        collections=tuple(replace(each, dataset=below(each.dataset)) for each in found.collections),
+        results,
+        cells=tuple(map(moved, results.cells)),
+        comparisons=tuple(map(moved, results.comparisons)),
+        exports=tuple(replace(each, folder=f"{folder.name}/{each.folder}") for each in results.exports),
+        collections=tuple(replace(each, dataset=below(each.dataset)) for each in results.collections),
     )

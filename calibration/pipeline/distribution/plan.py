@@ -10,24 +10,25 @@ from calibration.base.errors import InputError
 from calibration.base.tables.numbers import number_text
 from calibration.base.text import did_you_mean
 from calibration.engine.estimation.start.starting_noise import StartingNoise
-from calibration.pipeline.configuration import Configuration, Simulation
+from calibration.pipeline.collection.request import CollectionRequest
+from calibration.pipeline.configuration import PipelineConfiguration
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.system import NoiseGrid, System
 
-JOBS = ("calibrate", "collect-data", "unit-tests", "static-analysis")
+CHOOSABLE_JOBS = ("calibrate", "collect-data", "unit-tests", "static-analysis")
 """Jobs that a user can choose."""
-LONGEST = 80
+MAX_SLUG_LENGTH = 80
 """Limit of a slug's length."""
 _NOT_IN_SLUG = re.compile(r"[^A-Za-z0-9._-]+")
-MOST_JOBS = 256
+MAX_JOBS = 256
 """GitHub's limit of a matrix."""
-MOST_BYTES_INSIDE = 60_000_000
+MAX_BYTES_IN_ONE_JOB = 60_000_000
 """Limit, in bytes of dataset.json, of all labels in a job with all noises: our engine reads and calibrates a
 megabyte in 0.1 to 0.3 s on one core, on GitHub's machines in less than a second.
 """
 COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS = "collected-data", "unit-tests", "static-analysis"
 """Slugs of the artifacts of these jobs."""
-PLAN = "plan"
+PLAN_SLUG = "plan"
 """Slug of the plan's own artifact."""
 CALIBRATING_JOBS = ("calibrate", "calibrate-in-image", "calibrate-collected", "calibrate-collected-in-image")
 """Jobs of the workflow that calibrate. Those in an image have the permissions of the caller, for its registry."""
@@ -72,7 +73,7 @@ class JobCell:
 
 
 @dataclass(frozen=True)
-class Plan:
+class WorkflowPlan:
     """Jobs of a run."""
 
     cells: tuple[JobCell, ...] = ()
@@ -140,7 +141,7 @@ class JobInputs:
     minute_rate: float | None = None
 
 
-def datasets_as_configuration(datasets: Sequence[Path]) -> Configuration:
+def datasets_as_configuration(datasets: Sequence[Path]) -> PipelineConfiguration:
     """Return the configuration of systems that are only given as datasets.
 
     Raises:
@@ -156,17 +157,17 @@ def datasets_as_configuration(datasets: Sequence[Path]) -> Configuration:
                 "or name the systems in a calibration.yml"
             )
         named[name] = System(name, dataset)
-    return Configuration(systems=tuple(named.values()))
+    return PipelineConfiguration(systems=tuple(named.values()))
 
 
 def plan_jobs(
-    configuration: Configuration | None,
+    configuration: PipelineConfiguration | None,
     systems: Sequence[System],
     noise: NoiseGrid,
     inputs: JobInputs,
     *,
     by_path: bool,
-) -> Plan:
+) -> WorkflowPlan:
     """Plan the jobs, and the cells of each.
 
     Args:
@@ -180,7 +181,7 @@ def plan_jobs(
         InputError: a selected job has nothing to do, or the matrix is too large.
     """
     simulations = configuration.simulations if configuration else ()
-    wanted = _wanted(inputs, bool(systems), bool(simulations))
+    wanted = _wanted_jobs(inputs, bool(systems), bool(simulations))
     calibrated = systems if "calibrate" in wanted else ()
     waiting = [system.name for system in calibrated if system.collected is not None]
     if waiting and "collect-data" not in wanted:
@@ -188,7 +189,7 @@ def plan_jobs(
             f"jobs: the dataset of the system '{waiting[0]}' is made by the job collect-data: add that, "
             "or name other systems"
         )
-    cells = _cells(calibrated, noise, inputs, by_path)
+    cells = _planned_cells(calibrated, noise, inputs, by_path)
     collected = simulations if "collect-data" in wanted else ()
     section = configuration.image if configuration else None
     built = next((cell for cell in cells if cell.image == "built"), None)
@@ -197,7 +198,7 @@ def plan_jobs(
     push = section is not None and section.push and inputs.push
     in_image = any(map(_runs_in_built_image, collected))
     image = push and (built is not None or in_image)
-    return Plan(
+    return WorkflowPlan(
         cells,
         noise.seeds,
         tuple(simulation.name for simulation in collected),
@@ -212,11 +213,11 @@ def plan_jobs(
     )
 
 
-def _runs_in_built_image(simulation: Simulation) -> bool:
+def _runs_in_built_image(simulation: CollectionRequest) -> bool:
     return any(not container.image for container in simulation.applications.containers)
 
 
-def _wanted(inputs: JobInputs, systems: bool, simulations: bool) -> list[str]:
+def _wanted_jobs(inputs: JobInputs, systems: bool, simulations: bool) -> list[str]:
     possible = {
         "calibrate": systems,
         "collect-data": simulations,
@@ -230,23 +231,29 @@ def _wanted(inputs: JobInputs, systems: bool, simulations: bool) -> list[str]:
         "static-analysis": "the input analyse is not true",
     }
     for job in inputs.jobs:
-        if job not in JOBS:
-            raise InputError(f"jobs: there is no job '{job}'{did_you_mean(job, JOBS)} (known: {', '.join(JOBS)})")
+        if job not in CHOOSABLE_JOBS:
+            raise InputError(
+                f"jobs: there is no job '{job}'{did_you_mean(job, CHOOSABLE_JOBS)} (known: {', '.join(CHOOSABLE_JOBS)})"
+            )
         if not possible[job]:
             raise InputError(f"jobs: there is nothing for {job} to do: {missing[job]}")
-    wanted = [job for job in JOBS if possible[job] and (not inputs.jobs or job in inputs.jobs)]
+    wanted = [job for job in CHOOSABLE_JOBS if possible[job] and (not inputs.jobs or job in inputs.jobs)]
     if not wanted:
         raise InputError("jobs: there is nothing to do: no systems, no simulation, no tests, no analysis")
     return wanted
 
 
-def _cells(systems: Sequence[System], noise: NoiseGrid, inputs: JobInputs, by_path: bool) -> tuple[JobCell, ...]:
+def _planned_cells(
+    systems: Sequence[System], noise: NoiseGrid, inputs: JobInputs, by_path: bool
+) -> tuple[JobCell, ...]:
     with_all_noises = [_with_all_noises(system, noise, inputs) for system in systems]
     pairs = [
-        (system, *grid) for system, every in zip(systems, with_all_noises, strict=True) for grid in _grids(noise, every)
+        (system, *grid)
+        for system, every in zip(systems, with_all_noises, strict=True)
+        for grid in _noises_of_jobs(noise, every)
     ]
     count = len(pairs)
-    if count > MOST_JOBS:
+    if count > MAX_JOBS:
         advice = (
             "name fewer systems"
             if all(with_all_noises)
@@ -254,10 +261,10 @@ def _cells(systems: Sequence[System], noise: NoiseGrid, inputs: JobInputs, by_pa
         )
         raise InputError(
             f"the matrix has {count} jobs ({len(systems)} systems x {len(noise.translations)} translation noises x "
-            f"{len(noise.rotations)} rotation noises), GitHub takes {MOST_JOBS}: {advice}"
+            f"{len(noise.rotations)} rotation noises), GitHub takes {MAX_JOBS}: {advice}"
         )
-    names = [_name(system.name, t, r) for system, t, r in pairs]
-    taken = (PLAN, COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS)
+    names = [_name_of_job(system.name, t, r) for system, t, r in pairs]
+    taken = (PLAN_SLUG, COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS)
     found = slugs([name.replace(", ", "_").replace(" ", "") for name in names], taken)
     return tuple(
         JobCell(
@@ -284,10 +291,10 @@ def _with_all_noises(system: System, noise: NoiseGrid, inputs: JobInputs) -> boo
     if system.software is not None or inputs.command:
         return False
     starts = len(noise.translations) * len(noise.rotations) * len(noise.seeds)
-    return starts * _bytes(system.dataset) <= MOST_BYTES_INSIDE
+    return starts * _bytes_of_labels(system.dataset) <= MAX_BYTES_IN_ONE_JOB
 
 
-def _bytes(dataset: Path) -> int:
+def _bytes_of_labels(dataset: Path) -> int:
     """Return the size of a dataset's labels; 0 if it does not exist, which the job will report."""
     try:
         return (dataset if dataset.suffix == ".json" else dataset / "dataset.json").stat().st_size
@@ -295,14 +302,14 @@ def _bytes(dataset: Path) -> int:
         return 0
 
 
-def _grids(noise: NoiseGrid, every: bool) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
+def _noises_of_jobs(noise: NoiseGrid, every: bool) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
     """Return the noises of each job of a system: a job for every noise, or for each."""
     if every:
         return [(noise.translations, noise.rotations)]
     return [((t,), (r,)) for t in noise.translations for r in noise.rotations]
 
 
-def _name(system: str, translations: tuple[float, ...], rotations: tuple[float, ...]) -> str:
+def _name_of_job(system: str, translations: tuple[float, ...], rotations: tuple[float, ...]) -> str:
     if len(translations) > 1 or len(rotations) > 1:
         return system
     return f"{system}, {number_text(translations[0])} m, {number_text(rotations[0])} rad"
@@ -328,7 +335,7 @@ def slugs(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
     used = {slug.lower() for slug in taken}
     found = []
     for name in names:
-        plain = _NOT_IN_SLUG.sub("_", name).strip("._-")[:LONGEST] or "unnamed"
+        plain = _NOT_IN_SLUG.sub("_", name).strip("._-")[:MAX_SLUG_LENGTH] or "unnamed"
         slug, number = plain, 1
         while slug.lower() in used:
             number += 1

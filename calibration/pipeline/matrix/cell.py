@@ -6,7 +6,7 @@ from calibration.base.tables.numbers import number_text
 from calibration.engine.estimation.solve.options import Loss, Start
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 
-REPROJECTION = "reprojection.csv"
+REPROJECTION_FILE = "reprojection.csv"
 """Default table, of a system that names none."""
 
 

@@ -23,14 +23,14 @@ from calibration.pipeline.matrix.cell_result import (
     CellResult,
     Details,
     Deviation,
-    Parameter,
+    ParameterResult,
     ProjectionResult,
-    Recording,
-    Transform,
+    RecordingResult,
+    TransformResult,
     Worth,
 )
 
-MOST_CAUSES = 5
+MAX_CAUSES = 5
 """Limit of the reported contributions to the uncertainty."""
 
 
@@ -38,14 +38,16 @@ def described(result: CellResult, calibration: Calibration, description: Dataset
     """Return the result with the calibration's own statistics."""
     details = Details(
         transforms=tuple(
-            _transform(calibration, description, edge)
+            _describe_transform(calibration, description, edge)
             for edge in calibration.transforms
             if not calibration.of_cameras_alone  # whose place is an origin, and nothing that was calibrated
         ),
-        joints=tuple(row for joint in calibration.joints.values() for row in _parameters(joint.name, joint)),
-        intrinsics=tuple(row for name, camera in calibration.intrinsics.items() for row in _parameters(name, camera)),
-        lags=tuple(_lag(name, lag) for name, lag in calibration.lags.items()),
-        projection=_projections(calibration) if calibration.converged else (),
+        joints=tuple(row for joint in calibration.joints.values() for row in _describe_parameters(joint.name, joint)),
+        intrinsics=tuple(
+            row for name, camera in calibration.intrinsics.items() for row in _describe_parameters(name, camera)
+        ),
+        lags=tuple(_describe_lag(name, lag) for name, lag in calibration.lags.items()),
+        projection=_projection_results(calibration) if calibration.converged else (),
         iterations=calibration.iterations,
         cost=calibration.cost,
         degrees_of_freedom=calibration.degrees_of_freedom,
@@ -55,25 +57,25 @@ def described(result: CellResult, calibration: Calibration, description: Dataset
         rejected_labels=tuple(calibration.rejected),
         dropped_views=calibration.dropped_views,
         effective_collections=round(bars.effective_collections, 2) if (bars := calibration.error_bars) else None,
-        hangs_on=_hangs_on(bars.worth) if bars else (),
-        recording=_recording(description),
+        hangs_on=_largest_causes(bars.worth) if bars else (),
+        recording=_describe_recording(description),
     )
     return replace(
         result,
         converged=calibration.converged,
-        sigma=_sigma(calibration) if calibration.converged else None,
-        label_sigma=_sigma(calibration, labels_only=True) if calibration.converged else None,
+        sigma=_largest_deviation(calibration) if calibration.converged else None,
+        label_sigma=_largest_deviation(calibration, labels_only=True) if calibration.converged else None,
         false_accept=worst_false_accept(calibration, limits) if calibration.converged else None,
         reasons=(calibration.reason,) if calibration.reason else (),
         details=details,
     )
 
 
-def _projections(calibration: Calibration) -> tuple[ProjectionResult, ...]:
-    return tuple(_projection(calibration, name) for name in calibration.intrinsics)
+def _projection_results(calibration: Calibration) -> tuple[ProjectionResult, ...]:
+    return tuple(_projection_result(calibration, name) for name in calibration.intrinsics)
 
 
-def _projection(calibration: Calibration, name: str) -> ProjectionResult:
+def _projection_result(calibration: Calibration, name: str) -> ProjectionResult:
     found, covariance = projection_of(calibration, name), calibration.intrinsics[name].covariance
     near, far = found.sigmas(covariance, found.distance), found.sigmas(covariance)
 
@@ -101,27 +103,27 @@ def _projection(calibration: Calibration, name: str) -> ProjectionResult:
     )
 
 
-def _recording(dataset: Dataset) -> Recording:
+def _describe_recording(dataset: Dataset) -> RecordingResult:
     """Describe a dataset; its path is relative to the working directory if it is below it."""
     folder = dataset.path.parent if dataset.path.name == FILE_NAME else dataset.path
     if folder.is_absolute() and folder.is_relative_to(Path.cwd()):
         folder = folder.relative_to(Path.cwd())
-    return Recording(
+    return RecordingResult(
         dataset=folder.as_posix(),
         collections=len(dataset.collections),
         sensors=tuple(dataset.sensors),
-        patterns=tuple(map(_pattern, dataset.patterns.values())),
+        patterns=tuple(map(_describe_pattern, dataset.patterns.values())),
     )
 
 
-def _pattern(pattern: Pattern) -> str:
+def _describe_pattern(pattern: Pattern) -> str:
     """Describe a pattern: "charuco, 77 corners, 60 mm apart"."""
     first, second = pattern.neighbours
     apart = np.linalg.norm(pattern.corners[first] - pattern.corners[second], axis=-1).mean()
     return f"{pattern.kind}, {len(pattern.corners)} corners, {1e3 * apart:.4g} mm apart"
 
 
-def _transform(calibration: Calibration, description: Dataset, edge: Edge) -> Transform:
+def _describe_transform(calibration: Calibration, description: Dataset, edge: Edge) -> TransformResult:
     """Return a calibrated transform with its standard deviations, and its distance from the robot's description.
 
     A twist in the child frame changes the translation by ``R`` times its own, and roll, pitch and yaw by `rpy_rates`.
@@ -139,7 +141,7 @@ def _transform(calibration: Calibration, description: Dataset, edge: Edge) -> Tr
     moved = None
     if described is not None and np.isfinite(described[0]).all() and not np.array_equal(described[0], np.eye(4)):
         moved = distance(described[0], T)
-    return Transform(
+    return TransformResult(
         *edge,
         tuple(T[:3, 3].tolist()),
         tuple(to_quaternion(T[:3, :3]).tolist()),
@@ -153,13 +155,13 @@ def _transform(calibration: Calibration, description: Dataset, edge: Edge) -> Tr
     )
 
 
-def _hangs_on(worth: Mapping[str, float]) -> tuple[Worth, ...]:
+def _largest_causes(worth: Mapping[str, float]) -> tuple[Worth, ...]:
     """Return the contributions to the uncertainty that matter, largest first."""
-    largest = sorted(worth.items(), key=lambda each: -each[1])[:MOST_CAUSES]
+    largest = sorted(worth.items(), key=lambda each: -each[1])[:MAX_CAUSES]
     return tuple(Worth(name, round(1e3 * metres, 4)) for name, metres in largest if metres > 0)
 
 
-def _sigma(calibration: Calibration, labels_only: bool = False) -> Deviation | None:
+def _largest_deviation(calibration: Calibration, labels_only: bool = False) -> Deviation | None:
     """Return the largest standard deviations of sensors, as norms of three axes, and of joints' parameters."""
     edges = {sensor.edge for sensor in calibration.dataset.sensors.values()} & calibration.covariances.keys()
     if not edges:
@@ -210,16 +212,16 @@ def finite_deviation(
     )
 
 
-def _lag(sensor: str, lag: CalibratedLag) -> Parameter:
-    return Parameter(sensor, "lag", lag.seconds, "s", lag.sigma if math.isfinite(lag.sigma) else None)
+def _describe_lag(sensor: str, lag: CalibratedLag) -> ParameterResult:
+    return ParameterResult(sensor, "lag", lag.seconds, "s", lag.sigma if math.isfinite(lag.sigma) else None)
 
 
-def _parameters(name: str, calibrated: CalibratedJoint | CalibratedIntrinsics) -> list[Parameter]:
+def _describe_parameters(name: str, calibrated: CalibratedJoint | CalibratedIntrinsics) -> list[ParameterResult]:
     """Return the parameters of a joint or a camera, one by one."""
     each = zip(
         calibrated.parameters, calibrated.values.tolist(), calibrated.units, calibrated.sigmas.tolist(), strict=True
     )
     return [
-        Parameter(name, parameter, value, unit, sigma if math.isfinite(sigma) else None)
+        ParameterResult(name, parameter, value, unit, sigma if math.isfinite(sigma) else None)
         for parameter, value, unit, sigma in each
     ]

@@ -7,18 +7,18 @@ from typing import Literal
 from calibration.base.records import computed, field, record, result
 from calibration.ci.report import Verdict
 from calibration.ci.report.outcome import ErrorCode
-from calibration.engine.baseline.comparison import Change
-from calibration.engine.baseline.snapshot import Snapshot
+from calibration.engine.baseline.calibration_document import CalibrationDocument
+from calibration.engine.baseline.comparison import BaselineChange
 from calibration.engine.baseline.verdict import UNMOVED
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.what_does_not_fit import NOTHING
 from calibration.engine.estimation.covariance.result import DroppedView, RejectedLabel
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels
 from calibration.pipeline.matrix.cell import Cell, Comparison, noise_text
-from calibration.pipeline.matrix.software import SOFTWARE
+from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 
 OUR_METHOD = "calibration-ci"
-REASSURING = (NOTHING, UNMOVED)
+REASSURING_KINDS = (NOTHING, UNMOVED)
 """Kinds of findings that say that all is well."""
 
 
@@ -33,7 +33,7 @@ class Deviation:
 
 
 @result
-class Parameter:
+class ParameterResult:
     """Calibrated parameter of a joint, a camera, or the lag of a sensor."""
 
     name: str = field("The joint or the sensor.")
@@ -44,7 +44,7 @@ class Parameter:
 
 
 @result
-class Transform:
+class TransformResult:
     """Calibrated transform."""
 
     parent: str = field("The parent frame.")
@@ -97,7 +97,7 @@ class Worth:
 
 
 @result(kw_only=True)
-class Recording:
+class RecordingResult:
     """Recording that was calibrated."""
 
     dataset: str = field("Its path.")
@@ -110,10 +110,10 @@ class Recording:
 class Details:
     """Details of a calibration, in a cell's own results but not in those of the matrix."""
 
-    transforms: tuple[Transform, ...] = field("In the cell's own results: the transforms.", default=())
-    joints: tuple[Parameter, ...] = field("In the cell's own results: those of joints.", default=())
-    intrinsics: tuple[Parameter, ...] = field("In the cell's own results: those of cameras.", default=())
-    lags: tuple[Parameter, ...] = field(
+    transforms: tuple[TransformResult, ...] = field("In the cell's own results: the transforms.", default=())
+    joints: tuple[ParameterResult, ...] = field("In the cell's own results: those of joints.", default=())
+    intrinsics: tuple[ParameterResult, ...] = field("In the cell's own results: those of cameras.", default=())
+    lags: tuple[ParameterResult, ...] = field(
         "In the cell's own results: how much later sensors saw than the transforms of their collections say.",
         default=(),
     )
@@ -132,9 +132,9 @@ class Details:
         "Number of independent collections of equal weight with the same information.", default=None
     )
     hangs_on: tuple[Worth, ...] = field("Contributions to the uncertainty of the result, largest first.", default=())
-    recording: Recording | None = field("What was calibrated.", default=None)
-    snapshot: Snapshot | None = field("The result as `calibration accept` keeps it.", default=None)
-    changes: tuple[Change, ...] = field("Differences from the accepted calibration.", default=())
+    recording: RecordingResult | None = field("What was calibrated.", default=None)
+    snapshot: CalibrationDocument | None = field("The result as `calibration accept` keeps it.", default=None)
+    changes: tuple[BaselineChange, ...] = field("Differences from the accepted calibration.", default=())
 
     @property
     def of_cameras_alone(self) -> bool:
@@ -207,12 +207,12 @@ class CellResult:
         """The findings; of a failed cell without those that say that all is well."""
         if self.verdict != "fail":
             return self.findings
-        return tuple(each for each in self.findings if each.kind not in REASSURING)
+        return tuple(each for each in self.findings if each.kind not in REASSURING_KINDS)
 
     @property
     def by_other_method(self) -> bool:
         """Whether it is from a comparison method; it is not judged."""
-        return self.method not in (OUR_METHOD, SOFTWARE)
+        return self.method not in (OUR_METHOD, SOFTWARE_METHOD)
 
     @property
     def start_of_cell(self) -> tuple[str, float | None, float | None, int | None]:

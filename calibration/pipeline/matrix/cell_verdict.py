@@ -1,4 +1,4 @@
-"""Judgement of the cells' files by rules and limits."""
+"""Verdict on cells by rules and limits: on their files after a run, and on results that were judged before."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,6 +17,7 @@ from calibration.engine.evaluation.reprojection import COLUMNS, KEY
 from calibration.engine.evaluation.table import Table
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
+from calibration.pipeline.results import PipelineResults, without_verdicts
 from calibration.pipeline.system import System
 
 
@@ -27,7 +28,7 @@ def judge_cells(cells: Sequence[CellResult], systems: Sequence[System], output: 
         InputError: a rule names a column or a row that the table of a cell lacks.
     """
     by_name = {system.name: system for system in systems}
-    return tuple(_judged(cell, by_name[cell.system], output) for cell in cells)
+    return tuple(_judge_cell(cell, by_name[cell.system], output) for cell in cells)
 
 
 def check_rules(rules: RuleSet, system: LoadedSystem) -> None:
@@ -61,7 +62,7 @@ def _table_to_come(system: LoadedSystem) -> tuple[Table | None, bool]:
     return table, not table.left_out
 
 
-def _judged(cell: CellResult, system: System, output: Path) -> CellResult:
+def _judge_cell(cell: CellResult, system: System, output: Path) -> CellResult:
     if cell.error is not None:
         return cell
     reasons = list(_over_limits(cell, system.limits))
@@ -87,3 +88,33 @@ def _over_limits(cell: CellResult, limits: Limits) -> list[str]:
         ]
     checks = (at_most(what, value, limit, unit) for what, value, limit, unit in judged if limit is not None)
     return [str(check) for check in checks if not check.passed]
+
+
+def judge_results(results: PipelineResults, systems: Sequence[System], output: Path) -> PipelineResults:
+    """Return the results with the cells of some systems judged; those of others stay as they are.
+
+    Our engine's references for a team's software are judged too, but do not count for the verdict.
+
+    Args:
+        results: of a run.
+        systems: systems, with their rules and limits.
+        output: its output folder.
+
+    Raises:
+        InputError: a rule does not match a table, or a table cannot be read.
+    """
+    names = {system.name for system in systems}
+    fresh = without_verdicts(results)
+
+    def judged(before: Sequence[CellResult], now: Sequence[CellResult]) -> tuple[CellResult, ...]:
+        pairs = zip(before, now, strict=True)
+        return tuple(
+            judge_cells([cell], systems, output)[0] if cell.system in names and not cell.by_other_method else old
+            for old, cell in pairs
+        )
+
+    return replace(
+        fresh,
+        cells=judged(results.cells, fresh.cells),
+        comparisons=judged(results.comparisons, fresh.comparisons),
+    )

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.base.errors import InputError
-from calibration.engine.baseline.snapshot import Snapshot, Snapshots
+from calibration.engine.baseline.calibration_document import CalibrationDocument, CalibrationDocuments
 from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.truth import Truth
@@ -113,9 +113,9 @@ class LoadedSystem:
         return prepare(self.dataset, self.options)
 
     @cached_property
-    def snapshots(self) -> Snapshots:
+    def snapshots(self) -> CalibrationDocuments:
         """Snapshots of its cells' calibrations."""
-        return Snapshots(self.dataset, self.options)
+        return CalibrationDocuments(self.dataset, self.options)
 
     @cached_property
     def optimum(self) -> OurOptimum:
@@ -127,7 +127,7 @@ class LoadedSystem:
         return find_optimum(self.dataset, self.options)
 
     @cached_property
-    def optimum_snapshot(self) -> Snapshot:
+    def optimum_snapshot(self) -> CalibrationDocument:
         """Snapshot of the optimum, without a table."""
         return self.snapshots.of(self.optimum.calibration, None)
 

@@ -53,7 +53,7 @@ class Matrix:
         return [
             Cell(system.name, noise, system.options.start, system.options.loss)
             for system in self.systems
-            for noise in self._starts
+            for noise in self._starting_noises
         ]
 
     @property
@@ -72,11 +72,11 @@ class Matrix:
             Comparison(system.name, method, noise)
             for system in self.systems
             for method in system.compare
-            for noise in (self._starts if other_method(method).from_start else [None])
+            for noise in (self._starting_noises if other_method(method).from_start else [None])
         ]
 
     @property
-    def _starts(self) -> list[StartingNoise]:
+    def _starting_noises(self) -> list[StartingNoise]:
         n = self.noise
         return [StartingNoise(t, r, seed) for t in n.translations for r in n.rotations for seed in n.seeds]
 
@@ -202,7 +202,7 @@ def load(system: System) -> LoadedSystem:
     dataset = lenses.dataset
     truth = choose_truth(dataset, system.truth)
     _check_methods(system)
-    evaluation = _evaluation(system.evaluate) if system.evaluate else None
+    evaluation = _evaluation_from(system.evaluate) if system.evaluate else None
     for sensor in evaluation.sensors if evaluation else ():
         if missing := sensor not in dataset.sensors and dataset.missing_files_of(sensor):
             raise InputError(
@@ -237,7 +237,7 @@ def load(system: System) -> LoadedSystem:
     return loaded
 
 
-def _evaluation(text: str) -> "Evaluation":
+def _evaluation_from(text: str) -> "Evaluation":
     """Parse a system's table; see `parse_evaluation`."""
     from calibration.engine.evaluation.specification import parse_evaluation  # with the modules of all kinds of tables
 

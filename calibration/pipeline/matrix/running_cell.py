@@ -22,11 +22,10 @@ from calibration.engine.estimation.doubts.wrong_views import without
 from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.engine.estimation.problem.intrinsics_file import write_intrinsics
 from calibration.engine.estimation.start.starting_noise import StartingNoise, with_starting_noise
-from calibration.engine.evaluation import measured_poses
 from calibration.engine.evaluation.reprojection import reprojection
 from calibration.engine.evaluation.table import RMS_PIX, Table
 from calibration.engine.evaluation.truth import truth_error
-from calibration.pipeline.matrix.cell import REPROJECTION, Cell, Comparison
+from calibration.pipeline.matrix.cell import REPROJECTION_FILE, Cell, Comparison
 from calibration.pipeline.matrix.cell_details import described, finite_deviation
 from calibration.pipeline.matrix.cell_result import (
     CellResult,
@@ -179,14 +178,16 @@ def _evaluated(
     try:
         table = table_of(judged, system, calibration)
         if table is not None:
-            name = f"{system.evaluation.kind.replace('-', '_')}_results.csv" if system.evaluation else REPROJECTION
-            rms = round(table.average(RMS_PIX), 4) if RMS_PIX in table.columns else None
+            kind = system.evaluation.table if system.evaluation else None
+            name = system.evaluation.file_name if system.evaluation else REPROJECTION_FILE
+            column = kind.rms if kind else RMS_PIX
+            rms = None if column is None else round(table.average(column), 4)
             if rms is not None and not math.isfinite(rms):
                 text = f"{name}: found no finite RMS: {NO_FINITE_RMS}"
                 result, rms = result.found((Finding("table", "red", text),)), None
             made = replace(made, result=replace(result, rms_px=rms), table=(name, table.to_csv()))
-            if table.columns == measured_poses.COLUMNS:
-                mm, deg = (table.average(column) for column in table.columns)
+            if kind is not None and kind.poses is not None:
+                mm, deg = (table.average(column) for column in kind.poses)
                 poses = finite_deviation(f"the averages of {name}", round(mm, 4), round(deg, 4))
                 made = replace(made, result=replace(made.result, poses=poses))
         if calibration is not None and (system.evaluation is None or made.result.rms_px is None):

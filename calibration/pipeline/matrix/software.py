@@ -18,12 +18,12 @@ from calibration.ci.execution.job_check import check_job
 from calibration.ci.execution.placeholders import fill
 from calibration.ci.execution.ros import ROS_HELP, Ros, with_ros
 
-SOFTWARE = "software"
+SOFTWARE_METHOD = "software"
 """Method of its cells."""
-DATASET, START = "/calibration/dataset", "/calibration/start"
+DATASET_FOLDER, START_FOLDER = "/calibration/dataset", "/calibration/start"
 """Paths of the two folders in the container, read-only."""
-PLACEHOLDERS = ("dataset", "start", "output", "system", "translation_noise", "rotation_noise", "seed")
-EVERYTHING = Artifact(f"{OUTPUT}/*")
+COMMAND_PLACEHOLDERS = ("dataset", "start", "output", "system", "translation_noise", "rotation_noise", "seed")
+ALL_OUTPUT = Artifact(f"{OUTPUT}/*")
 DATASET_PATTERN, NO_DATASET = "*.json", "none"
 """Default name of its calibrated dataset, and the value for none."""
 Pattern = Annotated[str, length(1)]
@@ -68,7 +68,7 @@ def checked_software(software: Software, place: Place) -> Software:
     if not software.container.command:
         raise InputError(f"{where}: missing command, which calibrates {{start}} and writes its table to {{output}}")
     software = replace(software, container=with_secrets(software.container, where))
-    values = {**dict.fromkeys(PLACEHOLDERS, "0"), "output": OUTPUT}
+    values = {**dict.fromkeys(COMMAND_PLACEHOLDERS, "0"), "output": OUTPUT}
     job = job_of(software.with_image("any"), "software", values, (), where)
     try:
         check_job(job)  # errors are found before anything runs
@@ -113,7 +113,7 @@ def job_of(software: Software, name: str, values: Mapping[str, str], mounts: tup
         container,
         name="calibration",
         command=fill(container.command, values, f"{where}.command"),
-        artifacts=artifacts or (EVERYTHING,),
+        artifacts=artifacts or (ALL_OUTPUT,),
         mounts=(*container.mounts, *mounts),
     )
     return with_ros(Job(name, (filled,), software.network), software.ros)

@@ -16,8 +16,8 @@ from calibration.ci.execution.job import OUTPUT, Job, Mount
 from calibration.ci.execution.job_folder import ARTIFACTS
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.tasks import Task
+from calibration.engine.baseline.calibration_document import SoftwareStart
 from calibration.engine.baseline.quality import QUALITY
-from calibration.engine.baseline.snapshot import Start
 from calibration.engine.baseline.verdict import against_baseline, nothing_accepted, software_against_baseline
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
@@ -28,15 +28,20 @@ from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.same_labels import moved_frames, same_labels
 from calibration.engine.diagnosis.table_follows import not_evaluated, table_follows
 from calibration.engine.estimation.start.starting_noise import with_starting_noise
-from calibration.engine.evaluation.table import AVERAGES
+from calibration.engine.evaluation.table import AVERAGES, RMS_PIX
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult, nothing_yet
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import distance_from_truth
-from calibration.pipeline.matrix.software import DATASET, NO_DATASET, SOFTWARE, START, Software, job_of
+from calibration.pipeline.matrix.software import (
+    DATASET_FOLDER,
+    NO_DATASET,
+    SOFTWARE_METHOD,
+    START_FOLDER,
+    Software,
+    job_of,
+)
 
-RMS = "RMS (pix)"
-"""Column of a table whose average is a cell's ``rms_px``."""
 NOT_VERIFIED = Finding(
     "not-verified",
     "note",
@@ -63,13 +68,13 @@ def software_tasks(
     output.mkdir(parents=True, exist_ok=True)
     with temporary_folder(prefix=".starts-", parent=output) as starts:
         yield {
-            cell: _task(cell, systems[cell.system], software[cell.system], starts / str(number), output)
+            cell: _task_of_cell(cell, systems[cell.system], software[cell.system], starts / str(number), output)
             for number, cell in enumerate(cells)
             if cell.system in software
         }
 
 
-def _task(cell: Cell, system: LoadedSystem, software: Software, start: Path, output: Path) -> Task[CellResult]:
+def _task_of_cell(cell: Cell, system: LoadedSystem, software: Software, start: Path, output: Path) -> Task[CellResult]:
     """Return the task of one cell, and write the dataset with its noisy initial guess.
 
     A failure of the software is stored in the result, so that the other cells continue.
@@ -104,15 +109,15 @@ def cell_job(cell: Cell, software: Software, dataset: Path, start: Path) -> Job:
     """
     noise = cell.noise
     values = {
-        "dataset": DATASET,
-        "start": START,
+        "dataset": DATASET_FOLDER,
+        "start": START_FOLDER,
         "output": OUTPUT,
         "system": cell.system,
         "translation_noise": number_text(noise.translation),
         "rotation_noise": number_text(noise.rotation),
         "seed": str(noise.seed),
     }
-    mounts = (Mount(dataset.resolve(), DATASET), Mount(start.resolve(), START))
+    mounts = (Mount(dataset.resolve(), DATASET_FOLDER), Mount(start.resolve(), START_FOLDER))
     return job_of(software, cell.folder, values, mounts, f"systems.{cell.system}.software")
 
 
@@ -120,7 +125,7 @@ def software_result(
     cell: Cell, system: LoadedSystem, software: Software, outcome: JobOutcome, output: Path
 ) -> CellResult:
     """Return the result of a cell by its files; if the job failed, only the reason."""
-    result = replace(nothing_yet(cell, SOFTWARE, start="given"), seconds=round(outcome.seconds, 4))
+    result = replace(nothing_yet(cell, SOFTWARE_METHOD, start="given"), seconds=round(outcome.seconds, 4))
     if outcome.exit_code != ExitCode.PASS:
         error = None if outcome.exit_code == ExitCode.FAIL else outcome.exit_code
         return replace(result.failing(*outcome.reasons), error=error)
@@ -131,7 +136,7 @@ def software_result(
         if software.leaves_dataset:
             result = _with_dataset(result, cell, system, software, folder, paths, output)
         else:
-            result = replace(result, converged=True).found((NOT_VERIFIED, *_moved(system)))
+            result = replace(result, converged=True).found((NOT_VERIFIED, *_findings_on_changes(system)))
     except CalibrationError as error:  # of files that the software wrote: it has failed
         return result.failing(str(error))
     if system.accepted is None:
@@ -140,7 +145,7 @@ def software_result(
 
 
 def _with_table(result: CellResult, software: Software, files: Path, paths: Sequence[str], output: Path) -> CellResult:
-    found = _only(paths, software.table or "*.csv", "table", required=not software.leaves_dataset)
+    found = _only_artifact(paths, software.table or "*.csv", "table", required=not software.leaves_dataset)
     if found is None:
         return result
     return replace(result, table=str(files / found), rms_px=_average_rms(output / files / found))
@@ -157,7 +162,7 @@ def _with_dataset(
 ) -> CellResult:
     """Return the result by the calibrated dataset and the table; without a table, by the dataset's own."""
     try:
-        path = folder / ARTIFACTS / str(_only(paths, software.calibrated, "calibrated", required=True))
+        path = folder / ARTIFACTS / str(_only_artifact(paths, software.calibrated, "calibrated", required=True))
     except InputError as error:
         raise InputError(
             f"{error}: its calibrated dataset (or say calibrated: {NO_DATASET}, to believe its table)"
@@ -187,20 +192,20 @@ def judged(
     if other := same_labels(dataset, system.dataset):
         return result.found(other)
     result = replace(result, truth=distance_from_truth(dataset, system))
-    result = result.found(_distance(dataset, cell, system))
+    result = result.found(_findings_on_distance(dataset, cell, system))
     if system.evaluation is None:
-        return result if result.table is None else result.found(not_evaluated(result.rms_px, _noise(system)))
+        return result if result.table is None else result.found(not_evaluated(result.rms_px, _reprojection_rms(system)))
     made = system.evaluation.run(dataset, system.truth)
     if result.table is not None:
         return result.found(table_follows(read_table(output / result.table), made))
-    table = folder / f"{system.evaluation.kind.replace('-', '_')}_results.csv"
+    table = folder / system.evaluation.file_name
     made.write(output / table)
     return replace(result, table=str(table), rms_px=_average_rms(output / table))
 
 
-def start_of(result: CellResult, passed: bool | None = None) -> Start:
+def start_of(result: CellResult, passed: bool | None = None) -> SoftwareStart:
     """Return the part of a cell's result that the baseline stores."""
-    return Start(
+    return SoftwareStart(
         result.translation_noise or 0.0,
         result.rotation_noise or 0.0,
         result.seed or 0,
@@ -210,7 +215,7 @@ def start_of(result: CellResult, passed: bool | None = None) -> Start:
     )
 
 
-def _distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Finding, ...]:
+def _findings_on_distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Finding, ...]:
     """Return findings on the distance of a dataset from the optimum of the same labels."""
     try:
         optimum = optimum_for(system.optimum, dataset)
@@ -222,11 +227,11 @@ def _distance(dataset: Dataset, cell: Cell, system: LoadedSystem) -> tuple[Findi
         *moved_frames(dataset, system.dataset, system.limits),
         *against_optimum(optimum, dataset, start, system.limits),
         *system.findings_of(optimum),
-        *_moved(system),
+        *_findings_on_changes(system),
     )
 
 
-def _moved(system: LoadedSystem) -> tuple[Finding, ...]:
+def _findings_on_changes(system: LoadedSystem) -> tuple[Finding, ...]:
     """Return findings on changes since the accepted calibration, by the optimum."""
     if system.accepted is None:
         return ()
@@ -236,7 +241,7 @@ def _moved(system: LoadedSystem) -> tuple[Finding, ...]:
     return tuple(each for each in now if each.kind != QUALITY)
 
 
-def _noise(system: LoadedSystem) -> float:
+def _reprojection_rms(system: LoadedSystem) -> float:
     """Root mean square of the reprojection errors at the optimum, px; NaN if there are none."""
     try:
         return system.optimum.calibration.rms_px
@@ -244,7 +249,7 @@ def _noise(system: LoadedSystem) -> float:
         return math.nan
 
 
-def _only(paths: Sequence[str], pattern: str, key: str, required: bool) -> str | None:
+def _only_artifact(paths: Sequence[str], pattern: str, key: str, required: bool) -> str | None:
     """Return the only artifact whose path, or name, matches a pattern.
 
     Raises:
@@ -265,11 +270,11 @@ def _average_rms(path: Path) -> float | None:
     """
     table = read_table(path)
     keyed = KeyedTable.of(table, None, ())
-    if RMS not in table.header or AVERAGES not in keyed.labels:
+    if RMS_PIX not in table.header or AVERAGES not in keyed.labels:
         return None
     row = keyed.row(LabelledRow(AVERAGES))
-    text = row.cells[table.column(RMS)] if row else ""
+    text = row.cells[table.column(RMS_PIX)] if row else ""
     number = parse_number(text)
     if number is None:
-        raise InputError(f"{path}: row '{AVERAGES}', column '{RMS}': found '{text}', a finite number was expected")
+        raise InputError(f"{path}: row '{AVERAGES}', column '{RMS_PIX}': found '{text}', a finite number was expected")
     return round(number, 4)

@@ -1,21 +1,95 @@
-"""Part of the page: residuals over the image, their distribution against the reported noise, RMS by collection."""
+"""Parts of the page about labels: residuals over the image and their distribution, worst views, calibrated cameras."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from calibration.base.arrays import Array
+from calibration.base.errors import CalibrationError
+from calibration.base.optional import optional
 from calibration.ci.pages.heat_map import heat_map
 from calibration.ci.pages.histogram import histogram
 from calibration.ci.pages.html import Html, element
+from calibration.ci.pages.image_map import image_map
+from calibration.ci.pages.overlay import overlay
 from calibration.ci.pages.page import figure
 from calibration.ci.pages.residual_plane import residual_plane
+from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.model import Dataset, Sensor
+from calibration.engine.dataset.payload import locate
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels
 from calibration.engine.evaluation.residuals import Residuals, residuals
-from calibration.pipeline.page.worst_views import worst_views
+from calibration.pipeline.matrix.cell_result import ProjectionResult
 
-_PLANE = (
+MAX_VIEWS = 4
+IMAGE_WIDTH = 640
+"""Width of an image in the page; larger ones are reduced."""
+JPEG_QUALITY = 70
+"""Quality of its JPEG, percent."""
+JPEG_MAGIC, MAX_UNCHANGED_BYTES = b"\xff\xd8\xff", 64_000
+"""First bytes of a JPEG; and the size up to which it is embedded unchanged."""
+
+
+def worst_views(
+    dataset: Dataset, found: Mapping[str, Residuals], rms: Mapping[str, Array], given: Dataset | None
+) -> Iterator[Html]:
+    """Yield figures of the views with the largest RMS.
+
+    Args:
+        dataset: calibrated.
+        found: residuals of the cameras.
+        rms: (N,) of each, by collection; NaN for no view.
+        given: the given dataset, with its images, if available.
+    """
+    views = [
+        (float(value), i, name)
+        for name, by_collection in rms.items()
+        for i, value in enumerate(by_collection)
+        if value == value
+    ]
+    worst = sorted(views, reverse=True)[:MAX_VIEWS]
+    figures = [_view_figure(dataset, found[name], name, i, value, given) for value, i, name in worst]
+    if figures:
+        yield element("h3", "The views that fit worst")
+        yield element("div", *figures, class_="figures")
+
+
+def _view_figure(dataset: Dataset, of_camera: Residuals, name: str, i: int, rms: float, given: Dataset | None) -> Html:
+    key, camera = dataset.keys[i], dataset.sensors[name].camera
+    size = (camera.width, camera.height) if camera else (1, 1)
+    in_view = of_camera.collections == i
+    seen = of_camera.where[in_view]
+    title = f"{name} in collection {key}: RMS {rms:.3g} px"
+    drawn = overlay(title, _view_jpeg(given, name, key), size, seen, seen + of_camera.values[in_view])
+    return figure(drawn, f"{title}. Crosses: where corners were seen; circles: where they come out.")
+
+
+def _view_jpeg(given: Dataset | None, name: str, key: str) -> bytes | None:
+    """Return the image of a view, reduced; None if it is not available, or OpenCV is needed and not installed."""
+    if given is None:
+        return None
+    try:
+        path = Path(locate(Node(given.path, (), given.document)["collections"][key]["data"][name]["data_file"]))
+        if not path.is_file():
+            return None
+        if path.stat().st_size <= MAX_UNCHANGED_BYTES and (data := path.read_bytes()).startswith(JPEG_MAGIC):
+            return data
+        cv2 = optional("cv2", "a smaller image")
+        from calibration.robot.importing.patterns.image_views import read_image  # imports OpenCV
+
+        image: Any = read_image(path)
+    except (OSError, CalibrationError):
+        return None
+    scale = min(1.0, IMAGE_WIDTH / image.shape[1])
+    size = max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0]))
+    smaller = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    is_encoded, encoded = cv2.imencode(".jpg", smaller, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return bytes(encoded) if is_encoded else None
+
+
+_PLANE_CAPTION = (
     "from where its corners were seen to where they come out, enlarged. Red ones are longer than three times the RMS. "
     "Where the image is empty, the lens is not known."
 )
@@ -29,45 +103,76 @@ def label_residuals(dataset: Dataset, levels: NoiseLevels | None, given: Dataset
         levels: the calibration's estimate of the labels' standard deviations.
         given: the given dataset, with its images, if available.
     """
-    found = {name: residuals(dataset, sensor) for name, sensor in dataset.sensors.items()}
-    found = {name: each for name, each in found.items() if len(each.collections)}
-    if found:
+    by_sensor = {name: residuals(dataset, sensor) for name, sensor in dataset.sensors.items()}
+    by_sensor = {name: of_sensor for name, of_sensor in by_sensor.items() if len(of_sensor.collections)}
+    if by_sensor:
         yield element("h3", "Residuals")
-    for name, each in found.items():
-        yield element("div", *_figures(dataset.sensors[name], each, levels), class_="figures")
+    for name, of_sensor in by_sensor.items():
+        yield element("div", *_residual_figures(dataset.sensors[name], of_sensor, levels), class_="figures")
     pixels: dict[str, Array] = {}
     for unit, factor, widths in (("px", 1.0, (2,)), ("mm", 1e3, (1, 3))):
-        rows = [name for name, each in found.items() if each.values.shape[-1] in widths]
+        rows = [name for name, of_sensor in by_sensor.items() if of_sensor.values.shape[-1] in widths]
         if rows:
-            by_view = {name: factor * _by_collection(found[name], len(dataset.collections)) for name in rows}
+            by_view = {name: factor * _by_collection(by_sensor[name], len(dataset.collections)) for name in rows}
             drawn = heat_map("RMS of each view", rows, dataset.keys, np.array(list(by_view.values())), unit)
             yield figure(drawn, f"RMS of each view, {unit}: the stronger, the larger; empty where nothing was seen.")
             if unit == "px":
                 pixels = by_view
-    yield from worst_views(dataset, found, pixels, given)
+    yield from worst_views(dataset, by_sensor, pixels, given)
 
 
-def _figures(sensor: Sensor, found: Residuals, levels: NoiseLevels | None) -> Iterator[Html]:
+def _residual_figures(sensor: Sensor, of_sensor: Residuals, levels: NoiseLevels | None) -> Iterator[Html]:
     stated = "beside the normal distribution of the noise that the calibration states."
-    if sensor.camera is not None and found.values.shape[-1] == 2:
+    if sensor.camera is not None and of_sensor.values.shape[-1] == 2:
         size = sensor.camera.width, sensor.camera.height
-        yield figure(residual_plane(sensor.name, size, found.where, found.values), f"{sensor.name}: {_PLANE}")
+        yield figure(
+            residual_plane(sensor.name, size, of_sensor.where, of_sensor.values), f"{sensor.name}: {_PLANE_CAPTION}"
+        )
         sigma = levels.pixel if levels else None
-        drawn = histogram(f"{sensor.name}, x and y", found.values.ravel(), sigma or 0.0, "px")
+        drawn = histogram(f"{sensor.name}, x and y", of_sensor.values.ravel(), sigma or 0.0, "px")
         yield figure(drawn, f"{sensor.name}: residuals in x and y {stated}")
     elif sensor.modality.has_poses:
         sigma = levels.pose_translation if levels else None
-        drawn = histogram(f"{sensor.name}, x, y and z", 1e3 * found.values.ravel(), 1e3 * (sigma or 0.0), "mm")
+        drawn = histogram(f"{sensor.name}, x, y and z", 1e3 * of_sensor.values.ravel(), 1e3 * (sigma or 0.0), "mm")
         yield figure(drawn, f"{sensor.name}: from where patterns were measured to where they come out {stated}")
     else:
         sigma = levels.range if levels else None
-        drawn = histogram(sensor.name, 1e3 * found.values.ravel(), 1e3 * (sigma or 0.0), "mm")
+        drawn = histogram(sensor.name, 1e3 * of_sensor.values.ravel(), 1e3 * (sigma or 0.0), "mm")
         yield figure(drawn, f"{sensor.name}: distances from the pattern {stated}")
 
 
-def _by_collection(found: Residuals, count: int) -> Array:
+def _by_collection(of_sensor: Residuals, count: int) -> Array:
     """RMS (count,) of each view; NaN if there is none."""
-    sums = np.bincount(found.collections, found.sizes**2, count)
+    sums = np.bincount(of_sensor.collections, of_sensor.sizes**2, count)
     with np.errstate(invalid="ignore", divide="ignore"):
-        rms: Array = np.sqrt(sums / np.bincount(found.collections, minlength=count))
+        rms: Array = np.sqrt(sums / np.bincount(of_sensor.collections, minlength=count))
     return rms
+
+
+def projection_figures(cameras: Sequence[ProjectionResult]) -> Iterator[Html]:
+    """Yield the maps of each camera, for points at the pattern's distance and far away."""
+    if cameras:
+        yield element("h3", "How sure the projection is")
+    for camera in cameras:
+        size = camera.width, camera.height
+        near = image_map(
+            f"Projection of {camera.camera}, {camera.distance_m:.2g} m away", size, _cell_values(camera, camera.near_px)
+        )
+        far = image_map(f"Projection of {camera.camera}, far away", size, _cell_values(camera, camera.far_px))
+        what = f"{camera.camera}: standard deviation of where a point is seen"
+        yield element(
+            "div",
+            figure(
+                near,
+                f"{what} at the pattern's distance, {camera.distance_m:.2g} m: {camera.median_px:.2g} px (median), "
+                f"{camera.worst_px:.2g} px at most where corners were seen, in {camera.seen:.0%} of the image.",
+            ),
+            figure(far, f"{what} far away: {camera.far_median_px:.2g} px, {camera.far_worst_px:.2g} px at most."),
+            class_="figures",
+        )
+
+
+def _cell_values(projection: ProjectionResult, values: Sequence[float]) -> Array:
+    """Return the values (R, C) of the cells; NaN where the lens has no ray."""
+    cells = np.array(values).reshape(-1, projection.columns)
+    return np.where(cells > 0, cells, np.nan)

@@ -21,13 +21,13 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
-from calibration.pipeline.page.label_residuals import label_residuals
-from calibration.pipeline.page.projection import projection_figures
-from calibration.pipeline.result_messages import failures, failures_of_cells, undecided_limits, verdict_sentence
-from calibration.pipeline.result_tables import (
+from calibration.pipeline.page.label_residuals import label_residuals, projection_figures
+from calibration.pipeline.report_blocks import (
     cameras_table,
     changes_table,
     collections_table,
+    failures,
+    failures_of_cells,
     grid,
     hangs_on_table,
     parameters_table,
@@ -35,9 +35,11 @@ from calibration.pipeline.result_tables import (
     recordings_table,
     transforms_table,
     truth_table,
+    undecided_limits,
     updates_table,
+    verdict_sentence,
 )
-from calibration.pipeline.results import Results
+from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import System
 
 if TYPE_CHECKING:
@@ -45,14 +47,14 @@ if TYPE_CHECKING:
 
 MAX_SECTION_CHARACTERS = 8_000_000
 """Limit of the sections of all systems together; some 60 000 are one system, and browsers are slow beyond 10 MB."""
-MOST_COMMITS = 50
+MAX_COMMITS = 50
 """Limit of the shown accepted calibrations, newest first."""
-SIX = ("x", "y", "z", "roll", "pitch", "yaw")
+POSE_COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def report_page(
     report: Report,
-    results: Results,
+    results: PipelineResults,
     output: Path,
     matrix: Matrix | None = None,
     accepted: "History | None" = None,
@@ -68,7 +70,7 @@ def report_page(
         accepted: the accepted calibrations through the commits of the repository.
         given: the given datasets by system, as far as they have been read already.
     """
-    shown = {system: cell for system in results.systems if (cell := _shown(results, system)) is not None}
+    shown = {system: cell for system in results.systems if (cell := _shown_cell(results, system)) is not None}
     systems = {system.name: system for system in matrix.systems} if matrix else {}
     several = len(shown) > 1
     verdicts = {name: _of_system(results, name).verdict for name in shown}
@@ -78,12 +80,14 @@ def report_page(
         own_head = _verdict_of_system(own) if several else Html("")
         if len(own.cells) > 1:
             own_head = join([own_head, element("p", f"Shown: {shown[name].name}", class_="soft")])
-        return _system(name, shown[name], own_head, output, systems.get(name), accepted, (given or {}).get(name))
+        return _system_section(
+            name, shown[name], own_head, output, systems.get(name), accepted, (given or {}).get(name)
+        )
 
     sections = _sections_within_limit(verdicts, section_of)
     in_sections = {*failures_of_cells(results, sections), *undecided_limits(results, sections)} if several else set()
     links = [
-        element("li", element("a", name, href=f"#{_anchor(name)}"), *_unless_passed(verdicts[name]))
+        element("li", element("a", name, href=f"#{_anchor_of_system(name)}"), *_unless_passed(verdicts[name]))
         for name in sections
     ]
     left_out = len(shown) - len(sections)
@@ -113,15 +117,15 @@ def _sections_within_limit(verdicts: Mapping[str, Verdict], section_of: Callable
     return {name: made[name] for name in verdicts if name in made}
 
 
-def _of_system(results: Results, name: str) -> Results:
+def _of_system(results: PipelineResults, name: str) -> PipelineResults:
     """Return the cells of a system."""
     cells, comparisons = (
         tuple(cell for cell in all_of if cell.system == name) for all_of in (results.cells, results.comparisons)
     )
-    return Results(cells, comparisons)
+    return PipelineResults(cells, comparisons)
 
 
-def _verdict_of_system(results: Results) -> Html:
+def _verdict_of_system(results: PipelineResults) -> Html:
     """Return the verdict of a system, and the reasons of its cells."""
     reasons = (*failures(results), *undecided_limits(results, results.systems))
     return join([verdict_line(results.verdict, verdict_sentence(results)), bullets(reasons)])
@@ -139,17 +143,17 @@ def _reason_of_left_out(left_out: int, systems: int) -> str:
     )
 
 
-def _shown(results: Results, system: str) -> CellResult | None:
+def _shown_cell(results: PipelineResults, system: str) -> CellResult | None:
     """Return the cell of our engine that is shown for a system: the first with the best verdict, best if converged."""
     cells = [cell for cell in (*results.cells, *results.comparisons) if cell.system == system and cell.details]
     return min(cells, key=lambda cell: (VERDICTS.index(cell.verdict), not cell.converged), default=None)
 
 
-def _anchor(system: str) -> str:
+def _anchor_of_system(system: str) -> str:
     return "system-" + "".join(c if c.isascii() and c.isalnum() else f"-{ord(c):x}-" for c in system)
 
 
-def _system(
+def _system_section(
     name: str,
     cell: CellResult,
     head: Html,
@@ -160,7 +164,7 @@ def _system(
 ) -> Html:
     """Return the sections of one system, by one of its cells, below its verdict and reasons."""
     tables = (transforms_table, cameras_table, hangs_on_table, parameters_table, changes_table)
-    of_cell = Results((cell,))
+    of_cell = PipelineResults((cell,))
     notes = tuple(each.text for each in cell.uncontradicted_findings if each.severity in ("warning", "note"))
     content = [
         head,
@@ -184,14 +188,14 @@ def _system(
             content.append(element("p", "No figures: the dataset is not kept (datasets: none).", class_="soft"))
         elif dataset is not None:
             levels = cell.details.noise_levels if cell.details else None
-            given = given or _given(system)
+            given = given or _given_dataset(system)
             content += [in_space(dataset, given), *label_residuals(dataset, levels, given)]
     content += [*projection_figures(cell.details.projection if cell.details else ())]
-    content += [*_error_bars(cell, system.limits if system else None), *_trends(name, accepted)]
-    return section(name, *content, anchor=_anchor(name))
+    content += [*_error_bars(cell, system.limits if system else None), *_trend_figures(name, accepted)]
+    return section(name, *content, anchor=_anchor_of_system(name))
 
 
-def _given(system: System | None) -> Dataset | None:
+def _given_dataset(system: System | None) -> Dataset | None:
     """Return the given dataset, if it is available."""
     try:
         return read_dataset(system.dataset) if system else None
@@ -199,7 +203,7 @@ def _given(system: System | None) -> Dataset | None:
         return None
 
 
-def _trends(system: str, found: "History | None") -> Iterator[Html]:
+def _trend_figures(system: str, found: "History | None") -> Iterator[Html]:
     """Return the figures of a system's sensors over the accepted calibrations of the repository."""
     figures = [
         figure(
@@ -225,7 +229,7 @@ def accepted_history(file: Path) -> "History | None":
     from calibration.pipeline.history import history_of  # most runs have no baseline
 
     try:
-        return history_of(file, (), None, MOST_COMMITS)
+        return history_of(file, (), None, MAX_COMMITS)
     except CalibrationError:
         return None
 
@@ -242,7 +246,13 @@ def _error_bars(cell: CellResult, limits: Limits | None) -> Iterator[Html]:
     ]
     correlations = [
         figure(
-            heat_map(f"Correlations of {pose.name}", SIX, SIX, np.abs(covariance) / np.outer(sigmas, sigmas), ""),
+            heat_map(
+                f"Correlations of {pose.name}",
+                POSE_COORDINATES,
+                POSE_COORDINATES,
+                np.abs(covariance) / np.outer(sigmas, sigmas),
+                "",
+            ),
             f"{pose.name}: how its six errors hang together (0 to 1, turns in its own frame).",
         )
         for pose in (snapshot.poses if snapshot else ())

@@ -6,13 +6,13 @@ from calibration.base.errors import InfrastructureError
 from calibration.ci.image.building import build_image
 from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.promotion import promote
-from calibration.pipeline.configuration import Simulation
+from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.results import ImageResult
-from calibration.pipeline.stages.running import Run
+from calibration.pipeline.stages.running import PipelineRun
 from calibration.pipeline.system import System
 
 
-def build_stage(run: Run) -> Run:
+def build_stage(run: PipelineRun) -> PipelineRun:
     """Find the image, or build it, push it if specified, and use it for containers that name no other.
 
     Raises:
@@ -28,7 +28,7 @@ def build_stage(run: Run) -> Run:
     return replace(
         run,
         matrix=replace(run.matrix, systems=systems),
-        simulations=tuple(_simulated_in(simulation, image.reference) for simulation in run.simulations),
+        simulations=tuple(_collected_in(simulation, image.reference) for simulation in run.simulations),
         results=replace(run.results, image=image),
     )
 
@@ -37,11 +37,11 @@ def _in_image(system: System, image: str) -> System:
     return system if system.software is None else replace(system, software=system.software.with_image(image))
 
 
-def _simulated_in(simulation: Simulation, image: str) -> Simulation:
-    return replace(simulation, applications=simulation.applications.with_image(image))
+def _collected_in(request: CollectionRequest, image: str) -> CollectionRequest:
+    return replace(request, applications=request.applications.with_image(image))
 
 
-def promote_stage(run: Run) -> Run:
+def promote_stage(run: PipelineRun) -> PipelineRun:
     """Give the tested image its release tags, if the verdict is pass; nothing is built or pulled.
 
     Raises:

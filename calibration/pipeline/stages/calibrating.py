@@ -6,24 +6,24 @@ from pathlib import Path
 
 from calibration.base.text import shorten
 from calibration.ci.workflow.progress import progress
-from calibration.pipeline.judging import judge_results
 from calibration.pipeline.matrix.cell_result import CellResult
+from calibration.pipeline.matrix.cell_verdict import judge_results
 from calibration.pipeline.matrix.matrix import run_matrix
 from calibration.pipeline.results import results_of
-from calibration.pipeline.stages.running import Run
+from calibration.pipeline.stages.running import PipelineRun
 
-LONGEST_REASON = 200
+MAX_REASON_CHARACTERS = 200
 """Limit of characters of a reason in the log's line of a cell; all of it stands in the results."""
 
 
-def calibrate_stage(run: Run) -> Run:
+def calibrate_stage(run: PipelineRun) -> PipelineRun:
     """Calibrate every cell, which passes if it converged, and write tables and datasets into the output folder.
 
     Raises:
         InputError: a dataset, an evaluation, a truth or the baseline is wrong.
         InfrastructureError: a file cannot be written, a process died, or there is no engine.
     """
-    from calibration.pipeline.commit_of_run import commit_of_run  # brings git
+    from calibration.pipeline.matrix_baselines import commit_of_run  # brings git
 
     matrix, update = run.matrix, None
     if run.baseline is not None:
@@ -33,7 +33,7 @@ def calibrate_stage(run: Run) -> Run:
     with progress(run.runner, run.title, bar=not run.matrix.software) as advance:
 
         def done(count: int, total: int, cell: CellResult) -> None:
-            advance(count, total, _line(cell), important=not cell.passes)
+            advance(count, total, _cell_line(cell), important=not cell.passes)
 
         found = run_matrix(matrix, run.output, run.jobs, run.fail_fast, done, run.target)
     commit = commit_of_run(run.config.parent if run.config else Path(), os.environ)
@@ -41,18 +41,18 @@ def calibrate_stage(run: Run) -> Run:
     return replace(run, results=results, given=found.datasets)
 
 
-def _line(cell: CellResult) -> str:
+def _cell_line(cell: CellResult) -> str:
     rms = "" if cell.rms_px is None else f", {cell.rms_px:.4f} px"
-    converged = "calibrated" if cell.converged else "not converged" if cell.error is None else _why(cell)
+    converged = "calibrated" if cell.converged else "not converged" if cell.error is None else _no_result_text(cell)
     method = "" if cell.by_other_method else f", {cell.method}"  # named in the cell's name
     return f"{cell.name}{method}: {converged}{rms} ({cell.seconds:.2f} s)"
 
 
-def _why(cell: CellResult) -> str:
-    return f"no result: {shorten('; '.join(cell.reasons), LONGEST_REASON)}"
+def _no_result_text(cell: CellResult) -> str:
+    return f"no result: {shorten('; '.join(cell.reasons), MAX_REASON_CHARACTERS)}"
 
 
-def introspect_stage(run: Run) -> Run:
+def introspect_stage(run: PipelineRun) -> PipelineRun:
     """Judge the tables in the output folder by each system's rules and limits.
 
     If this run has calibrated no cell, the results are read from the output folder, except for this run's image.

@@ -8,31 +8,31 @@ from calibration.ci.execution.backends import EMBEDDED
 from calibration.ci.workflow.progress import progress
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import pose_line
-from calibration.pipeline.configuration import Simulation
+from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.results import Collected
-from calibration.pipeline.stages.running import COLLECTED, Run
+from calibration.pipeline.stages.running import COLLECTED_FOLDER, PipelineRun
 from calibration.robot.simulation.collection.record import Record
 
 
-def collect_stage(run: Run) -> Run:
+def collect_stage(run: PipelineRun) -> PipelineRun:
     """Collect datasets, each in its folder below the output folder, and calibrate them.
 
     A failed collection is stored in the results, and does not stop the others.
     """
-    collections = tuple(_collected(simulation, run) for simulation in run.simulations)
+    collections = tuple(_collect_one(request, run) for request in run.simulations)
     return replace(run, results=replace(run.results, collections=collections))
 
 
-def _collected(simulation: Simulation, run: Run) -> Collected:
-    name, folder, begin = simulation.name, f"{COLLECTED}/{simulation.name}", time.perf_counter()
-    target = replace(run.target, backend=simulation.backend or EMBEDDED)
+def _collect_one(request: CollectionRequest, run: PipelineRun) -> Collected:
+    name, folder, begin = request.name, f"{COLLECTED_FOLDER}/{request.name}", time.perf_counter()
+    request = replace(request, target=replace(run.target, backend=request.backend or EMBEDDED))
     try:
-        with progress(run.runner, f"collect {name}", bar=simulation.backend == EMBEDDED) as advance:
+        with progress(run.runner, f"collect {name}", bar=request.backend == EMBEDDED) as advance:
 
             def done(count: int, total: int, record: Record) -> None:
                 advance(count, total, f"{name}: {pose_line(record)}", important=not record.kept)
 
-            found = collect_dataset(simulation.request, run.output / folder, True, run.jobs, target, done=done)
+            found = collect_dataset(request, run.output / folder, True, run.jobs, done=done)
     except CalibrationError as error:
         return Collected(name, reasons=(str(error),), error=error.exit_code)
     proof = found.proof

@@ -1,6 +1,6 @@
 """Run of the pipeline: its stages in order, and the report of their results.
 
-A stage takes a `Run` and returns it with its results; it only decides what runs and what counts. A new one is a
+A stage takes a `PipelineRun` and returns it with its results; it only decides what runs and what counts. A new one is a
 function in a module of its own, and a line in `STAGES`.
 """
 
@@ -23,18 +23,18 @@ from calibration.engine.dataset.model import Dataset
 from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.page.run_page import accepted_history, report_page
 from calibration.pipeline.report import report, write_cells, write_results
-from calibration.pipeline.results import PAGE_FILE, Results, StageResult, clear_results
+from calibration.pipeline.results import PAGE_FILE, PipelineResults, StageResult, clear_results
 
 if TYPE_CHECKING:
     from calibration.ci.image.specification import ImageSpecification
-    from calibration.pipeline.configuration import Simulation
+    from calibration.pipeline.collection.request import CollectionRequest
 
-COLLECTED = "collected"
+COLLECTED_FOLDER = "collected"
 """Folder of collected datasets, in a pipeline's output folder."""
 
 
 @dataclass(frozen=True)
-class Run:
+class PipelineRun:
     """Options of a run of the pipeline, and the results of its stages so far."""
 
     matrix: Matrix
@@ -51,7 +51,7 @@ class Run:
     """Number of parallel processes or containers; None for as many as the machine can run."""
     fail_fast: bool = False
     """Whether the first cell that fails stops the others."""
-    simulations: "tuple[Simulation, ...]" = ()
+    simulations: "tuple[CollectionRequest, ...]" = ()
     """Simulations of the stage collect."""
     image: "ImageSpecification | None" = None
     """Image of the stage build."""
@@ -61,7 +61,7 @@ class Run:
     """Sections of calibration.yml for the stages of add-ons."""
     target: ExecutionTarget = field(default_factory=ExecutionTarget)
     """Execution target of the containers, and settings of the others."""
-    results: Results = field(default_factory=Results)
+    results: PipelineResults = field(default_factory=PipelineResults)
     given: Mapping[str, Dataset] = field(default_factory=dict)
     """Datasets that the stage calibrate has read, by system."""
 
@@ -72,44 +72,44 @@ class Run:
         theirs = [container for each in self.simulations for container in each.applications.containers]
         return not all(container.image for container in (*software, *theirs))
 
-    def with_result(self, section: str, result: StageResult) -> "Run":
+    def with_result(self, section: str, result: StageResult) -> "PipelineRun":
         """Return the run with the result of an add-on's stage."""
         of_stages = replace(self.results.of_stages, **{section: result})
         return replace(self, results=replace(self.results, of_stages=of_stages))
 
 
 @dataclass(frozen=True)
-class Stage:
+class PipelineStage:
     """Entry of a stage in `STAGES`: its function, and when it applies."""
 
     target: str
-    """``module:function`` from `Run` to `Run`; imported when it runs, as it may need packages that others do not."""
-    applies: Callable[[Run], bool] = lambda _: True
+    """``module:function`` from run to run; imported when it runs, as it may need packages that others do not."""
+    applies: Callable[[PipelineRun], bool] = lambda _: True
     """Returns whether the stage has something to do in a run."""
 
 
-def _stage_of_addon(stage: AddonStage) -> Stage:
-    return Stage(stage.target, lambda run: run.sections.of(stage.section) is not None)
+def _stage_of_addon(stage: AddonStage) -> PipelineStage:
+    return PipelineStage(stage.target, lambda run: run.sections.of(stage.section) is not None)
 
 
-STAGES: Mapping[str, Stage] = {
-    "build": Stage("calibration.pipeline.stages.building:build_stage", lambda run: run.image is not None),
-    "collect": Stage("calibration.pipeline.stages.collecting:collect_stage", lambda run: bool(run.simulations)),
-    "calibrate": Stage("calibration.pipeline.stages.calibrating:calibrate_stage"),
-    "introspect": Stage("calibration.pipeline.stages.calibrating:introspect_stage"),
-    "export": Stage(
+STAGES: Mapping[str, PipelineStage] = {
+    "build": PipelineStage("calibration.pipeline.stages.building:build_stage", lambda run: run.image is not None),
+    "collect": PipelineStage("calibration.pipeline.stages.collecting:collect_stage", lambda run: bool(run.simulations)),
+    "calibrate": PipelineStage("calibration.pipeline.stages.calibrating:calibrate_stage"),
+    "introspect": PipelineStage("calibration.pipeline.stages.calibrating:introspect_stage"),
+    "export": PipelineStage(
         "calibration.pipeline.stages.exporting:export_stage",
         lambda run: any(system.exports for system in run.matrix.systems),
     ),
     **{name: _stage_of_addon(stage) for name, stage in of_addons(lambda addon: addon.stages).items()},
-    "promote": Stage(
+    "promote": PipelineStage(
         "calibration.pipeline.stages.building:promote_stage", lambda run: bool(run.image and run.image.promote)
     ),
 }
 """All stages, in order."""
 
 
-def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
+def run_stages(run: PipelineRun, stages: Collection[str] = tuple(STAGES)) -> PipelineResults:
     """Run stages, and report their results.
 
     Args:
@@ -120,23 +120,23 @@ def run_stages(run: Run, stages: Collection[str] = tuple(STAGES)) -> Results:
         InputError: there is no such stage, an input is wrong, or another run uses the output folder.
         InfrastructureError: a file cannot be written, a process died, an engine or a registry does not answer.
     """
-    _check(stages)
+    _check_stages(stages)
     if "calibrate" in stages:
         _check_systems(run)
     with locked(run.output):
-        return _run_stages(_placed(run), stages)
+        return _run_stages(_with_collected_datasets(run), stages)
 
 
-def _run_stages(run: Run, stages: Collection[str]) -> Results:
+def _run_stages(run: PipelineRun, stages: Collection[str]) -> PipelineResults:
     if "calibrate" in stages or "collect" in stages:
-        clear_results(run.output, _inputs(run.matrix))
+        clear_results(run.output, _input_paths(run.matrix))
     try:
         for name, stage in STAGES.items():
             if stage.applies(run) and (name in stages or (name == "build" and run.wants_image)):
                 run = import_attribute(stage.target)(run)
         write_cells(run.results, run.output, run.jobs)
         found = report(run.results, run.output, run.title)
-        files = {**found.files, PAGE_FILE: _page(found, run)}
+        files = {**found.files, PAGE_FILE: _page_of_run(found, run)}
     except BaseException as error:  # signals too: the results of earlier stages are kept for another run
         # results of an earlier run are not replaced if only an image was built
         if run.results.judged or run.results.of_stages.all:
@@ -144,17 +144,17 @@ def _run_stages(run: Run, stages: Collection[str]) -> Results:
             write_results(run.results, run.output, why)
         raise
     outputs = {**found.outputs, "report": run.output / PAGE_FILE}
-    places = _places(found.all_reasons, run)
+    places = _places_of_reasons(found.all_reasons, run)
     publish(replace(found, places=places, files=files, outputs=outputs), run.runner, run.output)
     return run.results
 
 
-def _page(found: Report, run: Run) -> str:
+def _page_of_run(found: Report, run: PipelineRun) -> str:
     accepted = accepted_history(run.baseline.file) if run.baseline and run.baseline.file.exists() else None
     return report_page(found, run.results, run.output, run.matrix, accepted, run.given)
 
 
-def _places(reasons: Sequence[str], run: Run) -> dict[str, tuple[Path, int]]:
+def _places_of_reasons(reasons: Sequence[str], run: PipelineRun) -> dict[str, tuple[Path, int]]:
     """Return the lines of the rules or limits in the reasons, for a runner that annotates them."""
     if run.config is None or not run.runner.service.annotates_lines:
         return {}
@@ -176,7 +176,7 @@ def _places(reasons: Sequence[str], run: Run) -> dict[str, tuple[Path, int]]:
     return found
 
 
-def _check(stages: Collection[str]) -> None:
+def _check_stages(stages: Collection[str]) -> None:
     for stage in stages:
         if stage not in STAGES:
             raise InputError(
@@ -186,7 +186,7 @@ def _check(stages: Collection[str]) -> None:
         raise InputError("only: promote needs the verdict of this run: add calibrate and introspect")
 
 
-def _check_systems(run: Run) -> None:
+def _check_systems(run: PipelineRun) -> None:
     """Read the systems before an image is built or a dataset is collected, which takes minutes."""
     if run.image is not None or run.simulations:
         for system in run.matrix.systems:
@@ -194,17 +194,19 @@ def _check_systems(run: Run) -> None:
                 load(system)
 
 
-def _placed(run: Run) -> Run:
+def _with_collected_datasets(run: PipelineRun) -> PipelineRun:
     """Return the run with the paths of collected datasets, of this or an earlier run, and with visible logs."""
     systems = [
-        system if system.collected is None else replace(system, dataset=run.output / COLLECTED / system.collected)
+        system
+        if system.collected is None
+        else replace(system, dataset=run.output / COLLECTED_FOLDER / system.collected)
         for system in run.matrix.systems
     ]
     target = replace(run.target, show=LogDisplay(run.runner))
     return replace(run, matrix=replace(run.matrix, systems=tuple(systems)), target=target)
 
 
-def _inputs(matrix: Matrix) -> list[Path]:
+def _input_paths(matrix: Matrix) -> list[Path]:
     folders = [system.dataset for system in matrix.systems]
     known = [path for system in matrix.systems if isinstance(path := system.options.intrinsics_covariance, Path)]
     return [path / "dataset.json" if path.is_dir() else path for path in folders] + known

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.pipeline.configuration import Configuration, read_configuration
+from calibration.pipeline.configuration import PipelineConfiguration, read_configuration
 
 ROLE = "arn:aws:iam::123456789012:role/robots"
 SECTION = (
@@ -22,7 +22,7 @@ simulation:
 VARIABLES = {"QUEUE": "robots"}
 
 
-def read(tmp_path: Path, text: str) -> Configuration:
+def read(tmp_path: Path, text: str) -> PipelineConfiguration:
     path = tmp_path / "calibration.yml"
     path.write_text(text)
     return read_configuration(path, VARIABLES)

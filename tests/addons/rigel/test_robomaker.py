@@ -18,7 +18,6 @@ from calibration.base.errors import InputError
 from calibration.base.records import read
 from calibration.ci.execution.job_check import check_jobs
 from calibration.pipeline.collection.applications import collection_job
-from calibration.pipeline.collection.request import ContainerRequest
 from calibration.pipeline.configuration import read_configuration
 
 from .conftest import noted
@@ -432,9 +431,8 @@ def test_what_is_left_to_do_makes_a_job_that_aws_batch_takes(
     )
     configuration = read_configuration(tmp_path / "calibration.yml")
     [simulation] = configuration.simulations
-    assert isinstance(simulation.request, ContainerRequest)
     assert configuration.sections.of("aws-batch") is not None
-    job = collection_job(simulation.request.applications.with_image("a"), "collection", "s", 1)
+    job = collection_job(simulation.applications.with_image("a"), "collection", "s", 1)
     check_jobs([job])
     check_for_batch([job], configuration.sections.of("aws-batch"))
     assert (

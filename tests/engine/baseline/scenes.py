@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.engine.baseline.snapshot import Snapshot, snapshot
+from calibration.engine.baseline.calibration_document import CalibrationDocument, document_of_calibration
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.start.starting_noise import StartingNoise
@@ -22,7 +22,7 @@ def stereo(seed: int = 1, twist: tuple[float, ...] = STILL, edge: Edge = RIGHT) 
     return replace(scene, transforms=moved).dataset(seed)
 
 
-def taken(dataset: Dataset, noise: StartingNoise | None = None) -> Snapshot:
+def taken(dataset: Dataset, noise: StartingNoise | None = None) -> CalibrationDocument:
     """The snapshot of a dataset's calibration."""
     calibration = calibrate(dataset, noise=noise)
-    return snapshot(calibration, dataset, calibration.rms_px)
+    return document_of_calibration(calibration, dataset, calibration.rms_px)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import (
     chi_squared_quantile,
     chi_squared_tail,
@@ -13,7 +14,6 @@ from calibration.engine.baseline.comparison import (
     t_squared_quantile,
     t_squared_tail,
 )
-from calibration.engine.baseline.snapshot import Snapshot
 from tests.engine.baseline.scenes import stereo, taken
 
 MOVED = (0.0, 0.0, 0.005, 0.0, 0.009, 0.0)
@@ -79,7 +79,7 @@ def test_added_and_removed_sensors_are_reported() -> None:
 def test_what_both_hold_differs_without_an_error_bar() -> None:
     found = taken(stereo())
     [left] = [each for each in found.poses if each.sigma_mm is None]
-    other: Snapshot = replace(
+    other: CalibrationDocument = replace(
         found,
         poses=tuple(replace(each, xyz_mm=(1.0, 2.0, 3.0)) if each is left else each for each in found.poses),
     )

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calibration.base.records import document_of, read
-from calibration.engine.baseline.comparison import Change, compare
-from calibration.engine.baseline.snapshot import Snapshot, snapshot
+from calibration.engine.baseline.calibration_document import CalibrationDocument, document_of_calibration
+from calibration.engine.baseline.comparison import BaselineChange, compare
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.geometry.cameras import Camera
@@ -18,22 +18,22 @@ LENS = Camera(600.0, 590.0, 640.0, 480.0, 1280, 960, PlumbBob(-0.10, 0.05, 0.001
 ALL = Options(intrinsics=("all",))
 
 
-def calibrated(model: Camera, seed: int) -> Snapshot:
+def calibrated(model: Camera, seed: int) -> CalibrationDocument:
     dataset = covering(25, seed, 1, model=model, pixel_noise=0.15).dataset(seed)
     result = calibrate(dataset, ALL)
-    return snapshot(result, dataset, result.rms_px, ALL)
+    return document_of_calibration(result, dataset, result.rms_px, ALL)
 
 
-def lens(before: Snapshot, now: Snapshot) -> list[Change]:
+def lens(before: CalibrationDocument, now: CalibrationDocument) -> list[BaselineChange]:
     return [each for each in compare(before, now).changes if each.kind == "lens"]
 
 
 @pytest.fixture(scope="module")
-def accepted() -> Snapshot:
+def accepted() -> CalibrationDocument:
     return calibrated(LENS, 1)
 
 
-def test_the_same_lens_has_not_changed(accepted: Snapshot) -> None:
+def test_the_same_lens_has_not_changed(accepted: CalibrationDocument) -> None:
     comparison = compare(accepted, calibrated(LENS, 2))
     (change,) = [each for each in comparison.changes if each.kind == "lens"]
     assert change.name == "c0's lens"
@@ -41,14 +41,14 @@ def test_the_same_lens_has_not_changed(accepted: Snapshot) -> None:
     assert change.sigmas < 6
 
 
-def test_another_focal_length_has(accepted: Snapshot) -> None:
+def test_another_focal_length_has(accepted: CalibrationDocument) -> None:
     comparison = compare(accepted, calibrated(replace(LENS, fx=615.0, fy=604.75), 2))
     (change,) = [each for each in comparison.changes if each.kind == "lens"]
     assert change.p < comparison.significance
 
 
-def test_the_covariance_outlives_the_file(accepted: Snapshot) -> None:
-    again = read(Snapshot, document_of(accepted), "a baseline")
+def test_the_covariance_outlives_the_file(accepted: CalibrationDocument) -> None:
+    again = read(CalibrationDocument, document_of(accepted), "a baseline")
     found, expected = again.lens("c0"), accepted.lens("c0")
     assert found is not None
     assert expected is not None
@@ -57,7 +57,7 @@ def test_the_covariance_outlives_the_file(accepted: Snapshot) -> None:
     assert np.linalg.eigvalsh(found[2] / np.sqrt(np.outer(np.diag(found[2]), np.diag(found[2]))))[0] > -1e-4
 
 
-def test_a_baseline_without_correlations_and_another_model_are_not_compared_so(accepted: Snapshot) -> None:
+def test_a_baseline_without_correlations_and_another_model_are_not_compared_so(accepted: CalibrationDocument) -> None:
     now = calibrated(LENS, 2)
     assert not lens(replace(accepted, lens_correlations={}), now)
     assert now.lens("c7") is None

@@ -4,48 +4,48 @@ from dataclasses import replace
 
 import pytest
 
+from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.quality import QUALITY
 from calibration.engine.baseline.settings import BaselineSettings
-from calibration.engine.baseline.snapshot import Snapshot
 from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.engine.diagnosis.finding import Finding
 from tests.engine.baseline.scenes import stereo, taken
 
 
 @pytest.fixture(scope="module")
-def before() -> Snapshot:
+def before() -> CalibrationDocument:
     return taken(stereo(1))
 
 
-def findings(before: Snapshot, now: Snapshot) -> list[Finding]:
+def findings(before: CalibrationDocument, now: CalibrationDocument) -> list[Finding]:
     found = against_baseline(Accepted(BaselineSettings(), before), now)[1]
     return [each for each in found if each.kind == QUALITY]
 
 
-def on_other_data(before: Snapshot, **changes: object) -> Snapshot:
+def on_other_data(before: CalibrationDocument, **changes: object) -> CalibrationDocument:
     return replace(before, data="f" * 64, **changes)  # type: ignore[arg-type]
 
 
-def test_the_extents_are_those_of_the_pattern_in_the_images(before: Snapshot) -> None:
+def test_the_extents_are_those_of_the_pattern_in_the_images(before: CalibrationDocument) -> None:
     assert set(before.extents) == set(before.views)
     assert all(20 < each < 2000 for each in before.extents.values())
 
 
 @pytest.mark.parametrize("factor", [1.5, 3.0])
-def test_more_noise_is_a_warning_on_other_data_and_red_on_the_same(factor: float, before: Snapshot) -> None:
+def test_more_noise_is_a_warning_on_other_data_and_red_on_the_same(factor: float, before: CalibrationDocument) -> None:
     noise = replace(before.noise, pixel=factor * (before.noise.pixel or 0))
     [found] = findings(before, on_other_data(before, noise=noise))
     assert found.severity == "warning"
     assert {each.severity for each in findings(before, replace(before, noise=noise))} == {"red"}
 
 
-def test_what_is_chance_is_nothing(before: Snapshot) -> None:
+def test_what_is_chance_is_nothing(before: CalibrationDocument) -> None:
     assert before.rms_px is not None
     assert findings(before, on_other_data(before, rms_px=1.1 * before.rms_px)) == []
     assert findings(before, on_other_data(before, rms_px=0.5 * before.rms_px)) == []
 
 
-def test_noise_of_a_smaller_pattern_in_the_images_is_not_compared(before: Snapshot) -> None:
+def test_noise_of_a_smaller_pattern_in_the_images_is_not_compared(before: CalibrationDocument) -> None:
     assert before.rms_px is not None
     farther = {name: 0.6 * extent for name, extent in before.extents.items()}
     assert findings(before, on_other_data(before, rms_px=3 * before.rms_px, extents=farther)) == []
@@ -63,7 +63,7 @@ def test_noise_of_a_smaller_pattern_in_the_images_is_not_compared(before: Snapsh
     ],
 )
 def test_a_share_of_rejected_labels_is_compared_with_the_chance_of_both(
-    counts: tuple[tuple[int, int], tuple[int, int]], significant: bool, before: Snapshot
+    counts: tuple[tuple[int, int], tuple[int, int]], significant: bool, before: CalibrationDocument
 ) -> None:
     """Pairs of poses: one label a view. The first are the halves of a public recording."""
     first, second = (
@@ -75,8 +75,8 @@ def test_a_share_of_rejected_labels_is_compared_with_the_chance_of_both(
     assert {each.severity for each in found} <= {"warning"}
 
 
-def test_an_error_bar_is_compared_at_the_same_number_of_collections(before: Snapshot) -> None:
-    def wider(factor: float, effective: float) -> Snapshot:
+def test_an_error_bar_is_compared_at_the_same_number_of_collections(before: CalibrationDocument) -> None:
+    def wider(factor: float, effective: float) -> CalibrationDocument:
         poses = tuple(
             replace(each, own_mm=tuple(factor * v for v in each.own_mm), held={}) if each.own_mm else each
             for each in before.poses

@@ -5,8 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.engine.baseline.calibration_document import (
+    POSITIONS,
+    CalibrationDocument,
+    hash_of_labels,
+    hashes_of_inputs,
+)
 from calibration.engine.baseline.document import Baseline, baseline_text, parse_baseline
-from calibration.engine.baseline.snapshot import POSITIONS, Snapshot, hash_of_labels, hashes_of_inputs
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.solve.options import Options
@@ -78,7 +83,7 @@ def test_it_is_the_same_after_its_file() -> None:
 
 
 def test_views_and_the_images_coverage_are_counted() -> None:
-    found: Snapshot = taken(without_a_label(stereo()))
+    found: CalibrationDocument = taken(without_a_label(stereo()))
     assert found.views == {"left": 24, "right": 23}
     assert 0 < found.covered["left"] <= 1
     assert found.labels > 23 * 2 * 4

@@ -175,6 +175,7 @@ def test_the_file_is_as_atoms(text):
     base, truth = seen_by((kinds * 2)[0], (kinds * 2)[1])
     header, *rows = csv.reader(io.StringIO(parse_evaluation(text).run(base, truth).to_csv()))
     assert ",".join(header) == HEADERS[text]
+    assert KINDS[parse_evaluation(text).kind].rms == ("RMS (pix)" if "RMS (pix)" in header else None)
     pairs = [f"{a}-{b}" for a in base.keys for b in base.keys]
     alone = ["one", "two"] if text.startswith("ground-truth-frame") else list(base.keys)
     assert [row[0] for row in rows] == [*(pairs if text.startswith("inter-") else alone), "Averages"]

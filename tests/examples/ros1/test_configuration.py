@@ -7,23 +7,23 @@ import defusedxml.ElementTree
 import pytest
 
 from calibration.ci.image.specification import Recipe
-from calibration.pipeline.configuration import Configuration, read_configuration
+from calibration.pipeline.configuration import PipelineConfiguration, read_configuration
 from tests.examples.ros1.conftest import EXAMPLE
 
 
 @pytest.fixture(scope="module")
-def configuration() -> Configuration:
+def configuration() -> PipelineConfiguration:
     return read_configuration(EXAMPLE / "calibration.yml", {"REGISTRY": "127.0.0.1:5000"})
 
 
 @pytest.fixture(scope="module")
-def recipe(configuration: Configuration) -> Recipe:
+def recipe(configuration: PipelineConfiguration) -> Recipe:
     assert configuration.image is not None
     assert isinstance(configuration.image.source, Recipe)
     return configuration.image.source
 
 
-def test_the_pipeline_reads_it(configuration: Configuration) -> None:
+def test_the_pipeline_reads_it(configuration: PipelineConfiguration) -> None:
     assert configuration.image is not None
     assert (configuration.image.name, configuration.image.promote) == ("127.0.0.1:5000/ros1-example", ("stable",))
     [system] = configuration.systems

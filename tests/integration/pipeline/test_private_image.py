@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.__main__ import main, run_action
-from calibration.commands.parameters import EVERYWHERE
+from calibration.commands.parameters import PASSWORD_VARIABLE
 from tests.docker_engine import Registry
 
 if TYPE_CHECKING:
@@ -88,5 +88,5 @@ def test_a_registry_that_does_not_answer_is_an_infrastructure_error(
     engine: "DockerClient", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arguments = ["--dataset", str(DATASET), "--image", "127.0.0.1:1/robot:1", "--command", COMMAND]
-    monkeypatch.setenv(EVERYWHERE, "secret words")
+    monkeypatch.setenv(PASSWORD_VARIABLE, "secret words")
     assert main(["calibrate-matrix", *arguments, "--registry-username", "robot"]) == 3

@@ -4,6 +4,7 @@ import json
 import shlex
 import shutil
 from collections.abc import Callable, Generator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +14,17 @@ from calibration.base.errors import ExitCode, InputError
 from calibration.ci.execution.job import OUTPUT, Job
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.commands.collect_data_sim import command
-from calibration.pipeline.collection.applications import applications_from
 from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.request import (
     CollectionChecks,
     CollectionRequest,
-    ContainerRequest,
     ScenarioRequest,
 )
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import replay, report
 from calibration.pipeline.collection.scenarios import ScenarioFolder
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
+from tests.pipeline.collection.applications import applications_from
 from tests.pipeline.targets import at
 
 T2RGB = Path(__file__).parents[3] / "datasets" / "t2rgb"
@@ -103,15 +103,16 @@ def run(
         if told is not None:
             told.append(result.id)
 
-    found = collect_scenarios(request, ScenarioFolder(output, resume), target=at(backend), done=done)
+    request = replace(request, collection=replace(request.collection, target=at(backend)))
+    found = collect_scenarios(request, ScenarioFolder(output, resume), done=done)
     report(found, output).write(output)
     return found
 
 
 def asked(count: int, *options: str, **entry: Any) -> ScenarioRequest:
     applications = applications_from({**ENTRY, **entry}, Path(), "x")
-    request = ContainerRequest("t2rgb", applications, T2RGB, seed=3, checks=CollectionChecks(3))
-    return ScenarioRequest(request, None, count, 0.5, options)
+    request = CollectionRequest(T2RGB, applications, name="t2rgb", seed=3, checks=CollectionChecks(3))
+    return ScenarioRequest(request, count, 0.5, options)
 
 
 def test_each_dataset_is_judged_by_itself(good: Leave, tmp_path: Path) -> None:
@@ -154,7 +155,7 @@ def test_only_what_is_missing_runs_again(good: Leave, tmp_path: Path) -> None:
 
 def test_without_a_system_or_a_motion(good: Leave, tmp_path: Path) -> None:
     applications = applications_from({**ENTRY, "containers": {"robot": {"command": "run"}}}, Path(), "x")
-    request = ScenarioRequest(ContainerRequest("theirs", applications, truth="dataset"), None, 1)
+    request = ScenarioRequest(CollectionRequest(applications=applications, name="theirs", truth="dataset"), 1)
     backend = Leaves(good)
     found = run(request, backend, tmp_path)
     assert found.exit_code == ExitCode.PASS

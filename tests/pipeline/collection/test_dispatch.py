@@ -15,8 +15,8 @@ from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.base.files import write_atomically
 from calibration.ci.workflow.markdown import escape_markdown
 from calibration.pipeline.collection.dispatch import collect_dataset
-from calibration.pipeline.collection.report import SCHEMA, report
-from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest
+from calibration.pipeline.collection.report import SCHEMA_FILE, report
+from calibration.pipeline.collection.request import CollectionChecks, CollectionLimits, CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.robot.simulation.collection import poses
 from calibration.robot.simulation.collection.proof import JointProof, Proof
@@ -74,7 +74,7 @@ def test_the_folder_has_all_files(results: CollectionResults, output: Path) -> N
     assert "left_camera_001.jpg" not in files  # lost
     assert not any(name.startswith(".") for name in files)
     document = json.loads(files["results.json"])
-    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    jsonschema.validate(document, json.loads(SCHEMA_FILE.read_text()))
     assert document["lost"] == [{"pose": 2, "reasons": list(results.records[1].lost)}]
     rows = list(csv.DictReader(files["poses.csv"].decode().splitlines()))
     assert [row["Kept"] for row in rows] == ["yes", "no", "yes", "yes", "yes"]
@@ -175,7 +175,7 @@ def test_without_detections_it_fails_with_a_reason(request_: CollectionRequest, 
     files = set(snapshot(tmp_path / "output"))
     assert "dataset.json" not in files
     assert {"results.json", "summary.md", "contact_sheet.png"} <= files
-    jsonschema.validate(report(results, Path()).document, json.loads(SCHEMA.read_text()))
+    jsonschema.validate(report(results, Path()).document, json.loads(SCHEMA_FILE.read_text()))
     assert report(results, tmp_path).outputs["dataset"] is None
 
 
@@ -188,8 +188,8 @@ def test_without_detections_it_fails_with_a_reason(request_: CollectionRequest, 
             "detection rate of left_camera: found 0.8, expected at least",
         ),
         (CollectionChecks(minimum_coverage=1), "coverage of "),
-        (CollectionChecks(max_translation_mm=1e-6), "translation error against the truth: found "),
-        (CollectionChecks(max_rotation_deg=1e-9), "rotation error against the truth: found "),
+        (CollectionChecks(limits=CollectionLimits(translation_mm=1e-6)), "translation error against the truth: found "),
+        (CollectionChecks(limits=CollectionLimits(rotation_deg=1e-9)), "rotation error against the truth: found "),
     ],
 )
 def test_each_limit_turns_it_red(results: CollectionResults, limits: CollectionChecks, reason: str) -> None:
@@ -200,7 +200,7 @@ def test_each_limit_turns_it_red(results: CollectionResults, limits: CollectionC
 
 
 def test_without_limits_it_still_has_to_calibrate(results: CollectionResults) -> None:
-    free = CollectionChecks(minimum_collections=1, max_translation_mm=None, max_rotation_deg=None)
+    free = CollectionChecks(minimum_collections=1)
     assert replace(results, limits=free).verdict == "pass"
     lost = replace(results, limits=free, proof=Proof(False, "no minimum"))
     assert lost.reasons == ["the dataset does not calibrate: no minimum"]
@@ -215,9 +215,9 @@ def test_a_joint_that_is_off_the_truth_turns_it_red(results: CollectionResults) 
     off = replace(results, proof=replace(results.proof, joints=joints))
     assert off.reasons == ["joint translation error against the truth: found 6 mm, expected at most 5 mm"]
     assert "joints 6 mm and 0.057 deg from the truth" in report(off, Path()).line
-    turned = replace(off, limits=CollectionChecks(max_translation_mm=7, max_rotation_deg=0.05))
+    turned = replace(off, limits=CollectionChecks(limits=CollectionLimits(7, 0.05)))
     assert turned.reasons == ["joint rotation error against the truth: found 0.0573 deg, expected at most 0.05 deg"]
-    assert replace(off, limits=CollectionChecks(max_translation_mm=None)).verdict == "pass"
+    assert replace(off, limits=CollectionChecks(limits=CollectionLimits(None, 0.3))).verdict == "pass"
 
 
 def test_a_dataset_is_not_overwritten_unless_asked(

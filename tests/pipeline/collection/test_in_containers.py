@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable, Generator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,16 @@ from calibration.base.errors import ExitCode, InputError
 from calibration.ci.execution.job import OUTPUT, Artifact, Job
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.pipeline.collection.applications import (
-    INPUTS,
-    MOTION,
-    PLAYER,
-    REPORT,
-    applications_from,
+    INPUT_FOLDER,
+    MOTION_PATH,
+    PLAYER_PATH,
+    REPORT_PATH,
     collection_job,
 )
 from calibration.pipeline.collection.dispatch import collect_dataset
-from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ContainerRequest
+from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
+from tests.pipeline.collection.applications import applications_from
 from tests.pipeline.targets import at
 
 DATASETS = Path(__file__).parents[3] / "datasets"
@@ -74,7 +75,7 @@ def copying(dataset: Path, report: object = None) -> Callable[[Path], None]:
     def leave(artifacts: Path) -> None:
         shutil.copytree(dataset, artifacts / "dataset")
         if report is not None:
-            (artifacts / Path(REPORT).name).write_text(json.dumps(report))
+            (artifacts / Path(REPORT_PATH).name).write_text(json.dumps(report))
 
     return leave
 
@@ -86,15 +87,14 @@ def test_the_number_of_the_collection_is_passed(collected: Path, tmp_path: Path)
         shutil.copytree(collected, artifacts / "set-3-7")
 
     backend = LeavesBehind(leave)
-    asked = ContainerRequest("fresh", applications_from(entry, Path(), "x"), DATASETS / "t2rgb", seed=3, scenario=7)
-    assert collect_dataset(asked, tmp_path / "out", target=at(backend)).verdict == "pass"
+    asked = CollectionRequest(DATASETS / "t2rgb", applications_from(entry, Path(), "x"), name="fresh", seed=3, number=7)
+    assert collect_dataset(replace(asked, target=at(backend)), tmp_path / "out").verdict == "pass"
     assert backend.jobs[0].containers[-1].artifacts[0] == Artifact(f"{OUTPUT}/set-3-7")
 
 
-def request(**changes: Any) -> ContainerRequest:
-    return ContainerRequest(
-        "fresh", applications_from(ENTRY, Path(), "simulation.fresh"), DATASETS / "t2rgb", **{"seed": 3, **changes}
-    )
+def request(**changes: Any) -> CollectionRequest:
+    applications = applications_from(ENTRY, Path(), "simulation.fresh")
+    return CollectionRequest(DATASETS / "t2rgb", applications, name="fresh", **{"seed": 3, **changes})
 
 
 def test_the_containers_and_our_player() -> None:
@@ -107,9 +107,9 @@ def test_the_containers_and_our_player() -> None:
     assert set(player.after) == {"master", "simulation", "robot"}
     assert player.image == "robot:1"
     assert (containers["robot"].success, player.success) == ((), (0,))  # roslaunch answers 0 whatever has died
-    assert {mount.target for mount in player.mounts} == {INPUTS}
-    assert {PLAYER, MOTION} <= set(player.command)
-    assert player.artifacts == (Artifact(f"{OUTPUT}/dataset"), Artifact(REPORT, required=False))
+    assert {mount.target for mount in player.mounts} == {INPUT_FOLDER}
+    assert {PLAYER_PATH, MOTION_PATH} <= set(player.command)
+    assert player.artifacts == (Artifact(f"{OUTPUT}/dataset"), Artifact(REPORT_PATH, required=False))
     assert all(not mount.writable for container in job.containers for mount in container.mounts)
 
 
@@ -140,7 +140,7 @@ def test_errors_are_raised_before_anything_runs(changes: dict[str, Any], message
 def test_the_dataset_is_checked_and_calibrated(collected: Path, tmp_path: Path) -> None:
     report = [{"pose": n, "saved": n != 3, "answer": "" if n != 3 else "no board\nseen"} for n in range(1, 6)]
     backend = LeavesBehind(copying(collected, report))
-    results = collect_dataset(request(), tmp_path / "out", target=at(backend))
+    results = collect_dataset(request(target=at(backend)), tmp_path / "out")
     assert results.verdict == "pass"
     assert results.proof is not None
     assert results.proof.translation_mm is not None
@@ -161,18 +161,18 @@ def test_the_dataset_is_checked_and_calibrated(collected: Path, tmp_path: Path) 
 
 
 def test_collections_are_named_as_the_dataset_names_them(collected: Path, tmp_path: Path) -> None:
-    results = collect_dataset(request(), tmp_path / "out", target=at(LeavesBehind(copying(collected))))
+    results = collect_dataset(request(target=at(LeavesBehind(copying(collected)))), tmp_path / "out")
     assert [record.key for record in results.records] == ["000", "001", "002", "003"]
     assert "000,1,yes" in (tmp_path / "out" / "poses.csv").read_text()
 
 
 def test_a_collection_again_replaces_all_of_the_earlier_one(collected: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
-    collect_dataset(request(), output, target=at(LeavesBehind(copying(collected))))
+    collect_dataset(request(target=at(LeavesBehind(copying(collected)))), output)
     (output / "logs" / "old.log").write_text("old")
     with pytest.raises(InputError, match="exists already"):
-        collect_dataset(request(), output, target=at(LeavesBehind(copying(collected))))
-    collect_dataset(request(), output, target=at(LeavesBehind(copying(collected))), overwrite=True)
+        collect_dataset(request(target=at(LeavesBehind(copying(collected)))), output)
+    collect_dataset(request(target=at(LeavesBehind(copying(collected)))), output, overwrite=True)
     assert [path.name for path in (output / "logs").iterdir()] == ["robot.log"]
 
 
@@ -186,7 +186,7 @@ def test_a_collection_again_replaces_all_of_the_earlier_one(collected: Path, tmp
 )
 def test_failed_applications_give_a_reason(tmp_path: Path, code: ExitCode, error: ExitCode | None) -> None:
     outcome = {"exit_code": code, "reasons": ("robot: exited with code 3",)}
-    results = collect_dataset(request(), tmp_path / "out", target=at(LeavesBehind(lambda _: None, outcome)))
+    results = collect_dataset(request(target=at(LeavesBehind(lambda _: None, outcome))), tmp_path / "out")
     assert results.exit_code == code
     assert results.error == error
     assert results.reasons == ["robot: exited with code 3"]
@@ -196,7 +196,7 @@ def test_failed_applications_give_a_reason(tmp_path: Path, code: ExitCode, error
 
 
 def reasons_of(dataset: Path, tmp_path: Path, **changes: Any) -> CollectionResults:
-    return collect_dataset(request(**changes), tmp_path / "out", target=at(LeavesBehind(copying(dataset))))
+    return collect_dataset(request(target=at(LeavesBehind(copying(dataset))), **changes), tmp_path / "out")
 
 
 def changed(collected: Path, tmp_path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
@@ -240,9 +240,8 @@ def test_a_file_outside_of_the_folder_is_not_drawn(collected: Path, tmp_path: Pa
 def test_checks_and_truth(collected: Path, tmp_path: Path) -> None:
     few = reasons_of(collected, tmp_path, checks=CollectionChecks(minimum_collections=9))
     assert few.reasons == ["collections: found 4, expected at least 9"]
-    none = CollectionChecks(max_translation_mm=None, max_rotation_deg=None)
     shutil.rmtree(tmp_path / "out")
-    free = reasons_of(collected, tmp_path, truth="none", checks=none)
+    free = reasons_of(collected, tmp_path, truth="none")
     assert free.verdict == "pass"
     assert free.proof is not None
     assert free.proof.translation_mm is None
@@ -251,8 +250,8 @@ def test_checks_and_truth(collected: Path, tmp_path: Path) -> None:
 def test_without_a_system_nothing_is_known_of_it(collected: Path, tmp_path: Path) -> None:
     entry = {**ENTRY, "ros": "none"}
     del entry["player"]
-    asked = ContainerRequest("theirs", applications_from(entry, Path(), "x"), truth="dataset")
-    results = collect_dataset(asked, tmp_path / "out", target=at(LeavesBehind(copying(collected))))
+    asked = CollectionRequest(applications=applications_from(entry, Path(), "x"), name="theirs", truth="dataset")
+    results = collect_dataset(replace(asked, target=at(LeavesBehind(copying(collected)))), tmp_path / "out")
     assert results.verdict == "pass"
     assert not results.contact_sheet
     assert results.motion == "the motion of the applications"
@@ -262,17 +261,17 @@ def test_without_a_system_nothing_is_known_of_it(collected: Path, tmp_path: Path
 def test_a_report_that_is_none_is_refused(collected: Path, tmp_path: Path, report: str) -> None:
     def leave(artifacts: Path) -> None:
         shutil.copytree(collected, artifacts / "dataset")
-        (artifacts / Path(REPORT).name).write_text(report)
+        (artifacts / Path(REPORT_PATH).name).write_text(report)
 
-    results = collect_dataset(request(), tmp_path / "out", target=at(LeavesBehind(leave)))
+    results = collect_dataset(request(target=at(LeavesBehind(leave))), tmp_path / "out")
     assert results.reasons == [".player.json: this is no report of the player"]
 
 
 def test_our_player_needs_a_motion_of_a_pattern(tmp_path: Path) -> None:
-    asked = ContainerRequest("fresh", applications_from(ENTRY, Path(), "x"))
+    asked = CollectionRequest(applications=applications_from(ENTRY, Path(), "x"), name="fresh")
     with pytest.raises(InputError, match="our player needs a motion"):
-        collect_dataset(asked, tmp_path / "out", target=at(LeavesBehind(lambda _: None)))
+        collect_dataset(replace(asked, target=at(LeavesBehind(lambda _: None))), tmp_path / "out")
     with pytest.raises(InputError, match="a motion is only generated for a system"):
-        collect_dataset(ContainerRequest("fresh", asked.applications, motion="generate:3"), tmp_path)
+        collect_dataset(replace(asked, motion="generate:3"), tmp_path)
     with pytest.raises(InputError, match="moves joints"):
-        collect_dataset(ContainerRequest("fresh", asked.applications, DATASETS / "riwbot"), tmp_path)
+        collect_dataset(replace(asked, system=DATASETS / "riwbot"), tmp_path)

@@ -5,6 +5,7 @@ import json
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,8 +15,8 @@ from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,
     CollectionChecks,
+    CollectionLimits,
     CollectionRequest,
-    ScenarioOfSet,
     ScenarioRequest,
 )
 from calibration.pipeline.collection.results import ScenarioResults, scenario_reasons
@@ -35,37 +36,34 @@ GOOD = ScenarioResult(
     translation_mm=1.0,
     rotation_deg=0.1,
 )
+USUAL = CollectionChecks().with_usual_limits()
 FAR = replace(GOOD, id="s1-00001", translation_mm=7.0)
 BROKEN = replace(
     GOOD, id="s1-00002", converged=False, translation_mm=None, rotation_deg=None, reasons=("nothing seen",)
 )
 
 
-def results(*found: ScenarioResult, rate: float = 1.0, **checks: float) -> ScenarioResults:
-    request = ScenarioRequest(
-        CollectionRequest(Path("my robot"), seed=1, checks=CollectionChecks(**checks)),  # type: ignore[arg-type]
-        Path("scenarios.yml"),
-        len(found),
-        rate,
+def results(*found: ScenarioResult, rate: float = 1.0, **checks: Any) -> ScenarioResults:
+    collection = CollectionRequest(
+        Path("my robot"), seed=1, checks=CollectionChecks(**checks), scenario_set=Path("scenarios.yml")
     )
+    request = ScenarioRequest(collection, len(found), rate)
     return ScenarioResults("robot", request, Statistics(found))
 
 
 def test_a_scenario_passes_within_its_limits() -> None:
-    assert scenario_reasons(GOOD, CollectionChecks()) == []
-    assert scenario_reasons(BROKEN, CollectionChecks()) == ["nothing seen"]
-    assert scenario_reasons(replace(BROKEN, reasons=()), CollectionChecks()) == ["it does not calibrate"]
-    assert scenario_reasons(FAR, CollectionChecks()) == [
-        "translation error against the truth: found 7 mm, expected at most 5 mm"
-    ]
-    strict = CollectionChecks(minimum_collections=12, minimum_detection_rate=0.95, max_rotation_deg=0.05)
+    assert scenario_reasons(GOOD, USUAL) == []
+    assert scenario_reasons(BROKEN, USUAL) == ["nothing seen"]
+    assert scenario_reasons(replace(BROKEN, reasons=()), USUAL) == ["it does not calibrate"]
+    assert scenario_reasons(FAR, USUAL) == ["translation error against the truth: found 7 mm, expected at most 5 mm"]
+    strict = CollectionChecks(minimum_collections=12, minimum_detection_rate=0.95, limits=CollectionLimits(5, 0.05))
     assert [reason.partition(":")[0] for reason in scenario_reasons(GOOD, strict)] == [
         "collections",
         "detection rate of left",
         "rotation error against the truth",
     ]
-    assert scenario_reasons(replace(GOOD, translation_mm=None), CollectionChecks()) != []
-    assert scenario_reasons(replace(GOOD, joint_mm=4.0, joint_deg=0.4), CollectionChecks()) == [
+    assert scenario_reasons(replace(GOOD, translation_mm=None), USUAL) != []
+    assert scenario_reasons(replace(GOOD, joint_mm=4.0, joint_deg=0.4), USUAL) == [
         "joint rotation error against the truth: found 0.4 deg, expected at most 0.3 deg"
     ]
 
@@ -76,7 +74,7 @@ def test_every_scenario_has_to_pass_unless_a_rate_is_given() -> None:
     assert results(GOOD, FAR).reasons == ["success rate: found 0.5, expected at least 1"]
     assert results(GOOD, FAR, rate=0.5).exit_code == ExitCode.PASS
     assert results(GOOD, FAR, BROKEN, rate=0.5).exit_code == ExitCode.FAIL
-    assert results(FAR, max_translation_mm=10).exit_code == ExitCode.PASS
+    assert results(FAR, limits=CollectionLimits(10)).exit_code == ExitCode.PASS
 
 
 def test_what_it_leaves(tmp_path: Path) -> None:
@@ -129,7 +127,7 @@ def test_a_scenario_does_not_go_on_with_what_another_set_made_of_its_id(small: P
         raise KeyboardInterrupt
 
     def scenario(name: str) -> CollectionRequest:
-        return CollectionRequest(small, scenario=ScenarioOfSet(tmp_path / f"{name}.yml", "s1-00000"))
+        return CollectionRequest(small, scenario_set=tmp_path / f"{name}.yml")
 
     for name, noise in (("a", 1), ("b", 5)):
         text = f"cameras: {{noise_levels: {noise}}}\nmotion: {{poses: 4}}\n"

@@ -18,13 +18,12 @@ from calibration.base.records.schema import schema_of
 from calibration.ci.execution.job import OUTPUT, Job
 from calibration.ci.execution.job_check import check_jobs
 from calibration.ci.execution.outcome import JobOutcome
-from calibration.pipeline.collection.applications import INPUTS
+from calibration.pipeline.collection.applications import INPUT_FOLDER
 from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
-from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioOfSet, ScenarioRequest
+from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioRequest
 from calibration.pipeline.collection.results import ScenarioResults
-from calibration.pipeline.collection.scenario_file import FILE, ScenarioFile
 from calibration.pipeline.collection.scenario_report import report
-from calibration.pipeline.collection.scenarios import ScenarioDone, ScenarioFolder
+from calibration.pipeline.collection.scenarios import SCENARIO_FILE, ScenarioDone, ScenarioFile, ScenarioFolder
 from tests.pipeline.targets import at
 from tests.small import first_poses
 
@@ -73,7 +72,7 @@ class RunsHere:
         files = [(str(path.relative_to(inputs)), path.read_bytes()) for path in sorted(inputs.rglob("*.*"))]
         key = repr((command, files))
         if key not in self.ran:
-            words = [word.replace(INPUTS, str(inputs)).replace(OUTPUT, str(artifacts)) for word in command]
+            words = [word.replace(INPUT_FOLDER, str(inputs)).replace(OUTPUT, str(artifacts)) for word in command]
             assert words[0] == "calibration"
             code = main(words[1:])
             self.ran[key] = code, Path(tempfile.mkdtemp(dir=self.kept))
@@ -98,17 +97,12 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def asked(small: Path, tmp_path: Path) -> ScenarioRequest:
     path = tmp_path / "my scenarios.yml"
     path.write_text(SET)
-    return ScenarioRequest(CollectionRequest(small, seed=5), path, SCENARIOS)
-
-
-def own(asked: ScenarioRequest) -> CollectionRequest:
-    assert isinstance(asked.collection, CollectionRequest)
-    return asked.collection
+    return ScenarioRequest(CollectionRequest(small, seed=5, scenario_set=path), SCENARIOS)
 
 
 def set_file(asked: ScenarioRequest) -> Path:
-    assert asked.scenario_set is not None
-    return asked.scenario_set
+    assert asked.collection.scenario_set is not None
+    return asked.collection.scenario_set
 
 
 def written(found: ScenarioResults, output: Path) -> ScenarioResults:
@@ -124,10 +118,9 @@ def run(
     done: ScenarioDone = lambda *_: None,
     **how: bool,
 ) -> ScenarioResults:
-    there = replace(asked, image=ScenarioImage("robot:1", 60))
-    return written(
-        collect_scenarios(there, ScenarioFolder(output, **how), None, at(backend or RunsHere()), begin, done), output
-    )
+    collection = replace(asked.collection, target=at(backend or RunsHere()))
+    there = replace(asked, collection=collection, image=ScenarioImage("robot:1", 60))
+    return written(collect_scenarios(there, ScenarioFolder(output, **how), None, begin, done), output)
 
 
 def run_here(asked: ScenarioRequest, output: Path) -> ScenarioResults:
@@ -156,12 +149,12 @@ def test_the_same_report_and_the_same_datasets_as_here(
     assert {path.name for path in (tmp_path / "there").iterdir() if path.is_dir()} == {"scenarios", "logs"}
     assert (tmp_path / "there" / "logs" / "s5-00001" / "scenario.log").read_text() == "began\nended with 0\n\n"
 
-    alone = replace(own(asked), scenario=ScenarioOfSet(tmp_path / "my scenarios.yml", "s5-00001"))
+    alone = replace(asked.collection, number=1)
     collect_dataset(alone, tmp_path / "one", jobs=1)
     kept = snapshot(tmp_path / "there" / "scenarios" / "s5-00001")
     assert kept == snapshot(tmp_path / "one")
-    assert {"dataset.json", "ground_truth.json", "contact_sheet.png", FILE} <= kept.keys()
-    jsonschema.validate(json.loads(kept[FILE]), schema_of(ScenarioFile))
+    assert {"dataset.json", "ground_truth.json", "contact_sheet.png", SCENARIO_FILE} <= kept.keys()
+    jsonschema.validate(json.loads(kept[SCENARIO_FILE]), schema_of(ScenarioFile))
     assert [job.seconds for job in backend.jobs] == [60, 60, 60]
     assert capsys.readouterr().err == ""
 
@@ -175,7 +168,9 @@ def test_a_robot_a_configuration_a_motion_and_a_requirement_of_its_own(
     (system / "robot.urdf").rename(robot)
     (system / "config.yml").rename(config)
     motion = first_poses(small, 3, tmp_path / "m.json")
-    collection = CollectionRequest(system, robot, config, str(motion), 5, 0.0017)
+    collection = CollectionRequest(
+        system, robot=robot, config=config, motion=str(motion), seed=5, stillness=0.0017, scenario_set=set_file(asked)
+    )
     asked = replace(asked, collection=collection, count=1)
     run(asked, tmp_path / "there")
     run_here(asked, tmp_path / "here")
@@ -227,7 +222,7 @@ def test_only_what_is_missing_is_run_again(asked: ScenarioRequest, tmp_path: Pat
     nothing = RunsHere()
     run(asked, output, nothing, resume=True)
     assert nothing.jobs == []
-    run(replace(asked, collection=replace(own(asked), seed=6), count=1), output, overwrite=True)
+    run(replace(asked, collection=replace(asked.collection, seed=6), count=1), output, overwrite=True)
     assert [path.name for path in (output / "scenarios").iterdir()] == ["s6-00000"]
 
 
@@ -238,7 +233,7 @@ def test_what_was_another_scenario_is_not_kept(asked: ScenarioRequest, tmp_path:
     again = RunsHere()
     found = run(asked, tmp_path / "out", again, resume=True)
     assert len(again.jobs) == 1
-    strict = replace(asked, collection=replace(own(asked), stillness=0.001))
+    strict = replace(asked, collection=replace(asked.collection, stillness=0.001))
     run(strict, tmp_path / "out", again, resume=True)
     assert len(again.jobs) == 2
     assert found.exit_code == ExitCode.PASS
@@ -248,7 +243,7 @@ def edited(**changes: object) -> Change:
     """Change ``scenario.json``: the fields of the result, or ``_version`` and the like beside it."""
 
     def change(place: Path, outcome: dict[str, Any]) -> None:
-        path = place / "artifacts" / "dataset" / FILE
+        path = place / "artifacts" / "dataset" / SCENARIO_FILE
         document = json.loads(path.read_text())
         for key, value in changes.items():
             target = document if key.startswith("_") else document["result"]
@@ -260,7 +255,7 @@ def edited(**changes: object) -> Change:
 
 def rewritten(text: str | None) -> Change:
     def change(place: Path, outcome: dict[str, Any]) -> None:
-        path = place / "artifacts" / "dataset" / FILE
+        path = place / "artifacts" / "dataset" / SCENARIO_FILE
         path.unlink()
         if text is not None:
             path.write_text(text)
@@ -347,7 +342,7 @@ def test_a_scenario_in_which_no_motion_is_found_is_a_result(
     run_here(asked, tmp_path / "here")
     assert snapshot(tmp_path / "out") == snapshot(tmp_path / "here")
     assert (found.exit_code, found.errors) == (ExitCode.FAIL, {})
-    assert [path.name for path in (tmp_path / "out" / "scenarios" / "s5-00000").iterdir()] == [FILE]
+    assert [path.name for path in (tmp_path / "out" / "scenarios" / "s5-00000").iterdir()] == [SCENARIO_FILE]
 
 
 def test_bad_input_before_anything_runs(asked: ScenarioRequest, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from calibration.base.errors import ExitCode
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, maps_of
-from calibration.pipeline.matrix.software import SOFTWARE
+from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 from calibration.pipeline.system import NoiseGrid
 
 from .cells import cell, one_map
@@ -102,7 +102,7 @@ def test_cells_in_any_order_make_the_same_map() -> None:
 
 
 def test_our_engine_beside_software_is_not_judged() -> None:
-    cells = [cell(0, 0, method=SOFTWARE), cell(0, 0), cell(0, 0, system="leg"), cell(0, 0, start="linear")]
+    cells = [cell(0, 0, method=SOFTWARE_METHOD), cell(0, 0), cell(0, 0, system="leg"), cell(0, 0, start="linear")]
     found = maps_of(cells, NoiseGrid())
     assert [(each.name, each.judged) for each in found] == [
         ("arm, software, given", True),

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from calibration.base.errors import InfrastructureError
-from calibration.pipeline.convergence.figure import MOST_MAPS, figures
-from calibration.pipeline.convergence.report import report
-from calibration.pipeline.convergence.results import ConvergenceResults
+from calibration.pipeline.convergence.convergence_map import ConvergenceResults
+from calibration.pipeline.convergence.report import MAX_MAPS, figures, report
 from calibration.pipeline.system import NoiseGrid
 
 from .cells import one_map
@@ -61,9 +60,9 @@ def test_more_levels_and_maps_make_it_larger() -> None:
 
 
 def test_too_many_maps_are_a_note_not_a_failure(tmp_path: Path) -> None:
-    found = report(results(maps=MOST_MAPS + 1), tmp_path)
+    found = report(results(maps=MAX_MAPS + 1), tmp_path)
     found.write(tmp_path)
-    assert found.notes == (f"no figure: found {MOST_MAPS + 1} maps, at most {MOST_MAPS} can be drawn",)
+    assert found.notes == (f"no figure: found {MAX_MAPS + 1} maps, at most {MAX_MAPS} can be drawn",)
     assert not (tmp_path / "convergence.png").exists()
     assert found.verdict == "pass"
 

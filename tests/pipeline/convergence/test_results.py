@@ -16,10 +16,10 @@ from calibration.base.tables.table import read_table
 from calibration.base.tables.table_verdict import judge
 from calibration.ci.report import Report, remove_results
 from calibration.ci.report.junit import junit_xml
-from calibration.pipeline.convergence.convergence_map import Largest, least
+from calibration.pipeline.convergence.convergence_map import ConvergenceResults, Largest, Minimums, least
 from calibration.pipeline.convergence.report import (
     ALL_FILES,
-    SCHEMA,
+    SCHEMA_FILE,
     first_lost,
     largest_noise,
     largest_table,
@@ -27,7 +27,6 @@ from calibration.pipeline.convergence.report import (
     report,
     starts,
 )
-from calibration.pipeline.convergence.results import ConvergenceResults, Minimums
 from calibration.pipeline.system import NoiseGrid
 
 from .cells import one_map
@@ -108,7 +107,7 @@ def test_an_infrastructure_failure_of_a_noisy_start_is_no_pass() -> None:
 @pytest.mark.parametrize("found", [results(GOOD), results(LOST, NOTHING, translation=1.0)])
 def test_results_keep_to_their_schema(found: ConvergenceResults) -> None:
     written = json.loads(json.dumps(told(found).document, allow_nan=False))
-    jsonschema.validate(written, json.loads(SCHEMA.read_text()), cls=jsonschema.Draft202012Validator)
+    jsonschema.validate(written, json.loads(SCHEMA_FILE.read_text()), cls=jsonschema.Draft202012Validator)
     assert len(written["maps"][0]["pairs"]) == len(T) * len(R)
 
 

@@ -12,7 +12,7 @@ from calibration.pipeline.convergence import sweep
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.matrix.software import SOFTWARE, Software, software_from
+from calibration.pipeline.matrix.software import SOFTWARE_METHOD, Software, software_from
 from calibration.pipeline.system import NoiseGrid, System
 from tests.pipeline.conftest import T2RGB
 
@@ -130,7 +130,7 @@ def test_without_rules_and_limits_the_rms_is_that_of_the_best_start() -> None:
 
 
 def test_the_best_is_of_the_same_method_and_of_what_converged() -> None:
-    theirs = [cell(t, 0, rms_px=rms, method=SOFTWARE) for t, rms in ((0, 0.9), (1, 1.8))]
+    theirs = [cell(t, 0, rms_px=rms, method=SOFTWARE_METHOD) for t, rms in ((0, 0.9), (1, 1.8))]
     ours = [cell(0, 0, rms_px=0.1, method=OUR_METHOD)]
     assert same(theirs + ours, T2RGB) == ["pass", "fail", "pass"]
     better = replace(cell(0, 0, converged=False), rms_px=0.01)
@@ -142,7 +142,7 @@ def test_a_perfect_fit_leaves_room_for_the_last_digit() -> None:
 
 
 def test_what_nothing_judges_does_not_pass() -> None:
-    cells = [cell(0, 0, rms_px=None, method=SOFTWARE)]
+    cells = [cell(0, 0, rms_px=None, method=SOFTWARE_METHOD)]
     [found] = sweep._of_the_same_optimum(cells, [replace(T2RGB, name="arm")])
     assert found.verdict == "fail"
     assert "no criterion for convergence" in found.reasons[0]

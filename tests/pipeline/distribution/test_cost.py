@@ -7,14 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.records import document_of
-from calibration.pipeline.distribution.cost import Cost, JobTime, cost_of_run, jobs_table, money
-from calibration.pipeline.distribution.jobs import FILE, Needs
-from calibration.pipeline.distribution.plan import JobCell, Plan
+from calibration.pipeline.distribution.jobs import SECONDS_FILE, Cost, JobTime, Needs, cost_of_run, jobs_table, money
+from calibration.pipeline.distribution.plan import JobCell, WorkflowPlan
 
 ONE = JobCell("one", "slug-of-one", "robot", (0.0,), (0.0,))
 TWO = JobCell("two", "slug-of-two", "robot", (0.5,), (0.0,))
 LATER = JobCell("later", "slug-of-later", "fresh", (0.0,), (0.0,), collected=True)
-PLAN = Plan((ONE, TWO, LATER), simulations=("fresh",), unit_tests=True, image=True, minute_rate=0.008)
+PLAN = WorkflowPlan((ONE, TWO, LATER), simulations=("fresh",), unit_tests=True, image=True, minute_rate=0.008)
 ALL = dict.fromkeys(("plan", "image", "calibrate", "collect-data", "calibrate-collected", "unit-tests"), "success")
 SORTED = dict(sorted(ALL.items()))
 SECONDS = {"plan": 5, "image": 61, "collect-data": 60, "unit-tests": 0}
@@ -57,7 +56,7 @@ def test_money(amount: float | None, text: str) -> None:
 def left(folder: Path, **seconds: str) -> Path:
     for name, text in seconds.items():
         (folder / f"slug-of-{name}").mkdir()
-        (folder / f"slug-of-{name}" / FILE).write_text(text)
+        (folder / f"slug-of-{name}" / SECONDS_FILE).write_text(text)
     return folder
 
 
@@ -113,7 +112,7 @@ def test_unknown_times_are_reported_and_not_guessed(tmp_path: Path) -> None:
 
 def test_the_upload_of_the_coverage_is_counted(tmp_path: Path) -> None:
     needs = Needs({"plan": "success", "unit-tests": "success", "coverage": "success"}, seconds={"coverage": 61})
-    times = cost_of_run(Plan(unit_tests=True), needs, tmp_path, 1, promotes=False).times
+    times = cost_of_run(WorkflowPlan(unit_tests=True), needs, tmp_path, 1, promotes=False).times
     assert [(time.job, time.seconds) for time in times if time.seconds] == [("coverage", 61), ("verdict", 1)]
 
 
@@ -125,7 +124,7 @@ def test_what_did_not_run_costs_nothing(tmp_path: Path) -> None:
 
 
 def test_without_a_rate_there_are_minutes_only(tmp_path: Path) -> None:
-    cost = cost_of_run(Plan(), Needs({"plan": "failure"}, seconds={"plan": 1}), tmp_path, 3, promotes=False)
+    cost = cost_of_run(WorkflowPlan(), Needs({"plan": "failure"}, seconds={"plan": 1}), tmp_path, 3, promotes=False)
     table = jobs_table({"plan": "failure"}, cost).markdown()
     assert "Cost" not in table
     assert "| all |  | 2 | 4 | 2 |" in table

@@ -12,11 +12,11 @@ from calibration.base.errors import ExitCode, InputError
 from calibration.pipeline.distribution.gathering import NO_RESULT, Gathered
 from calibration.pipeline.distribution.gathering import gather as gather_by_needs
 from calibration.pipeline.distribution.jobs import Needs
-from calibration.pipeline.distribution.plan import JobCell, Plan
+from calibration.pipeline.distribution.plan import JobCell, WorkflowPlan
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import write_results
-from calibration.pipeline.results import Collected, ImageResult, Results
+from calibration.pipeline.results import Collected, ImageResult, PipelineResults
 from calibration.pipeline.system import NoiseGrid
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.matrix.test_cell_verdict import CELL
@@ -25,8 +25,8 @@ ONE = JobCell("robot, 0.5 m, 0.3 rad", "one", "robot", (0.5,), (0.3,))
 TWO = JobCell("robot, 0 m, 0.3 rad", "two", "robot", (0.0,), (0.3,))
 LATER = JobCell("fresh", "later", "fresh", (0.0,), (0.0,), image="built", collected=True)
 FRESH = Collected("fresh", poses=4, kept=4, dataset="collected/fresh")
-BOTH = Plan((ONE, TWO))
-WHOLE = Plan((ONE, TWO, LATER), simulations=("fresh",), unit_tests=True, image=True, push=True)
+BOTH = WorkflowPlan((ONE, TWO))
+WHOLE = WorkflowPlan((ONE, TWO, LATER), simulations=("fresh",), unit_tests=True, image=True, push=True)
 
 
 def result(job: JobCell, seed: int = 1, **changes: Any) -> CellResult:
@@ -45,13 +45,13 @@ def result(job: JobCell, seed: int = 1, **changes: Any) -> CellResult:
     return replace(base, **changes)
 
 
-def needs(plan: Plan, **results: str) -> Needs:
+def needs(plan: WorkflowPlan, **results: str) -> Needs:
     found = {job: "success" if runs else "skipped" for job, runs in plan.jobs.items()}
     found |= {job.replace("_", "-"): outcome for job, outcome in results.items()}
     return Needs({"plan": "success", **found})
 
 
-def gather(plan: Plan, folder: Path, **results: str) -> Gathered:
+def gather(plan: WorkflowPlan, folder: Path, **results: str) -> Gathered:
     """Gather a plan's results; its jobs have succeeded unless told otherwise."""
     return gather_by_needs(needs(plan, **results), plan, folder)
 
@@ -61,7 +61,7 @@ def leave(tmp_path: Path) -> Callable[..., Path]:
     """Return what a job does: leave its results in a folder of its own."""
 
     def write(slug: str, *cells: CellResult, **others: Any) -> Path:
-        write_results(Results(cells, **others), tmp_path / slug)
+        write_results(PipelineResults(cells, **others), tmp_path / slug)
         return tmp_path / slug / "results.json"
 
     return write
@@ -107,10 +107,10 @@ def test_real_results_are_gathered_unchanged(tmp_path: Path) -> None:
     whole = run_matrix(matrix, tmp_path / "whole", 1)
     for slug, t in (("a", 0.0), ("b", 0.5)):
         part = run_matrix(replace(matrix, noise=NoiseGrid((t,), (0.3,))), tmp_path / slug, 1)
-        write_results(Results(part.cells, part.comparisons), tmp_path / slug)
+        write_results(PipelineResults(part.cells, part.comparisons), tmp_path / slug)
     jobs = (JobCell("", "a", "riwbot", (0.0,), (0.3,)), JobCell("", "b", "riwbot", (0.5,), (0.3,)))
 
-    found = gather(Plan(jobs), tmp_path).results
+    found = gather(WorkflowPlan(jobs), tmp_path).results
 
     def essence(cells: tuple[CellResult, ...]) -> list[CellResult]:
         return [replace(cell, details=None, seconds=0, table=None, dataset=None, folder=None) for cell in cells]
@@ -142,7 +142,7 @@ def test_a_missing_result_is_never_a_pass(job: str, leave: Callable[..., Path], 
 
 def test_a_missing_seed_is_a_missing_result(leave: Callable[..., Path], tmp_path: Path) -> None:
     leave("one", result(ONE, 1))
-    found = gather(Plan((ONE,), seeds=(1, 2)), tmp_path)
+    found = gather(WorkflowPlan((ONE,), seeds=(1, 2)), tmp_path)
     assert [(cell.seed, cell.verdict) for cell in found.results.cells] == [(1, "pass"), (2, "fail")]
 
 
@@ -181,7 +181,7 @@ def test_a_job_that_failed_though_its_results_are_fine_is_red(
 def test_an_unplanned_job_that_failed_is_red(leave: Callable[..., Path], tmp_path: Path) -> None:
     leave("one", result(ONE))
     known = Needs({"plan": "success", "calibrate": "success"})
-    found = gather_by_needs(known, Plan((ONE,), unit_tests=True), tmp_path)
+    found = gather_by_needs(known, WorkflowPlan((ONE,), unit_tests=True), tmp_path)
     assert found.problems == ("the job unit-tests is missing: see its log",)
 
 
@@ -202,14 +202,14 @@ def test_a_plan_that_failed_is_red(outcome: str, tmp_path: Path) -> None:
 
 
 def test_only_unit_tests(tmp_path: Path) -> None:
-    plan = Plan(unit_tests=True)
+    plan = WorkflowPlan(unit_tests=True)
     assert gather(plan, tmp_path).exit_code == ExitCode.PASS
     assert gather(plan, tmp_path, unit_tests="failure").exit_code == ExitCode.FAIL
 
 
 @pytest.mark.parametrize(("outcome", "problems"), [("success", 0), ("skipped", 0), ("failure", 1), ("cancelled", 1)])
 def test_an_upload_that_failed_is_red(outcome: str, problems: int, tmp_path: Path) -> None:
-    found = gather(Plan(unit_tests=True), tmp_path, coverage=outcome)
+    found = gather(WorkflowPlan(unit_tests=True), tmp_path, coverage=outcome)
     assert len(found.problems) == problems
     assert ("coverage" in found.jobs) is (outcome != "skipped")
     assert found.exit_code == (ExitCode.FAIL if problems else ExitCode.PASS)
@@ -218,10 +218,10 @@ def test_an_upload_that_failed_is_red(outcome: str, problems: int, tmp_path: Pat
 def test_what_was_not_planned_is_refused(leave: Callable[..., Path], tmp_path: Path) -> None:
     leave("one", result(ONE), result(TWO))
     with pytest.raises(InputError, match=r"one/results.json: has a result of robot, 0 m, .* which was not"):
-        gather(Plan((ONE,)), tmp_path)
+        gather(WorkflowPlan((ONE,)), tmp_path)
     leave("collected-data", collections=(FRESH, replace(FRESH, name="more")))
     with pytest.raises(InputError, match=r"collected-data/results.json: has more, which was not planned"):
-        gather(Plan(simulations=("fresh",)), tmp_path)
+        gather(WorkflowPlan(simulations=("fresh",)), tmp_path)
 
 
 def edited(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
@@ -248,7 +248,7 @@ def test_a_results_file_is_checked_by_its_schema(
 ) -> None:
     edited(leave("one", result(ONE, reasons=("too far off",))), change)
     with pytest.raises(InputError, match=message):
-        gather(Plan((ONE,)), tmp_path)
+        gather(WorkflowPlan((ONE,)), tmp_path)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "\xff"])
@@ -256,7 +256,7 @@ def test_what_is_no_results_file(text: str, tmp_path: Path) -> None:
     (tmp_path / "one").mkdir()
     (tmp_path / "one" / "results.json").write_text(text, encoding="latin-1")
     with pytest.raises(InputError, match=r"one/results.json: this is not a results file"):
-        gather(Plan((ONE,)), tmp_path)
+        gather(WorkflowPlan((ONE,)), tmp_path)
 
 
 def test_what_a_job_says_of_others_does_not_count(leave: Callable[..., Path], tmp_path: Path) -> None:
@@ -264,9 +264,9 @@ def test_what_a_job_says_of_others_does_not_count(leave: Callable[..., Path], tm
     other = result(replace(ONE, system="another robot"))
     leave("one", result(ONE), comparisons=(other,), collections=(FRESH,), image=ImageResult("evil", "1", True))
     leave("unit-tests", result(ONE, rms_px=0.0))
-    found = gather(Plan((ONE,), unit_tests=True), tmp_path).results
+    found = gather(WorkflowPlan((ONE,), unit_tests=True), tmp_path).results
     assert (found.comparisons, found.collections, found.image) == ((), (), None)
-    assert found.cells == gather(Plan((ONE,)), tmp_path).results.cells
+    assert found.cells == gather(WorkflowPlan((ONE,)), tmp_path).results.cells
 
 
 def test_the_error_of_a_job_without_results_is_a_reason(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.pipeline.distribution.jobs import FILE, parse_seconds, read_seconds
+from calibration.pipeline.distribution.jobs import SECONDS_FILE, parse_seconds, read_seconds
 
 
 @pytest.mark.parametrize(("value", "seconds"), [("0", 0), ("61", 61), (" 7\n", 7), ("9999999", 9999999)])
@@ -22,12 +22,12 @@ def test_what_is_no_number_of_seconds_is_not_known(value: object) -> None:
 
 def test_the_file_of_a_job(tmp_path: Path) -> None:
     assert read_seconds(tmp_path) is None
-    (tmp_path / FILE).write_text("42\n")
+    (tmp_path / SECONDS_FILE).write_text("42\n")
     assert read_seconds(tmp_path) == 42
-    (tmp_path / FILE).write_bytes(b"\xff\xfe")
+    (tmp_path / SECONDS_FILE).write_bytes(b"\xff\xfe")
     assert read_seconds(tmp_path) is None
-    (tmp_path / FILE).write_text("1" + " " * 100)
+    (tmp_path / SECONDS_FILE).write_text("1" + " " * 100)
     assert read_seconds(tmp_path) is None
-    (tmp_path / FILE).unlink()
-    (tmp_path / FILE).mkdir()
+    (tmp_path / SECONDS_FILE).unlink()
+    (tmp_path / SECONDS_FILE).mkdir()
     assert read_seconds(tmp_path) is None

@@ -9,15 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.errors import InputError
+from calibration.base.records import read
 from calibration.ci.execution.job import Container
 from calibration.ci.image.specification import ImageSpecification, parse_image_specification
-from calibration.pipeline.configuration import Configuration, Simulation, parse_applications
+from calibration.pipeline.collection.request import CollectionRequest
+from calibration.pipeline.configuration import PipelineConfiguration
 from calibration.pipeline.distribution.jobs import Needs, parse_needs
 from calibration.pipeline.distribution.plan import (
-    MOST_JOBS,
+    MAX_JOBS,
     JobCell,
     JobInputs,
-    Plan,
+    WorkflowPlan,
     datasets_as_configuration,
     plan_jobs,
 )
@@ -26,20 +28,20 @@ from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.system import NoiseGrid, System
 
 ROBOT, ARM = System("robot", Path("data/robot")), System("arm", Path("data/arm"))
-FRESH = Simulation("fresh", Path("data/robot"))
+FRESH = CollectionRequest(Path("data/robot"), name="fresh")
 COLLECTED = replace(ROBOT, name="fresh", dataset=Path("simulation:fresh"))
 GRID = NoiseGrid((0.0, 0.5), (0.0, 0.1), (1, 2))
 
 
 def planned(
     *systems: System,
-    simulations: tuple[Simulation, ...] = (),
+    simulations: tuple[CollectionRequest, ...] = (),
     section: ImageSpecification | None = None,
     noise: NoiseGrid = GRID,
     by_path: bool = False,
     **inputs: object,
-) -> Plan:
-    configuration = Configuration(systems=systems, simulations=simulations, image=section)
+) -> WorkflowPlan:
+    configuration = PipelineConfiguration(systems=systems, simulations=simulations, image=section)
     inputs.setdefault("noise_inside_cells", False)
     return plan_jobs(configuration, systems, noise, JobInputs(**inputs), by_path=by_path)  # type: ignore[arg-type]
 
@@ -103,11 +105,11 @@ def test_one_job_calibrates_from_all_noises_where_that_is_short(tmp_path: Path) 
 
 
 def test_the_largest_matrix_that_github_takes_and_one_more() -> None:
-    systems = [replace(ROBOT, name=f"robot-{i}") for i in range(MOST_JOBS // 4)]
-    assert len(planned(*systems).cells) == MOST_JOBS
+    systems = [replace(ROBOT, name=f"robot-{i}") for i in range(MAX_JOBS // 4)]
+    assert len(planned(*systems).cells) == MAX_JOBS
     with pytest.raises(InputError, match=r"has 260 jobs \(65 systems x 2 .* x 2 .*\), .* 256: set noise-inside"):
         planned(*systems, ARM)
-    many = [replace(ROBOT, name=f"robot-{i}") for i in range(MOST_JOBS + 1)]
+    many = [replace(ROBOT, name=f"robot-{i}") for i in range(MAX_JOBS + 1)]
     with pytest.raises(InputError, match=r"has 257 jobs .*: name fewer systems"):
         planned(*many, noise_inside_cells=True)
 
@@ -200,8 +202,7 @@ def test_a_simulation_needs_the_image_where_a_container_names_none(
     image: dict[str, str], built: bool, tmp_path: Path
 ) -> None:
     entry = {"containers": {"sim": {"command": ["simulate"], **image}}, "truth": "none"}
-    applications = parse_applications(entry, tmp_path, "simulation")
-    simulations = (Simulation("fresh", applications=applications),)
+    simulations = (read(CollectionRequest, entry, "simulation", tmp_path, name="fresh"),)
     plan = planned(ROBOT, simulations=simulations, section=image_section(True, tmp_path))
     assert plan.image is built
     assert plan.collects_in_image is built
@@ -240,7 +241,7 @@ cells = st.builds(
 def test_a_plan_round_trips_through_its_file(
     now: list[JobCell], later: list[JobCell], seeds: list[int], flag: bool, rate: float | None
 ) -> None:
-    plan = Plan(
+    plan = WorkflowPlan(
         (*now, *later),
         tuple(seeds),
         ("a", "b"),
@@ -264,9 +265,9 @@ def test_a_plan_that_is_another_one_is_refused() -> None:
 
 
 def test_the_largest_plan_can_travel_and_a_larger_one_is_refused() -> None:
-    long = [replace(ROBOT, name=f"{i:03}".ljust(64, "x")) for i in range(MOST_JOBS)]
+    long = [replace(ROBOT, name=f"{i:03}".ljust(64, "x")) for i in range(MAX_JOBS)]
     assert plan_outputs(planned(*long, noise=NoiseGrid((0.123,), (0.123,))))
-    longer = [replace(ROBOT, name=f"{i:03}".ljust(1000, "x")) for i in range(MOST_JOBS)]
+    longer = [replace(ROBOT, name=f"{i:03}".ljust(1000, "x")) for i in range(MAX_JOBS)]
     with pytest.raises(InputError, match=f"{MAX_OUTPUT_BYTES} is the limit: set noise-inside-cells: true, or shorten"):
         plan_outputs(planned(*longer, noise_inside_cells=True))
 

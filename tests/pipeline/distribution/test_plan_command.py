@@ -9,7 +9,7 @@ import pytest
 
 from calibration.__main__ import main, run_action
 from calibration.pipeline.report import write_results
-from calibration.pipeline.results import SCHEMA, Results
+from calibration.pipeline.results import SCHEMA_FILE, PipelineResults
 from tests.pipeline.distribution.test_gathering import ONE, TWO, result
 
 CONFIGURATION = """
@@ -145,7 +145,7 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     inputs["noise_inside_cells"] = "no"
     found = plan(monkeypatch, datasets="robot", **inputs)
     for cell, job in zip(json.loads(found["cells"]).values(), (ONE, TWO), strict=True):
-        write_results(Results((result(job),)), Path("left", f"calibration~{cell['slug']}"))
+        write_results(PipelineResults((result(job),)), Path("left", f"calibration~{cell['slug']}"))
         Path("left", f"calibration~{cell['slug']}", "job-seconds.txt").write_text("61\n")
     return {**found, "seconds": "7"}
 
@@ -215,7 +215,7 @@ def test_what_the_run_costs(planned: dict[str, str], monkeypatch: pytest.MonkeyP
     found = outputs(Path("gathered"))
     assert (found["billed-minutes"], found["cost"]) == ("7", "0.042")
     document = json.loads(Path("of all/results.json").read_text())
-    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    jsonschema.validate(document, json.loads(SCHEMA_FILE.read_text()))
     assert document["cost"]["complete"] is False
     assert [job["billed_minutes"] for job in document["cost"]["jobs"]] == [1, 2, 2, None, 2]
     assert "| unit-tests | success | 1 | ? | ? | ? |" in Path("summary.md").read_text()
@@ -251,7 +251,7 @@ def test_a_promotion_comes_after_a_verdict_that_is_pass(calibrates: str, monkeyp
     found = plan(monkeypatch)
     assert found["promote"] == '["stable"]'
     for cell, job in zip(json.loads(found["cells"]).values(), (ONE, TWO), strict=True):
-        write_results(Results((result(job),)), Path("left", f"calibration~{cell['slug']}"))
+        write_results(PipelineResults((result(job),)), Path("left", f"calibration~{cell['slug']}"))
     code = gather(monkeypatch, {"image": "success", "calibrate-in-image": calibrates}, found)
     assert (code == 0) is ("| promote | to come |" in Path("summary.md").read_text()) is (calibrates == "success")
 
@@ -266,7 +266,7 @@ def test_results_that_the_unit_tests_have_forged_are_not_read(
 ) -> None:
     slug = next(iter(json.loads(planned["cells"]).values()))["slug"]
     for path in ("", slug, f"calibration~{slug}"):
-        write_results(Results((result(ONE, rms_px=0.0001),)), Path("left/calibration~unit-tests", path))
+        write_results(PipelineResults((result(ONE, rms_px=0.0001),)), Path("left/calibration~unit-tests", path))
     assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
     assert [cell["rms_px"] for cell in json.loads(Path("of all/results.json").read_text())["cells"]] == [
         result(ONE).rms_px,

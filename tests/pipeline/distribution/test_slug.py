@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.pipeline.distribution.plan import LONGEST, slugs
+from calibration.pipeline.distribution.plan import MAX_SLUG_LENGTH, slugs
 
 
 @given(st.lists(st.text()), st.lists(st.sampled_from(["taken", "unnamed", "a"])))
@@ -14,7 +14,7 @@ def test_slugs_are_safe_and_no_two_are_alike(names: list[str], taken: list[str])
     assert len({slug.lower() for slug in [*found, *taken]}) == len(found) + len({slug.lower() for slug in taken})
     for slug in found:
         assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", slug)
-        assert len(slug) <= LONGEST + 6
+        assert len(slug) <= MAX_SLUG_LENGTH + 6
 
 
 @pytest.mark.parametrize(

@@ -28,13 +28,13 @@ from calibration.engine.geometry.transforms import retract, translation
 from calibration.pipeline.matrix import running_cell
 from calibration.pipeline.matrix.cell import Cell, Comparison
 from calibration.pipeline.matrix.cell_details import described, finite_deviation
-from calibration.pipeline.matrix.cell_result import CellResult, Details, Parameter
+from calibration.pipeline.matrix.cell_result import CellResult, Details, ParameterResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
 from calibration.pipeline.report import report
-from calibration.pipeline.result_tables import parameters_table, transforms_table
-from calibration.pipeline.results import Results
+from calibration.pipeline.report_blocks import parameters_table, transforms_table
+from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import NoiseGrid
 from tests.engine.estimation.systems import jointed_arm, stereo, two_bodies
 from tests.engine.estimation.test_wrong_views import exchanged
@@ -45,7 +45,7 @@ from tests.pipeline.matrix.test_cell_verdict import CELL
 NOISES = NoiseGrid()
 
 
-def told(results: Results) -> Report:
+def told(results: PipelineResults) -> Report:
     return report(results, Path("out"), "calibration")
 
 
@@ -241,7 +241,7 @@ def test_transforms_are_shown_with_their_error_bars() -> None:
     moved = retract(T, draws)
     np.testing.assert_allclose(moved[:, :3, 3].std(0), free.sigma_trans, rtol=0.06)
     np.testing.assert_allclose(to_rpy(moved[:, :3, :3]).std(0), free.sigma_rpy, rtol=0.06)
-    rows = transforms_table(Results((replace(CELL, details=Details(transforms=(free, held))),))).rows
+    rows = transforms_table(PipelineResults((replace(CELL, details=Details(transforms=(free, held))),))).rows
     assert [row[-1] for row in rows] == [f"{free.moved_mm:.3g} mm, {free.moved_deg:.2g} deg", "held"]
     assert f" +- {free.sigma_mm:.2g}" in rows[0][1]
     assert "+-" not in rows[1][1]
@@ -249,21 +249,21 @@ def test_transforms_are_shown_with_their_error_bars() -> None:
 
 
 def test_the_summary_shows_joints_and_intrinsics_of_the_first_cell_that_passed() -> None:
-    rows = (Parameter("left", "fx", 554.256258, "px", 0.1234), Parameter("left", "k1", -0.1, "1", None))
-    joint = (Parameter("elbow", "position_bias", 0.0123456789, "rad", 1e-4),)
+    rows = (ParameterResult("left", "fx", 554.256258, "px", 0.1234), ParameterResult("left", "k1", -0.1, "1", None))
+    joint = (ParameterResult("elbow", "position_bias", 0.0123456789, "rad", 1e-4),)
     cells = (
         replace(CELL, reasons=("no",), details=Details(joints=joint, intrinsics=())),
         replace(CELL, details=Details(joints=joint, intrinsics=rows)),
         replace(CELL, details=Details(joints=(), intrinsics=())),
     )
-    assert parameters_table(Results(cells)).rows == (
+    assert parameters_table(PipelineResults(cells)).rows == (
         ("robot", "elbow", "position_bias", "0.0123457", "0.0001", "rad"),
         ("robot", "left", "fx", "554.256", "0.12", "px"),
         ("robot", "left", "k1", "-0.1", "-", "1"),
     )
-    assert "| robot | left | fx | 554.256 | 0.12 | px |" in told(Results(cells)).markdown()
-    assert "Joints and intrinsics" not in told(Results((CELL,))).markdown()
-    assert "Joints and intrinsics" not in told(Results(cells[2:])).markdown()
+    assert "| robot | left | fx | 554.256 | 0.12 | px |" in told(PipelineResults(cells)).markdown()
+    assert "Joints and intrinsics" not in told(PipelineResults((CELL,))).markdown()
+    assert "Joints and intrinsics" not in told(PipelineResults(cells[2:])).markdown()
 
 
 def test_what_most_labels_do_not_fit_is_no_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,10 +8,9 @@ import pytest
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.tables.rule_set import parse_rules
 from calibration.engine.diagnosis.limits import Limits
-from calibration.pipeline.judging import judge_results
 from calibration.pipeline.matrix.cell_result import CellResult, Deviation
-from calibration.pipeline.matrix.cell_verdict import judge_cells
-from calibration.pipeline.results import Results
+from calibration.pipeline.matrix.cell_verdict import judge_cells, judge_results
+from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import System
 
 TABLE = "Collection #,RMS (pix)\n000,0.5000\n001,0.7000\nAverages,0.6000\n"
@@ -113,7 +112,7 @@ def test_only_cells_of_the_given_systems_are_judged_again_and_no_other_method(ou
     other, icp = replace(before, system="other"), replace(before, method="icp")
     system = System("robot", Path("robot"), limits=Limits(rms_px=0.5))
 
-    found = judge_results(Results((before, other), (before, icp, other)), [system], output)
+    found = judge_results(PipelineResults((before, other), (before, icp, other)), [system], output)
 
     assert len(found.cells[0].reasons) == 1
     assert "expected at most 0.5" in found.cells[0].reasons[0]

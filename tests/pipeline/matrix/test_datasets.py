@@ -10,16 +10,16 @@ import pytest
 from calibration.base.errors import InputError
 from calibration.ci.workflow import Runner
 from calibration.pipeline.matrix.matrix import Matrix, load
-from calibration.pipeline.results import Results, clear_results, own_file, results_of
-from calibration.pipeline.stages import Run, run_stages
+from calibration.pipeline.results import PipelineResults, clear_results, own_file, results_of
+from calibration.pipeline.stages import PipelineRun, run_stages
 from calibration.pipeline.system import Datasets, Exports, NoiseGrid, System
 from tests.pipeline.conftest import DATASETS, RIWBOT, T2RGB
 
 
-def run(output: Path, system: System, datasets: Datasets, *stages: str) -> Results:
+def run(output: Path, system: System, datasets: Datasets, *stages: str) -> PipelineResults:
     """Run a matrix of two starts."""
     matrix = Matrix((replace(system, datasets=datasets),), NoiseGrid((0.1,), (0.1,), (1, 2)))
-    return run_stages(Run(matrix, output, Runner(), jobs=1), stages or ("calibrate", "introspect"))
+    return run_stages(PipelineRun(matrix, output, Runner(), jobs=1), stages or ("calibrate", "introspect"))
 
 
 @pytest.mark.parametrize("system", [T2RGB, RIWBOT])

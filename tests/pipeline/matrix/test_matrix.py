@@ -24,7 +24,7 @@ from calibration.pipeline.matrix.cell_verdict import check_rules
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import Matrix, load, run_matrix
 from calibration.pipeline.report import write_results
-from calibration.pipeline.results import Results
+from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import NoiseGrid, System
 from tests.pipeline.conftest import DATASETS, RIWBOT, T2RGB
 
@@ -56,7 +56,7 @@ def test_the_same_bytes_with_any_number_of_processes(matrix: Matrix, tmp_path: P
     for jobs in (1, 3):
         output = tmp_path / str(jobs)
         found = run_matrix(matrix, output, jobs)
-        write_results(Results(found.cells, found.comparisons), output)
+        write_results(PipelineResults(found.cells, found.comparisons), output)
         written.append(files(output))
 
     assert len(written[0]) == 8 * 3 + 5
@@ -182,7 +182,7 @@ def test_a_cell_that_fails_does_not_stop_the_others_unless_asked(
     assert [cell.verdict for cell in everything.cells] == ["pass", "pass", "fail", "fail"] * 2
     assert [cell.verdict for cell in first_only.cells] == ["pass", "pass", "fail"]
     assert everything.cells[2].reasons == ("planted",)
-    assert Results(everything.cells).exit_code == ExitCode.BAD_INPUT
+    assert PipelineResults(everything.cells).exit_code == ExitCode.BAD_INPUT
 
 
 def test_each_job_is_reported_once(matrix: Matrix, tmp_path: Path) -> None:

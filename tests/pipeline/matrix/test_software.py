@@ -29,8 +29,8 @@ from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.software import (
-    DATASET,
-    START,
+    DATASET_FOLDER,
+    START_FOLDER,
     Software,
     adjusted_software,
     software_from,
@@ -52,10 +52,10 @@ def test_the_command_is_filled_argument_by_argument() -> None:
     job = cell_job(CELL, asked, DATASETS / "t2rgb", DATASETS)
     [container] = job.containers
     assert job.name == CELL.folder
-    assert container.command == ("run", START, "-o", f"{OUTPUT}/x y", "0.5:0.1", "7")
+    assert container.command == ("run", START_FOLDER, "-o", f"{OUTPUT}/x y", "0.5:0.1", "7")
     assert [(m.source, m.target, m.writable) for m in container.mounts] == [
-        (DATASETS / "t2rgb", DATASET, False),
-        (DATASETS, START, False),
+        (DATASETS / "t2rgb", DATASET_FOLDER, False),
+        (DATASETS, START_FOLDER, False),
     ]
     assert container.artifacts == (Artifact(f"{OUTPUT}/*"),)
 

@@ -1,4 +1,4 @@
-"""Snapshot of a calibration: poses, parameters, standard deviations and quality as comparable numbers."""
+"""Calibration as a document, the same in a cell's results, in the baseline and in an export: comparable numbers."""
 
 import hashlib
 import json
@@ -38,7 +38,7 @@ DEFINITE = -1e-4
 
 
 @record
-class Pose:
+class CalibratedPose:
     """Calibrated transform. Its covariance is that of a twist, (translation, rotation) in the child frame.
 
     Fixed parameters that are not exactly known (intrinsics, the board, an arm) have the same error in every recording
@@ -145,7 +145,7 @@ class Pose:
 
 
 @record
-class Parameter:
+class CalibratedParameter:
     """Calibrated parameter of a joint or a camera."""
 
     of: Name = field("The joint or the camera.")
@@ -162,7 +162,7 @@ class Parameter:
 
 
 @record
-class Start:
+class SoftwareStart:
     """Result of a team's software on a system from one initial guess."""
 
     translation_noise: Positive = field("Noise of the initial translation.", unit="m")
@@ -179,7 +179,7 @@ class Start:
 
 
 @record(kw_only=True)
-class Snapshot:
+class CalibrationDocument:
     """A calibration of one system."""
 
     data: Annotated[str, matching("[0-9a-f]{64}", "64 hexadecimal digits")] = field(
@@ -191,8 +191,8 @@ class Snapshot:
     )
     collections: Count = field("Collections in the data.")
     engine: Name = field("The version that calibrated.")
-    poses: tuple[Pose, ...] = field("Calibrated transforms.")
-    parameters: tuple[Parameter, ...] = field("Calibrated parameters of joints and cameras.", default=())
+    poses: tuple[CalibratedPose, ...] = field("Calibrated transforms.")
+    parameters: tuple[CalibratedParameter, ...] = field("Calibrated parameters of joints and cameras.", default=())
     lens_correlations: Mapping[str, tuple[Annotated[float, between(-1, 1)], ...]] = field(
         "By camera, the correlations of its parameters in their order, below the diagonal, row by row.",
         default_factory=dict,
@@ -218,7 +218,7 @@ class Snapshot:
     )
     passed: Count | None = field("Starts that passed.", default=None)
     starts: Count | None = field("Starts in all.", default=None)
-    software: tuple[Start, ...] = field("Results of the team's software from each initial guess.", default=())
+    software: tuple[SoftwareStart, ...] = field("Results of the team's software from each initial guess.", default=())
     although: Name | None = field("Reason for accepting it although the verdict was fail.", default=None)
 
     def lens(self, camera: str) -> tuple[tuple[str, ...], Array, Array] | None:
@@ -234,10 +234,10 @@ class Snapshot:
         return tuple(each.parameter for each in own), np.array([each.value for each in own]), covariance
 
 
-def snapshot(
+def document_of_calibration(
     calibration: Calibration, given: Dataset, rms_px: float | None, options: Options | None = None
-) -> Snapshot:
-    """Return the snapshot of a converged calibration.
+) -> CalibrationDocument:
+    """Return the document of a converged calibration.
 
     Args:
         calibration: the result of the engine.
@@ -245,11 +245,11 @@ def snapshot(
         rms_px: RMS of its table of errors, px.
         options: options of the calibration.
     """
-    return Snapshots(given, options or Options()).of(calibration, rms_px)
+    return CalibrationDocuments(given, options or Options()).of(calibration, rms_px)
 
 
-class Snapshots:
-    """Snapshots of several calibrations of one dataset with the same options; what they share is computed once."""
+class CalibrationDocuments:
+    """Documents of several calibrations of one dataset with the same options; what they share is computed once."""
 
     def __init__(self, given: Dataset, options: Options) -> None:
         self._given = given
@@ -261,13 +261,13 @@ class Snapshots:
         """SHA-256 of the dataset's labels."""
         return hash_of_labels(self._given)
 
-    def of(self, calibration: Calibration, rms_px: float | None) -> Snapshot:
-        """Return the snapshot of a converged calibration; see `snapshot`."""
+    def of(self, calibration: Calibration, rms_px: float | None) -> CalibrationDocument:
+        """Return the document of a converged calibration; see `document_of_calibration`."""
         sensors: dict[Edge, str] = {}
         for each in calibration.dataset.sensors.values():
             sensors.setdefault(each.edge, each.name)
         noise, bars = calibration.noise_levels.given(), calibration.error_bars
-        return Snapshot(
+        return CalibrationDocument(
             data=self.data,
             inputs=self._hashes(frozenset(calibration.transforms)),
             collections=len(self._given.collections),
@@ -383,17 +383,17 @@ def _at_description(calibration: Calibration, given: Dataset) -> Iterator[tuple[
         yield edge, to_held[0] @ moved @ inverse(to_held[0]) @ T if rigid else T
 
 
-def _pose(calibration: Calibration, edge: Edge, T: Array, sensor: str | None) -> Pose:
+def _pose(calibration: Calibration, edge: Edge, T: Array, sensor: str | None) -> CalibratedPose:
     C = calibration.covariances.get(edge)
     xyz, rpy = _rounded(1e3 * T[:3, 3], 6), _rounded(np.degrees(to_rpy(T[:3, :3])), 9)
     if C is None:
-        return Pose(*edge, xyz, rpy, sensor)
+        return CalibratedPose(*edge, xyz, rpy, sensor)
     moved = _moved_by_held(calibration, edge)
     held = {name: rows for name, moves in moved.items() if (rows := _relevant(moves, C))}
     own = C - sum((moves @ moves.T for name, moves in moved.items() if name in held), 0 * C)
     sigmas = np.sqrt(np.maximum(np.diagonal(own), 1e-30))
     correlation = own / np.outer(sigmas, sigmas)
-    return Pose(
+    return CalibratedPose(
         *edge,
         xyz,
         rpy,
@@ -426,7 +426,7 @@ def _relevant(moves: Array, C: Array) -> tuple[tuple[float, ...], ...]:
     return tuple(_digits(row, 4) for row in (moves * np.array([1e3] * 3 + [180 / np.pi] * 3)[:, None]).T)
 
 
-def _parameters(calibration: Calibration) -> Iterator[Parameter]:
+def _parameters(calibration: Calibration) -> Iterator[CalibratedParameter]:
     for name, joint in calibration.joints.items():
         yield from _each(name, joint, tuple(_significant(v, 4) for v in joint.label_sigmas))
     for name, camera in calibration.intrinsics.items():
@@ -435,10 +435,10 @@ def _parameters(calibration: Calibration) -> Iterator[Parameter]:
 
 def _each(
     name: str, found: CalibratedJoint | CalibratedIntrinsics, of_labels: tuple[float | None, ...]
-) -> Iterator[Parameter]:
+) -> Iterator[CalibratedParameter]:
     rows = zip(found.parameters, found.values.tolist(), found.units, found.sigmas.tolist(), of_labels, strict=True)
     for parameter, value, unit, sigma, own in rows:
-        yield Parameter(name, parameter, _significant(value, 12), unit, _significant(sigma, 4), own)
+        yield CalibratedParameter(name, parameter, _significant(value, 12), unit, _significant(sigma, 4), own)
 
 
 def _lens_correlations(found: CalibratedIntrinsics) -> tuple[float, ...]:
