@@ -57,12 +57,12 @@ def init(
         write_atomically(workflow, first_workflow(repository, version))
         read_configuration(configuration)
     with stop_commands(runner):
-        for each in _messages(first, dataset, configuration, workflow, suite=suite, written=written):
+        for each in _messages_of_init(first, dataset, configuration, workflow, suite=suite, written=written):
             runner.log(one_line(each))
     return ExitCode.FAIL if first.reasons or first.undecided else ExitCode.PASS
 
 
-def _messages(
+def _messages_of_init(
     first: FirstConfiguration, dataset: Path, configuration: Path, workflow: Path, *, suite: str, written: bool
 ) -> Iterator[str]:
     """Yield the lines of the log: all that was found, what was written, what is next."""

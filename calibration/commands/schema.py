@@ -10,25 +10,29 @@ from calibration.base.errors import ExitCode
 from calibration.base.records.schema import schema_text
 from calibration.ci.report import Head
 
-_PIPELINE, _COLLECTION = "calibration.pipeline", "calibration.pipeline.collection"
-_CONVERGENCE, _SCENARIOS = "calibration.pipeline.convergence", "calibration.robot.simulation.scenarios"
+_PIPELINE_PACKAGE, _COLLECTION_PACKAGE = "calibration.pipeline", "calibration.pipeline.collection"
+_CONVERGENCE_PACKAGE, _SCENARIOS_PACKAGE = "calibration.pipeline.convergence", "calibration.robot.simulation.scenarios"
 _RESULTS_FILE = "results.schema.json"
 SHIPPED_SCHEMAS = {
-    "calibration.yml": SchemaFile(_PIPELINE, "calibration.schema.json", "configuration:PipelineConfiguration"),
+    "calibration.yml": SchemaFile(_PIPELINE_PACKAGE, "calibration.schema.json", "configuration:PipelineConfiguration"),
     "baseline": SchemaFile("calibration.engine.baseline", "baseline.schema.json", "document:Baseline"),
     "image": SchemaFile("calibration.ci.image", "image.schema.json", "specification:ImageDocument"),
-    "results": SchemaFile(_PIPELINE, _RESULTS_FILE, "distribution.gathering:RunResults", "calibrate-matrix and run"),
-    "convergence": SchemaFile(
-        _CONVERGENCE, "convergence.schema.json", "convergence_map:ConvergenceResults", "convergence"
+    "results": SchemaFile(
+        _PIPELINE_PACKAGE, _RESULTS_FILE, "distribution.gathering:RunResults", "calibrate-matrix and run"
     ),
-    "collection": SchemaFile(_COLLECTION, "collection.schema.json", "results:CollectionDocument", "collect-data-sim"),
+    "convergence": SchemaFile(
+        _CONVERGENCE_PACKAGE, "convergence.schema.json", "convergence_map:ConvergenceResults", "convergence"
+    ),
+    "collection": SchemaFile(
+        _COLLECTION_PACKAGE, "collection.schema.json", "results:CollectionDocument", "collect-data-sim"
+    ),
     "simulation.yml": SchemaFile("calibration.robot.simulation", "simulation.schema.json", "system:Simulation"),
     "motion": SchemaFile("calibration.robot.simulation.motion", "motion.schema.json", "sequence:MotionFile"),
     "import.yml": SchemaFile("calibration.robot.importing", "import.schema.json", "description:ImportDescription"),
     "import-results": SchemaFile("calibration.robot.importing", _RESULTS_FILE, "results:ImportResults", "import-data"),
     "look-results": SchemaFile("calibration.robot.importing", "look.schema.json", "look.results:LookResults", "look"),
     "label-results": SchemaFile("calibration.robot.importing", "label.schema.json", "results:LabelResults", "label"),
-    "scenario-set": SchemaFile(_SCENARIOS, "scenario_set.schema.json", "parameters:ScenarioSetFile"),
+    "scenario-set": SchemaFile(_SCENARIOS_PACKAGE, "scenario_set.schema.json", "parameters:ScenarioSetFile"),
     "image-results": SchemaFile("calibration.ci.image", _RESULTS_FILE, "report:BuildResult", "build-image"),
     "introspection": SchemaFile("calibration.base.tables", _RESULTS_FILE, "result:Results", "introspect-csv"),
     **of_addons(lambda addon: addon.schemas),

@@ -97,7 +97,7 @@ def first_configuration(path: Path, root: Path) -> FirstConfiguration:
     )
     reasons = (*first.reasons, *found_here) or judged.reasons
     lines = [
-        *(_printable(f"{ALTHOUGH_COMMENT} {each}") for each in reasons),
+        *(_printable_text(f"{ALTHOUGH_COMMENT} {each}") for each in reasons),
         "",
         "systems:",
         f"  {_yaml_scalar(system.name)}:",
@@ -281,7 +281,7 @@ def _yaml_line(key: str, value: Any, why: str) -> str:
     return f"    {_yaml_scalar(key)}: {shown}   # {printable}"
 
 
-def _printable(text: str) -> str:
+def _printable_text(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 

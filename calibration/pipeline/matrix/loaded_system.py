@@ -60,10 +60,10 @@ class LoadedSystem:
         Raises:
             InputError: there is a fault.
         """
-        return self._sound
+        return self._check_once
 
     @cached_property
-    def _sound(self) -> None:
+    def _check_once(self) -> None:
         check_data(self.dataset)
 
     @cached_property
@@ -133,11 +133,11 @@ class LoadedSystem:
 
     def findings_of(self, optimum: OurOptimum) -> tuple[Finding, ...]:
         """Return the findings on an optimum for some result of this system; most results have the system's own."""
-        return self._findings if optimum is self.optimum else self._diagnosed(optimum)
+        return self._findings_on_optimum if optimum is self.optimum else self._diagnose_optimum(optimum)
 
     @cached_property
-    def _findings(self) -> tuple[Finding, ...]:
-        return self._diagnosed(self.optimum)
+    def _findings_on_optimum(self) -> tuple[Finding, ...]:
+        return self._diagnose_optimum(self.optimum)
 
-    def _diagnosed(self, optimum: OurOptimum) -> tuple[Finding, ...]:
+    def _diagnose_optimum(self, optimum: OurOptimum) -> tuple[Finding, ...]:
         return diagnose(optimum.calibration, optimum.given, optimum.options, self.limits, self.truth is not None)

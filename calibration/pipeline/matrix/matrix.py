@@ -28,8 +28,7 @@ from calibration.pipeline.matrix.cell import Cell, Comparison, noise_folder
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.cell_verdict import check_rules
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
-from calibration.pipeline.matrix.other_method import other_method
-from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
+from calibration.pipeline.matrix.running_cell import other_method, run_cell, run_comparison
 from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.system import NoiseGrid, System
 

@@ -5,6 +5,7 @@ import time
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,9 +36,23 @@ from calibration.pipeline.matrix.cell_result import (
     nothing_yet,
 )
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
-from calibration.pipeline.matrix.other_method import other_method
+
+if TYPE_CHECKING:
+    from calibration.engine.comparison.methods import Method
+
 
 NO_FINITE_RMS = "corners lie behind a camera, or where its lens model has no inverse; is the lens model the right one?"
+
+
+def other_method(name: str) -> "Method":
+    """Return the comparison method with this name.
+
+    Raises:
+        InputError: there is no such method.
+    """
+    from calibration.engine.comparison.methods import method_of  # most matrices compare with no other method
+
+    return method_of(name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +77,13 @@ def run_cell(cell: Cell, system: LoadedSystem, output: Path, folder: str | None 
     """
     begin = time.perf_counter()
     try:
-        calibration = _calibrated(cell, system)
-        made = _finished(cell, system, calibration)
+        calibration = _calibrate_cell(cell, system)
+        made = _evaluate_cell(cell, system, calibration)
     except CalibrationError as error:
         result = _without_calibration(cell, system, error)
     else:
         written = made.calibration or calibration
-        result = _written(made, written.dataset, system, output, folder or cell.folder)
+        result = _write_files(made, written.dataset, system, output, folder or cell.folder)
         result = for_cell(result, cell, calibration.iterations)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
 
@@ -80,56 +95,60 @@ def calibrate_cell(cell: Cell, system: LoadedSystem) -> tuple[CellResult, Calibr
         The result so far, and the calibration; None if the data cannot be calibrated, for a reason in the result.
     """
     try:
-        calibration = _calibrated(cell, system)
-        return _diagnosed(cell, system, calibration), calibration
+        calibration = _calibrate_cell(cell, system)
+        return _diagnose_cell(cell, system, calibration), calibration
     except CalibrationError as error:
         return _without_calibration(cell, system, error), None
 
 
-def _calibrated(cell: Cell, system: LoadedSystem) -> Calibration:
+def _calibrate_cell(cell: Cell, system: LoadedSystem) -> Calibration:
     system.check()
     return solve(system.prepared, cell.noise)
 
 
 def _without_calibration(cell: Cell, system: LoadedSystem, error: CalibrationError) -> CellResult:
-    result = _failed(nothing_yet(cell), error).found(system.left_out)
+    result = _failed_result(nothing_yet(cell), error).found(system.left_out)
     named = system.conventions
     return result.explained(named, Finding("engine", "note", str(error))) if named else result
 
 
-def _diagnosed(cell: Cell, system: LoadedSystem, calibration: Calibration) -> CellResult:
+def _diagnose_cell(cell: Cell, system: LoadedSystem, calibration: Calibration) -> CellResult:
     result = described(nothing_yet(cell), calibration, system.dataset, system.limits)
     found = diagnose(calibration, system.dataset, system.options, system.limits, system.truth is not None)
     result = result.explained(found) if any(each.kind == CONVENTION for each in found) else result.found(found)
     return result.found((*system.left_out, *system.lens_notes))
 
 
-def _finished(cell: Cell, system: LoadedSystem, calibration: Calibration) -> Evaluated:
+def _evaluate_cell(cell: Cell, system: LoadedSystem, calibration: Calibration) -> Evaluated:
     """Return all that follows from a calibration; for the cells that came to the prepared optimum it is one."""
     if calibration.solution is system.prepared.optimum.solution:
-        return _of_prepared_optimum(system)
-    return _diagnosed_and_evaluated(cell, system, calibration)
+        return _evaluate_prepared_optimum(system)
+    return _diagnose_and_evaluate(cell, system, calibration)
 
 
 @lru_cache(maxsize=1)  # a process runs the cells of one system after those of another
-def _of_prepared_optimum(system: LoadedSystem) -> Evaluated:
+def _evaluate_prepared_optimum(system: LoadedSystem) -> Evaluated:
     cell = Cell(system.name, StartingNoise(), system.options.start, system.options.loss)
-    return _diagnosed_and_evaluated(cell, system, system.prepared.optimum)
+    return _diagnose_and_evaluate(cell, system, system.prepared.optimum)
 
 
-def _diagnosed_and_evaluated(cell: Cell, system: LoadedSystem, calibration: Calibration) -> Evaluated:
-    result = _diagnosed(cell, system, calibration)
+def _diagnose_and_evaluate(cell: Cell, system: LoadedSystem, calibration: Calibration) -> Evaluated:
+    result = _diagnose_cell(cell, system, calibration)
     if not np.isfinite(calibration.cost):
         return Evaluated(result)
     calibration, said = after_move(calibration, result.findings, system.prepared, system.limits)
     if said:
         described_now = described(nothing_yet(cell), calibration, system.dataset, system.limits)
         result = described_now.found((*result.findings, *said))
-    made = _evaluated(result, calibration.dataset, system, calibration)
-    return made if made.result.error is not None else replace(made, result=_compared(made.result, calibration, system))
+    made = _evaluate_dataset(result, calibration.dataset, system, calibration)
+    return (
+        made
+        if made.result.error is not None
+        else replace(made, result=_compare_with_accepted(made.result, calibration, system))
+    )
 
 
-def _compared(result: CellResult, calibration: Calibration, system: LoadedSystem) -> CellResult:
+def _compare_with_accepted(result: CellResult, calibration: Calibration, system: LoadedSystem) -> CellResult:
     """Return the result with its snapshot, and the differences from the accepted calibration."""
     if not calibration.converged or result.details is None or any(f.kind == CONVENTION for f in result.findings):
         return result
@@ -139,7 +158,7 @@ def _compared(result: CellResult, calibration: Calibration, system: LoadedSystem
     return replace(result, details=replace(result.details, snapshot=now, changes=changes)).found(findings)
 
 
-def _failed(result: CellResult, error: CalibrationError) -> CellResult:
+def _failed_result(result: CellResult, error: CalibrationError) -> CellResult:
     return replace(result.failing(str(error)), converged=False, error=error.exit_code)
 
 
@@ -155,14 +174,14 @@ def run_comparison(comparison: Comparison, system: LoadedSystem, output: Path) -
         part = method.part(dataset)
         if system.evaluation and not set(system.evaluation.sensors) <= part.sensors.keys():
             system = replace(system, evaluation=None)  # its table is of a sensor that the method does not calibrate
-        made = _evaluated(result, dataset, system, None, part)
-        result = _written(made, dataset, system, output, comparison.folder)
+        made = _evaluate_dataset(result, dataset, system, None, part)
+        result = _write_files(made, dataset, system, output, comparison.folder)
     except CalibrationError as error:
-        result = _failed(result, error)
+        result = _failed_result(result, error)
     return replace(result, seconds=round(time.perf_counter() - begin, 4))
 
 
-def _evaluated(
+def _evaluate_dataset(
     result: CellResult,
     dataset: Dataset,
     system: LoadedSystem,
@@ -196,10 +215,10 @@ def _evaluated(
         made = replace(made, result=replace(made.result, truth=distance_from_truth(judged, system)))
         return replace(made, dataset=system.dataset_text(dataset), complete=True)
     except CalibrationError as error:
-        return replace(made, result=_failed(made.result, error))
+        return replace(made, result=_failed_result(made.result, error))
 
 
-def _written(
+def _write_files(
     made: Evaluated,
     dataset: Dataset,
     system: LoadedSystem,
@@ -223,7 +242,7 @@ def _written(
                 write_intrinsics(output / folder / INTRINSICS, calibration.intrinsics, cameras)
             result = replace(result, folder=folder)
     except CalibrationError as error:
-        result = _failed(result, error)
+        result = _failed_result(result, error)
     return result
 
 
