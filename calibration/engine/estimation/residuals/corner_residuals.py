@@ -148,8 +148,8 @@ class CornerTerm:
             placed = self._place_in_chart(T[part], part)
             (x, y), outside = placed.at, placed.outside
             xd, yd = self.camera.distortion.distort(x, y)
-            u = self.camera.fx * xd - self._from_centre[0, part]
-            v = self.camera.fy * yd - self._from_centre[1, part]
+            seen_u, seen_v = self._from_centre(part)
+            u, v = self.camera.fx * xd - seen_u, self.camera.fy * yd - seen_v
             out[part] = np.sqrt(u * u + v * v)
             if outside is not None:
                 out[part][outside] = np.nan
@@ -160,11 +160,13 @@ class CornerTerm:
         """(2, 1, 1), or (2, V, 1): focal lengths, px."""
         return np.array([self.camera.fx, self.camera.fy]).reshape(2, -1, 1)
 
-    @cached_property
-    def _from_centre(self) -> Array:
-        """(2, V, K): labels relative to the principal point, px."""
-        u, v = np.swapaxes(self.pixels, 0, 1)
-        return np.stack([u - self.camera.cx, v - self.camera.cy])
+    def _from_centre(self, part: slice) -> tuple[Array, Array]:
+        """Return labels, 2 x (v, K), relative to the principal point, px.
+
+        They are not kept: each term would hold as much again as its pixels, for 3 % of a least squares.
+        """
+        pixels = self.pixels[part]
+        return pixels[:, 0] - self.camera.cx, pixels[:, 1] - self.camera.cy
 
     @cached_property
     def _corner_monomials(self) -> Array:
@@ -205,7 +207,8 @@ class CornerTerm:
         outside = placed.outside
         distorted, jacobian = camera.distortion.distort_with_jacobian(placed.at)
         residuals = distorted * self._focal_lengths
-        residuals -= self._from_centre[:, part]
+        for coordinate, seen_at in zip(residuals, self._from_centre(part), strict=True):
+            coordinate -= seen_at
         if scale != 1.0:
             residuals *= 1 / scale
         if seen is not None:
