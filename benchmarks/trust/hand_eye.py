@@ -23,7 +23,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.calibrated import covariances_of_transforms
-from calibration.engine.estimation.covariance.fixed_inputs import SCALE
+from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND
 from calibration.engine.estimation.doubts.suspects import explain
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.geometry.rotations import to_quaternion
@@ -139,7 +139,7 @@ def _names_scale(dataset: Dataset) -> bool:
     except CalibrationError as error:
         return "the scale of the measured poses is unknown" in str(error)
     explanation = explain(found.solution.model) if found.error_bars else None
-    return explanation is not None and any(each.cause.kind == SCALE for each in explanation.suspects)
+    return explanation is not None and any(each.cause.kind == SCALE_KIND for each in explanation.suspects)
 
 
 def _imported(folder: Path, T_base_tool: Array, T_camera_pattern: Array, in_hand: bool) -> Dataset:

@@ -15,7 +15,7 @@ from benchmarks.workers import on_all_cores
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Edge
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, local, retract
 
 DRAWS, COLLECTIONS = 100, 30
@@ -81,7 +81,7 @@ def of_scattering_cameras(seed: int) -> float:
         )
         for c in whole.collections
     ]
-    result = calibrate(replace(whole, collections=tuple(kept)), Options(assume=EXACT))
+    result = calibrate(replace(whole, collections=tuple(kept)), Options(assume=ALL_EXACT))
     edge = ("world", "camera_1_link")
     error = local(result.transforms[edge], T_world_camera[1])
     return float(error @ np.linalg.solve(result.covariances[edge], error)) / 6
@@ -155,7 +155,7 @@ def _labelled(dataset: Dataset, seen: Mapping[str, Array], rng: np.random.Genera
 
 
 def _drawn(dataset: Dataset, camera: str, edge: Edge, lag: float, T: Array) -> Draw:
-    result = calibrate(dataset, Options(lag=(camera,), assume=EXACT))
+    result = calibrate(dataset, Options(lag=(camera,), assume=ALL_EXACT))
     found, error = result.lags[camera], local(result.transforms[edge], T)
     nees = float(error @ np.linalg.solve(result.covariances[edge], error)) / 6
     return Draw((found.seconds - lag) / found.sigma, 1e3 * found.sigma, nees)

@@ -13,7 +13,7 @@ from benchmarks.rows import Bar, Row
 from benchmarks.workers import on_all_cores
 from calibration.base.arrays import Array
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
@@ -59,7 +59,7 @@ def _errors(of: tuple[str, bool, int]) -> tuple[float, Array]:
     name, calibrated, seed = of
     model = CAMERAS[name]
     scene = _scene(model, seed)
-    found = calibrate(scene.dataset(seed), Options(intrinsics=("all",) if calibrated else (), assume=EXACT))
+    found = calibrate(scene.dataset(seed), Options(intrinsics=("all",) if calibrated else (), assume=ALL_EXACT))
     assert found.converged, found.reason
     (edge,) = (each.edge for each in found.dataset.sensors.values() if each.edge in found.covariances)
     error, C = local(scene.transforms[edge], found.dataset.transforms[edge][0]).ravel(), found.covariances[edge]

@@ -22,7 +22,7 @@ from calibration.engine.diagnosis.check_data import check_data
 from calibration.engine.diagnosis.limits import TWIST, Limits, sizes
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.assumptions import EXACT, Assumptions
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT, Assumptions
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.evaluation.truth import truth_error
@@ -249,7 +249,7 @@ def _nees(case: Case, scene: Scene) -> Iterator[float]:
 
     What is exact is known to be, and on robots by default as well as usual.
     """
-    assume = EXACT if case.stratum == "exact" else Assumptions()
+    assume = ALL_EXACT if case.stratum == "exact" else Assumptions()
     calibration = calibrate(scene.told, replace(scene.system.options, assume=assume))
     found, truth = calibration.dataset, scene.truth()
     true = found.with_transforms(truth.transforms)

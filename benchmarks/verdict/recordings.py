@@ -22,7 +22,7 @@ from calibration.engine.dataset.modalities import MODALITIES
 from calibration.engine.dataset.model import Collection, Dataset, Sensor
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import distance, from_quaternion
 from calibration.pipeline.system import System
@@ -109,7 +109,7 @@ def _half_samples(name: str, told: Dataset, draws: int) -> Iterator[Row]:
     Half of the data has twice the variance, and half of that it shares with the whole: the difference has the
     variance of the whole.
     """
-    whole = calibrate(told, Options(assume=EXACT))  # what is held alike in both halves cancels out
+    whole = calibrate(told, Options(assume=ALL_EXACT))  # what is held alike in both halves cancels out
     rng = generator("half", name)
     n = len(told.collections)
     sensors = [s for s in told.sensors.values() if s.edge in whole.covariances]

@@ -6,7 +6,7 @@ import pytest
 
 from calibration.base.errors import InputError
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.estimation.problem.assumptions import EXACT, Assumptions
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT, Assumptions
 from calibration.pipeline.configuration import read_configuration
 
 ROOT = Path(__file__).parents[2]
@@ -91,7 +91,7 @@ def test_what_is_calibrated_is_not_assumed(tmp_path: Path) -> None:
 def test_assume_and_description_at_the_top_apply_to_every_system(tmp_path: Path) -> None:
     text = "assume: exact\ndescription: rough\nsystems: {a: {dataset: a}, b: {dataset: b, assume: {border: 0.01}}}"
     a, b = read_configuration(write(tmp_path, text)).systems
-    assert (a.options.assume, a.options.description) == (EXACT, "rough")
+    assert (a.options.assume, a.options.description) == (ALL_EXACT, "rough")
     assert (b.options.assume, b.options.description) == (Assumptions(border=0.01), "rough")
 
 

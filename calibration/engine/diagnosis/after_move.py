@@ -9,9 +9,9 @@ from calibration.engine.diagnosis.finding import AFTER_MOVE, SUSPECT, Finding
 from calibration.engine.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
 from calibration.engine.diagnosis.too_few import BETTER, too_few
 from calibration.engine.diagnosis.what_does_not_fit import distance_text, keys_since, what_does_not_fit
-from calibration.engine.estimation.covariance.fixed_inputs import PLACE
+from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
-from calibration.engine.estimation.doubts.suspects import SIDE, Suspect
+from calibration.engine.estimation.doubts.suspects import MIN_CLUSTERS_ON_A_SIDE, Suspect
 from calibration.engine.estimation.prepare import Prepared, prepare_without
 from calibration.engine.geometry.transforms import distance
 
@@ -71,7 +71,7 @@ def _last_moves(calibration: Calibration) -> dict[str, tuple[int, Suspect]]:
     moves: dict[str, tuple[int, Suspect]] = {}
     for suspect in explanation.suspects if explanation else ():
         for cause in (suspect.cause, *(rival.cause for rival in suspect.rivals)):
-            if suspect.since and cause.kind == PLACE and suspect.since > moves.get(cause.subject, (0,))[0]:
+            if suspect.since and cause.kind == PLACE_KIND and suspect.since > moves.get(cause.subject, (0,))[0]:
                 moves[cause.subject] = (suspect.since, suspect)
     return moves
 
@@ -94,7 +94,7 @@ def _why_not_determined(
     The result of all views is off by its own error, and by what lies between before and after.
     """
     for name, keys in since.items():
-        if len(keys) < SIDE:
+        if len(keys) < MIN_CLUSTERS_ON_A_SIDE:
             return f"{len(keys)} collections since then are too few to know where {name} is"
     moved_again = [each for each in what_does_not_fit(after, limits) if each.severity == "red" and each.collections]
     if faults := (*moved_again, *too_few(after)):

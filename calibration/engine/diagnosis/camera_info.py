@@ -3,11 +3,11 @@
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
 from calibration.engine.estimation.covariance.lens_errors import LensSource
-from calibration.engine.estimation.covariance.nominal_lens import VIEWS
+from calibration.engine.estimation.covariance.nominal_lens import NUMBER_OF_VIEWS
 from calibration.engine.estimation.covariance.result import Calibration
 
 KNOWN_BY: dict[LensSource, str] = {
-    "nominal": f"as from a nominal calibration of {VIEWS} views; one of your own may leave its covariance "
+    "nominal": f"as from a nominal calibration of {NUMBER_OF_VIEWS} views; one of your own may leave its covariance "
     "(intrinsics-covariance)",
     "assume": "as 'assume' says",
     "covariance": "by the covariance of its own calibration",

@@ -2,7 +2,7 @@
 
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.doubts.suspects import CONTRADICTING, disagreement
+from calibration.engine.estimation.doubts.suspects import MIN_CONTRADICTING_FACTOR, disagreement
 
 ENOUGH = 7
 """Minimum of independent collections for suspects and standard deviations to explain a disagreement."""
@@ -24,7 +24,7 @@ def too_few(calibration: Calibration) -> tuple[Finding, ...]:
     if bars is None or count >= ENOUGH or bars.decisive < ALONE:
         return ()
     ratio = disagreement(model).ratio
-    if ratio <= CONTRADICTING:
+    if ratio <= MIN_CONTRADICTING_FACTOR:
         return ()
     text = (
         f"{count} collections are too few for views that disagree by {ratio**0.5:.2g} times their noise: one of them "

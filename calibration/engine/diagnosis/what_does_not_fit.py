@@ -10,10 +10,23 @@ from calibration.engine.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
 from calibration.engine.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
 from calibration.engine.diagnosis.precision import LIKELY, false_accept
 from calibration.engine.diagnosis.projection import projection_limit, shifts
-from calibration.engine.estimation.covariance.fixed_inputs import LAG, PLACE, PROJECTION, RADIAL, Cause
+from calibration.engine.estimation.covariance.fixed_inputs import (
+    LAG_KIND,
+    PLACE_KIND,
+    PROJECTION_KIND,
+    RADIAL_KIND,
+    Cause,
+)
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.covariance.significance import score_of_f, threshold
-from calibration.engine.estimation.doubts.suspects import CONTRADICTING, EXACTLY, LENS, SIDE, Disagreement, Suspect
+from calibration.engine.estimation.doubts.suspects import (
+    DEGREES_IF_NOT_ESTIMATED,
+    LENS_KIND,
+    MIN_CLUSTERS_ON_A_SIDE,
+    MIN_CONTRADICTING_FACTOR,
+    Disagreement,
+    Suspect,
+)
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 from calibration.engine.geometry.transforms import adjoint
@@ -24,8 +37,8 @@ GROSS: Mapping[str, tuple[float, str]] = {
     "focal length": (0.025, "camera"),
     "image scale": (0.025, "camera"),
     "principal point": (15.0, "camera"),
-    RADIAL: (0.01, "camera"),
-    PROJECTION: (0.01, "camera"),
+    RADIAL_KIND: (0.01, "camera"),
+    PROJECTION_KIND: (0.01, "camera"),
     "size": (0.01, "board"),
     "scale of poses": (0.01, "board"),
     "lengths": (0.01, "arm"),
@@ -35,14 +48,14 @@ GROSS: Mapping[str, tuple[float, str]] = {
 effect: more than a good one of this kind errs, so that it belongs to another one."""
 ADVICE: Mapping[str, str] = {
     "focal length": "calibrate the intrinsics, or take the camera_info that belongs to this lens and resolution",
-    LENS: "calibrate the intrinsics (add it to 'intrinsics'), or take the camera_info that belongs to this lens",
+    LENS_KIND: "calibrate the intrinsics (add it to 'intrinsics'), or take the camera_info that belongs to this lens",
     "aspect": "calibrate the intrinsics; were the images scaled?",
     "principal point": "calibrate the intrinsics; were the images cropped?",
     "pixel convention": "pixel (0, 0) is the centre of the first pixel here; shift cx and cy by half a pixel",
     "image scale": "the labels are of another resolution than camera_info",
     "skew": "calibrate the intrinsics",
-    RADIAL: "calibrate the intrinsics with this lens model, or a richer one",
-    PROJECTION: "calibrate the intrinsics with this lens model, or take the camera_info that belongs to this lens",
+    RADIAL_KIND: "calibrate the intrinsics with this lens model, or a richer one",
+    PROJECTION_KIND: "calibrate the intrinsics with this lens model, or take the camera_info that belongs to this lens",
     "tangential distortion": "calibrate the intrinsics with this lens model, or a richer one",
     "lens model": f"calibrate the intrinsics with another lens model ({', '.join(MODELS)})",
     "range bias": "correct the sensor's ranges, or hold it to a surveyed distance",
@@ -63,8 +76,8 @@ ADVICE: Mapping[str, str] = {
     "backlash": "approach every pose from the same side",
     "scale of poses": "measure the pattern by which the camera measured them, and calibrate the camera's intrinsics; "
     "or let the arm tell the scale: scale: free",
-    LAG: "look at time stamps; stop the robot for each collection, or calibrate it: lag: free",
-    PLACE: "something was knocked; collect anew, or calibrate the collections before and after apart",
+    LAG_KIND: "look at time stamps; stop the robot for each collection, or calibrate it: lag: free",
+    PLACE_KIND: "something was knocked; collect anew, or calibrate the collections before and after apart",
 }
 AT_STANDSTILL = "take all images of a collection at one moment, board and robot standing still"
 NAMED = 4
@@ -108,7 +121,7 @@ def _limits_moved(calibration: Calibration, limits: Limits, finding: Finding, su
 def _worst_alternative(calibration: Calibration, limits: Limits, suspect: Suspect) -> Suspect:
     """Return, of what may have moved and the data cannot tell apart, what does most harm, with the others as rivals."""
     every = (suspect, *suspect.rivals)
-    if suspect.cause.kind != PLACE or calibration.of_cameras_alone:
+    if suspect.cause.kind != PLACE_KIND or calibration.of_cameras_alone:
         return suspect
 
     def harm(each: Suspect) -> float:
@@ -118,7 +131,7 @@ def _worst_alternative(calibration: Calibration, limits: Limits, suspect: Suspec
             default=0.0,
         )
 
-    worst = max((each for each in every if each.cause.kind == PLACE), key=harm)
+    worst = max((each for each in every if each.cause.kind == PLACE_KIND), key=harm)
     return replace(worst, rivals=tuple(each for each in every if each is not worst))
 
 
@@ -146,11 +159,11 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
     if suspect.since is not None:
         keys = keys_since(calibration, suspect.since)
         since, collections = f" from collection {keys[0]} on", keys
-    verb = "has moved" if cause.kind == PLACE else "does not fit"
+    verb = "has moved" if cause.kind == PLACE_KIND else "does not fit"
     either = ", the data cannot tell which" if suspect.rivals else ""
     gross = _gross(calibration, suspect)
     harm = f"it moves {sensor} by {distance_text(mm, degrees)}" if sensor else "it moves no sensor"
-    if cause.kind == PLACE and sensor:
+    if cause.kind == PLACE_KIND and sensor:
         was, now = distance_text(*before[sensor]), distance_text(*after[sensor])
         harm = f"one pose for all of them is {was} from where {sensor} was before, {now} from where it is now"
         if any(unsure[sensor]):
@@ -206,7 +219,7 @@ def _unsure_of_few_views(calibration: Calibration, suspect: Suspect, limits: Lim
     That something has moved is certain then, and how far is not.
     """
     K, before, after = len(calibration.solution.model.G), suspect.moved_by, _moved_after(calibration, suspect)
-    few = suspect.since is not None and min(suspect.since, K - suspect.since) < SIDE
+    few = suspect.since is not None and min(suspect.since, K - suspect.since) < MIN_CLUSTERS_ON_A_SIDE
     each = [
         _moved(calibration, limits.guard * few * np.linalg.norm(by @ suspect.errors, axis=1)) for by in (before, after)
     ]
@@ -222,7 +235,7 @@ def _gross(calibration: Calibration, suspect: Suspect) -> bool:
     kind, value = suspect.cause.kind, suspect.value
     if kind not in GROSS:
         return False
-    if kind in (RADIAL, PROJECTION):
+    if kind in (RADIAL_KIND, PROJECTION_KIND):
         camera = calibration.dataset.sensors[suspect.cause.subject.split(" and ")[0]].camera
         if camera is None:
             return False
@@ -256,7 +269,7 @@ def _moved_after(calibration: Calibration, suspect: Suspect) -> Array:
     """Return the changes (S, k) by a deviation likewise; of a sensor that is held all others move the other way."""
     dataset, setup, moved_by = calibration.dataset, calibration.solution.setup, suspect.moved_by.copy()
     moved = dataset.sensors.get(suspect.cause.subject)
-    if suspect.cause.kind != PLACE or moved is None:
+    if suspect.cause.kind != PLACE_KIND or moved is None:
         return moved_by
     at = setup.problem.shared_parameters
     if (block := setup.block(moved.edge)) in at:
@@ -292,7 +305,7 @@ def _together(
 
 
 def _name(cause: Cause) -> str:
-    return cause.subject if cause.kind == PLACE else f"{cause.subject}'s {cause.kind}"
+    return cause.subject if cause.kind == PLACE_KIND else f"{cause.subject}'s {cause.kind}"
 
 
 def _size(cause: Cause, value: Array, sigma: Array) -> str:
@@ -304,12 +317,12 @@ def _size(cause: Cause, value: Array, sigma: Array) -> str:
         )
     if cause.unit == "collections":
         return f"{value[0]:+.3g} +- {sigma[0]:.1g} of the way to the next collection"
-    if cause.kind == LENS:
+    if cause.kind == LENS_KIND:
         return "off in several parameters at once"
     factor, unit = _UNITS.get(cause.unit, (1.0, cause.unit))
     if cause.unit == "1":  # a relative change of d is extrapolated with an error of its square
         sigma = np.hypot(sigma, value**2 / 2)
-    if "distortion" in cause.kind or cause.kind in ("lens model", PROJECTION):
+    if "distortion" in cause.kind or cause.kind in ("lens model", PROJECTION_KIND):
         factor, unit = 1.0, ""
     numbers = ", ".join(f"{factor * v:+.3g} +- {factor * s:.1g}" for v, s in zip(value, sigma, strict=True))
     return f"off by {numbers} {unit}".rstrip()
@@ -349,7 +362,9 @@ def _contradictions(calibration: Calibration, limits: Limits, found: Disagreemen
     findings = []
     for name, ratio in sorted(beyond.items(), key=lambda each: -each[1]):
         freedom = found.freedom(at[setup.block(edges[name])])
-        if ratio <= CONTRADICTING or score_of_f(ratio, freedom, EXACTLY) <= threshold(len(beyond)):
+        if ratio <= MIN_CONTRADICTING_FACTOR or score_of_f(ratio, freedom, DEGREES_IF_NOT_ESTIMATED) <= threshold(
+            len(beyond)
+        ):
             continue
         subject, keys = _worst(calibration, found, (name, *calibration.dataset.patterns))
         mm, degrees = stated(calibration)[name]

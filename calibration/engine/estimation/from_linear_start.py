@@ -35,19 +35,19 @@ def from_linear_start(dataset: Dataset, setup: Setup, start: LinearStart, option
         UndeterminedError: the labels do not determine something else.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        result, reason = _optimised(setup, start, options)
+        result, reason = _optimise_unflipped(setup, start, options)
         if not reason:
             setup, result, reason = _with_noise_along_sight(setup, result, options)
     try:
-        return calibration_at(dataset, setup, result, reason, options, _notes(setup, start))
+        return calibration_at(dataset, setup, result, reason, options, _notes_on_start(setup, start))
     except OpenCoefficientsError as error:
-        found = from_linear_start(dataset, *_holding(setup, start, error.hold), options)
+        found = from_linear_start(dataset, *_with_coefficients_held(setup, start, error.hold), options)
         names = ", ".join(f"'{name}'" for name in error.hold)
         note = f"the labels do not determine {names} beside the others: held at what the dataset says"
         return replace(found, notes=(note, *found.notes))
 
 
-def _holding(setup: Setup, start: LinearStart, names: Sequence[str]) -> tuple[Setup, LinearStart]:
+def _with_coefficients_held(setup: Setup, start: LinearStart, names: Sequence[str]) -> tuple[Setup, LinearStart]:
     """Return the same problem and initial values with some distortion coefficients fixed at their nominal values."""
     problem = setup.problem
     blocks = held_blocks(setup.dataset, problem.blocks, names)
@@ -60,7 +60,7 @@ def _holding(setup: Setup, start: LinearStart, names: Sequence[str]) -> tuple[Se
     return replace(setup, problem=replace(problem, blocks=blocks)), replace(start, values=tuple(values))
 
 
-def _optimised(setup: Setup, start: LinearStart, options: Options) -> tuple[WeightedOptimum, str]:
+def _optimise_unflipped(setup: Setup, start: LinearStart, options: Options) -> tuple[WeightedOptimum, str]:
     """Optimise, or return the reason of a failure; flipped patterns are corrected."""
     robust = options.loss == "huber"
     result = optimise(setup.problem, start.values, options.known_noise(), robust)
@@ -91,7 +91,7 @@ def _with_noise_along_sight(
     return setup, result, why_not_reached(setup, result)
 
 
-def _notes(setup: Setup, start: LinearStart) -> list[str]:
+def _notes_on_start(setup: Setup, start: LinearStart) -> list[str]:
     """Return what is not used, and what was taken from the guess, in words."""
     guessed = [f"no equation gives '{name}' a linear start; it starts from its guess" for name in start.guessed]
     held = [

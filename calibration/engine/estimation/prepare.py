@@ -11,9 +11,9 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
 from calibration.engine.estimation.doubts.lags import with_lags
 from calibration.engine.estimation.doubts.pose_scale import (
+    MAX_SCALE_STEP_IF_FOUND,
     MOST_STEPS,
     OTHER_SCALE,
-    SAME,
     divided,
     has_poses,
     next_ratio,
@@ -35,7 +35,7 @@ from calibration.engine.estimation.start.guesses import guess_of_dataset, guess_
 from calibration.engine.estimation.start.linear_start import LinearStart, linear_start
 from calibration.engine.estimation.start.turned_boards import with_boards_turned_back
 
-TRIAL = Termination(decrease=1e-3, iterations=300)
+TERMINATION_OF_TRIAL = Termination(decrease=1e-3, iterations=300)
 """Enough if the optimum explains all views; wrong views make the convergence slow."""
 MIN_BAD_FIT_M = 0.02
 """Noise of measured poses from which another scale is tried."""
@@ -179,7 +179,7 @@ def _explained_by_fixed_parameter(
     problem = setup.problem
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         scales = estimate_scales(problem, start.values, {}, robust=True)
-        trial = minimise(problem, start.values, Weighting(scales, HUBER_THRESHOLD), TRIAL)
+        trial = minimise(problem, start.values, Weighting(scales, HUBER_THRESHOLD), TERMINATION_OF_TRIAL)
     if not trial.reached:  # other weights would not help, after many iterations
         return None
     try:
@@ -217,7 +217,7 @@ def _with_scale(dataset: Dataset, options: Options) -> tuple[Dataset, float]:
         if ratio is None:
             break
         dataset, factor = divided(dataset, ratio), factor * ratio
-        if step and abs(ratio - 1) < SAME:
+        if step and abs(ratio - 1) < MAX_SCALE_STEP_IF_FOUND:
             return dataset, factor
     raise undetermined_scale(dataset)
 

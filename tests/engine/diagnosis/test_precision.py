@@ -6,13 +6,13 @@ import pytest
 from calibration.engine.diagnosis.limits import UNSET, Limits, allowed, of_a_good_robot
 from calibration.engine.diagnosis.precision import false_accept, precision, worst_false_accept
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from tests.engine.estimation import systems
 
 
 def test_a_limit_below_the_guard_band_is_undecided_with_a_remedy() -> None:
     dataset = systems.stereo(20, seed=1, pixel_noise=0.3).dataset(1)
-    exact, assumed = (calibrate(dataset, options) for options in (Options(assume=EXACT), Options()))
+    exact, assumed = (calibrate(dataset, options) for options in (Options(assume=ALL_EXACT), Options()))
     edge = next(iter(exact.covariances))
     between = 1.5 * exact.sigma_mm(edge)
     [found] = precision(exact, Limits(translation_mm=between))
@@ -38,7 +38,7 @@ def test_where_no_limit_is_set_it_is_red_if_it_is_rather_broken_than_not(
 
 
 def test_the_limits_of_a_joint_hold_with_its_error_bar() -> None:
-    calibration = calibrate(systems.jointed_arm(20, seed=1, pixel_noise=0.3).dataset(1), Options(assume=EXACT))
+    calibration = calibrate(systems.jointed_arm(20, seed=1, pixel_noise=0.3).dataset(1), Options(assume=ALL_EXACT))
     sigma = float(np.degrees(calibration.joints["j3"].sigmas[0]))
     [red] = precision(calibration, Limits(joint_deg=1.5 * sigma, translation_mm=1e3))
     assert red.sensors == ("j3",)

@@ -11,7 +11,7 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.residuals import residuals
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from tests.engine.estimation import systems
 
 
@@ -42,7 +42,7 @@ class Change:
 
 
 def notes(dataset: Dataset) -> dict[str, str]:
-    return {each.kind: each.text for each in residuals(calibrate(dataset, Options(assume=EXACT)))}
+    return {each.kind: each.text for each in residuals(calibrate(dataset, Options(assume=ALL_EXACT)))}
 
 
 @pytest.mark.parametrize("make", [systems.stereo, systems.camera_and_lidar, systems.jointed_arm])
@@ -97,7 +97,7 @@ def test_small_errors_that_add_up_are_red_together() -> None:
     values[:2] *= 1.005
     values[2:4] += 2.0
     wrong = dataset.with_cameras({"cam": camera.with_intrinsics(values)})
-    calibration = calibrate(wrong, Options(assume=EXACT))
+    calibration = calibrate(wrong, Options(assume=ALL_EXACT))
     each = what_does_not_fit(calibration, Limits(translation_mm=1e3, rotation_deg=10.0))
     assert len(each) > 1
     assert all(one.severity == "note" for one in each)

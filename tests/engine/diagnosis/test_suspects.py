@@ -12,9 +12,9 @@ from calibration.engine.diagnosis.finding import CONTRADICTION, Finding
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.covariance.fixed_inputs import PLACE
+from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
 from calibration.engine.estimation.doubts.suspects import Disagreement, Suspect, explain
-from calibration.engine.estimation.problem.assumptions import EXACT, Assumptions
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT, Assumptions
 from calibration.engine.geometry.lenses import DoubleSphere
 from calibration.engine.geometry.transforms import retract
 from tests.engine.estimation import scenes, systems
@@ -41,18 +41,18 @@ def with_intrinsics(dataset: Dataset, sensor: str, change: Callable[[Array], Non
     return dataset.with_cameras({sensor: camera.with_intrinsics(values)})
 
 
-def found(dataset: Dataset, assume: Assumptions = EXACT) -> tuple[Suspect, ...]:
+def found(dataset: Dataset, assume: Assumptions = ALL_EXACT) -> tuple[Suspect, ...]:
     explanation = explain(calibrate(dataset, Options(assume=assume)).solution.model)
     assert explanation is not None
     return explanation.suspects
 
 
-def findings(dataset: Dataset, limits: Limits | None = None, assume: Assumptions = EXACT) -> tuple[Finding, ...]:
+def findings(dataset: Dataset, limits: Limits | None = None, assume: Assumptions = ALL_EXACT) -> tuple[Finding, ...]:
     return what_does_not_fit(calibrate(dataset, Options(assume=assume)), limits or Limits())
 
 
 @pytest.mark.parametrize("make", [stereo, eye_to_hand])
-@pytest.mark.parametrize("assume", [EXACT, Assumptions()])
+@pytest.mark.parametrize("assume", [ALL_EXACT, Assumptions()])
 def test_nothing_is_suspicious_of_a_good_robot(make: Callable[[int], Dataset], assume: Assumptions) -> None:
     for seed in range(3):
         [finding] = findings(make(seed), assume=assume)
@@ -130,7 +130,7 @@ def test_what_is_as_good_as_it_is_known_is_no_suspect() -> None:
 
     dataset = stereo()
     wrong = with_intrinsics(dataset, list(dataset.sensors)[1], slightly)
-    assert found(wrong, EXACT)
+    assert found(wrong, ALL_EXACT)
     assert not found(wrong, Assumptions(focal_length=0.004))
 
 
@@ -244,7 +244,7 @@ def test_a_lens_that_its_model_cannot_draw_is_named() -> None:
 def test_a_move_at_an_end_is_found_though_few_views_tell(first: int) -> None:
     """By less than what makes a view wrong by itself: 1 px."""
     suspect, *_ = found(knocked(first, (0.001, 0, 0, 0, 0, 0)))
-    assert suspect.cause.kind == PLACE
+    assert suspect.cause.kind == PLACE_KIND
     assert suspect.since in range(first - 1, first + 2)
 
 

@@ -12,7 +12,7 @@ from calibration.engine.estimation.covariance.error_bars import scatter_of_clust
 from calibration.engine.estimation.covariance.lens_errors import lens_errors
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.assumptions import EXACT, OF_INTRINSICS, Assumptions
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT, OF_INTRINSICS, Assumptions
 from calibration.engine.estimation.solve import label_columns
 from calibration.engine.estimation.solve.normal_equations import assemble
 from calibration.engine.geometry.transforms import local, retract
@@ -27,7 +27,7 @@ def bars(found: Calibration) -> tuple[Array, Array, Array]:
 
 
 def test_with_exact_fixed_parameters_they_are_by_the_labels_alone() -> None:
-    found = calibrate(systems.stereo(20, seed=1, pixel_noise=0.2).dataset(1), Options(assume=EXACT))
+    found = calibrate(systems.stereo(20, seed=1, pixel_noise=0.2).dataset(1), Options(assume=ALL_EXACT))
     labels, expected, total = bars(found)
     np.testing.assert_array_equal(labels, expected)
     assert np.trace(labels) <= np.trace(total) < 1.6 * np.trace(labels)
@@ -38,9 +38,9 @@ def test_with_exact_fixed_parameters_they_are_by_the_labels_alone() -> None:
 @pytest.mark.parametrize(
     "assume",
     [
-        replace(EXACT, focal_length=1e-4),
-        replace(EXACT, principal_point=0.05),
-        replace(EXACT, **dict.fromkeys(OF_INTRINSICS)),
+        replace(ALL_EXACT, focal_length=1e-4),
+        replace(ALL_EXACT, principal_point=0.05),
+        replace(ALL_EXACT, **dict.fromkeys(OF_INTRINSICS)),
     ],
 )
 def test_camera_info_counts_by_its_effect_on_the_result(assume: Assumptions) -> None:
@@ -79,7 +79,7 @@ def test_an_arms_repeatability_widens_them_by_its_error() -> None:
     scores, alone = [], []
     for seed in range(12):
         exact = systems.eye_to_hand(20, seed=seed, pixel_noise=0.1).dataset(seed)
-        found = calibrate(shaken(exact, 1e-3, seed), Options(assume=EXACT))
+        found = calibrate(shaken(exact, 1e-3, seed), Options(assume=ALL_EXACT))
         for sensor in exact.sensors.values():
             e = local(found.transforms[sensor.edge], exact.transforms[sensor.edge][0])
             scores.append(e @ np.linalg.solve(found.covariances[sensor.edge], e) / 6)
@@ -99,7 +99,7 @@ def test_how_many_collections_count_and_what_the_result_hangs_on() -> None:
 def test_the_defaults_are_those_of_a_good_robot() -> None:
     defaults = Assumptions()
     assert (defaults.focal_length, defaults.principal_point, defaults.flatness) == (None, None, 0.0002)
-    assert replace(defaults, **dict.fromkeys(vars(defaults), 0.0)) == EXACT
+    assert replace(defaults, **dict.fromkeys(vars(defaults), 0.0)) == ALL_EXACT
 
 
 def test_contributions_are_in_metres_of_transforms_alone() -> None:

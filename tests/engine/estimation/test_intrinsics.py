@@ -11,7 +11,7 @@ from calibration.engine.dataset.modalities import DEPTH, RGB
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.estimation.problem.intrinsics import FreeIntrinsics
 from calibration.engine.estimation.solve.normal_equations import Weighting, assemble
 from calibration.engine.estimation.solve.observability import determined_parameters
@@ -162,7 +162,7 @@ def test_the_errors_are_as_large_as_stated(name):
     model = lens(LENSES[name])
     for seed in range(scenes):
         dataset = covering(20, seed=seed, model=model, pixel_noise=0.3).dataset(seed)
-        result = calibrate(dataset, replace(EVERY, loss="linear" if seed % 2 else "huber", assume=EXACT))
+        result = calibrate(dataset, replace(EVERY, loss="linear" if seed % 2 else "huber", assume=ALL_EXACT))
         for camera, found in result.intrinsics.items():
             e = intrinsics_error(result, dataset, camera)
             own.append(e @ np.linalg.solve(found.covariance, e) / len(e))

@@ -10,7 +10,7 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels
 from calibration.engine.estimation.solve.normal_equations import Weighting, assemble
@@ -75,7 +75,7 @@ SCENES = 15
 
 @pytest.mark.many_scenes
 def test_considered_intrinsics_widen_the_result_as_much_as_they_move_it():
-    options = Options(loss="linear", assume=EXACT, noise_levels=NOISE, intrinsics_covariance=BOTH)
+    options = Options(loss="linear", assume=ALL_EXACT, noise_levels=NOISE, intrinsics_covariance=BOTH)
     _, poses = scores(options, SCENES)
     assert abs(poses - 1) < 4 * np.sqrt(2 / (6 * SCENES))
     _, overconfident = scores(replace(options, intrinsics_covariance={}), 5)
@@ -85,7 +85,7 @@ def test_considered_intrinsics_widen_the_result_as_much_as_they_move_it():
 @pytest.mark.many_scenes
 def test_a_prior_is_one_more_measurement():
     own, poses = scores(
-        Options(loss="linear", assume=EXACT, noise_levels=NOISE, intrinsics=("all",), intrinsics_covariance=BOTH),
+        Options(loss="linear", assume=ALL_EXACT, noise_levels=NOISE, intrinsics=("all",), intrinsics_covariance=BOTH),
         SCENES,
     )
     assert abs(own - 1) < 4 * np.sqrt(2 / (9 * SCENES))
@@ -97,7 +97,12 @@ def test_one_camera_calibrated_but_for_two_fixed_parameters_the_other_considered
     hold = ("intrinsics-c0-k1", "intrinsics-c0-cx")
     own, poses = scores(
         Options(
-            loss="linear", assume=EXACT, noise_levels=NOISE, intrinsics=("c0",), intrinsics_covariance=BOTH, hold=hold
+            loss="linear",
+            assume=ALL_EXACT,
+            noise_levels=NOISE,
+            intrinsics=("c0",),
+            intrinsics_covariance=BOTH,
+            hold=hold,
         ),
         SCENES,
     )
@@ -107,8 +112,8 @@ def test_one_camera_calibrated_but_for_two_fixed_parameters_the_other_considered
 
 def test_considered_intrinsics_change_nothing_but_the_covariance():
     dataset = covering(12, model=CAMERA, pixel_noise=0.3).dataset()
-    plain = calibrate(dataset, Options(assume=EXACT))
-    wider = calibrate(dataset, Options(assume=EXACT, intrinsics_covariance={"c0": known(), "elsewhere": known()}))
+    plain = calibrate(dataset, Options(assume=ALL_EXACT))
+    wider = calibrate(dataset, Options(assume=ALL_EXACT, intrinsics_covariance={"c0": known(), "elsewhere": known()}))
     assert (wider.cost, wider.degrees_of_freedom, wider.intrinsics) == (plain.cost, plain.degrees_of_freedom, {})
     for edge, T in plain.transforms.items():
         np.testing.assert_array_equal(wider.transforms[edge], T)
@@ -123,14 +128,14 @@ def test_what_is_considered_is_how_the_optimum_moves():
     dataset = covering(10, model=CAMERA).dataset()
     sigma = 1e-4 * SIGMAS
     C = np.diag(sigma**2)
-    result = calibrate(dataset, Options(assume=EXACT, noise_levels=NOISE, intrinsics_covariance={"c1": known(C)}))
+    result = calibrate(dataset, Options(assume=ALL_EXACT, noise_levels=NOISE, intrinsics_covariance={"c1": known(C)}))
     edge = dataset.sensors["c1"].edge
-    plain = calibrate(dataset, Options(assume=EXACT, noise_levels=NOISE))
+    plain = calibrate(dataset, Options(assume=ALL_EXACT, noise_levels=NOISE))
     moves = []
     for step in np.diag(sigma):
         ahead = calibrate(
             dataset.with_cameras({"c1": CAMERA.with_intrinsics(CAMERA.intrinsics + step)}),
-            Options(assume=EXACT, noise_levels=NOISE),
+            Options(assume=ALL_EXACT, noise_levels=NOISE),
         )
         moves.append(local(plain.transforms[edge], ahead.transforms[edge]))
     expected = np.array(moves).T @ np.array(moves)
@@ -235,7 +240,7 @@ def test_a_covariance_of_no_camera_of_the_dataset():
 def test_a_prior_that_the_labels_contradict_is_reported():
     truth = drawn(3)
     nominal = truth.with_cameras({"c0": CAMERA, "c1": CAMERA})
-    options = Options(assume=EXACT, noise_levels=NOISE, intrinsics=("all",), intrinsics_covariance=BOTH)
+    options = Options(assume=ALL_EXACT, noise_levels=NOISE, intrinsics=("all",), intrinsics_covariance=BOTH)
     assert calibrate(nominal, options).warnings == ()
     values = CAMERA.intrinsics + np.array([0, 15 * SIGMAS[1], 0, 0, 0, 0, 0, 0, 0])
     off = replace(known(), values=values)

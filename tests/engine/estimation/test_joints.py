@@ -9,7 +9,7 @@ from calibration.base.errors import UndeterminedError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.estimation.start.build import build
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
@@ -111,7 +111,9 @@ def test_the_errors_are_as_large_as_stated(case):
     scores, normalised, scenes = [], [], 25
     for seed in range(scenes):
         dataset = jointed_arm(20, seed=0, free=CASES[case], pixel_noise=0.3).dataset(seed)
-        result = calibrate(nominal(dataset, 0.02, seed), Options(loss="linear" if seed % 2 else "huber", assume=EXACT))
+        result = calibrate(
+            nominal(dataset, 0.02, seed), Options(loss="linear" if seed % 2 else "huber", assume=ALL_EXACT)
+        )
         for name, joint in result.joints.items():
             e = joint.values - dataset.joints[name].values[np.isin(JOINT_PARAMETERS, joint.parameters)]
             scores.append(e @ np.linalg.solve(joint.covariance, e) / len(e))

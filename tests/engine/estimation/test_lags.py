@@ -16,7 +16,7 @@ from calibration.engine.dataset.velocities import read_velocities
 from calibration.engine.dataset.writing import DatasetWriter
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.doubts.suspects import explain
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.geometry.transforms import inverse, local, retract
 from tests.engine.estimation.scenes import Scene, board, camera, looks, pose
 from tests.engine.estimation.systems import stereo
@@ -53,7 +53,7 @@ def arm(lag: float = LAG) -> tuple[Dataset, Array]:
 @pytest.mark.parametrize("lag", [-0.04, 0.0, LAG])
 def test_the_lag_of_a_camera_on_a_moving_arm_is_found_with_its_error_bar(lag: float) -> None:
     dataset, T_mount = arm(lag)
-    found = calibrate(dataset, Options(lag=("free",), assume=EXACT))
+    found = calibrate(dataset, Options(lag=("free",), assume=ALL_EXACT))
     assert found.lags.keys() == {"cam"}
     assert found.lags["cam"].seconds == pytest.approx(lag, abs=3 * found.lags["cam"].sigma)
     assert found.lags["cam"].sigma < 1e-3
@@ -64,14 +64,14 @@ def test_the_lag_of_a_camera_on_a_moving_arm_is_found_with_its_error_bar(lag: fl
 
 def test_a_lag_that_is_not_free_is_a_suspect_in_seconds_and_its_error_bar_widens_the_others() -> None:
     dataset, _ = arm()
-    held = calibrate(dataset, Options(assume=EXACT))
+    held = calibrate(dataset, Options(assume=ALL_EXACT))
     explanation = explain(held.solution.model)
     assert explanation is not None
     (suspect,) = explanation.suspects
     assert (suspect.cause.kind, suspect.cause.unit) == ("lag", "s")
     assert suspect.value[0] == pytest.approx(LAG, rel=0.1)
     exact, _ = arm(0.0)
-    fixed, free = (calibrate(exact, Options(lag=lag, assume=EXACT)) for lag in ((), ("cam",)))
+    fixed, free = (calibrate(exact, Options(lag=lag, assume=ALL_EXACT)) for lag in ((), ("cam",)))
     assert free.label_sigma_mm(MOUNT) > fixed.label_sigma_mm(MOUNT)
 
 
@@ -98,12 +98,12 @@ def test_between_two_cameras_one_is_the_clock_and_a_board_that_moves_tells_the_l
         for c, d in zip(on_time.collections, later.collections, strict=True)
     )
     dataset = replace(on_time, collections=collections, velocities={edge: moving()}, anchored=names[0])
-    found = calibrate(dataset, Options(lag=("free",), assume=EXACT)).lags
+    found = calibrate(dataset, Options(lag=("free",), assume=ALL_EXACT)).lags
     assert found.keys() == {names[1]}
     assert found[names[1]].seconds == pytest.approx(LAG, abs=3 * found[names[1]].sigma)
     assert found[names[1]].sigma < 1e-3
     with pytest.raises(UndeterminedError, match=f"leave '{names[0]}' the clock"):
-        calibrate(dataset, Options(lag=tuple(names), assume=EXACT))
+        calibrate(dataset, Options(lag=tuple(names), assume=ALL_EXACT))
 
 
 def test_a_lag_is_written_with_the_dataset_and_read_again(tmp_path: Path) -> None:

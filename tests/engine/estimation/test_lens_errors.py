@@ -7,7 +7,7 @@ import pytest
 
 from calibration.base.arrays import Array
 from calibration.engine.estimation.covariance.lens_errors import LensErrors, lens_errors
-from calibration.engine.estimation.problem.assumptions import EXACT, Assumptions
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT, Assumptions
 from calibration.engine.estimation.problem.intrinsics import Prior
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Distortion, Equidistant, PlumbBob, Rational
@@ -111,13 +111,13 @@ def test_what_is_stated_as_exact_is_known_and_narrows_the_rest() -> None:
 
 
 def test_exact_intrinsics_keep_what_they_would_be_worth() -> None:
-    exact = lens_errors(PLAIN, EXACT, None)
+    exact = lens_errors(PLAIN, ALL_EXACT, None)
     assert exact.is_exact
     np.testing.assert_array_equal(exact.root, lens_errors(PLAIN, Assumptions(), None).root)
 
 
 def test_a_given_covariance_counts_whatever_is_assumed() -> None:
     C = np.array([[4.0, 0.5], [0.5, 1.0]])
-    lens = lens_errors(PLAIN, EXACT, Prior((0, 2), np.array([550.0, 322.0]), C))
+    lens = lens_errors(PLAIN, ALL_EXACT, Prior((0, 2), np.array([550.0, 322.0]), C))
     assert (lens.parameters, lens.source, lens.is_exact) == (("fx", "cx"), "covariance", False)
     np.testing.assert_allclose(covariance(lens), C)

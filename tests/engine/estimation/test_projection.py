@@ -9,14 +9,14 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.projection import Projection, projection_of
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob
 from calibration.engine.geometry.transforms import apply
 from tests.engine.estimation.systems import covering
 
-OPTIONS = Options(intrinsics=("all",), assume=EXACT, loss="linear")
+OPTIONS = Options(intrinsics=("all",), assume=ALL_EXACT, loss="linear")
 LENSES = {
     "plumb_bob": Camera(600.0, 590.0, 640.0, 480.0, 1280, 960, PlumbBob(-0.10, 0.05, 0.001, -0.0005, 0.01)),
     "equidistant": Camera(500.0, 495.0, 640.0, 480.0, 1280, 960, Equidistant(-0.02, 0.01, -0.003, 0.001)),

@@ -17,7 +17,7 @@ from calibration.engine.dataset.truth import truth_of
 from calibration.engine.diagnosis.against_optimum import find_optimum
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.engine.estimation.problem.intrinsics_file import read_intrinsics
 from calibration.engine.estimation.solve.options import Options
@@ -195,10 +195,10 @@ def test_intrinsics_are_reported_with_their_sigmas_and_written_for_the_next_run(
         T2RGB,
         dataset=folder,
         truth="none",
-        options=Options(assume=EXACT, intrinsics_covariance=folder / "intrinsics.json"),
+        options=Options(assume=ALL_EXACT, intrinsics_covariance=folder / "intrinsics.json"),
     )
     wider = run_matrix(
-        Matrix((later, replace(later, name="plain", options=Options(assume=EXACT))), NOISES), tmp_path / "later", 1
+        Matrix((later, replace(later, name="plain", options=Options(assume=ALL_EXACT))), NOISES), tmp_path / "later", 1
     )
     sigmas = [[each.sigma_mm for each in c.details.transforms if each.sigma_mm] for c in wider.cells]
     assert min(sigmas[0]) > 2 * max(sigmas[1])

@@ -14,7 +14,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, local, transform
 from calibration.robot.importing.bags.board_motion import MovingBoards
@@ -94,7 +94,7 @@ def true_motion(time: float, phases: Array) -> Array:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_lag_of_a_camera_is_found_with_a_board_in_a_hand(tmp_path: Path, seed: int) -> None:
-    found = calibrate(imported(tmp_path, LAG, seed), Options(lag=("free",), assume=EXACT, description="rough"))
+    found = calibrate(imported(tmp_path, LAG, seed), Options(lag=("free",), assume=ALL_EXACT, description="rough"))
     assert found.lags.keys() == {"right"}
     assert found.lags["right"].sigma < 5e-5
     assert found.lags["right"].seconds == pytest.approx(LAG, abs=2 * found.lags["right"].sigma)

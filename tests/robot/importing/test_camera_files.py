@@ -114,12 +114,12 @@ def test_deviations_of_opencv_are_those_of_the_nominal_calibration_for_its_views
     camera = Camera(550.0, 560.0, 322.0, 238.0, 640, 480, PlumbBob(-0.1, 0.05, 0.001, -0.001, 0.01))
     board, T = nominal_lens_module.board(), nominal_lens_module.views(camera)
     x, half = board.corners[:, 0] - board.centre[0], np.ptp(board.outline[:, 0]) / 2
-    heights = nominal_lens_module.FLAT * (1 - (x / half) ** 2)
+    heights = nominal_lens_module.SIGMA_OF_BOW * (1 - (x / half) ** 2)
     bent = board.corners - board.centre + np.stack([0 * x, 0 * x, heights], -1)
     nominal = nominal_lens_module.nominal_lens(camera)
     rng = np.random.default_rng(1)
     found = []
-    for places, noise in ((board.corners - board.centre, nominal_lens_module.NOISE), (bent, 0.0)):
+    for places, noise in ((board.corners - board.centre, nominal_lens_module.SIGMA_OF_CORNERS), (bent, 0.0)):
         pixels = camera.project(apply(T, places))
         inside = camera.contains(pixels)
         noisy = pixels + noise * rng.normal(size=pixels.shape)

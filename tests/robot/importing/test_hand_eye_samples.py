@@ -16,9 +16,9 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.covariance.fixed_inputs import SCALE
+from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND
 from calibration.engine.estimation.doubts.pose_scale import divided
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.estimation.solve.options import Options, PoseNoise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.geometry.transforms import distance, local
@@ -204,9 +204,9 @@ def test_error_bars_have_the_uncertainty_of_a_free_scale(tmp_path: Path) -> None
         error = local(found.transforms["tool0", FRAME], X)
         squares.append(float(error @ np.linalg.solve(found.covariances["tool0", FRAME], error)))
     assert np.mean(squares) == pytest.approx(6, abs=3.5 * np.sqrt(2 * 6 / 20))
-    exact = calibrate(dataset, Options(description="rough", scale="free", assume=EXACT))
+    exact = calibrate(dataset, Options(description="rough", scale="free", assume=ALL_EXACT))
     model, bars = exact.solution.model, exact.error_bars
-    [scale] = [at.start for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == SCALE]
+    [scale] = [at.start for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == SCALE_KIND]
     columns = [*range(model.shared), scale]
     joint = np.linalg.inv(model.total[np.ix_(columns, columns)])
     for block, at in exact.solution.setup.problem.shared_parameters.items():
@@ -240,7 +240,7 @@ def test_poses_of_a_whole_arm_leave_the_transform_as_uncertain_as_arms_err(tmp_p
     """An error that all poses share leaves no residual: 0.3 mm along each axis, whatever the number of collections."""
     found = calibrate(imported(tmp_path / "it", True, noise=1e-6), ROUGH)
     assert found.sigma_mm(("tool0", FRAME)) >= 0.3 * 3**0.5
-    exact = calibrate(imported(tmp_path / "same", True, noise=1e-6), replace(ROUGH, assume=EXACT))
+    exact = calibrate(imported(tmp_path / "same", True, noise=1e-6), replace(ROUGH, assume=ALL_EXACT))
     assert exact.sigma_mm(("tool0", FRAME)) < 0.01
 
 
@@ -271,7 +271,8 @@ def test_distances_that_are_worse_than_the_rest_count_for_less(tmp_path: Path) -
         shifts = 0.01 * np.random.default_rng(seed).normal(size=20)
         dataset = moved_along_sight(imported(tmp_path / str(seed), True, seed=seed, noise=0.3), shifts)
         found, plain = (
-            calibrate(dataset, replace(ROUGH, assume=EXACT, pose_noise=noise)) for noise in (None, PoseNoise(6.0, 0.03))
+            calibrate(dataset, replace(ROUGH, assume=ALL_EXACT, pose_noise=noise))
+            for noise in (None, PoseNoise(6.0, 0.03))
         )
         error = local(found.transforms["tool0", FRAME], X)
         errors.append(np.linalg.norm(error[:3]))

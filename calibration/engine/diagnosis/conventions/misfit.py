@@ -6,7 +6,11 @@ import numpy as np
 
 from calibration.base.errors import CalibrationError
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.estimation.doubts.wrong_views import NOTICEABLE, median_residuals, noise_in_own_fits
+from calibration.engine.estimation.doubts.wrong_views import (
+    MIN_NOTICEABLE_RESIDUAL,
+    median_residuals,
+    noise_in_own_fits,
+)
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.solve.least_squares import Termination, minimise
 from calibration.engine.estimation.solve.normal_equations import Weighting
@@ -70,7 +74,7 @@ def _nearer(setup: Setup, values: Values) -> Values:
     """Return values nearer to the optimum, by the corners, the points on the plane, and where patterns are."""
     groups = tuple(replace(group, terms=group.terms[:1]) for group in setup.problem.groups)
     nearby = replace(setup.problem, groups=groups)
-    scales = {group.terms[0].kind: NOTICEABLE[group.terms[0].kind] / 2 for group in groups}
+    scales = {group.terms[0].kind: MIN_NOTICEABLE_RESIDUAL[group.terms[0].kind] / 2 for group in groups}
     return minimise(nearby, values, Weighting(scales, HUBER_THRESHOLD), A_FEW_STEPS).values
 
 
@@ -83,7 +87,7 @@ def misfit_at(setup: Setup, values: Values) -> Misfit:
         size = float(miss[int(np.ceil(MOST * len(miss))) - 1])
         noise = noise_in_own_fits(group)
         above_noise = max(above_noise, size / noise if noise > 0 else np.inf)
-        if not size / NOTICEABLE[kind] <= noticed:
-            noticed = size / NOTICEABLE[kind]
+        if not size / MIN_NOTICEABLE_RESIDUAL[kind] <= noticed:
+            noticed = size / MIN_NOTICEABLE_RESIDUAL[kind]
             text = f"{size:.2g} px" if kind == "pixel" else f"{1e3 * size:.2g} mm"
     return Misfit(noticed, text if np.isfinite(noticed) else "no result", above_noise, setup, values)

@@ -65,7 +65,7 @@ class ClusterSums:
         collections, T = seen.group.collections[order], seen.T[order]
         A, Y, W = own.twists[order], own.local_twists[order], own.weights
         clusters = self.clusters[collections]
-        starts = _starts(clusters)
+        starts = _starts_of_runs(clusters)
         a, n = A.shape[-1], len(own.columns)
         M, right = np.empty((len(T), POSE_COLUMNS, POSE_COLUMNS)), np.empty((len(T), POSE_COLUMNS, n))
         L = np.zeros((len(starts), len(W), len(W)))
@@ -73,17 +73,17 @@ class ClusterSums:
         for views, found in products(terms, seen.names.camera, seen.pattern, T, weighting):
             M[views] = found[:, :POSE_COLUMNS, :POSE_COLUMNS]
             np.matmul(found[:, :POSE_COLUMNS, POSE_COLUMNS:], W, out=right[views, :, a:])
-            begins = _starts(clusters[views])
+            begins = _starts_of_runs(clusters[views])
             at = np.searchsorted(clusters[starts], clusters[views][begins])
             L[at] += np.add.reduceat(found[:, POSE_COLUMNS:, POSE_COLUMNS:], begins)
         np.matmul(M, A, out=right[:, :, :a])
         G = np.empty((len(starts), n, n))
-        G[:, :a] = _products(A, right, starts)
+        G[:, :a] = _sums_of_products(A, right, starts)
         G[:, a:, :a] = np.swapaxes(G[:, :a, a:], 1, 2)
         G[:, a:, a:] = W.T @ L @ W
         Yt, where, rows = np.swapaxes(Y, 1, 2), _as_slice(clusters[starts]), _as_slice(collections)
         self.local[index_of(rows, own.local, own.local)] += Yt @ M @ Y
-        mixed, spans = Yt @ right, _spans(own.columns)
+        mixed, spans = Yt @ right, _runs_of_columns(own.columns)
         for i, to_i in spans:
             self.mixed[index_of(rows, own.local, to_i)] += mixed[:, :, i]
             for j, to_j in spans:
@@ -96,7 +96,7 @@ class ClusterSums:
         fill_unobserved(self.local)
         solved = np.linalg.inv(self.local) @ self.mixed
         order = _in_order(self.clusters)
-        taken = _products(self.mixed[order], solved[order], _starts(self.clusters[order]))
+        taken = _sums_of_products(self.mixed[order], solved[order], _starts_of_runs(self.clusters[order]))
         return self.G - 0.5 * (taken + np.swapaxes(taken, 1, 2))
 
 
@@ -105,7 +105,7 @@ def _in_order(clusters: IntArray) -> IntArray | slice:
     return slice(None) if (np.diff(clusters) >= 0).all() else clusters.argsort(kind="stable")
 
 
-def _starts(clusters: IntArray) -> IntArray:
+def _starts_of_runs(clusters: IntArray) -> IntArray:
     """Return the indices at which runs of equal clusters begin, in sorted clusters (n,)."""
     return np.flatnonzero(np.diff(clusters, prepend=-1))
 
@@ -116,13 +116,13 @@ def _as_slice(indices: IntArray) -> Columns:
     return slice(int(indices[0]), int(indices[-1]) + 1) if (steps == 1).all() else indices
 
 
-def _spans(columns: IntArray) -> list[tuple[slice, slice]]:
+def _runs_of_columns(columns: IntArray) -> list[tuple[slice, slice]]:
     """Return runs of consecutive columns (n,), as slices of the n and slices of all columns."""
     ends = [0, *(np.flatnonzero(np.diff(columns) != 1) + 1).tolist(), len(columns)]
     return [(slice(i, j), slice(int(columns[i]), int(columns[i]) + j - i)) for i, j in pairwise(ends)]
 
 
-def _products(left: Array, right: Array, starts: IntArray) -> Array:
+def _sums_of_products(left: Array, right: Array, starts: IntArray) -> Array:
     """Return the sums (k, a, b) of ``left^T right``, (n, p, a) and (n, p, b), over runs that begin at ``starts``."""
     if len(starts) == len(left):
         return np.swapaxes(left, 1, 2) @ right

@@ -23,18 +23,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.estimation.covariance.fixed_inputs import LAG
+from calibration.engine.estimation.covariance.fixed_inputs import LAG_KIND
 from calibration.engine.estimation.covariance.linear_model import LinearModel
 
 MIN_ALIKE = 2.0
 """Correlation of neighbouring clusters, in multiples of 1 over the root of their number, from which they are alike."""
 MIN_BATCHES = 6
 """Number of batches of clusters that are alike of which the scatter is still told."""
-CONTRADICTING = 3.0
+MIN_CONTRADICTING_FACTOR = 3.0
 """Factor above which clusters contradict each other; one that is estimated from few clusters is then corrected."""
 FEWEST_CLUSTERS = 4.0
 """Minimum of the clusters that a factor is taken to come from."""
-DECISIVE = 1e-6
+MAX_INFORMATION_WITHOUT_DECISIVE = 1e-6
 """Information left without a cluster, relative to the total, below which that cluster alone determines a direction."""
 
 
@@ -96,7 +96,7 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collectio
     def bars(at: slice) -> tuple[Array, Array]:
         own = C[at, at]
         factor = max(1.0, float(np.trace(np.linalg.solve(own, clustered[at, at]))) / len(own))
-        if factor > CONTRADICTING or len(batches) < len(shares):
+        if factor > MIN_CONTRADICTING_FACTOR or len(batches) < len(shares):
             factor *= _for_few_clusters(root[at] @ batches @ root[at].T, own)
         return own + considered[at, at], factor * own + considered[at, at]
 
@@ -108,7 +108,7 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collectio
     lags = {
         cause.subject: float(np.sqrt(bars(slice(start, start + 1))[1][0, 0]))
         for (cause, _), start in zip(freed, ends, strict=False)
-        if cause.kind == LAG
+        if cause.kind == LAG_KIND
     }
     effective = float(leverages.sum() ** 2 / (leverages**2).sum())
     decisive = float(np.linalg.eigvalsh(shares).max())
@@ -137,23 +137,23 @@ def scatter_of_clusters(shares: Array, pulls: Array) -> tuple[Array, Array]:
     Returns:
         The covariance, and the shares of the batches of neighbours (B, F, F) that it is from.
     """
-    changes, least = _changes(shares, pulls), MIN_ALIKE
-    while len(shares) >= 2 * MIN_BATCHES and _alike(changes) > least:
+    changes, least = _changes_by_cluster(shares, pulls), MIN_ALIKE
+    while len(shares) >= 2 * MIN_BATCHES and _neighbour_correlation(changes) > least:
         starts = np.arange(len(shares) // 2) * 2
         shares, pulls = np.add.reduceat(shares, starts), np.add.reduceat(pulls, starts)
-        changes, least = _changes(shares, pulls), 0.0
+        changes, least = _changes_by_cluster(shares, pulls), 0.0
     return changes.T @ changes, shares
 
 
-def _changes(shares: Array, pulls: Array) -> Array:
+def _changes_by_cluster(shares: Array, pulls: Array) -> Array:
     """Return the change (K, F) of the optimum by each cluster, without the bias by its own share in it."""
     w, U = np.linalg.eigh(np.eye(shares.shape[-1]) - shares)
-    along = (pulls[:, None] @ U)[:, 0] / np.sqrt(np.maximum(w, DECISIVE))
+    along = (pulls[:, None] @ U)[:, 0] / np.sqrt(np.maximum(w, MAX_INFORMATION_WITHOUT_DECISIVE))
     changes: Array = (U @ along[..., None])[..., 0]
     return changes
 
 
-def _alike(changes: Array) -> float:
+def _neighbour_correlation(changes: Array) -> float:
     """Return the correlation of neighbouring changes (K, F) of sum 0, in multiples of 1 over the root of K."""
     K, total = len(changes), float((changes**2).sum())
     # what has sum 0 is correlated by -1 / K if independent

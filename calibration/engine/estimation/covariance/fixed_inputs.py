@@ -26,28 +26,28 @@ from calibration.engine.geometry.lenses import Distortion
 from calibration.engine.geometry.transforms import adjoint, inverse, local, translation
 
 Unit = Literal["m", "rad", "px", "1", "s", "collections"]
-SKEW = 0.0002
+SKEW_SIGMA = 0.0002
 """Standard deviation of the skew of a camera's axes, rad; a calibration of its intrinsics takes it for 0."""
-STILL = 1e-6
+STILL_TOLERANCE = 1e-6
 """Tolerance (m, and elements of rotations) of transforms that do not move between collections."""
 CAMERA_INFO = "camera_info"
 """Kind of a camera's intrinsics in all, whose errors are correlated; its parts are causes too, which are tested."""
 ARM_ACCURACY = 6.0
 """How far an arm's pose is off, in assumed errors of one link: 0.3 mm and 0.6 mrad along each axis, the absolute
 accuracy of a good industrial arm (1 mm at most). It differs from pose to pose, as an error of one link would not."""
-SCALE = "scale of poses"
+SCALE_KIND = "scale of poses"
 """Kind of the factor by which all measured translations are too long."""
 SCALE_OF_POSES = 0.001
 """Standard deviation of that factor: of the focal length and the printed size by which a camera measured the poses."""
-RADIAL, PROJECTION = "radial distortion", "projection"
+RADIAL_KIND, PROJECTION_KIND = "radial distortion", "projection"
 """Kinds of a lens's radial curve: by coefficients k that bend the rays of a pinhole, or by those of the projection."""
-LAG = "lag"
+LAG_KIND = "lag"
 """Kind of a sensor's time offset."""
-PLACE = "place"
+PLACE_KIND = "place"
 """Kind of causes that are only tested from some collection on: over all of them the pose is calibrated or gauge."""
-LINK = "link"
+LINK_KIND = "link"
 """Kind of the errors of an arm's moving transforms."""
-CROOKED = 1e-4
+MAX_MOTION_OFF_AXIS = 1e-4
 """Limit of the motion off the axis, relative to that about or along it, for a joint with one axis."""
 
 
@@ -157,7 +157,7 @@ def causes(
     ]
     found += [
         Cause(
-            SCALE,
+            SCALE_KIND,
             name,
             "1",
             (SCALE_OF_POSES if assume.pattern_size > 0 else 0.0,),
@@ -178,7 +178,7 @@ def causes(
     edges = dict.fromkeys((step.parent, step.child) for each in groups for step in each.path)
     for edge in edges:
         T = dataset.transforms[edge]
-        if edge not in dataset.additional_transforms and np.abs(T - T[0]).max() > STILL:
+        if edge not in dataset.additional_transforms and np.abs(T - T[0]).max() > STILL_TOLERANCE:
             found += _of_moving_edge(edge, T, assume)
             if joint_axis(T) is None and all(each.names.poses for each in groups):
                 found.append(_of_whole_arm(edge, assume))
@@ -190,7 +190,7 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], lens: 
 
     def cause(kind: str, unit: Unit, sigma: float, *weights: dict[str, float], counts: bool = True) -> Iterator[Cause]:
         if not all(parameter in free for each in weights for parameter in each):
-            yield Cause(kind, sensor, unit, (sigma,) * len(weights), _combinations(sensor, weights), counts)
+            yield Cause(kind, sensor, unit, (sigma,) * len(weights), _combinations_of_subject(sensor, weights), counts)
 
     if camera is None or lens is None:
         yield from cause("range bias", "m", assume.range_bias, {"bias": 1.0})
@@ -213,7 +213,7 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], lens: 
     yield from part("pixel convention", "px", {"cx": 1.0, "cy": 1.0})
     scaled = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx + 0.5, "cy": camera.cy + 0.5}
     yield from part("image scale", "1", scaled)
-    yield from part("skew", "rad", {"skew": 1.0}, sigma=0.0 if lens.is_exact else SKEW)
+    yield from part("skew", "rad", {"skew": 1.0}, sigma=0.0 if lens.is_exact else SKEW_SIGMA)
     model = camera.distortion
     higher = [name for name in model.higher if name in model.names() and name not in free]
     yield from part("lens model", "1", *({name: 1.0} for name in (*higher, *ERRORS_BEYOND_LENS_MODEL[1:])))
@@ -239,12 +239,12 @@ def _of_all_cameras(cameras: Mapping[str, Camera]) -> Iterator[Cause]:
 
 
 def _kind_of_curve(model: Distortion) -> str:
-    return RADIAL if all(name.startswith("k") for name in model.radial) else PROJECTION
+    return RADIAL_KIND if all(name.startswith("k") for name in model.radial) else PROJECTION_KIND
 
 
 def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Cause]:
     def cause(kind: str, unit: Unit, assumed: float, *weights: dict[str, float], counts: bool = True) -> Cause:
-        return Cause(kind, name, unit, (assumed,) * len(weights), _combinations(name, weights), counts)
+        return Cause(kind, name, unit, (assumed,) * len(weights), _combinations_of_subject(name, weights), counts)
 
     yield cause("size", "1", assume.pattern_size, {"size_x": 1.0, "size_y": 1.0})
     yield cause("stretch", "1", assume.pattern_stretch, {"size_x": 0.5, "size_y": -0.5})
@@ -256,7 +256,7 @@ def _of_pattern(name: str, has_border: bool, assume: Assumptions) -> Iterator[Ca
         yield cause("border", "m", assume.border, {"border": 1.0})
 
 
-def _combinations(subject: str, weights: Sequence[dict[str, float]]) -> tuple[Combination, ...]:
+def _combinations_of_subject(subject: str, weights: Sequence[dict[str, float]]) -> tuple[Combination, ...]:
     """Return combinations of the columns of one sensor or pattern."""
     return tuple({(subject, name): weight for name, weight in each.items()} for each in weights)
 
@@ -264,10 +264,10 @@ def _combinations(subject: str, weights: Sequence[dict[str, float]]) -> tuple[Co
 def _of_moving_edge(edge: Edge, T: Array, assume: Assumptions) -> Iterator[Cause]:
     name = "-".join(edge)
     sigma = (assume.arm_translation,) * 3 + (assume.arm_rotation,) * 3
-    yield Cause(LINK, name, "m", sigma, lambda group: group.twist(edge))
+    yield Cause(LINK_KIND, name, "m", sigma, lambda group: group.twist(edge))
     axis = joint_axis(T)
     if axis is None:
-        lengths = _lengths(T)
+        lengths = _lengthening_twists(T)
         yield Cause("lengths", name, "1", (0.0,), _on_views(edge, lengths))
         return
     direction, position, prismatic = axis
@@ -295,7 +295,7 @@ def _on_views(edge: Edge, twists: Array) -> Twists:
     return lambda group: group.twist(edge, twists[group.group.collections])
 
 
-def _lengths(T: Array) -> Array:
+def _lengthening_twists(T: Array) -> Array:
     """Return the twists (N, 6, 1) in the child frame that lengthen translations (N, 4, 4) by their own length."""
     out = np.zeros((len(T), 6, 1))
     out[:, :3] = np.swapaxes(T[:, :3, :3], 1, 2) @ T[:, :3, 3:]
@@ -313,12 +313,12 @@ def joint_axis(T: Array) -> tuple[Array, Array, bool] | None:
     turns, shifts = moved[:, 3:], moved[:, :3]
     for part, rest, prismatic in ((turns, shifts, False), (shifts, turns, True)):
         size = np.linalg.norm(part, axis=1).max()
-        if size <= STILL:
+        if size <= STILL_TOLERANCE:
             continue
         _, _, axes = np.linalg.svd(part, full_matrices=False)
         position = part @ axes[0]
         crooked = np.abs(part - position[:, None] * axes[0]).max() + np.abs(rest).max()
-        if crooked <= max(CROOKED * size, STILL):
+        if crooked <= max(MAX_MOTION_OFF_AXIS * size, STILL_TOLERANCE):
             twist = np.zeros(6)
             twist[slice(0, 3) if prismatic else slice(3, 6)] = axes[0]
             return twist, position - position.mean(), prismatic
@@ -332,7 +332,7 @@ def moved_sensor(sensor: Sensor, assumed: tuple[float, ...] = (0.0,) * 6) -> Cau
     def twists(group: SeenGroup) -> Array | None:
         return group.twist(sensor.edge) if group.sensor.name == sensor.name else None
 
-    return Cause(PLACE, sensor.name, "m", assumed, twists, counts=False)
+    return Cause(PLACE_KIND, sensor.name, "m", assumed, twists, counts=False)
 
 
 def moved_pattern(pattern: Pattern, assumed: tuple[float, ...] = (0.0,) * 6) -> Cause:
@@ -341,7 +341,7 @@ def moved_pattern(pattern: Pattern, assumed: tuple[float, ...] = (0.0,) * 6) -> 
     def twists(group: SeenGroup) -> Array | None:
         return np.tile(np.eye(6), (len(group.T), 1, 1)) if group.pattern.name == pattern.name else None
 
-    return Cause(PLACE, pattern.name, "m", assumed, twists, counts=False)
+    return Cause(PLACE_KIND, pattern.name, "m", assumed, twists, counts=False)
 
 
 def lag(dataset: Dataset, sensor: Sensor, free: bool) -> Cause:
@@ -358,7 +358,7 @@ def lag(dataset: Dataset, sensor: Sensor, free: bool) -> Cause:
 
     unit: Unit = "s" if dataset.velocities else "collections"
     effect = of_frames if dataset.velocities else of_collections
-    return Cause(LAG, sensor.name, unit, (0.0,), effect, counts=False, tested=not free, free=free)
+    return Cause(LAG_KIND, sensor.name, unit, (0.0,), effect, counts=False, tested=not free, free=free)
 
 
 def frame_velocities(dataset: Dataset, seen: SeenGroup) -> Array:

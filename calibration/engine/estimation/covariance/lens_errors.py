@@ -8,7 +8,7 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.engine.dataset.lens_uncertainty import LensUncertainty
 from calibration.engine.estimation.covariance.nominal_lens import nominal_lens
-from calibration.engine.estimation.problem.assumptions import EXACT, OF_INTRINSICS, Assumptions
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT, OF_INTRINSICS, Assumptions
 from calibration.engine.estimation.problem.intrinsics import PARAMETERS_IN_PIXELS, Prior
 from calibration.engine.geometry.cameras import Camera
 
@@ -43,7 +43,7 @@ def lens_errors(camera: Camera, assume: Assumptions, given: Prior | LensUncertai
     if isinstance(given, Prior):
         return _of_covariance(tuple(camera.parameters[i] for i in given.at), given.covariance)
     nominal = nominal_lens(camera)
-    if given is not None and assume != EXACT:
+    if given is not None and assume != ALL_EXACT:
         if given.covariance is not None:
             return _of_covariance(given.parameters, given.covariance)
         common = [name for name in nominal.parameters if name in given.parameters]
@@ -57,12 +57,12 @@ def lens_errors(camera: Camera, assume: Assumptions, given: Prior | LensUncertai
     source: LensSource = "assume" if assumed else "nominal"
     if len(assumed) == len(OF_INTRINSICS) and not any(assumed.values()):
         return LensErrors(nominal.parameters, root, source, is_exact=True)
-    combinations = _combinations(camera, nominal.parameters)
+    combinations = _combinations_of_assumptions(camera, nominal.parameters)
     known = [combinations[name] @ root for name, value in assumed.items() if not value]
     if known:  # what is left of independent errors if these combinations of them are 0
         Q, _ = np.linalg.qr(np.concatenate(known).T)
         root = root - root @ Q @ Q.T
-    scales = [_ratio(value, combinations[name] @ root) for name, value in assumed.items() if value]
+    scales = [_ratio_of_sigmas(value, combinations[name] @ root) for name, value in assumed.items() if value]
     return LensErrors(nominal.parameters, max(scales, default=1.0) * root, source)
 
 
@@ -72,12 +72,12 @@ def _of_covariance(parameters: tuple[str, ...], covariance: Array) -> LensErrors
     return LensErrors(parameters, root, "covariance")
 
 
-def _ratio(stated: float, effects: Array) -> float:
+def _ratio_of_sigmas(stated: float, effects: Array) -> float:
     """Return a stated standard deviation over the first of those that errors (m, k) have."""
     return float(stated / np.linalg.norm(effects[0]))
 
 
-def _combinations(camera: Camera, parameters: tuple[str, ...]) -> dict[str, Array]:
+def _combinations_of_assumptions(camera: Camera, parameters: tuple[str, ...]) -> dict[str, Array]:
     """Return what each assumption is about, as combinations (m, n) of the parameters."""
     unit = dict(zip(parameters, np.eye(len(parameters)), strict=True))
     fx, fy = unit["fx"] / camera.fx, unit["fy"] / camera.fy

@@ -23,7 +23,7 @@ from calibration.engine.estimation.covariance.cluster_sums import ClusterSums, G
 from calibration.engine.estimation.covariance.fixed_inputs import (
     ARM_ACCURACY,
     CAMERA_INFO,
-    LINK,
+    LINK_KIND,
     Cause,
     Combination,
     SeenGroup,
@@ -106,9 +106,11 @@ def linear_model(
         free_lags: sensors whose lag is calibrated.
     """
     groups = seen_groups(dataset, problem.groups, [problem.poses(group, values) for group in problem.groups])
-    found = _causes(problem, dataset, groups, assume, free_scale, free_lags)
+    found = _all_causes(problem, dataset, groups, assume, free_scale, free_lags)
     usual = (
-        found if assume == Assumptions() else _causes(problem, dataset, groups, Assumptions(), free_scale, free_lags)
+        found
+        if assume == Assumptions()
+        else _all_causes(problem, dataset, groups, Assumptions(), free_scale, free_lags)
     )
     S, P = problem.sizes
     if S == 0:
@@ -133,7 +135,7 @@ def linear_model(
         tuple(usual[i].assumed for i in kept),
         G[:, columns[:, None], columns],
         G[:, columns, -1],
-        _priors(problem, values, [found[i] for i in kept], ends),
+        _information_of_priors(problem, values, [found[i] for i in kept], ends),
         clusters,
         alone[columns],
     )
@@ -153,12 +155,12 @@ def _group_columns(
         if moved is not None:
             columns.append(np.arange(at.start, at.stop))
             twists.append(moved)
-    combined, W = _combined(problem, seen, found, places)
+    combined, W = _combine_columns(problem, seen, found, places)
     columns.append(combined)
     return GroupColumns(np.concatenate(columns), np.concatenate(twists, -1), W, part.local_at, J[:, :, part.local])
 
 
-def _combined(
+def _combine_columns(
     problem: Problem, seen: SeenGroup, found: Sequence[Cause], places: Sequence[slice]
 ) -> tuple[IntArray, Array]:
     """Return the model's columns (c,) that a group's E columns of labels and its residuals determine.
@@ -168,7 +170,7 @@ def _combined(
     rows = {column: i for i, column in enumerate(seen.label_columns)}
     combined = [
         (column, {rows[label]: weight for label, weight in combination.items() if label in rows})
-        for column, combination in _combinations(problem, seen, found, places)
+        for column, combination in _combinations_of_group(problem, seen, found, places)
     ]
     combined = [each for each in combined if each[1]] + [(places[-1].stop, {len(rows): 1.0})]
     W = np.zeros((len(rows) + 1, len(combined)))
@@ -177,7 +179,7 @@ def _combined(
     return np.array([column for column, _ in combined]), W
 
 
-def _combinations(
+def _combinations_of_group(
     problem: Problem, seen: SeenGroup, found: Sequence[Cause], places: Sequence[slice]
 ) -> Iterator[tuple[int, Combination]]:
     """Yield the columns of the model that are combinations of a group's columns of labels, with these."""
@@ -191,7 +193,7 @@ def _combinations(
             yield from enumerate(cause.effect, at.start)
 
 
-def _causes(
+def _all_causes(
     problem: Problem,
     dataset: Dataset,
     groups: Sequence[SeenGroup],
@@ -209,7 +211,7 @@ def _causes(
     given = {name: priors.get(name) or dataset.sensors[name].uncertainty for name in cameras}
     lenses = {name: lens_errors(camera, assume, given[name]) for name, camera in cameras.items()}
     found = causes(dataset, groups, assume, free, lenses, free_scale)
-    arm = ARM_ACCURACY * any(cause.kind == LINK for cause in found)
+    arm = ARM_ACCURACY * any(cause.kind == LINK_KIND for cause in found)
     steady = (arm * assume.arm_translation,) * 3 + (arm * assume.arm_rotation,) * 3
     return [
         *found,
@@ -232,7 +234,7 @@ def _at_most(clusters: IntArray, most: int) -> IntArray:
     return clusters * most // count if count > most else clusters
 
 
-def _priors(problem: Problem, values: Values, found: Sequence[Cause], ends: Sequence[int]) -> Array:
+def _information_of_priors(problem: Problem, values: Values, found: Sequence[Cause], ends: Sequence[int]) -> Array:
     """Return the information (C, C) of the priors, on the shared parameters, and between them and fixed ones.
 
     Args:

@@ -12,7 +12,7 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.estimation.covariance.error_bars import error_bars
-from calibration.engine.estimation.covariance.fixed_inputs import ARM_ACCURACY, LINK
+from calibration.engine.estimation.covariance.fixed_inputs import ARM_ACCURACY, LINK_KIND
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.problem.blocks import Pose
 from calibration.engine.estimation.solve.normal_equations import Weighting
@@ -53,7 +53,7 @@ def nominal_covariances(solution: "Solution") -> Mapping[int, Array]:
 
 def arm_scatter(model: LinearModel) -> Array:
     """Return the gradients (K, C, H) of each cluster by one standard deviation of the arm's H errors in it alone."""
-    links = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == LINK]
+    links = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == LINK_KIND]
     columns = [model.G[:, :, at] * cause.assumed for cause, at in links]
     if not columns:
         return np.zeros((*model.g.shape, 0))

@@ -27,20 +27,20 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, transform
 
-VIEWS = 25
-COLUMNS, ROWS, SQUARE = 9, 6, 0.04
+NUMBER_OF_VIEWS = 25
+COLUMNS_OF_BOARD, ROWS_OF_BOARD, SIDE_OF_SQUARE = 9, 6, 0.04
 """Corners of the board, and the side of its squares, m."""
-AREA = 1 / 3
+SHARE_OF_IMAGE = 1 / 3
 """Part of the image that it fills on average, facing the camera."""
-PLACES = 0.5
+RANGE_OF_CENTRES = 0.5
 """Places of its centre, from one end to the other, as a part of the image."""
-TILT = np.radians(40.0)
+MAX_TILT = np.radians(40.0)
 """Largest tilt against facing the camera, rad."""
-NOISE = 0.125
+SIGMA_OF_CORNERS = 0.125
 """Standard deviation of its corners, px."""
-FLAT = 0.0001
+SIGMA_OF_BOW = 0.0001
 """Standard deviation of its bow, about each axis, and of its twist, m."""
-RIDGE = 1e-10
+MIN_RELATIVE_INFORMATION = 1e-10
 """Information on each parameter, in proportion to what is known of it alone, so that degenerate ones stay finite."""
 
 
@@ -66,14 +66,18 @@ def nominal_lens(camera: Camera) -> NominalLens:
     )  # others only where camera_info has them (they are not 0)
     parameters = tuple(name for name, value in coefficients if name in always or value)
     names, n = (*camera.parameters, *ERRORS_BEYOND_LENS_MODEL, *COLUMNS_OF_BENT_PATTERN), len(parameters)
-    M = _information(camera, [POSE_COLUMNS + names.index(name) for name in (*parameters, "bow_x", "bow_y", "twist")])
+    M = _information_of_columns(
+        camera, [POSE_COLUMNS + names.index(name) for name in (*parameters, "bow_x", "bow_y", "twist")]
+    )
     scale = 1 / np.sqrt(np.maximum(np.diagonal(M)[:n], 1e-300))
-    R = np.linalg.cholesky(scale[:, None] * M[:n, :n] * scale + RIDGE * np.eye(n))  # a root of the information
+    R = np.linalg.cholesky(
+        scale[:, None] * M[:n, :n] * scale + MIN_RELATIVE_INFORMATION * np.eye(n)
+    )  # a root of the information
     by_noise = scale[:, None] * np.linalg.inv(R).T
-    return NominalLens(parameters, by_noise, by_noise @ (by_noise.T @ M[:n, n:]) * -FLAT)
+    return NominalLens(parameters, by_noise, by_noise @ (by_noise.T @ M[:n, n:]) * -SIGMA_OF_BOW)
 
 
-def _information(camera: Camera, columns: list[int]) -> Array:
+def _information_of_columns(camera: Camera, columns: list[int]) -> Array:
     """Return the sums of products of some columns of `products` over all views, their poses eliminated."""
     pattern, T = board(), views(camera)
     corners = pattern.corners - pattern.centre
@@ -81,7 +85,9 @@ def _information(camera: Camera, columns: list[int]) -> Array:
     seen = visible & camera.contains(pixels)
     T, pixels, seen = (each[np.count_nonzero(seen, axis=1) > POSE_COLUMNS] for each in (T, pixels, seen))
     term = CornerTerm(camera, corners, np.swapaxes(np.where(seen[..., None], pixels, 0.0), 1, 2), seen)
-    M = np.concatenate([part for _, part in products([term], camera, pattern, T, Weighting({"pixel": NOISE}, None))])
+    M = np.concatenate(
+        [part for _, part in products([term], camera, pattern, T, Weighting({"pixel": SIGMA_OF_CORNERS}, None))]
+    )
     mixed = M[:, :POSE_COLUMNS, columns]
     eliminated = np.swapaxes(mixed, 1, 2) @ np.linalg.solve(M[:, :POSE_COLUMNS, :POSE_COLUMNS], mixed)
     total: Array = (M[:, columns][:, :, columns] - eliminated).sum(0)
@@ -90,8 +96,8 @@ def _information(camera: Camera, columns: list[int]) -> Array:
 
 def board() -> Pattern:
     """Return the board of the nominal calibration."""
-    corners = grid(COLUMNS, ROWS, SQUARE, (0.0, 0.0))
-    x, y = SQUARE * np.array([[-1.0, COLUMNS], [-1.0, ROWS]])
+    corners = grid(COLUMNS_OF_BOARD, ROWS_OF_BOARD, SIDE_OF_SQUARE, (0.0, 0.0))
+    x, y = SIDE_OF_SQUARE * np.array([[-1.0, COLUMNS_OF_BOARD], [-1.0, ROWS_OF_BOARD]])
     outline = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]])
     return Pattern("board", "chessboard", "board", "camera", False, corners, outline)
 
@@ -101,17 +107,17 @@ def views(camera: Camera) -> Array:
 
     The fractional parts of k^2 times an irrational number are as uneven as random ones, and the same everywhere.
     """
-    k = np.arange(30, 30 + VIEWS)
+    k = np.arange(30, 30 + NUMBER_OF_VIEWS)
     across, down, far, tilt, direction, turn = (k * k * np.sqrt([[2], [3], [5], [7], [11], [13]])) % 1
-    u = (camera.width - 1) / 2 + PLACES * camera.width * (across - 0.5)
-    v = (camera.height - 1) / 2 + PLACES * camera.height * (down - 0.5)
+    u = (camera.width - 1) / 2 + RANGE_OF_CENTRES * camera.width * (across - 0.5)
+    v = (camera.height - 1) / 2 + RANGE_OF_CENTRES * camera.height * (down - 0.5)
     rays = camera.rays(np.stack([u, v], -1))
     usable = np.isfinite(rays).all(-1)
-    length = (COLUMNS + 1) * SQUARE
-    pixels = np.sqrt(AREA * camera.width * camera.height * (COLUMNS + 1) / (ROWS + 1))
+    length = (COLUMNS_OF_BOARD + 1) * SIDE_OF_SQUARE
+    pixels = np.sqrt(SHARE_OF_IMAGE * camera.width * camera.height * (COLUMNS_OF_BOARD + 1) / (ROWS_OF_BOARD + 1))
     distance = length * np.sqrt(camera.fx * camera.fy) / pixels * (0.8 + 0.4 * far)
-    axes = np.stack([np.cos(2 * np.pi * direction), np.sin(2 * np.pi * direction), np.zeros(VIEWS)], -1)
-    tilted = rotations.exp(TILT * tilt[:, None] * axes)
+    axes = np.stack([np.cos(2 * np.pi * direction), np.sin(2 * np.pi * direction), np.zeros(NUMBER_OF_VIEWS)], -1)
+    tilted = rotations.exp(MAX_TILT * tilt[:, None] * axes)
     turned = rotations.exp(2 * np.pi * turn[:, None] * np.array([0.0, 0.0, 1.0]))
     unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     return transform((rotations.towards(unit) @ tilted @ turned)[usable], (unit * distance[:, None])[usable])

@@ -19,9 +19,9 @@ from calibration.engine.estimation.problem.intrinsics import FreeIntrinsics
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
 
-COLUMNS, ROWS = 24, 18
+GRID_COLUMNS, GRID_ROWS = 24, 18
 """Number of columns and rows of the grid over the image."""
-MOST = 0.9
+JUDGED_SHARE_OF_IMAGE = 0.9
 """Part of the image with corners in which an error stays below what is judged; single corners at its border are out."""
 
 
@@ -45,8 +45,8 @@ class Projection:
     @cached_property
     def pixels(self) -> Array:
         """Centres (R, C, 2) of the cells, px."""
-        u = (np.arange(COLUMNS) + 0.5) * self.camera.width / COLUMNS - 0.5
-        v = (np.arange(ROWS) + 0.5) * self.camera.height / ROWS - 0.5
+        u = (np.arange(GRID_COLUMNS) + 0.5) * self.camera.width / GRID_COLUMNS - 0.5
+        v = (np.arange(GRID_ROWS) + 0.5) * self.camera.height / GRID_ROWS - 0.5
         return np.stack(np.meshgrid(u, v), -1)
 
     def changes(self, distance: float = np.inf) -> Array:
@@ -83,7 +83,7 @@ class Projection:
 
     def most(self, values: Array) -> float:
         """Return what values (R, C) do not exceed in nine tenths of the cells with corners."""
-        return float(np.nanquantile(values[self.seen], MOST))
+        return float(np.nanquantile(values[self.seen], JUDGED_SHARE_OF_IMAGE))
 
 
 def projection_of(calibration: Calibration, name: str) -> Projection:
@@ -109,7 +109,9 @@ def projection_of(calibration: Calibration, name: str) -> Projection:
     moved = _of_twist(camera, scene.T).reshape(-1, 6)
     gain = -np.asarray(np.linalg.lstsq(moved, own, rcond=None)[0], float)
     distance = float(np.median(np.linalg.norm(scene, axis=-1)))
-    return Projection(camera, free, gain, distance, _seen(camera, camera.to_pixels(x, y)), np.array(normals, float))
+    return Projection(
+        camera, free, gain, distance, _cells_with_pixels(camera, camera.to_pixels(x, y)), np.array(normals, float)
+    )
 
 
 def _of_twist(camera: Camera, points: Array, distance: float = 1.0) -> Array:
@@ -128,10 +130,10 @@ def _of_twist(camera: Camera, points: Array, distance: float = 1.0) -> Array:
     return np.moveaxis(np.concatenate([slopes / distance, by_turn], 1), (0, 1), (-2, -1))
 
 
-def _seen(camera: Camera, pixels: Array) -> BoolArray:
+def _cells_with_pixels(camera: Camera, pixels: Array) -> BoolArray:
     """Return the cells (R, C) with pixels (n, 2)."""
-    column = np.clip((pixels[:, 0] + 0.5) / camera.width * COLUMNS, 0, COLUMNS - 1).astype(int)
-    row = np.clip((pixels[:, 1] + 0.5) / camera.height * ROWS, 0, ROWS - 1).astype(int)
-    seen = np.zeros((ROWS, COLUMNS), bool)
+    column = np.clip((pixels[:, 0] + 0.5) / camera.width * GRID_COLUMNS, 0, GRID_COLUMNS - 1).astype(int)
+    row = np.clip((pixels[:, 1] + 0.5) / camera.height * GRID_ROWS, 0, GRID_ROWS - 1).astype(int)
+    seen = np.zeros((GRID_ROWS, GRID_COLUMNS), bool)
     seen[row, column] = True
     return seen

@@ -213,21 +213,21 @@ class Calibration:
 
     def sigma_mm(self, edge: Edge) -> float:
         """Total standard deviation of a transform's translation: the norm of the three axes, mm; 0 if it is fixed."""
-        return 1e3 * self._sigma(self.covariances, edge, slice(0, 3))
+        return 1e3 * self._norm_of_sigmas(self.covariances, edge, slice(0, 3))
 
     def sigma_mrad(self, edge: Edge) -> float:
         """Total standard deviation of a transform's rotation: the norm of the three axes, mrad; 0 if it is fixed."""
-        return 1e3 * self._sigma(self.covariances, edge, slice(3, 6))
+        return 1e3 * self._norm_of_sigmas(self.covariances, edge, slice(3, 6))
 
     def label_sigma_mm(self, edge: Edge) -> float:
         """Standard deviation as `sigma_mm`, from the noise of the labels alone."""
-        return 1e3 * self._sigma(self.label_covariances, edge, slice(0, 3))
+        return 1e3 * self._norm_of_sigmas(self.label_covariances, edge, slice(0, 3))
 
     def label_sigma_mrad(self, edge: Edge) -> float:
         """Standard deviation as `sigma_mrad`, from the noise of the labels alone."""
-        return 1e3 * self._sigma(self.label_covariances, edge, slice(3, 6))
+        return 1e3 * self._norm_of_sigmas(self.label_covariances, edge, slice(3, 6))
 
-    def _sigma(self, covariances: Mapping[Edge, Array], edge: Edge, part: slice) -> float:
+    def _norm_of_sigmas(self, covariances: Mapping[Edge, Array], edge: Edge, part: slice) -> float:
         if not self.converged:
             return float("nan")
         if edge not in covariances and edge in self.transforms:

@@ -13,7 +13,7 @@ def why_not_reached(setup: Setup, result: WeightedOptimum) -> str:
     """Return the reason why no minimum was reached; empty if one was."""
     impossible = np.flatnonzero(~np.isfinite(result.optimum.equations.cost))
     if len(impossible):
-        behind = _behind(setup, result.optimum.values)[impossible].any()
+        behind = _collections_behind_camera(setup, result.optimum.values)[impossible].any()
         why = "the pattern lies behind a camera" if behind else "labels lie too far off to be compared with the pattern"
         return f"the start is not possible: {why} {_in_collections(setup, impossible)}"
     if not result.optimum.reached:
@@ -29,7 +29,7 @@ def _in_collections(setup: Setup, which: IntArray) -> str:
     return f"in {len(keys)} collections ({', '.join(keys[:5])}{', ...' if len(keys) > 5 else ''})"
 
 
-def _behind(setup: Setup, values: Values) -> BoolArray:
+def _collections_behind_camera(setup: Setup, values: Values) -> BoolArray:
     """Return a mask (N,) of the collections with a corner behind its camera."""
     behind = np.zeros(setup.problem.collections, bool)
     for group in setup.problem.groups:

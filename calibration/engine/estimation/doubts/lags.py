@@ -13,12 +13,12 @@ import numpy as np
 from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.sensors import MAX_LAG
-from calibration.engine.estimation.covariance.fixed_inputs import LAG
+from calibration.engine.estimation.covariance.fixed_inputs import LAG_KIND
 from calibration.engine.estimation.covariance.linear_model import LinearModel
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.doubts.suspects import DETERMINED
+from calibration.engine.estimation.doubts.suspects import MIN_INFORMATION_LEFT
 
-SAME = 1e-7
+MAX_STEP_IF_FOUND = 1e-7
 """s: step after which the lags are found."""
 MOST_STEPS = 15
 LARGEST_STEP = 0.1
@@ -48,7 +48,7 @@ def with_lags(dataset: Dataset, free: Sequence[str], calibrated: Callable[[Datas
             f"a robot that moves while its sensors look (import.yml: bags: every), or leave 'lag' out"
         )
     for _ in range(MOST_STEPS):
-        steps = _steps(calibrated(dataset).solution.model, free, dataset)
+        steps = _newton_steps(calibrated(dataset).solution.model, free, dataset)
         lags = {name: dataset.sensors[name].lag + step for name, step in steps.items()}
         if far := next((name for name, lag in lags.items() if abs(lag) > MAX_LAG), None):
             raise UndeterminedError(
@@ -56,34 +56,34 @@ def with_lags(dataset: Dataset, free: Sequence[str], calibrated: Callable[[Datas
                 f"order of the images, those of this recording?"
             )
         dataset = dataset.with_lags(lags)
-        if max(map(abs, steps.values())) < SAME:
+        if max(map(abs, steps.values())) < MAX_STEP_IF_FOUND:
             return dataset
     raise UndeterminedError(f"{dataset.path}: the lags were not found in {MOST_STEPS} steps (lag): leave it out")
 
 
-def _steps(model: LinearModel, free: Sequence[str], dataset: Dataset) -> Mapping[str, float]:
+def _newton_steps(model: LinearModel, free: Sequence[str], dataset: Dataset) -> Mapping[str, float]:
     """Return the Newton step of each free lag, s."""
     places = {
-        cause.subject: at.start for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == LAG
+        cause.subject: at.start for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == LAG_KIND
     }
     if standing := next((name for name in free if name not in places), None):
-        raise _undetermined(dataset, standing)
+        raise _undetermined_lag(dataset, standing)
     own, S, total, g = [places[name] for name in free], model.shared, model.total, model.g.sum(0)
     moves = np.linalg.solve(total[:S, :S], np.concatenate([total[:S, own], g[:S, None]], -1))
     left = total[np.ix_(own, own)] - total[own, :S] @ moves[:, :-1]
     scale = 1 / np.sqrt(model.alone[own])
     values, vectors = np.linalg.eigh(scale[:, None] * left * scale)
-    if values[0] <= DETERMINED:
-        raise _undetermined(dataset, free[int(np.abs(vectors[:, 0]).argmax())])
+    if values[0] <= MIN_INFORMATION_LEFT:
+        raise _undetermined_lag(dataset, free[int(np.abs(vectors[:, 0]).argmax())])
     covariance = np.linalg.inv(left)
     sigmas = np.sqrt(np.diagonal(covariance))
     if sigmas.max() > WORST_SIGMA:
-        raise _undetermined(dataset, free[int(sigmas.argmax())])
+        raise _undetermined_lag(dataset, free[int(sigmas.argmax())])
     steps = -covariance @ (g[own] - total[own, :S] @ moves[:, -1])
     return dict(zip(free, np.clip(steps, -LARGEST_STEP, LARGEST_STEP).tolist(), strict=True))
 
 
-def _undetermined(dataset: Dataset, sensor: str) -> UndeterminedError:
+def _undetermined_lag(dataset: Dataset, sensor: str) -> UndeterminedError:
     others = [name for name in dataset.sensors if name != sensor]
     one = f", or leave '{others[0]}' the clock: lag: [{sensor}]" if others else ""
     return UndeterminedError(

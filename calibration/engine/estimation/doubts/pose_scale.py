@@ -16,30 +16,32 @@ import numpy as np
 from calibration.base.errors import UndeterminedError
 from calibration.engine.dataset.model import Dataset, Labels, PoseLabels
 from calibration.engine.estimation.covariance.calibrated import calibrated_dataset
-from calibration.engine.estimation.covariance.fixed_inputs import SCALE
+from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.doubts.suspects import DETERMINED
-from calibration.engine.estimation.problem.assumptions import EXACT
+from calibration.engine.estimation.doubts.suspects import MIN_INFORMATION_LEFT
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.estimation.start.build import Setup
 
-SAME = 1e-7
+MAX_SCALE_STEP_IF_FOUND = 1e-7
 """Step, relative, after which the factor is found."""
 OTHER_SCALE = 0.05
 """Logarithm of a factor from which poses have another scale than metres."""
 MOST_STEPS = 30
 LARGEST_STEP = 100.0
 """Largest ratio of a factor to the one before."""
-ROUGH = Weighting({"pose_translation": 1.0, "pose_rotation": 1e-3}, None)
+ROUGH_WEIGHTING = Weighting({"pose_translation": 1.0, "pose_rotation": 1e-3}, None)
 """Weights (m, rad) before anything is known of the noise: the rotations stay nearly as they start."""
 
 
 def rough_ratio(setup: Setup, values: Values) -> float | None:
     """Return the factor by plain least squares from an initial guess; None if the poses do not determine it."""
     dataset = calibrated_dataset(setup, values, setup.dataset)
-    return _ratio(linear_model(setup.problem, values, ROUGH, dataset, EXACT, free_scale=True))
+    return _ratio_by_newton_step(
+        linear_model(setup.problem, values, ROUGH_WEIGHTING, dataset, ALL_EXACT, free_scale=True)
+    )
 
 
 def next_ratio(calibration: Calibration) -> float | None:
@@ -48,18 +50,18 @@ def next_ratio(calibration: Calibration) -> float | None:
     Args:
         calibration: at an optimum, of poses whose translations have been divided by the factor.
     """
-    return _ratio(calibration.solution.model)
+    return _ratio_by_newton_step(calibration.solution.model)
 
 
-def _ratio(model: LinearModel) -> float | None:
+def _ratio_by_newton_step(model: LinearModel) -> float | None:
     """Return 1 and the Newton step of the scale, beside that of all shared parameters."""
-    own = [at.start for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == SCALE]
+    own = [at.start for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == SCALE_KIND]
     if not own:
         return None
     S, total, g, (k, *_) = model.shared, model.total, model.g.sum(0), own
     moves = np.linalg.solve(total[:S, :S], np.stack([total[:S, k], g[:S]], -1))
     left = total[k, k] - total[k, :S] @ moves[:, 0]
-    if not left > DETERMINED * model.alone[k]:
+    if not left > MIN_INFORMATION_LEFT * model.alone[k]:
         return None
     step = -float((g[k] - total[k, :S] @ moves[:, 1]) / left)
     return float(np.clip(1 + step, 1 / LARGEST_STEP, LARGEST_STEP))

@@ -28,34 +28,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.engine.estimation.covariance.error_bars import DECISIVE
-from calibration.engine.estimation.covariance.fixed_inputs import PLACE, PROJECTION, RADIAL, Cause
+from calibration.engine.estimation.covariance.error_bars import MAX_INFORMATION_WITHOUT_DECISIVE
+from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND, PROJECTION_KIND, RADIAL_KIND, Cause
 from calibration.engine.estimation.covariance.linear_model import LinearModel
 from calibration.engine.estimation.covariance.nominal_covariance import arm_scatter
 from calibration.engine.estimation.covariance.significance import score_of_f, threshold
 
 FEWEST_CLUSTERS = 6
 """Minimum of independent collections to estimate their disagreement."""
-MOST = 4
+MAX_FREED_CAUSES = 4
 """Limit of the number of causes that are set free."""
 MAX_RIVALS = 2
 """Number of alternatives that are reported with a cause."""
-EQUAL = 0.85
+MIN_GAIN_OF_ALTERNATIVE = 0.85
 """Explanations with at least this fraction of the best one's gain are reported as alternatives."""
-DETERMINED = 1e-7
+MIN_INFORMATION_LEFT = 1e-7
 """Part of the information on a cause that the other parameters must leave for it to be determined."""
-SIDE = 4
+MIN_CLUSTERS_ON_A_SIDE = 4
 """Minimum of clusters before and after a displacement for their own scatter to be estimated. Fewer ones have that of
 all the others, and what an arm errs by."""
-EXACTLY = 1e6
+DEGREES_IF_NOT_ESTIMATED = 1e6
 """Degrees of freedom of a covariance that is not estimated."""
-CONTRADICTING = 3.0
+MIN_CONTRADICTING_FACTOR = 3.0
 """Clusters contradict each other if they disagree by more than this times what is assumed."""
-STRETCHES = {"stretch", "stretch along x", "stretch along y"}
+KINDS_OF_STRETCH = {"stretch", "stretch along x", "stretch along y"}
 """Kinds that differ by the overall scale, which the data may not determine."""
-LENS = "intrinsics"
+LENS_KIND = "intrinsics"
 """Kind of all errors of a camera_info together, which is only tested instead of something that has moved."""
-OF_LENS = ("focal length", "aspect", "principal point", RADIAL, PROJECTION, "tangential distortion")
+OF_LENS = ("focal length", "aspect", "principal point", RADIAL_KIND, PROJECTION_KIND, "tangential distortion")
 """Kinds that it consists of."""
 HALF_PIXEL = (0.35, 0.65)
 """Deviation of the principal point that indicates the other convention of pixel centres."""
@@ -132,7 +132,7 @@ class Disagreement:
     @property
     def contradicts(self) -> bool:
         """Whether clusters disagree by far more than the noise and the assumed errors explain."""
-        return self.ratio > CONTRADICTING * self.expected
+        return self.ratio > MIN_CONTRADICTING_FACTOR * self.expected
 
     def beyond(self, at: slice) -> float:
         """Return the variance of some parameters by the disagreement of clusters, over its expected value."""
@@ -170,36 +170,40 @@ def explain(model: LinearModel, fewest_moved: int = 1) -> Explanation | None:
     """
     if len(model.G) < FEWEST_CLUSTERS:
         return None
-    candidates = list(_candidates(model, fewest_moved))
+    candidates = list(_candidates_by_size(model, fewest_moved))
     limit = threshold(sum(len(each.causes) for each in candidates))
     found: list[Suspect] = []
     state = _State.at_optimum(model)
-    while len(found) < MOST:
-        tried = [suspect for each in candidates for suspect in _tested(state, each, limit)]
+    while len(found) < MAX_FREED_CAUSES:
+        tried = [suspect for each in candidates for suspect in _test_candidates(state, each, limit)]
         tried = [
             each for each in tried if not any(each.cause is one.cause and each.since == one.since for one in found)
         ]
-        significant = [each for each in tried if _plausible(each)]
+        significant = [each for each in tried if _is_plausible(each)]
         if not significant:
             break
         most = max(each.gain for each in significant)
-        near = [each for each in significant if each.gain >= EQUAL * most]
+        near = [each for each in significant if each.gain >= MIN_GAIN_OF_ALTERNATIVE * most]
         best = min(near, key=lambda each: (each.cause.size, -round(each.gain / most, 2)))
-        best = max([best, *(each for each in near if _are_stretches(each.cause, best.cause))], key=_displaced)
+        best = max([best, *(each for each in near if _are_stretches(each.cause, best.cause))], key=_worst_displacement)
         by_cause = {each.cause: each for each in sorted(near, key=lambda each: each.gain)}  # the best of each
         rivals = [
             each for each in by_cause.values() if each.cause is not best.cause and each.cause.size <= best.cause.size
         ]
         rivals.sort(key=lambda each: -each.gain)
         best = replace(best, rivals=tuple(rivals[:MAX_RIVALS]))
-        if best.cause.kind == PLACE:
-            best = max(_lenses(model, state, limit, EQUAL * best.gain), key=lambda each: each.gain, default=best)
+        if best.cause.kind == PLACE_KIND:
+            best = max(
+                _suspected_lenses(model, state, limit, MIN_GAIN_OF_ALTERNATIVE * best.gain),
+                key=lambda each: each.gain,
+                default=best,
+            )
         found.append(best)
         state = state.with_cause(_columns_of(model, best.cause), best.since)
-    return Explanation(tuple(found), _disagreement(model, state))
+    return Explanation(tuple(found), _remaining_disagreement(model, state))
 
 
-def _lenses(model: LinearModel, state: "_State", limit: float, least: float) -> Iterator[Suspect]:
+def _suspected_lenses(model: LinearModel, state: "_State", limit: float, least: float) -> Iterator[Suspect]:
     """Yield the cameras whose intrinsics explain at least so much if all of them are free.
 
     Errors of a lens that no single cause covers look like something that has moved, as the places in the image change.
@@ -207,10 +211,10 @@ def _lenses(model: LinearModel, state: "_State", limit: float, least: float) -> 
     for subject in dict.fromkeys(cause.subject for cause in model.causes if cause.kind in OF_LENS):
         parts = [cause for cause in model.causes if cause.subject == subject and cause.kind in OF_LENS]
         effects = tuple(each for part in parts if not callable(part.effect) for each in part.effect)
-        lens = Cause(LENS, subject, "1", (0.0,) * len(effects), effects, counts=False)
+        lens = Cause(LENS_KIND, subject, "1", (0.0,) * len(effects), effects, counts=False)
         columns = _columns_of(model, lens)[None]
         of = _Candidates([lens], [None], columns, np.ones((1, len(state.G)), bool))
-        yield from (each for each in _tested(state, of, limit) if each.gain >= least)
+        yield from (each for each in _test_candidates(state, of, limit) if each.gain >= least)
 
 
 def _columns_of(model: LinearModel, cause: Cause) -> IntArray:
@@ -218,17 +222,17 @@ def _columns_of(model: LinearModel, cause: Cause) -> IntArray:
     own = [
         np.arange(at.start, at.stop)
         for each, at in zip(model.causes, model.places, strict=True)
-        if each is cause or (cause.kind == LENS and each.subject == cause.subject and each.kind in OF_LENS)
+        if each is cause or (cause.kind == LENS_KIND and each.subject == cause.subject and each.kind in OF_LENS)
     ]
     return np.concatenate(own)
 
 
 def _are_stretches(cause: Cause, other: Cause) -> bool:
     """Whether two causes are stretches of the same print."""
-    return cause.subject == other.subject and {cause.kind, other.kind} <= STRETCHES
+    return cause.subject == other.subject and {cause.kind, other.kind} <= KINDS_OF_STRETCH
 
 
-def _displaced(suspect: Suspect) -> float:
+def _worst_displacement(suspect: Suspect) -> float:
     """Displacement of the result by a suspect: of equally good alternatives the worst one."""
     return float(np.abs(suspect.moves).max())
 
@@ -238,32 +242,33 @@ def explains_all(model: LinearModel) -> bool:
 
     Few displaced views are none: they are left out as wrong ones, see `doubts.wrong_views`.
     """
-    explanation = explain(model, SIDE)
+    explanation = explain(model, MIN_CLUSTERS_ON_A_SIDE)
     return explanation is not None and bool(explanation.suspects) and not explanation.disagreement.contradicts
 
 
 def disagreement(model: LinearModel) -> Disagreement:
     """Compute the disagreement of clusters without suspects; it needs fewer clusters than a search."""
-    return _disagreement(model, _State.at_optimum(model))
+    return _remaining_disagreement(model, _State.at_optimum(model))
 
 
-def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
+def _remaining_disagreement(model: LinearModel, state: "_State") -> Disagreement:
     """Compute the disagreement of clusters that remains after the causes that have been set free.
 
     The assumed errors of fixed parameters, and of an arm in each cluster, would make each cluster's own optimum scatter
     by ``P_k G_kh s^2 G_kh^T`` in the metric of its own information, with ``P_k = G_k^+``.
     """
     S = state.shared
-    whitening = _whitening(state.G[:, :S, :S], state.alone[:S])
+    whitening = _whitening_matrices(state.G[:, :S, :S], state.alone[:S])
     assumed = np.concatenate([state.G[:, :S, state.held] * state.sigmas, state.arm[:, :S]], -1)
     expected = float(((np.swapaxes(whitening, 1, 2) @ assumed) ** 2).sum())
     freedom = max(1.0, state.freedom)
-    places = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == PLACE]
+    places = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == PLACE_KIND]
     displacements = [
-        (state.residual[:, None, at] @ _whitening(state.G[:, at, at], state.alone[at]))[:, 0] for _, at in places
+        (state.residual[:, None, at] @ _whitening_matrices(state.G[:, at, at], state.alone[at]))[:, 0]
+        for _, at in places
     ]  # (K, k) each, by its sensor or pattern
     allowed = freedom + expected
-    found, held, shaken = _clustered(state)
+    found, held, shaken = _covariance_by_clusters(state)
     return Disagreement(
         ratio=state.disagreement / freedom,
         expected=allowed / freedom,
@@ -271,13 +276,13 @@ def _disagreement(model: LinearModel, state: "_State") -> Disagreement:
         sizes={cause.subject: (own**2).sum(-1) for (cause, _), own in zip(places, displacements, strict=True)},
         labels=state.inverse[:S, :S],
         found=found,
-        assumed=state.inverse[:S, :S] + _outer(held) + _outer(shaken),
+        assumed=state.inverse[:S, :S] + _sum_of_outer_products(held) + _sum_of_outer_products(shaken),
         held=held,
         shaken=shaken,
     )
 
 
-def _clustered(state: "_State") -> tuple[Array, Array, Array]:
+def _covariance_by_clusters(state: "_State") -> tuple[Array, Array, Array]:
     """Return the covariance (S, S) of the calibrated parameters with collections as clusters, and its expected parts.
 
     As in `covariance.error_bars`, of the residuals that are left once causes have been set free. An error
@@ -290,34 +295,36 @@ def _clustered(state: "_State") -> tuple[Array, Array, Array]:
     values, vectors = np.linalg.eigh(state.inverse)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     w, U = np.linalg.eigh(np.eye(len(free)) - root.T @ state.G[:, free[:, None], free] @ root)
-    back = root[:S] @ U / np.sqrt(np.maximum(w, DECISIVE))[:, None] @ np.swapaxes(U, 1, 2) @ root.T  # (K, S, F)
+    back = (
+        root[:S] @ U / np.sqrt(np.maximum(w, MAX_INFORMATION_WITHOUT_DECISIVE))[:, None] @ np.swapaxes(U, 1, 2) @ root.T
+    )  # (K, S, F)
     own = state.G[:, free][:, :, state.held] * state.sigmas
     held = own - state.G[:, free[:, None], free] @ (state.inverse @ own.sum(0))
     found = back @ state.residual[:, free, None]
-    return _outer(found), back @ held, back @ state.arm[:, free]
+    return _sum_of_outer_products(found), back @ held, back @ state.arm[:, free]
 
 
-def _outer(columns: Array) -> Array:
+def _sum_of_outer_products(columns: Array) -> Array:
     """Return ``sum_k c_k c_k^T`` (S, S) of columns (K, S, n)."""
     flat = np.swapaxes(columns, 0, 1).reshape(columns.shape[1], -1)
     product: Array = flat @ flat.T
     return product
 
 
-def _plausible(suspect: Suspect) -> bool:
+def _is_plausible(suspect: Suspect) -> bool:
     """Whether a suspected convention of pixel centres is off by about half a pixel."""
     low, high = HALF_PIXEL
     return suspect.cause.kind != "pixel convention" or bool(low < abs(suspect.value[0]) < high)
 
 
-def _candidates(model: LinearModel, fewest_moved: int) -> Iterator[_Candidates]:
+def _candidates_by_size(model: LinearModel, fewest_moved: int) -> Iterator[_Candidates]:
     """Yield all causes by size; displacements from each collection on."""
     K = len(model.G)
     entries: dict[int, list[tuple[Cause, int | None, slice]]] = {}
     for cause, at in zip(model.causes, model.places, strict=True):
         if not cause.tested:
             continue
-        since = range(fewest_moved, K - fewest_moved + 1) if cause.kind == PLACE else [None]
+        since = range(fewest_moved, K - fewest_moved + 1) if cause.kind == PLACE_KIND else [None]
         entries.setdefault(cause.size, []).extend((cause, each, at) for each in since)
     for each in entries.values():
         columns = np.array([np.arange(at.start, at.stop) for _, _, at in each])
@@ -361,13 +368,15 @@ class _State:
         counting = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.counts]
         held = np.concatenate([np.arange(0), *(np.arange(at.start, at.stop) for _, at in counting)])
         sigmas = np.concatenate([np.zeros(0), *(np.array(cause.assumed) for cause, _ in counting)])
-        state = cls._solved(G, g, np.arange(model.shared), model.shared, held, sigmas, model.alone, arm_scatter(model))
+        state = cls._solve_freed(
+            G, g, np.arange(model.shared), model.shared, held, sigmas, model.alone, arm_scatter(model)
+        )
         for cause, at in zip(model.causes, model.places, strict=True):
             state = state.with_cause(np.arange(at.start, at.stop), None) if cause.free else state
         return state
 
     @classmethod
-    def _solved(
+    def _solve_freed(
         cls,
         G: Array,
         g: Array,
@@ -378,11 +387,11 @@ class _State:
         alone: Array,
         arm: Array,
     ) -> "_State":
-        inverse = _inverse(G.sum(0)[np.ix_(free, free)], alone[free])
+        inverse = _pseudo_inverse(G.sum(0)[np.ix_(free, free)], alone[free])
         z = -inverse @ g.sum(0)[free]
         residual = g + G[:, :, free] @ z
         white = np.einsum(
-            "kji,kj->ki", whitening := _whitening(G[:, :shared, :shared], alone[:shared]), residual[:, :shared]
+            "kji,kj->ki", whitening := _whitening_matrices(G[:, :shared, :shared], alone[:shared]), residual[:, :shared]
         )
         disagreement, rank = float((white**2).sum()), float(np.any(whitening, 1).sum())
         return cls(G, free, inverse, residual, disagreement, rank - len(free), shared, held, sigmas, alone, arm)
@@ -402,10 +411,10 @@ class _State:
         arm = np.concatenate([self.arm, mask * self.arm[:, own]], 1)
         kept = ~np.isin(self.held, own)
         free = np.append(self.free, np.arange(C, C + k))
-        return self._solved(G, g, free, self.shared, self.held[kept], self.sigmas[kept], alone, arm)
+        return self._solve_freed(G, g, free, self.shared, self.held[kept], self.sigmas[kept], alone, arm)
 
 
-def _inverse(information: Array, alone: Array) -> Array:
+def _pseudo_inverse(information: Array, alone: Array) -> Array:
     """Pseudo-inverse (n, n) of an information (n, n); zero in directions without any, as a free cause may have.
 
     Args:
@@ -417,7 +426,7 @@ def _inverse(information: Array, alone: Array) -> Array:
     return inverse
 
 
-def _whitening(G: Array, alone: Array) -> Array:
+def _whitening_matrices(G: Array, alone: Array) -> Array:
     """Return matrices w (K, n, n) with ``w w^T = G^+``; columns of zeros for directions without information.
 
     Args:
@@ -426,7 +435,7 @@ def _whitening(G: Array, alone: Array) -> Array:
     """
     scale = 1 / np.sqrt(np.maximum(alone, 1e-300))
     values, vectors = np.linalg.eigh(scale[:, None] * G * scale)
-    kept = values > DETERMINED / len(G)
+    kept = values > MIN_INFORMATION_LEFT / len(G)
     root = np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
     whitening: Array = scale[:, None] * vectors * root[:, None]
     return whitening
@@ -467,9 +476,11 @@ class _Step:
         return moves
 
 
-def _tested(state: _State, candidates: _Candidates, limit: float) -> Iterator[Suspect]:
+def _test_candidates(state: _State, candidates: _Candidates, limit: float) -> Iterator[Suspect]:
     """Yield the candidates whose significance exceeds a limit."""
-    for cause, since, step in zip(candidates.causes, candidates.since, _steps(state, candidates), strict=True):
+    for cause, since, step in zip(
+        candidates.causes, candidates.since, _steps_of_candidates(state, candidates), strict=True
+    ):
         r = step.basis.shape[1]
         rest = state.freedom - r
         if r == 0 or rest <= 0 or len(state.G) < r + 4:
@@ -478,14 +489,14 @@ def _tested(state: _State, candidates: _Candidates, limit: float) -> Iterator[Su
         score = float(score_of_f(step.gain / r / noise, r, rest))
         if score <= limit:
             continue
-        score, covariance = _score(state, cause, step, noise, score)
+        score, covariance = _smallest_score(state, cause, step, noise, score)
         if score > limit:
             values, vectors = np.linalg.eigh(covariance)
             errors = step.basis @ (vectors * np.sqrt(np.maximum(values, 0.0)))
             yield Suspect(cause, since, step.value, errors, score, step.gain / noise, -step.W[: state.shared])
 
 
-def _steps(state: _State, candidates: _Candidates) -> Iterator[_Step]:
+def _steps_of_candidates(state: _State, candidates: _Candidates) -> Iterator[_Step]:
     """Yield the step of each candidate; sums over clusters are computed for all of them at once."""
     if not candidates.causes:
         return
@@ -502,12 +513,12 @@ def _steps(state: _State, candidates: _Candidates) -> Iterator[_Step]:
         scale = 1 / np.sqrt(np.maximum(state.alone[own], 1e-300))
         values, vectors = np.linalg.eigh(scale[:, None] * information * scale)
         for j, mask in enumerate(masks[of]):
-            kept = values[j] > DETERMINED
+            kept = values[j] > MIN_INFORMATION_LEFT
             basis = scale[:, None] * vectors[j][:, kept] / np.sqrt(values[j][kept])
             yield _Step(own, mask, information[j], W[j], basis, -basis.T @ pull[j])
 
 
-def _score(state: _State, cause: Cause, step: _Step, noise: float, score: float) -> tuple[float, Array]:
+def _smallest_score(state: _State, cause: Cause, step: _Step, noise: float, score: float) -> tuple[float, Array]:
     """Return the smallest of a cause's three standard scores, and the covariance (r, r) of its step.
 
     Args:
@@ -523,34 +534,34 @@ def _score(state: _State, cause: Cause, step: _Step, noise: float, score: float)
     left = state.residual + state.G[:, :, free] @ moves + mixed @ d
     covariance = noise * np.eye(r)
     by_clusters = [score]
-    if cause.kind == PLACE and min(step.mask.sum(), K - step.mask.sum()) < SIDE:
+    if cause.kind == PLACE_KIND and min(step.mask.sum(), K - step.mask.sum()) < MIN_CLUSTERS_ON_A_SIDE:
         shaken = (step.mask[:, None, None] * state.arm[:, own] - step.W.T @ state.arm[:, free]).swapaxes(1, 2)
         shaken = (shaken @ step.basis).reshape(-1, r)
         covariance = covariance + shaken.T @ shaken
     else:
         spread = (step.mask[:, None] * left[:, own] - left[:, free] @ step.W) @ step.basis
         clustered = spread.T @ spread * (K / (K - 1))
-        hotelling = _mahalanobis(step.white, clustered) * (K - r) / (r * (K - 1))
+        hotelling = _squared_mahalanobis(step.white, clustered) * (K - r) / (r * (K - 1))
         by_clusters.append(float(score_of_f(hotelling, r, K - r)))
-        covariance = _larger(covariance, clustered)
+        covariance = _larger_covariance(covariance, clustered)
     total = state.G[:, :, state.held].sum(0)
     masked = np.einsum("k,kih->ih", step.mask, state.G[:, own][:, :, state.held])
     held = (masked - step.W.T @ total[free]) * state.sigmas  # by one standard deviation
     if any(cause.assumed) and not cause.counts:
         held = np.concatenate([held, step.information * np.array(cause.assumed)], -1)
     known = step.basis.T @ held
-    beyond = _mahalanobis(step.white, covariance + known @ known.T) / r
-    return min(*by_clusters, float(score_of_f(beyond, r, EXACTLY))), covariance
+    beyond = _squared_mahalanobis(step.white, covariance + known @ known.T) / r
+    return min(*by_clusters, float(score_of_f(beyond, r, DEGREES_IF_NOT_ESTIMATED))), covariance
 
 
-def _mahalanobis(x: Array, C: Array) -> float:
+def _squared_mahalanobis(x: Array, C: Array) -> float:
     """``x^T C^-1 x``; 0 in directions without variance."""
     w, U = np.linalg.eigh(C)
     kept = w > 1e-12 * max(w[-1], 1e-300)
     return float(((U.T @ x)[kept] ** 2 / w[kept]).sum())
 
 
-def _larger(A: Array, B: Array) -> Array:
+def _larger_covariance(A: Array, B: Array) -> Array:
     """Return a covariance that is nowhere smaller than either of two, the first a multiple of the identity."""
     w, U = np.linalg.eigh(B)
     larger: Array = (U * np.maximum(w, A[0, 0])) @ U.T

@@ -29,5 +29,5 @@ class Assumptions:
 
 OF_INTRINSICS = ("focal_length", "aspect", "principal_point", "distortion")
 """Assumptions on fixed intrinsics; None for those of `calibration.engine.estimation.covariance.nominal_lens`."""
-EXACT = Assumptions(**dict.fromkeys((each.name for each in fields(Assumptions)), 0.0))
+ALL_EXACT = Assumptions(**dict.fromkeys((each.name for each in fields(Assumptions)), 0.0))
 """All fixed parameters are exactly known."""

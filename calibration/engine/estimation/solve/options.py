@@ -8,14 +8,14 @@ from typing import Annotated, Literal
 
 from calibration.base.records import UNIQUE, Converted, Misfit, Place, above, field, length, record
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.estimation.problem.assumptions import EXACT, OF_INTRINSICS, Assumptions
+from calibration.engine.estimation.problem.assumptions import ALL_EXACT, OF_INTRINSICS, Assumptions
 from calibration.engine.estimation.problem.intrinsics import ALL_CAMERAS, CalibratedIntrinsics
 from calibration.engine.estimation.problem.intrinsics_file import read_intrinsics
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels
 
 
 def _as_assumptions(found: Literal["exact"] | Assumptions, _: Place) -> Assumptions:
-    return EXACT if found == "exact" else found
+    return ALL_EXACT if found == "exact" else found
 
 
 def _as_tuple(found: tuple[str, ...] | str, _: Place) -> tuple[str, ...]:
@@ -128,7 +128,7 @@ class Options:
                 raise Misfit(f"found '{name}', whose intrinsics are not calibrated: add it to 'intrinsics'", "lens")
         free = set(self.intrinsics) == {ALL_CAMERAS} and not any(name.startswith("intrinsics-") for name in self.hold)
         given = [name for name in OF_INTRINSICS if getattr(self.assume, name) != getattr(Assumptions(), name)]
-        if free and given and self.assume != EXACT:
+        if free and given and self.assume != ALL_EXACT:
             raise Misfit(
                 f"assume: found '{given[0].replace('_', '-')}' beside 'intrinsics: all'; what is calibrated is not "
                 f"assumed: leave one of them out (a file of 'intrinsics-covariance' says what is known beforehand)"
