@@ -15,7 +15,7 @@ from calibration.commands.record_options import chosen, record_options
 from calibration.robot.importing.bags.recordings import SeenImages
 from calibration.robot.importing.importing import import_data
 from calibration.robot.importing.patterns.image_views import LabelledMoment
-from calibration.robot.importing.report import TITLE, report
+from calibration.robot.importing.report import IMPORT_TITLE, report
 
 
 @record(kw_only=True)
@@ -43,7 +43,7 @@ def command(**options: Any) -> ExitCode:
         found = [f"{name} {sum(len(f.ids) for f in view.found.values())}" for name, view in part.views.items()]
         advance(count, total, f"corners: {', '.join(found)}")
 
-    with progress(runner, TITLE, kept="parts") as advance:
+    with progress(runner, IMPORT_TITLE, kept="parts") as advance:
         results = import_data(settings.config, settings.output, settings.overwrite, settings.jobs, done)
     found = report(results, settings.output)
     publish(found, runner, settings.output)

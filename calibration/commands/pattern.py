@@ -13,7 +13,7 @@ from calibration.commands.parameters import count, number, path
 from calibration.engine.dataset.pattern import CIRCLES, PatternKind
 from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.files.target_files import pattern_configuration
-from calibration.robot.importing.printed_sheet import PAPERS, board_sheet, pdf, svg
+from calibration.robot.importing.printed_sheet import PAPER_SIZES_MM, board_sheet, pdf, svg
 from calibration.robot.labelling.corner_detector import corner_detector
 
 PATTERN_NAME = "board"
@@ -39,7 +39,7 @@ circle's diameter in spacings."""
 @click.option("--diameter", type=number, help="Diameter of circles, mm (0.6 of the spacing).")
 @click.option("--first", type=int, help="Lowest id of its markers or tags (0); id of a single tag.")
 @click.option("--inverted", is_flag=True, help="Exchange black and white.")
-@click.option("--paper", type=click.Choice(list(PAPERS)), default="A4", help="Size of the paper (A4).")
+@click.option("--paper", type=click.Choice(list(PAPER_SIZES_MM)), default="A4", help="Size of the paper (A4).")
 @click.option("--output", type=path, default=Path(PATTERN_NAME), help="Files without their endings (board).")
 def command(kind: PatternKind, paper: str, output: Path, **given: Any) -> ExitCode:
     """Write a board as SVG and PDF, true to size, with a ruler on it, and print its lines of import.yml."""

@@ -30,7 +30,7 @@ from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.system import System
-from calibration.robot.importing.document import ROUGH
+from calibration.robot.importing.document import ROUGH_KEY
 
 MIN_SHARED_COLLECTIONS = 3
 """Minimum of collections in which two sensors see a pattern, for a table of both."""
@@ -156,7 +156,7 @@ def _options_for(dataset: Dataset) -> Options:
     cameras = dataset.guessed_cameras
     if len(dataset.sensors) == 1 and not any(pattern.fixed for pattern in dataset.patterns.values()):
         cameras = tuple(name for name, sensor in dataset.sensors.items() if sensor.modality.has_corners)
-    return Options(description="rough" if metadata.get(ROUGH) is True else "trusted", intrinsics=cameras)
+    return Options(description="rough" if metadata.get(ROUGH_KEY) is True else "trusted", intrinsics=cameras)
 
 
 def _option_lines(options: Options, lenses: Mapping[str, LensChoice]) -> Iterator[str]:

@@ -20,7 +20,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, Details
-from calibration.robot.importing.document import ROUGH
+from calibration.robot.importing.document import ROUGH_KEY
 
 SCHEMA_FILE = Path(__file__).with_name("results.schema.json")
 CELLS_FILE = "cells.csv"
@@ -356,7 +356,7 @@ def refuse_what_has_not_passed(path: Path, dataset: Dataset, cell: CellResult | 
             f"{path}: the verdict of this cell is {cell.verdict} ({shorten(why, 300)}); what has not passed is "
             "exported with --although 'why' only"
         )
-    if cell is None and ROUGH in dataset.document["_metadata"]:
+    if cell is None and ROUGH_KEY in dataset.document["_metadata"]:
         raise InputError(
             f"{path}: this dataset was imported, and has not been calibrated: its transforms are guesses. Export the "
             "folder of a cell of a run (output/SYSTEM/START); --although 'why' exports it as it is"

@@ -12,7 +12,7 @@ from calibration.__main__ import main
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.geometry.transforms import retract
-from calibration.robot.importing.document import ROUGH
+from calibration.robot.importing.document import ROUGH_KEY
 from tests.displaced import displace
 from tests.pipeline.conftest import DATASETS
 
@@ -120,7 +120,7 @@ def test_a_dataset_that_was_imported_and_never_calibrated_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     document = json.loads((DATASETS / "t2rgb" / "dataset.json").read_text())
-    document["_metadata"][ROUGH] = True
+    document["_metadata"][ROUGH_KEY] = True
     (tmp_path / "dataset.json").write_text(json.dumps(document))
     assert main(["export", "--dataset", str(tmp_path), "--output", str(tmp_path / "exports")]) == 2
     assert f"{tmp_path}: this dataset was imported" in capsys.readouterr().err

@@ -19,7 +19,7 @@ from calibration.robot.importing.files.confined_decoding import confined_decodin
 
 MAX_CLOUD_BYTES = 1 << 29
 """Limit of a file's size, which at most quadruples in memory."""
-FARTHEST = 1e5
+MAX_COORDINATE_M = 1e5
 """m: limit of a coordinate; farther ones are those of a map, and float32 would round them."""
 _PLY_TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -49,15 +49,16 @@ def read_cloud(path: Path) -> Array:
             too far away; LAZ, and laspy is not installed.
     """
     try:
-        points = _READERS[path.suffix.lower()](path)
+        points = _READER_OF_ENDING[path.suffix.lower()](path)
     except MemoryError:
         raise InputError(f"{path}: this cloud needs too much memory") from None
     if not len(points):
         raise InputError(f"{path}: found a cloud without points")
     finite = points[np.isfinite(points)]
-    if finite.size and (far := float(np.abs(finite).max())) > FARTHEST:
+    if finite.size and (far := float(np.abs(finite).max())) > MAX_COORDINATE_M:
         raise InputError(
-            f"{path}: found a coordinate of {far:g} m, expected {FARTHEST:g} at most: coordinates in the frame of the "
+            f"{path}: found a coordinate of {far:g} m, expected {MAX_COORDINATE_M:g} at most: coordinates in the "
+            "frame of the "
             "LiDAR, not those of a map"
         )
     return points
@@ -70,7 +71,7 @@ def cloud_view(path: Path, stem: Path) -> RangeView:
     return RangeView(cloud_message(points), file)
 
 
-def _content(path: Path) -> bytes:
+def _cloud_bytes(path: Path) -> bytes:
     return read_bytes(path, MAX_CLOUD_BYTES, "a point cloud")
 
 
@@ -79,14 +80,14 @@ def _read_pcd(path: Path) -> Array:
 
 
 def _read_ply(path: Path) -> Array:
-    data = _content(path)
+    data = _cloud_bytes(path)
     header = _PLY_HEADER.match(data)
     if header is None:
         raise InputError(f"{path}: found no header from 'ply' to 'end_header', expected a PLY file")
     kind, count, fields = _ply_layout(path, header[1].decode("ascii", "replace"))
     columns = [[name for name, _ in fields].index(axis) for axis in "xyz"]
     if kind == "ascii":
-        return _table(path, data[header.end() :], columns, count)
+        return _parse_columns(path, data[header.end() :], columns, count)
     order = _PLY_ORDERS[kind]
     layout = np.dtype([(name, f"{order}{_PLY_TYPES[type_]}") for name, type_ in fields])
     if len(data) - header.end() < count * layout.itemsize:
@@ -127,7 +128,7 @@ def _point_count(path: Path, count: int) -> int:
     return count
 
 
-def _table(path: Path, data: bytes, columns: list[int], count: int = MAX_POINTS + 1) -> Array:
+def _parse_columns(path: Path, data: bytes, columns: list[int], count: int = MAX_POINTS + 1) -> Array:
     """Return three columns (N, 3) of the numbers in a text; separators are blanks, commas and semicolons."""
     text = data.translate(bytes.maketrans(b",;\t", b"   "))
     try:
@@ -143,14 +144,14 @@ def _table(path: Path, data: bytes, columns: list[int], count: int = MAX_POINTS 
 
 def _read_text(path: Path) -> Array:
     """Read x, y, z, in columns of these names if the first line has names, else in the first three."""
-    data = _content(path)
+    data = _cloud_bytes(path)
     first, _, rest = data.partition(b"\n")
     words = re.split(r"[\s,;]+", first.decode("utf-8", "replace").strip().lstrip("#/ \ufeff").lower())
     if all(axis in words for axis in "xyz"):
-        return _table(path, rest, [words.index(axis) for axis in "xyz"])
+        return _parse_columns(path, rest, [words.index(axis) for axis in "xyz"])
     if not all(map(_is_number, words[:3])) or len(words) == 1:  # a title, or the number of points
         data = rest
-    return _table(path, data, [0, 1, 2])
+    return _parse_columns(path, data, [0, 1, 2])
 
 
 def _is_number(word: str) -> bool:
@@ -163,7 +164,7 @@ def _is_number(word: str) -> bool:
 
 def _read_las(path: Path) -> Array:
     """Read the points of a LAS file 1.0 to 1.4: in all point formats a record begins with x, y, z as int32."""
-    data = _content(path)
+    data = _cloud_bytes(path)
     if len(data) < _LAS_HEADER or not data.startswith(b"LASF"):
         raise InputError(f"{path}: found no 'LASF' and a header after it, expected a LAS file")
     major, minor = data[_LAS_VERSION : _LAS_VERSION + 2]
@@ -175,7 +176,7 @@ def _read_las(path: Path) -> Array:
         (count,) = struct.unpack_from("<Q", data, _LAS_COUNT_1_4)
     count = _point_count(path, count)
     if format_ & _LAZ_BITS:
-        return _decompressed(path, count)
+        return _decompress_laz(path, count)
     if format_ > _LAS_MAX_FORMAT or step < 12:
         raise InputError(
             f"{path}: found point format {format_} of {step} bytes, expected 0 to {_LAS_MAX_FORMAT} of 20 or more"
@@ -193,7 +194,7 @@ def _read_las(path: Path) -> Array:
         return np.asarray(whole * scales_and_offsets[:3] + scales_and_offsets[3:], float)
 
 
-def _decompressed(path: Path, count: int) -> Array:
+def _decompress_laz(path: Path, count: int) -> Array:
     if find_spec("laspy") is None or find_spec("lazrs") is None:
         raise InputError(
             f"{path}: found compressed points (LAZ), which need a library: pip install 'laspy[lazrs]', or write LAS"
@@ -205,11 +206,11 @@ def _decompressed(path: Path, count: int) -> Array:
     return np.frombuffer(points, "<f8").reshape(-1, 3)
 
 
-_READERS: Mapping[str, Callable[[Path], Array]] = {
+_READER_OF_ENDING: Mapping[str, Callable[[Path], Array]] = {
     ".pcd": _read_pcd,
     ".ply": _read_ply,
     **dict.fromkeys((".xyz", ".txt", ".csv", ".pts", ".asc"), _read_text),
     **dict.fromkeys((".las", ".laz"), _read_las),
 }
-CLOUD_ENDINGS = tuple(_READERS)
+CLOUD_ENDINGS = tuple(_READER_OF_ENDING)
 """Endings of files of clouds, in lower case."""

@@ -35,7 +35,7 @@ Size = Annotated[float, above(0, MAX_SIZE)]
 Count = Annotated[int, between(2, MAX_CORNERS)]
 
 
-def _beside(text: str, place: Place) -> str:
+def _path_beside(text: str, place: Place) -> str:
     return str(place.folder / text)
 
 
@@ -48,7 +48,7 @@ def is_video(images: str) -> bool:
     return images.lower().endswith(VIDEO_ENDINGS)
 
 
-Files = Annotated[str, Converted(Name, _beside)]
+Files = Annotated[str, Converted(Name, _path_beside)]
 """Folder or glob pattern of files, relative to the folder of the document."""
 
 
@@ -150,7 +150,7 @@ _OF_KIND: Mapping[PatternKind, tuple[str, ...]] = {
 """Keys of a pattern by its kind."""
 
 
-def _a(kind: PatternKind) -> str:
+def _with_article(kind: PatternKind) -> str:
     if kind in CIRCLES:
         return "a grid of circles"
     names = {"charuco": "a charuco board", "chessboard": "a chessboard", "aprilgrid": "an aprilgrid"}
@@ -216,10 +216,10 @@ class PatternDescription:
             return
         needed = _OF_KIND[self.type]
         if missing := [key for key in needed if getattr(self, key) is None]:
-            raise Misfit(f"missing key '{missing[0]}' of {_a(self.type)}")
+            raise Misfit(f"missing key '{missing[0]}' of {_with_article(self.type)}")
         others = dict.fromkeys(key for keys in _OF_KIND.values() for key in keys if key not in needed)
         if stray := [key for key in others if getattr(self, key) is not None]:
-            raise Misfit(f"found '{stray[0]}', expected the keys of {_a(self.type)}: {', '.join(needed)}")
+            raise Misfit(f"found '{stray[0]}', expected the keys of {_with_article(self.type)}: {', '.join(needed)}")
         if self.tags and len({tag.id for tag in self.tags}) < len(self.tags):
             raise Misfit("found an id twice, expected each tag once", "tags")
         if self.pose is not None and not self.is_flat:

@@ -26,9 +26,9 @@ from calibration.robot.importing.patterns.range_data import LabelledRange
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints
 
-ROUGH = "rough_transforms"
+ROUGH_KEY = "rough_transforms"
 """Key of ``_metadata``: whether the calibrated transforms in the dataset are only an initial guess."""
-USER = "calibration-ci"
+RECORDING_USER = "calibration-ci"
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ def _kinds_of_transforms(configuration: Configuration) -> dict[str, Any]:
     }
 
 
-def _moving(imported: Imported, number: int) -> dict[str, Any]:
+def _velocity_entries(imported: Imported, number: int) -> dict[str, Any]:
     return velocity_documents(imported.velocities, imported.accelerations, number)
 
 
@@ -103,27 +103,27 @@ def dataset_document(imported: Imported) -> dict[str, Any]:
             "dataset_name": imported.robot,
             "package_name": "",
             "robot_name": imported.robot,
-            "user": USER,
+            "user": RECORDING_USER,
             "version": "3.0",
             ESTIMATED: list(imported.estimated),
             **({CHOSEN_MODELS: list(imported.chosen)} if imported.chosen else {}),
-            ROUGH: imported.rough,
+            ROUGH_KEY: imported.rough,
         },
         "additional_sensor_data": {},
         "calibration_config": configuration.to_document(),
         **({"transforms": _kinds_of_transforms(configuration)} if configuration.additional_tfs else {}),
-        "sensors": {name: _sensor(imported, sensor) for name, sensor in configuration.sensors.items()},
+        "sensors": {name: _sensor_entry(imported, sensor) for name, sensor in configuration.sensors.items()},
         "patterns": {name: pattern_document(p.pattern(), {}) for name, p in configuration.patterns.items()},
         "collections": {
             key: {
                 "additional_data": {},
                 "data": {
                     **{
-                        name: _message(imported, name, data_file(name, key, view.file))
+                        name: _image_message(imported, name, data_file(name, key, view.file))
                         for name, view in moment.views.items()
                     },
                     **{name: _range_message(imported, name, key, each.view) for name, each in ranges.items()},
-                    **{name: {"header": _header(imported, name)} for name, _ in imported.poses},
+                    **{name: {"header": _message_header(imported, name)} for name, _ in imported.poses},
                 },
                 "joints": {},
                 "labels": {
@@ -139,7 +139,7 @@ def dataset_document(imported: Imported) -> dict[str, Any]:
                     for pattern in configuration.patterns
                 },
                 "transforms": {"-".join(edge): documents[number] for edge, documents in rows.items()},
-                **({VELOCITIES: moving} if (moving := _moving(imported, number)) else {}),
+                **({VELOCITIES: moving} if (moving := _velocity_entries(imported, number)) else {}),
             }
             for number, (key, moment, ranges) in enumerate(
                 zip(imported.keys, imported.moments, imported.ranges, strict=True)
@@ -155,12 +155,12 @@ def label_document(found: FoundCorners) -> dict[str, Any]:
     return {"detected": bool(rows), "idxs": rows}
 
 
-def _message(imported: Imported, sensor: str, file: str) -> dict[str, Any]:
+def _image_message(imported: Imported, sensor: str, file: str) -> dict[str, Any]:
     camera = imported.cameras[sensor]
     return {
         "data_file": file,
         "encoding": "bgr8",
-        "header": _header(imported, sensor),
+        "header": _message_header(imported, sensor),
         "height": camera.height,
         "is_bigendian": 0,
         "step": 3 * camera.width,
@@ -176,15 +176,15 @@ def _range_label(found: PatternPoints | NotDetected) -> dict[str, Any]:
 
 def _range_message(imported: Imported, sensor: str, key: str, view: RangeView) -> dict[str, Any]:
     file = {} if view.file is None else {"data_file": data_file(sensor, key, view.file.name)}
-    return {**view.message, **file, "header": _header(imported, sensor)}
+    return {**view.message, **file, "header": _message_header(imported, sensor)}
 
 
-def _header(imported: Imported, sensor: str) -> dict[str, Any]:
+def _message_header(imported: Imported, sensor: str) -> dict[str, Any]:
     frame = imported.configuration.sensors[sensor].link
     return {"frame_id": frame, "seq": 0, "stamp": {"nsecs": 0, "secs": 0}}
 
 
-def _sensor(imported: Imported, sensor: SensorConfiguration) -> dict[str, Any]:
+def _sensor_entry(imported: Imported, sensor: SensorConfiguration) -> dict[str, Any]:
     steps = FrameTree(imported.transforms).path(imported.configuration.world_link, sensor.link)
     return {
         "_name": sensor.name,

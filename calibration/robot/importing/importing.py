@@ -55,7 +55,7 @@ from calibration.robot.importing.files.camera_files import KnownLens, known_mode
 from calibration.robot.importing.files.pictures import Moment, Pictures, find_pictures, moments_of
 from calibration.robot.importing.files.samples import Sample, read_samples, same_numbers
 from calibration.robot.importing.files.target_files import pattern_configuration
-from calibration.robot.importing.patterns.contact_sheet import FILE as SHEET
+from calibration.robot.importing.patterns.contact_sheet import CONTACT_SHEET_FILE as SHEET
 from calibration.robot.importing.patterns.contact_sheet import contact_sheet
 from calibration.robot.importing.patterns.image_views import LabelledMoment, check_copies, view_of_file
 from calibration.robot.importing.patterns.near_miss import check_told_apart
@@ -144,7 +144,7 @@ def import_data(
             write_atomically(new / SHEET, contact_sheet(views, imported.configuration.patterns))
             write_document(dataset_document(imported), new / FILE_NAME)
             read_dataset(new)
-    return _results(imported, recorded)
+    return _import_results(imported, recorded)
 
 
 def _import_poses(
@@ -155,7 +155,7 @@ def _import_poses(
     overwrite: bool,
 ) -> ImportResults:
     """Import pairs of poses, of an arm and of the pattern measured by a camera."""
-    patterns = _patterns(described)
+    patterns = _pattern_configurations(described)
     (sensor, *other), (pattern, *more) = described.sensors, patterns
     if other or more or described.samples is None:
         raise InputError(
@@ -164,7 +164,7 @@ def _import_poses(
         )
     if sensor.intrinsics is not None:
         raise InputError(f"{samples[0].where}: found poses, no images: leave out 'intrinsics' of '{sensor.name}'")
-    configuration = _configuration(described, patterns, POSE)
+    configuration = _calibration_configuration(described, patterns, POSE)
     arm = {(described.samples.base, described.samples.tool): np.stack([each.T_base_tool for each in samples])}
     imported = Imported(
         robot=robot,
@@ -173,7 +173,7 @@ def _import_poses(
         estimated={},
         moments=[LabelledMoment({}) for _ in samples],
         ranges=[{} for _ in samples],
-        transforms=_with_known_patterns(_transforms(configuration, arm, len(samples)), described, configuration),
+        transforms=_with_known_patterns(_tree_of_frames(configuration, arm, len(samples)), described, configuration),
         rough=True,
         poses={(sensor.name, pattern): np.stack([T for s in samples if (T := s.T_camera_pattern) is not None])},
     )
@@ -209,7 +209,7 @@ def _opened_source(described: ImportDescription, lenses: Mapping[str, KnownLens]
         yield (_from_videos if described.has_videos else _from_images)(described, lenses)
 
 
-def _patterns(described: ImportDescription, root: str | None = None) -> dict[str, PatternConfiguration]:
+def _pattern_configurations(described: ImportDescription, root: str | None = None) -> dict[str, PatternConfiguration]:
     bodies = [each.name for each in described.bodies]
     patterns = {
         each.name: replace(
@@ -223,9 +223,9 @@ def _patterns(described: ImportDescription, root: str | None = None) -> dict[str
 
 
 def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
-    patterns = _patterns(described)
-    configuration = _configuration(described, patterns)
-    moments, transforms, left_out = _moments(described, configuration)
+    patterns = _pattern_configurations(described)
+    configuration = _calibration_configuration(described, patterns)
+    moments, transforms, left_out = _moments_and_transforms(described, configuration)
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
     def label(moment: Moment) -> LabelledMoment:
@@ -239,7 +239,9 @@ def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
         known = _with_known_patterns(transforms, described, configuration)
         placed = with_baselines(known, configuration, lenses, _given_poses(described, configuration, 1))
         ranges = [
-            _clouds(moment, i, folder, configuration) if any(view.labelled for view in labelled.views.values()) else {}
+            _clouds_of_moment(moment, i, folder, configuration)
+            if any(view.labelled for view in labelled.views.values())
+            else {}
             for i, (moment, labelled) in enumerate(zip(moments, seen, strict=True))
         ]
         return Recorded(
@@ -255,7 +257,7 @@ def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
         )
 
     return _Source(
-        _identity(patterns, [path for moment in moments for path in moment.files.values()]),
+        _hash_of_label_inputs(patterns, [path for moment in moments for path in moment.files.values()]),
         [Task.call(f"{i}", partial(label, each)) for i, each in enumerate(moments)],
         lambda text: read(LabelledMoment, json.loads(text), "a finished moment"),
         finish,
@@ -263,8 +265,8 @@ def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
 
 
 def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
-    patterns = _patterns(described)
-    configuration, chosen = _configuration(described, patterns), described.videos or Videos()
+    patterns = _pattern_configurations(described)
+    configuration, chosen = _calibration_configuration(described, patterns), described.videos or Videos()
     videos = survey_videos(described.sensors)
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
@@ -283,7 +285,7 @@ def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
             """Return the cameras' data of some moments, without image files."""
             views = [LabelledMoment({name: image.view for name, image in each.images.items()}) for each in some]
             given = _given_poses(described, configuration, len(some))
-            transforms = _transforms(configuration, given, len(some))
+            transforms = _tree_of_frames(configuration, given, len(some))
             placed = with_baselines(
                 _with_known_patterns(transforms, described, configuration), configuration, lenses, given
             )
@@ -303,14 +305,14 @@ def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
         )
 
     return _Source(
-        _identity(patterns, [path for video in videos.values() for path in video.files], str(chosen.step)),
+        _hash_of_label_inputs(patterns, [path for video in videos.values() for path in video.files], str(chosen.step)),
         frame_tasks(videos, chosen.step, detectors),
         decoded_images,
         finish,
     )
 
 
-def _clouds(moment: Moment, number: int, folder: Path, configuration: Configuration) -> dict[str, RangeView]:
+def _clouds_of_moment(moment: Moment, number: int, folder: Path, configuration: Configuration) -> dict[str, RangeView]:
     """Return the point clouds of a moment, each as a file in a folder."""
     lidars = {name: file for name, file in moment.files.items() if not configuration.sensors[name].has_corners}
     return {name: cloud_view(file, folder / f"{name.replace('/', '_')}_{number}") for name, file in lidars.items()}
@@ -320,7 +322,7 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
     found = survey(bag, described)
     where = str(bags.files[0])
     root = root_of(described, found)
-    patterns = _patterns(described, root)
+    patterns = _pattern_configurations(described, root)
     described = replace(described, world=root)
     mounted = mounting(described, patterns, found, where)
     bag_lenses = {
@@ -381,14 +383,16 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
         )
 
     return _Source(
-        _identity(patterns, [path for each in bags.files for path in ([each] if each.is_file() else each.iterdir())]),
+        _hash_of_label_inputs(
+            patterns, [path for each in bags.files for path in ([each] if each.is_file() else each.iterdir())]
+        ),
         detection_tasks(bag, found, {name: corner_detector(pattern) for name, pattern in patterns.items()}),
         decoded_images,
         finish,
     )
 
 
-def _identity(patterns: Mapping[str, PatternConfiguration], files: Sequence[Path], choice: str = "") -> str:
+def _hash_of_label_inputs(patterns: Mapping[str, PatternConfiguration], files: Sequence[Path], choice: str = "") -> str:
     """Return a hash of the inputs of the labels: the patterns, the current files, and the choice of their images.
 
     Raises:
@@ -403,12 +407,13 @@ def _identity(patterns: Mapping[str, PatternConfiguration], files: Sequence[Path
     return identity(f"{__version__} {np.__version__} {cv2.__version__} {patterns} {stats} {choice}".encode())
 
 
-def _configuration(
+def _calibration_configuration(
     described: ImportDescription, patterns: Mapping[str, PatternConfiguration], modality: Modality = RGB
 ) -> Configuration:
     """Return the calibration configuration: the pose of each sensor on its parent."""
     sensors = {
-        each.name: _sensor(each, described.root, LIDAR3D if each.clouds else modality) for each in described.sensors
+        each.name: _sensor_configuration(each, described.root, LIDAR3D if each.clouds else modality)
+        for each in described.sensors
     }
     mounted = carriers(described, [pattern.parent_link for pattern in patterns.values() if pattern.fixed])
     if described.samples is not None:
@@ -430,12 +435,12 @@ def _configuration(
     )
 
 
-def _sensor(described: SensorDescription, world: str, modality: Modality) -> SensorConfiguration:
+def _sensor_configuration(described: SensorDescription, world: str, modality: Modality) -> SensorConfiguration:
     parent = described.parent or world
     return SensorConfiguration(described.name, modality.name, described.link, parent, described.link)
 
 
-def _moments(
+def _moments_and_transforms(
     described: ImportDescription, configuration: Configuration
 ) -> tuple[Sequence[Moment], Mapping[Edge, Array], Sequence[LeftOut]]:
     """Return the images of each moment, the transforms (N, 4, 4) at that time, and what is left out."""
@@ -452,7 +457,7 @@ def _moments(
         moments, samples, left_out = _at_samples(described, pictures, samples)
         arm[described.samples.base, described.samples.tool] = np.stack([each.T_base_tool for each in samples])
     given = _given_poses(described, configuration, len(moments))
-    return moments, _transforms(configuration, {**arm, **given}, len(moments)), left_out
+    return moments, _tree_of_frames(configuration, {**arm, **given}, len(moments)), left_out
 
 
 def _given_poses(described: ImportDescription, configuration: Configuration, count: int) -> dict[Edge, Array]:
@@ -491,7 +496,7 @@ def _at_samples(
     return moments, list(samples), ()
 
 
-def _transforms(configuration: Configuration, arm: Mapping[Edge, Array], count: int) -> dict[Edge, Array]:
+def _tree_of_frames(configuration: Configuration, arm: Mapping[Edge, Array], count: int) -> dict[Edge, Array]:
     """Return the tree of frames: the arm's known transforms, and the identity for calibrated and auxiliary ones."""
     world = configuration.world_link
     unknown = np.broadcast_to(np.eye(4), (count, 4, 4))
@@ -525,7 +530,7 @@ def _with_known_patterns(
     return {**transforms, **known}
 
 
-def _results(imported: Imported, recorded: Recorded) -> ImportResults:
+def _import_results(imported: Imported, recorded: Recorded) -> ImportResults:
     labelled = recorded.moments
     sensors = {}
     for name, configured in imported.configuration.sensors.items():

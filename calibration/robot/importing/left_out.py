@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from calibration.robot.importing.results import LeftOut
 
-SECOND = 1e9
+NS_PER_S = 1e9
 
 
 @dataclass
@@ -39,6 +39,6 @@ class LeftOutCounts:
     def results(self) -> tuple[LeftOut, ...]:
         """Return them as results, in the order in which they were found."""
         return tuple(
-            LeftOut(rule, place, count, None if first is None else round(first / SECOND, 6))
+            LeftOut(rule, place, count, None if first is None else round(first / NS_PER_S, 6))
             for ((rule, place), count), first in zip(self._counts.items(), self._first.values(), strict=True)
         )

@@ -14,7 +14,7 @@ from calibration.engine.dataset.pattern import CIRCLES
 from calibration.robot.labelling.tags import cell_ends, tag_cells
 from calibration.robot.simulation.rendering.texture import circle_diameter, marker_modules, tag_modules
 
-PAPERS = {
+PAPER_SIZES_MM = {
     "A0": (841.0, 1189.0),
     "A1": (594.0, 841.0),
     "A2": (420.0, 594.0),
@@ -24,19 +24,19 @@ PAPERS = {
     "tabloid": (279.4, 431.8),
 }
 """Widths and heights of papers, upright, mm."""
-MARGIN = 8.0
+MARGIN_MM = 8.0
 """Width of the paper's edge that printers leave white, mm."""
-FOOT = 14.0
+FOOT_MM = 14.0
 """Height of the ruler with its text below the board, mm."""
-RULER, TICK = 100.0, 10.0
+RULER_MM, TICK_MM = 100.0, 10.0
 """Length of the ruler and distance of its ticks, mm."""
-LINE = 0.25
+LINE_MM = 0.25
 """Width of the ruler's lines, mm."""
-TEXT = 3.0
+TEXT_MM = 3.0
 """Height of the text, mm."""
-BEZIER = 4 / 3 * (np.sqrt(2) - 1)
+BEZIER_TANGENT = 4 / 3 * (np.sqrt(2) - 1)
 """Length of the tangents of a quarter of a circle as a cubic curve, in radii."""
-POINT = 72 / 25.4
+POINTS_PER_MM = 72 / 25.4
 """Points of PDF per mm."""
 
 
@@ -74,26 +74,30 @@ def board_sheet(pattern: PatternConfiguration, paper: str) -> Sheet:
         circles[:, :2] += 1000 * pattern.size
         across, down = (float(n) for n in circles[:, :2].max(0) + 1000 * pattern.size)
     else:
-        black, x, y = _cells(pattern)
+        black, x, y = _black_cells(pattern)
         x, y = 1000 * x, 1000 * y
-        rectangles, across, down = _filled(black, x, y), float(x[-1]), float(y[-1])
-    short, long = PAPERS[paper]
+        rectangles, across, down = _black_rectangles(black, x, y), float(x[-1]), float(y[-1])
+    short, long = PAPER_SIZES_MM[paper]
     room = ((short, long), (long, short))
-    fitting = [(w, h) for w, h in room if across <= w - 2 * MARGIN and down <= h - 2 * MARGIN - FOOT]
+    fitting = [(w, h) for w, h in room if across <= w - 2 * MARGIN_MM and down <= h - 2 * MARGIN_MM - FOOT_MM]
     if not fitting:
-        share = max(min((w - 2 * MARGIN) / across, (h - 2 * MARGIN - FOOT) / down) for w, h in room)
+        share = max(min((w - 2 * MARGIN_MM) / across, (h - 2 * MARGIN_MM - FOOT_MM) / down) for w, h in room)
         side = "tag" if pattern.kind in ("aprilgrid", "tags") else "spacing" if pattern.kind in CIRCLES else "square"
         raise InputError(
-            f"the board is {across:g} x {down:g} mm, too large for {paper} with a margin of {MARGIN:g} mm and a ruler: "
+            f"the board is {across:g} x {down:g} mm, too large for {paper} with a margin of {MARGIN_MM:g} mm and a "
+            "ruler: "
             f"take a larger paper, or a {side} of {np.floor(1000 * pattern.size * share * 10) / 10:g} mm at most"
         )
     width, height = fitting[0]
-    left, top = (width - across) / 2, (height - FOOT - down) / 2
-    room_around = MARGIN / 2 if pattern.inverted else 0.0
-    base = height - MARGIN - TEXT - 1
-    ticks = np.arange(0, RULER + TICK / 2, TICK)
-    lines = [[MARGIN, base - LINE, RULER, LINE], *([MARGIN + t - LINE / 2, base - 3, LINE, 3] for t in ticks)]
-    says = f"{RULER:g} mm: measure it; {_name(pattern)}"
+    left, top = (width - across) / 2, (height - FOOT_MM - down) / 2
+    room_around = MARGIN_MM / 2 if pattern.inverted else 0.0
+    base = height - MARGIN_MM - TEXT_MM - 1
+    ticks = np.arange(0, RULER_MM + TICK_MM / 2, TICK_MM)
+    lines = [
+        [MARGIN_MM, base - LINE_MM, RULER_MM, LINE_MM],
+        *([MARGIN_MM + t - LINE_MM / 2, base - 3, LINE_MM, 3] for t in ticks),
+    ]
+    says = f"{RULER_MM:g} mm: measure it; {_title_of_sheet(pattern)}"
     return Sheet(
         width=width,
         height=height,
@@ -102,7 +106,7 @@ def board_sheet(pattern: PatternConfiguration, paper: str) -> Sheet:
         circles=circles + np.array([left, top, 0.0]),
         inverted=pattern.inverted,
         ruler=np.array(lines),
-        text=((MARGIN, height - MARGIN, says),),
+        text=((MARGIN_MM, height - MARGIN_MM, says),),
     )
 
 
@@ -110,7 +114,7 @@ def svg(sheet: Sheet) -> str:
     """Return a sheet as SVG, a unit of which is a millimetre."""
     board, fill = ("black", "white") if sheet.inverted else ("white", "black")
     size = f'width="{sheet.width:g}mm" height="{sheet.height:g}mm" viewBox="0 0 {sheet.width:g} {sheet.height:g}"'
-    font = f'font-family="Helvetica" font-size="{TEXT:g}"'
+    font = f'font-family="Helvetica" font-size="{TEXT_MM:g}"'
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" {size}>',
         _svg_rectangles(np.array([[0, 0, sheet.width, sheet.height]]), "white", "paper"),
@@ -137,13 +141,15 @@ def pdf(sheet: Sheet) -> bytes:
             "0 g",
             _pdf_rectangles(sheet, sheet.ruler),
             *(
-                f"BT /F1 {TEXT * POINT:.4f} Tf {x * POINT:.4f} {(sheet.height - y) * POINT:.4f} Td ({text}) Tj ET"
+                f"BT /F1 {TEXT_MM * POINTS_PER_MM:.4f} Tf {x * POINTS_PER_MM:.4f} "
+                f"{(sheet.height - y) * POINTS_PER_MM:.4f} Td ({text}) Tj ET"
                 for x, y, text in sheet.text
             ),
         ]
     )
     page = (
-        f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {sheet.width * POINT:.4f} {sheet.height * POINT:.4f}] "
+        f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {sheet.width * POINTS_PER_MM:.4f} "
+        f"{sheet.height * POINTS_PER_MM:.4f}] "
         "/Contents 4 0 R /Resources << /Font << /F1 5 0 R >> >> >>"
     )
     objects = [
@@ -163,7 +169,7 @@ def pdf(sheet: Sheet) -> bytes:
     return f"{text}startxref\n{text.index('xref')}\n%%EOF\n".encode("ascii")
 
 
-def _cells(pattern: PatternConfiguration) -> tuple[BoolArray, Array, Array]:
+def _black_cells(pattern: PatternConfiguration) -> tuple[BoolArray, Array, Array]:
     """Return a print as black cells (R, C), and their ends along x (C + 1,) and along y (R + 1,), m from its corner."""
     if pattern.kind == "aprilgrid":
         x, y = cell_ends(*pattern.dimension, pattern.spacing)
@@ -189,7 +195,7 @@ def _cells(pattern: PatternConfiguration) -> tuple[BoolArray, Array, Array]:
     return cells, np.asarray(x, float), np.asarray(y, float)
 
 
-def _filled(black: BoolArray, x: Array, y: Array) -> Array:
+def _black_rectangles(black: BoolArray, x: Array, y: Array) -> Array:
     """Return rectangles (N, 4) of the black cells: runs along a row, as far down as the next rows have the same."""
     found: list[list[float]] = []
     growing: dict[tuple[int, int], int] = {}
@@ -205,7 +211,7 @@ def _filled(black: BoolArray, x: Array, y: Array) -> Array:
     return np.array(sorted(found, key=lambda each: (each[1], each[0])))
 
 
-def _name(pattern: PatternConfiguration) -> str:
+def _title_of_sheet(pattern: PatternConfiguration) -> str:
     if pattern.kind == "tags":
         return f"{pattern.dictionary} {pattern.tags[0].id}, {1000 * pattern.size:g} mm"
     columns, rows = pattern.dimension
@@ -224,7 +230,7 @@ def _svg_rectangles(rectangles: Array, fill: str, name: str) -> str:
 def _pdf_rectangles(sheet: Sheet, rectangles: Array) -> str:
     """Return operators that fill rectangles; the origin of a page is its bottom left."""
     left, top, width, height = rectangles.T
-    places = (POINT * np.stack([left, sheet.height - top - height, width, height], -1)).tolist()
+    places = (POINTS_PER_MM * np.stack([left, sheet.height - top - height, width, height], -1)).tolist()
     return "\n".join([*(f"{x:.4f} {y:.4f} {w:.4f} {h:.4f} re" for x, y, w, h in places), "f"])
 
 
@@ -233,8 +239,8 @@ def _pdf_circle(x: float, y: float, radius: float) -> str:
     right, up = radius * np.array([1.0, 0.0]), radius * np.array([0.0, 1.0])
     text = ""
     for _ in range(4):
-        points = np.stack([right, right + BEZIER * up, up + BEZIER * right, up])
-        start, *curve = (f"{POINT * (x + px):.4f} {POINT * (y + py):.4f}" for px, py in points.tolist())
+        points = np.stack([right, right + BEZIER_TANGENT * up, up + BEZIER_TANGENT * right, up])
+        start, *curve = (f"{POINTS_PER_MM * (x + px):.4f} {POINTS_PER_MM * (y + py):.4f}" for px, py in points.tolist())
         text += f"{'' if text else start + ' m '}{' '.join(curve)} c "
         right, up = up, -right
     return text + "f"

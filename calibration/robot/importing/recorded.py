@@ -99,13 +99,13 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
         choice = _fitted_lens(name, configuration, views, recorded.models.get(name))
         cameras[name], lenses[name] = choice.guess, choice.reason
     kept = [i for i, moment in enumerate(moments) if any(view.labelled for view in moment.views.values())]
-    ranges = _ranges(recorded, cameras)
+    ranges = _label_ranges(recorded, cameras)
     of_boards = recorded.boards.motions(configuration, cameras) if recorded.boards else {}
     return Imported(
         robot=robot,
         configuration=configuration,
         cameras=cameras,
-        uncertainties={name: known for name in cameras if (known := _uncertainty(recorded, name))},
+        uncertainties={name: known for name in cameras if (known := _lens_uncertainty(recorded, name))},
         estimated=lenses,
         chosen=[name for name in lenses if name in recorded.models],
         moments=[moments[i] for i in kept],
@@ -118,12 +118,12 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
     )
 
 
-def _uncertainty(recorded: Recorded, name: str) -> LensUncertainty | None:
+def _lens_uncertainty(recorded: Recorded, name: str) -> LensUncertainty | None:
     lens = recorded.lenses.get(name)
     return lens.uncertainty if lens else None
 
 
-def _ranges(recorded: Recorded, cameras: Mapping[str, Camera]) -> Sequence[Mapping[str, LabelledRange]]:
+def _label_ranges(recorded: Recorded, cameras: Mapping[str, Camera]) -> Sequence[Mapping[str, LabelledRange]]:
     """Detect the patterns in the data of LiDARs and depth cameras.
 
     Raises:

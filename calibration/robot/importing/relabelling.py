@@ -22,7 +22,7 @@ from calibration.engine.dataset.payload import locate
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.robot.importing.document import label_document
-from calibration.robot.importing.patterns.contact_sheet import FILE as SHEET
+from calibration.robot.importing.patterns.contact_sheet import CONTACT_SHEET_FILE as SHEET
 from calibration.robot.importing.patterns.contact_sheet import contact_sheet
 from calibration.robot.importing.patterns.image_views import LabelledMoment, read_image, view_of_file
 from calibration.robot.importing.patterns.near_miss import never_seen
@@ -68,7 +68,7 @@ def label_dataset(
         names = ", ".join(configuration.sensors)
         raise InputError(f"{path}: found no camera among the sensors ({names}), expected one with images to label")
     single = next(iter(patterns)) if str(root["_metadata"]["version"].value).startswith("2") else None
-    files = {key: _files(node, cameras, patterns, single, again) for key, node in root["collections"].items()}
+    files = {key: _images_to_label(node, cameras, patterns, single, again) for key, node in root["collections"].items()}
     if not any(files.values()):
         raise InputError(f"{path}: found labels for all images of {', '.join(cameras)}; add --again")
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
@@ -78,7 +78,7 @@ def label_dataset(
 
     stats = [(str(file), file.stat().st_mtime_ns) for own in files.values() for file in own.values()]
     depends_on = identity(f"{__version__} {np.__version__} {cv2.__version__} {patterns} {stats}".encode())
-    with workspace(output, depends_on, text_of, _decoded) as work, single_threaded_opencv():
+    with workspace(output, depends_on, text_of, _read_finished) as work, single_threaded_opencv():
         tasks = [work.keeping(Task.call(key, partial(label, own))) for key, own in files.items() if own]
         moments = run_tasks(tasks, workers=jobs, find=work.find, done=done)
         _check_seen(root, moments, cameras, patterns)
@@ -91,33 +91,33 @@ def label_dataset(
             write_atomically(new / SHEET, contact_sheet(views, patterns))
             write_document(document, new / FILE_NAME)
             read_dataset(new)
-    return _results(files, moments, cameras)
+    return _label_results(files, moments, cameras)
 
 
-def _decoded(text: bytes) -> LabelledMoment:
+def _read_finished(text: bytes) -> LabelledMoment:
     return read(LabelledMoment, json.loads(text), "a finished collection")
 
 
-def _labels(labels: Node, pattern: str, single: str | None) -> Node | None:
+def _labels_of_pattern(labels: Node, pattern: str, single: str | None) -> Node | None:
     """Return the labels of a pattern by sensor; ``single`` is that of a version 2 dataset, which names none."""
     return labels if single is not None else labels.get(pattern)
 
 
-def _files(
+def _images_to_label(
     collection: Node,
     cameras: Sequence[str],
     patterns: Mapping[str, PatternConfiguration],
     single: str | None,
     again: bool,
 ) -> dict[str, Path]:
-    """Return the images of a collection to label, by camera; ``single`` as for `_labels`."""
+    """Return the images of a collection to label, by camera; ``single`` as for `_labels_of_pattern`."""
     data, labels, found = collection.get("data"), collection.get("labels"), {}
     for camera in cameras:
         message = data.get(camera) if data else None
         name = message.get("data_file") if message else None
         if name is None:
             continue
-        own = [_labels(labels, pattern, single) for pattern in patterns] if labels else []
+        own = [_labels_of_pattern(labels, pattern, single) for pattern in patterns] if labels else []
         known = [entry for by_sensor in own if by_sensor and (entry := by_sensor.get(camera))]
         if again or not any(entry.mapping().get("detected") for entry in known):
             found[camera] = Path(locate(name))
@@ -137,10 +137,10 @@ def _check_seen(
         whole = len(views) == len(root["collections"].mapping())
         if views and whole and not any(view.labelled for view in views):
             files = [Path(view.file) for view in views]
-            raise never_seen(camera, next(iter(patterns.values())), views, partial(_image, files))
+            raise never_seen(camera, next(iter(patterns.values())), views, partial(_read_numbered_image, files))
 
 
-def _image(files: Sequence[Path], number: int) -> Image:
+def _read_numbered_image(files: Sequence[Path], number: int) -> Image:
     return read_image(files[number])
 
 
@@ -165,7 +165,7 @@ def _copy_files(root: Node, new: Path) -> None:
                     link_or_copy(source, new / name.text())
 
 
-def _results(
+def _label_results(
     files: Mapping[str, Mapping[str, Path]], moments: Mapping[str, LabelledMoment], cameras: Sequence[str]
 ) -> LabelResults:
     sensors = {}

@@ -6,7 +6,7 @@ from pathlib import Path
 from calibration.ci.report import Outcome, Report, Table, count_of
 from calibration.robot.importing.results import ImportResults, LabelResults
 
-TITLE, LABEL = "import-data", "label"
+IMPORT_TITLE, LABEL_TITLE = "import-data", "label"
 
 
 def report(results: ImportResults, folder: Path) -> Report:
@@ -15,7 +15,7 @@ def report(results: ImportResults, folder: Path) -> Report:
     estimated = {name: each.lens for name, each in results.sensors.items() if each.intrinsics == "estimated"}
     rejected = tuple((name, view.file, view.reason) for name, each in results.sensors.items() for view in each.rejected)
     return Report(
-        title=TITLE,
+        title=IMPORT_TITLE,
         verdict="pass",
         sentence=f"{count_of(results.collections, 'collection')} of {count_of(results.found, 'moment')} in {folder}",
         results=results,
@@ -46,7 +46,7 @@ def report(results: ImportResults, folder: Path) -> Report:
             ),
             Table(("sensor", "image", "why no pattern"), rejected, title="Images without a pattern", folded=True),
         ),
-        suites={TITLE: [Outcome(name=name) for name in results.sensors]},
+        suites={IMPORT_TITLE: [Outcome(name=name) for name in results.sensors]},
     )
 
 
@@ -55,7 +55,7 @@ def label_report(results: LabelResults, folder: Path) -> Report:
     rows = tuple((name, str(each.images), str(each.labelled)) for name, each in results.sensors.items())
     rejected = tuple((name, view.file, view.reason) for name, each in results.sensors.items() for view in each.rejected)
     return Report(
-        title=LABEL,
+        title=LABEL_TITLE,
         verdict="pass",
         sentence=f"{sum(each.labelled for each in results.sensors.values())} images labelled in {folder}",
         results=results,
@@ -64,5 +64,5 @@ def label_report(results: LabelResults, folder: Path) -> Report:
             Table(("sensor", "images", "labelled"), rows),
             Table(("sensor", "image", "why no pattern"), rejected, title="Images without a pattern", folded=True),
         ),
-        suites={LABEL: [Outcome(name=name) for name in results.sensors]},
+        suites={LABEL_TITLE: [Outcome(name=name) for name in results.sensors]},
     )

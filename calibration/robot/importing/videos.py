@@ -15,7 +15,7 @@ from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.robot.importing.bags.recordings import SeenImage, SeenImages
 from calibration.robot.importing.bags.stillness import BagImage, BagMoment
 from calibration.robot.importing.description import SensorDescription
-from calibration.robot.importing.files.confined_decoding import FRAME, confined_decoding
+from calibration.robot.importing.files.confined_decoding import FRAME_HEADER, confined_decoding
 from calibration.robot.importing.patterns.contact_sheet import thumbnail, thumbnail_of
 from calibration.robot.importing.patterns.image_views import LabelledMoment, view_of_image
 from calibration.robot.importing.patterns.png import encoded
@@ -26,10 +26,10 @@ MAX_FRAMES = 200_000
 MAX_FRAME_PIXELS = 40_000_000
 """Limit of the pixels of a frame: 8K has 33 million."""
 MAX_STAMPS_BYTES = 10_000_000
-PARTS = 4
+PARTS_PER_VIDEO = 4
 """Tasks of one video. Each decodes what comes before its part, as no codec finds a frame by its number for certain."""
-SECOND = 1e9
-_NANOSECONDS = 1e14
+NS_PER_S = 1e9
+_MIN_NANOSECOND_STAMP = 1e14
 """Stamps from here on are in nanoseconds; as seconds they would be three million years."""
 
 
@@ -80,8 +80,8 @@ def decoded_frames(path: Path, wanted: Collection[int], stop: int = MAX_FRAMES +
         raise InputError(f"{path}: found no such file, expected a video")
     request = {"wanted": sorted(wanted), "stop": stop, "pixels": MAX_FRAME_PIXELS}
     with confined_decoding("video", path, "a video", **request) as decoded:
-        while len(head := decoded.read(FRAME.size)) == FRAME.size:
-            index, time, rate, width, height, has_pixels = FRAME.unpack(head)
+        while len(head := decoded.read(FRAME_HEADER.size)) == FRAME_HEADER.size:
+            index, time, rate, width, height, has_pixels = FRAME_HEADER.unpack(head)
             if not 0 < width * height <= MAX_FRAME_PIXELS:
                 raise InputError(f"{path}: found frames of {width} x {height} pixels")
             image = None
@@ -100,13 +100,13 @@ def survey_videos(sensors: Sequence[SensorDescription]) -> dict[str, Video]:
         InputError: one is no video, has too many frames, or its stamps are wrong or of another number.
     """
     return {
-        each.name: _survey(Path(each.images), each.stamps if isinstance(each.stamps, Path) else None)
+        each.name: _survey_video(Path(each.images), each.stamps if isinstance(each.stamps, Path) else None)
         for each in sensors
         if each.images
     }
 
 
-def _survey(path: Path, stamps: Path | None) -> Video:
+def _survey_video(path: Path, stamps: Path | None) -> Video:
     frames = list(decoded_frames(path, ()))
     if not frames:
         raise InputError(f"{path}: found no frame, expected a video")
@@ -134,7 +134,7 @@ def _read_stamps(file: Path, path: Path, count: int) -> tuple[int, ...]:
             continue
         try:
             value = float(word)
-            stamp = int(word) if value >= _NANOSECONDS and word.strip().isdigit() else round(value * SECOND)
+            stamp = int(word) if value >= _MIN_NANOSECOND_STAMP and word.strip().isdigit() else round(value * NS_PER_S)
         except (ValueError, OverflowError):
             value, stamp = math.nan, 0
         if not 0 <= value < 1e19:
@@ -164,7 +164,7 @@ def frame_tasks(
     tasks: list[Task[SeenImages]] = []
     for name, video in videos.items():
         searched = range(0, len(video.stamps), step)
-        size = -(-len(searched) // PARTS)
+        size = -(-len(searched) // PARTS_PER_VIDEO)
         for i in range(0, len(searched), size):
             tasks.append(Task.call(f"{len(tasks)}", partial(detect, name, searched[i : i + size])))
     return tasks

@@ -13,10 +13,18 @@ from calibration.engine.dataset.configuration import TAG_COUNT, PatternConfigura
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.board_corners import enough, find_corners
 from calibration.robot.labelling.detection import Image, NotDetected, grey
-from calibration.robot.labelling.layouts import TEXELS, Layout, Reading, readings
-from calibration.robot.labelling.markers import TOUCHED, MarkerFinder, Markers
+from calibration.robot.labelling.layouts import TEXELS_PER_SQUARE, Layout, Reading, readings
+from calibration.robot.labelling.markers import WINDOWS_FOR_TOUCHED, MarkerFinder, Markers
 from calibration.robot.labelling.printed_corners import PrintedPatches
-from calibration.robot.labelling.tags import BORDER, MODULES, corner_ids, corner_places, drawn, tag_dictionary, unit
+from calibration.robot.labelling.tags import (
+    BORDER_MODULES,
+    MODULES_PER_TAG,
+    corner_ids,
+    corner_places,
+    drawn,
+    tag_dictionary,
+    unit,
+)
 
 LEAST_TAGS = 2
 """Minimum of tags: a single one may be a false detection in noise."""
@@ -44,10 +52,12 @@ class AprilgridDetector:
         if first + columns * rows > TAG_COUNT:
             raise InputError(f"pattern '{pattern.name}': found {columns} x {rows} tags, expected {TAG_COUNT} at most")
         self._corners = corner_places(columns, rows, pattern.spacing)
-        self._clearance = min(pattern.spacing, BORDER / MODULES) / unit(pattern.spacing)
+        self._clearance = min(pattern.spacing, BORDER_MODULES / MODULES_PER_TAG) / unit(pattern.spacing)
         self._first, self._count = first, columns * rows
-        self._finder = MarkerFinder(tag_dictionary(), TAG_COUNT, BORDER, windows=TOUCHED)
-        patches = PrintedPatches(drawn(columns, rows, pattern.spacing, TEXELS, first), TEXELS, self._corners)
+        self._finder = MarkerFinder(tag_dictionary(), TAG_COUNT, BORDER_MODULES, windows=WINDOWS_FOR_TOUCHED)
+        patches = PrintedPatches(
+            drawn(columns, rows, pattern.spacing, TEXELS_PER_SQUARE, first), TEXELS_PER_SQUARE, self._corners
+        )
         self._layout = Layout(self._corners[corner_ids(columns, rows)], patches)
 
     def detect(self, image: Image) -> CornerLabels | NotDetected:
@@ -59,7 +69,7 @@ class AprilgridDetector:
         image = grey(image)
         if min(image.shape) < 2 * MarkerFinder.LEAST_SIDE:
             return NotDetected(f"an image of {image.shape[1]} x {image.shape[0]} pixels holds no pattern")
-        reading, seen = self._read(image)
+        reading, seen = self._read_board(image)
         if reading is None or len(reading.markers) < LEAST_TAGS:
             return NotDetected(f"{seen} tags, {LEAST_TAGS} are needed that lie as on the board")
         if len(reading.markers) <= LEAST_AGREEING * seen:
@@ -68,18 +78,18 @@ class AprilgridDetector:
             self._corners, *find_corners(image, reading, self._corners, self._clearance, LEAST_FREE, LEAST_ANGLE)
         )
 
-    def _read(self, image: Image) -> tuple[Reading | None, int]:
+    def _read_board(self, image: Image) -> tuple[Reading | None, int]:
         """Return the tags that match the board, and the number of all tags.
 
         The search is repeated at a finer scale if many expected tags are missing.
         """
-        found, seen = self._lying(self._finder.find(image))
+        found, seen = self._matching_tags(self._finder.find(image))
         if found is not None and found.share(*image.shape) >= 0.5:
             return found, seen
-        finer = self._lying(self._finder.find_small(image))
+        finer = self._matching_tags(self._finder.find_small(image))
         return max((found, seen), finer, key=lambda each: len(each[0].markers) if each[0] else 0)
 
-    def _lying(self, tags: Markers) -> tuple[Reading | None, int]:
+    def _matching_tags(self, tags: Markers) -> tuple[Reading | None, int]:
         """Return the tags that match the board, and their number."""
         ids = tags.ids - self._first
         own = (ids >= 0) & (ids < self._count)

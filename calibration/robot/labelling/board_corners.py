@@ -17,13 +17,13 @@ from calibration.robot.labelling.detection import Image, NotDetected
 from calibration.robot.labelling.layouts import Reading
 from calibration.robot.labelling.printed_corners import angles, refine, shortest
 
-DECIMALS = 4
+CORNER_DECIMALS = 4
 """Decimals of the corners' pixels."""
-LIKENESS = 0.8
+MIN_LIKENESS = 0.8
 """Minimum correlation of the image around a corner with the print."""
-SUPPORT = 1.0
+MIN_SUPPORT = 1.0
 """Minimum support of a predicted corner; see `Prediction.support`."""
-ROUNDS = 5
+MAX_ROUNDS = 5
 """Limit of the number of rounds in which found corners predict others."""
 LEAST_SHARE = 0.25
 """Minimum share of corners for a detection (ATOM's rule)."""
@@ -49,17 +49,17 @@ def find_corners(
     predicted = predict(places, reading.markers.corners.reshape(-1, 2), corners)
     pixels, found = predicted.pixels.copy(), np.zeros(len(corners), bool)
     agreed = found
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         free = clearance * shortest(predicted.jacobians)
         wanted = np.flatnonzero(
-            (predicted.support >= SUPPORT) & (free >= least) & (angles(predicted.jacobians) >= least_angle) & ~found
+            (predicted.support >= MIN_SUPPORT) & (free >= least) & (angles(predicted.jacobians) >= least_angle) & ~found
         )
         refined, at = refine(image, predicted.pixels[wanted], predicted.jacobians[wanted], clearance)
         seen = found.copy()
         seen[wanted[at]] = True
         pixels[wanted[at]] = refined[at]
         likeness = reading.layout.patches.likeness(image, pixels, predicted.jacobians)
-        before, found = found, seen & (likeness >= LIKENESS)
+        before, found = found, seen & (likeness >= MIN_LIKENESS)
         if found.sum() < 4:
             break
         if not np.array_equal(found, agreed):  # else they agree as in the last round
@@ -84,7 +84,7 @@ def enough(corners: Array, ids: IntArray, pixels: Array) -> CornerLabels | NotDe
         return NotDetected(f"{len(ids)} of {len(corners)} corners, more than {100 * LEAST_SHARE:g} % are needed")
     if _open_pose(corners[ids]):
         return NotDetected("the corners lie on a line")
-    return CornerLabels(ids, np.round(pixels, DECIMALS))
+    return CornerLabels(ids, np.round(pixels, CORNER_DECIMALS))
 
 
 def _open_pose(corners: Array) -> bool:

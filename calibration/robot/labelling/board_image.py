@@ -14,18 +14,18 @@ import numpy as np
 from calibration.base.arrays import Array, BoolArray
 from calibration.engine.estimation.residuals.median import median
 
-REACH = 1.5
+WEIGHT_REACH = 1.5
 """Distance (squares) at which the weight of a point is 1/e of that at the requested position."""
-RIDGE = 1e-3
+RIDGE_WEIGHT = 1e-3
 """Regularisation of the quadratic in directions that the points do not determine; in weights of a point."""
 LEAST_MISFIT, LEAST_SHARE = 0.15, 0.005
 """Misfits below these are never rejected: px, and fraction of a square's side in the image.
 
 The fraction allows for strong distortion near the border of a board, where neighbours are on one side only.
 """
-CLEARLY = 0.65
+MAX_CLEAR_MISFIT = 0.65
 """If all misfits are below this share of their limits, there is no outlier."""
-DOUBTFUL = 5.0
+MIN_OUTLIER_RATIO = 5.0
 """A corner is an outlier if its misfit exceeds this multiple of the median."""
 
 
@@ -49,7 +49,7 @@ def homography(places: Array, pixels: Array) -> Array:
     R. Hartley and A. Zisserman, "Multiple View Geometry", 2nd edition, algorithm 4.2. Requires 4
     points of which no 3 are collinear; otherwise it returns one of many solutions.
     """
-    A, B = _normalisation(places), _normalisation(pixels)
+    A, B = _normalising_similarity(places), _normalising_similarity(pixels)
     x, y = (places @ A[:2, :2].T + A[:2, 2]).T
     u, v = (pixels @ B[:2, :2].T + B[:2, 2]).T
     zero, one = np.zeros_like(x), np.ones_like(x)
@@ -63,7 +63,7 @@ def homography(places: Array, pixels: Array) -> Array:
     return np.asarray(np.linalg.solve(B, h @ A), float)
 
 
-def _normalisation(points: Array) -> Array:
+def _normalising_similarity(points: Array) -> Array:
     """Return the similarity (3, 3) that moves points to zero mean and a mean distance of sqrt(2)."""
     centre = points.mean(axis=0)
     scale = np.sqrt(2) / (float(np.sqrt(((points - centre) ** 2).sum(-1).mean())) or 1.0)
@@ -97,7 +97,7 @@ class _Around:
     def __init__(self, places: Array, wanted: Array) -> None:
         self._places, self._wanted = places, wanted
         self._same = places is wanted
-        offset = (places - wanted[:, None]) / REACH  # (M, N, 2)
+        offset = (places - wanted[:, None]) / WEIGHT_REACH  # (M, N, 2)
         x, y = offset[..., 0], offset[..., 1]
         xx, yy = x * x, y * y
         self.near: Array = np.exp(-xx - yy)
@@ -113,7 +113,7 @@ class _Around:
         about, jacobians = project(H, self._wanted)
         left_over = pixels - (about if self._same else project(H, self._places)[0])
         weighted = self._basis * weights[:, None]
-        moments = weighted @ np.swapaxes(self._basis, 1, 2) + RIDGE * np.eye(6)
+        moments = weighted @ np.swapaxes(self._basis, 1, 2) + RIDGE_WEIGHT * np.eye(6)
         sides = np.zeros((len(moments), 6, 3))
         sides[:, :, :2], sides[:, 0, 2] = weighted @ left_over, 1.0
         solved = np.linalg.solve(moments, sides)
@@ -121,7 +121,7 @@ class _Around:
         shares = (solved[:, None, :, 2] @ weighted)[:, 0]  # (M, N): contribution of each point to the value
         return Prediction(
             pixels=about + bend[:, 0],
-            jacobians=jacobians + np.swapaxes(bend[:, 1:], 1, 2) / REACH,
+            jacobians=jacobians + np.swapaxes(bend[:, 1:], 1, 2) / WEIGHT_REACH,
             support=weights.sum(-1),
             spread=np.sqrt((shares**2).sum(-1)),
         )
@@ -142,8 +142,8 @@ def fits_neighbours(places: Array, pixels: Array) -> BoolArray:
         misfit = np.linalg.norm(predicted.pixels - pixels, axis=-1) / np.sqrt(1 + predicted.spread**2)
         with np.errstate(invalid="ignore"):  # if the points determine no homography all is NaN, and no point agrees
             side = np.sqrt(np.abs(np.linalg.det(predicted.jacobians)))
-        limit = np.maximum(LEAST_SHARE * side, max(LEAST_MISFIT, DOUBTFUL * median(misfit)))
-        if (misfit < CLEARLY * limit).all():
+        limit = np.maximum(LEAST_SHARE * side, max(LEAST_MISFIT, MIN_OUTLIER_RATIO * median(misfit)))
+        if (misfit < MAX_CLEAR_MISFIT * limit).all():
             break  # no weight would change by much
         weights = 1 / (1 + (2 * misfit / limit) ** 4)
     fits: BoolArray = misfit <= limit

@@ -16,23 +16,23 @@ from calibration.robot.labelling.detection import NotDetected
 
 LEAST_POINTS = 10
 """Minimum of a sensor's points on a pattern (ATOM's rule)."""
-INLIER = 3.5
+MAX_INLIER_SIGMAS = 3.5
 """Distance of inliers from the plane, in standard deviations."""
 LEAST_SIGMA = 0.001
 """m: lower limit of the points' standard deviation about the plane: boards are not flatter."""
-CLEAR = 0.02
+MIN_OTHER_OBJECT_M = 0.02
 """m: distance from the plane, beyond the noise, from which on a point is on another object."""
 SEE_THROUGH = 0.2
 """Limit of the share of rays that end behind a board; with more, there is no board."""
-HIDDEN = 0.75
+MAX_HIDDEN_SHARE = 0.75
 """Limit of the share of rays that end in front of a board; with more, it is occluded."""
-SLACK = 0.01
+BORDER_SLACK_M = 0.01
 """m: points up to this distance beyond the estimated border belong to the board."""
-END = 0.03
+BORDER_END_M = 0.03
 """m: what ends within this distance inside of the estimated border, plus two steps of the sensor, ends on it."""
-BLOCK = 128
+POINTS_PER_BLOCK = 128
 """Number of points that are counted at once."""
-TURN = np.radians(6)
+MAX_TURN = np.radians(6)
 """Limit of the rotation in the plane from the expected pose."""
 
 
@@ -62,7 +62,7 @@ class BoardPlane:
 
     def on_plane(self, points: Array) -> BoolArray:
         """Return a mask of the points (..., N, 3) on the plane; False for NaN."""
-        on: BoolArray = np.abs(self.behind(points)) <= INLIER * self.sigma
+        on: BoolArray = np.abs(self.behind(points)) <= MAX_INLIER_SIGMAS * self.sigma
         return on
 
     def crossing(self, points: Array) -> Array:
@@ -77,11 +77,11 @@ class BoardPlane:
 
     def in_front(self, behind: Array) -> BoolArray:
         """Return a mask of the points clearly in front of the plane, by their distance `behind` it."""
-        return behind < -(CLEAR + INLIER * self.sigma)
+        return behind < -(MIN_OTHER_OBJECT_M + MAX_INLIER_SIGMAS * self.sigma)
 
     def passed(self, behind: Array) -> BoolArray:
         """Return a mask of the points clearly behind the plane, by their distance `behind` it."""
-        return behind > CLEAR + INLIER * self.sigma
+        return behind > MIN_OTHER_OBJECT_M + MAX_INLIER_SIGMAS * self.sigma
 
     def absent(self, behind: Array, inside: Array, sure: float) -> str:
         """Return the reason why the board is not visible, by the rays that cross it; empty if it is.
@@ -94,7 +94,7 @@ class BoardPlane:
         crossing = behind[inside > sure]
         if self.passed(crossing).sum() > SEE_THROUGH * len(crossing):
             return "what is seen where the pattern is expected is no board of its size: rays go past it"
-        if self.in_front(crossing).sum() > HIDDEN * len(crossing):
+        if self.in_front(crossing).sum() > MAX_HIDDEN_SHARE * len(crossing):
             return "the pattern is hidden"
         return ""
 
@@ -121,7 +121,7 @@ def find_board(points: Array, outline: Array, T_sensor_pattern: Array, tolerance
         chosen = near.all(-1) & (np.abs(local[:, 2]) < tolerance)
     if chosen.sum() < LEAST_POINTS:
         return NotDetected(f"{chosen.sum()} points where the pattern is expected, at least {LEAST_POINTS} are needed")
-    found = _plane(local[chosen], outline.mean(axis=0), tolerance)
+    found = _find_plane(local[chosen], outline.mean(axis=0), tolerance)
     if found is None:
         return NotDetected("the points where the pattern is expected lie on no plane")
     T_pattern_plane, sigma = found
@@ -129,14 +129,14 @@ def find_board(points: Array, outline: Array, T_sensor_pattern: Array, tolerance
     places = plane.crossing(points)
     around = plane.inside(places) > -2 * tolerance
     behind = plane.behind(points[around])
-    on, beyond = np.abs(behind) <= INLIER * sigma, plane.passed(behind)
+    on, beyond = np.abs(behind) <= MAX_INLIER_SIGMAS * sigma, plane.passed(behind)
     if on.sum() < LEAST_POINTS:
         return NotDetected(f"{on.sum()} points on a plane, at least {LEAST_POINTS} are needed")
-    T_plane_board = _placed(places[around][on], places[around][beyond], outline, tolerance)
+    T_plane_board = _place_in_plane(places[around][on], places[around][beyond], outline, tolerance)
     return BoardPlane(plane.T_sensor_board @ T_plane_board, sigma, outline)
 
 
-def _plane(points: Array, centre: Array, tolerance: float) -> tuple[Array, float] | None:
+def _find_plane(points: Array, centre: Array, tolerance: float) -> tuple[Array, float] | None:
     """Find the plane near z = 0 with most points, and the standard deviation of its points about it.
 
     Iterated weighted least squares with Tukey's weights of decreasing width, from several initial heights.
@@ -163,21 +163,21 @@ def _plane(points: Array, centre: Array, tolerance: float) -> tuple[Array, float
     a, b, c = planes[agreeing.argmax()]
     if np.hypot(b, c) / scale > 1:
         return None
-    T = _frame(np.array([-b / scale, -c / scale, 1.0]), np.array([*centre, a]), centre)
-    sigma = width / INLIER
+    T = _frame_of_plane(np.array([-b / scale, -c / scale, 1.0]), np.array([*centre, a]), centre)
+    sigma = width / MAX_INLIER_SIGMAS
     for _ in range(5):
         distance = points @ T[:3, 2] - T[:3, 2] @ T[:3, 3]
-        on = np.abs(distance) <= INLIER * sigma
+        on = np.abs(distance) <= MAX_INLIER_SIGMAS * sigma
         if on.sum() < LEAST_POINTS:
             return None
-        sigma = min(max(1.4826 * median(np.abs(distance[on])), LEAST_SIGMA), tolerance / INLIER)
+        sigma = min(max(1.4826 * median(np.abs(distance[on])), LEAST_SIGMA), tolerance / MAX_INLIER_SIGMAS)
         middle = points[on].mean(axis=0)
         normal = np.linalg.eigh((points[on] - middle).T @ (points[on] - middle))[1][:, 0]
-        T = _frame(normal * np.sign(normal[2]), middle, centre)
+        T = _frame_of_plane(normal * np.sign(normal[2]), middle, centre)
     return T, sigma
 
 
-def _frame(normal: Array, point: Array, centre: Array) -> Array:
+def _frame_of_plane(normal: Array, point: Array, centre: Array) -> Array:
     """Return the frame of a plane: rotated as little as possible, with its origin below the given centre."""
     n = normal / np.linalg.norm(normal)
     axis = np.array([-n[1], n[0], 0.0])  # z cross n
@@ -187,7 +187,7 @@ def _frame(normal: Array, point: Array, centre: Array) -> Array:
     return transform(R, above - R @ np.array([*centre, 0.0]))
 
 
-def _placed(on: Array, beyond: Array, outline: Array, tolerance: float) -> Array:
+def _place_in_plane(on: Array, beyond: Array, outline: Array, tolerance: float) -> Array:
     """Find the motion (4, 4) in the plane that explains the rays best.
 
     The score is the number of points on the plane (N, 2) inside of the border, minus the number of intersections
@@ -198,38 +198,42 @@ def _placed(on: Array, beyond: Array, outline: Array, tolerance: float) -> Array
     votes = np.repeat([1.0, -1.0], [len(on), len(beyond)])
     low, high = outline.min(axis=0), outline.max(axis=0)
     middle, half = (low + high) / 2, (high - low) / 2
-    turn = min(TURN, tolerance / float(np.linalg.norm(half)))
+    turn = min(MAX_TURN, tolerance / float(np.linalg.norm(half)))
     angle, shift = 0.0, np.zeros(2)
     for reach in (1.0, 0.5, 0.25, 0.1, 0.04):
         # only points this close to the border can enter or leave it
-        away = np.abs(np.abs((points - middle) @ _rotation(angle) - shift) - half)
+        away = np.abs(np.abs((points - middle) @ _rotation_matrix(angle) - shift) - half)
         near = away.min(axis=-1) < reach * (tolerance + turn * float(np.linalg.norm(half)))
         angles = angle + np.linspace(-turn, turn, 17) * reach
         steps = np.linspace(-tolerance, tolerance, 21) * reach
-        counts = np.stack([_counts(points[near] - middle, votes[near], each, shift, half, steps) for each in angles])
+        counts = np.stack(
+            [_count_votes(points[near] - middle, votes[near], each, shift, half, steps) for each in angles]
+        )
         best = np.argwhere(counts >= counts.max() - 0.5)
         scatter = (best - best.mean(axis=0)) / counts.shape
         i, j, k = best[(scatter**2).sum(axis=-1).argmin()]  # the solution closest to their mean
         angle, shift = float(angles[i]), shift + steps[[j, k]]
-    R = _rotation(angle)
+    R = _rotation_matrix(angle)
     T = np.eye(4)
     T[:2, :2], T[:2, 3] = R, middle + R @ (shift - middle)
     return T
 
 
-def _counts(points: Array, votes: Array, angle: float, shift: Array, half: Array, steps: Array) -> Array:
+def _count_votes(points: Array, votes: Array, angle: float, shift: Array, half: Array, steps: Array) -> Array:
     """Return the sum of votes inside of the border (A, A), for each shift along x and each along y."""
-    turned = points @ _rotation(angle) - shift
+    turned = points @ _rotation_matrix(angle) - shift
     x, y = (np.abs(turned[:, k, None] - steps) < half[k] for k in (0, 1))
-    blocks = len(points) // BLOCK + 1
-    weighted, within = np.zeros((2, blocks * BLOCK, len(steps)), np.float32)
+    blocks = len(points) // POINTS_PER_BLOCK + 1
+    weighted, within = np.zeros((2, blocks * POINTS_PER_BLOCK, len(steps)), np.float32)
     weighted[: len(points)], within[: len(points)] = x * votes[:, None], y
     # in blocks: for the whole, BLAS would start threads, which takes longer than the work
-    products = weighted.reshape(blocks, BLOCK, len(steps)).swapaxes(1, 2) @ within.reshape(blocks, BLOCK, len(steps))
+    products = weighted.reshape(blocks, POINTS_PER_BLOCK, len(steps)).swapaxes(1, 2) @ within.reshape(
+        blocks, POINTS_PER_BLOCK, len(steps)
+    )
     counts: Array = products.sum(axis=0, dtype=float)
     return counts
 
 
-def _rotation(angle: float) -> Array:
+def _rotation_matrix(angle: float) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])

@@ -35,7 +35,7 @@ class CharucoDetector:
         Raises:
             InputError: such a board cannot be printed.
         """
-        dictionary = _dictionary(pattern)
+        dictionary = _opencv_dictionary(pattern)
         columns, rows = pattern.dimension
         row, column = np.divmod(np.arange(columns * rows), columns)
         self._corners = np.stack([column + 1.0, row + 1.0], -1)
@@ -66,7 +66,7 @@ class CharucoDetector:
         image = grey(image)
         if min(image.shape) < 2 * MarkerFinder.LEAST_SIDE:
             return NotDetected(f"an image of {image.shape[1]} x {image.shape[0]} pixels holds no pattern")
-        found = self._read(image)
+        found = self._read_markers(image)
         count = len(found[0].markers) if found else 0
         if count <= self._needed:
             return NotDetected(f"{count} markers, more than {self._needed} are needed")
@@ -88,7 +88,7 @@ class CharucoDetector:
         known = (own >= 0) & (own < len(self._layouts[0].markers))
         return neighbours_in_place(self._layouts, Markers(own[known], markers.corners[known]))
 
-    def _read(self, image: Image) -> list[Reading]:
+    def _read_markers(self, image: Image) -> list[Reading]:
         """Read the markers by the likeliest layouts; repeated at a finer scale if many expected ones are missing."""
         found = readings(self._layouts, self._finder.find(image))
         if found and found[0].share(*image.shape) >= 0.5:
@@ -97,7 +97,7 @@ class CharucoDetector:
         return max(found, finer, key=lambda r: len(r[0].markers) if r else 0)
 
 
-def _dictionary(pattern: PatternConfiguration) -> "cv2.aruco.Dictionary":
+def _opencv_dictionary(pattern: PatternConfiguration) -> "cv2.aruco.Dictionary":
     name = pattern.dictionary or ""
     known = sorted(key for key in dir(cv2.aruco) if key.startswith("DICT_") and "X" in key)
     if name not in known:

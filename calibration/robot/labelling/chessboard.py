@@ -27,23 +27,23 @@ from calibration.robot.labelling.board_image import fits_neighbours, predict
 from calibration.robot.labelling.detection import Image, NotDetected, grey
 from calibration.robot.labelling.printed_corners import PrintedPatches, refine
 
-DECIMALS = 4
+CORNER_DECIMALS = 4
 """Decimals of the corners' pixels."""
-CLEARANCE = 0.4
+REFINEMENT_RADIUS = 0.4
 """Radius (squares) of the refinement around a corner; the next corners are at 1."""
 LEAST_SHARE = 0.75
 """Minimum share of good corners for a detection; bad ones are removed, such as occluded ones."""
 LEAST_CORNERS = 3
 """Minimum along each side of a board, required by OpenCV."""
-LARGE = 800
+MIN_LARGE_SIDE = 800
 """Longer side (px) from which on an image is first searched at half its size."""
-LIKENESS = 0.75
+MIN_LIKENESS = 0.75
 """Minimum correlation of the image around a corner with the print; at the border of a board it is below 0.6."""
-TEXELS = 32
+TEXELS_PER_SQUARE = 32
 """Texels of the drawn board per side of a square."""
 OLDER_DETECTOR = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
 """Flags of OpenCV's older detector; the last ends the search of an image without black squares."""
-MARGIN = 4
+MIN_PIXELS_PER_SQUARE = 4
 """Minimum of an image's pixels per square of a board in it."""
 
 
@@ -67,8 +67,8 @@ class ChessboardDetector:
         y, x = np.mgrid[: self._rows + 2, : self._columns + 2]
         self._with_ring = np.stack([x.ravel(), y.ravel()], -1) - 1.0
         squares = np.indices((self._rows + 3, self._columns + 3)).sum(axis=0) % 2 * 255
-        drawing = np.repeat(np.repeat(squares.astype(np.uint8), TEXELS, axis=0), TEXELS, axis=1)
-        self._patches = PrintedPatches(drawing, TEXELS, self._with_ring + 2)
+        drawing = np.repeat(np.repeat(squares.astype(np.uint8), TEXELS_PER_SQUARE, axis=0), TEXELS_PER_SQUARE, axis=1)
+        self._patches = PrintedPatches(drawing, TEXELS_PER_SQUARE, self._with_ring + 2)
 
     def detect(self, image: Image) -> CornerLabels | NotDetected:
         """Detect corners in an 8-bit image (H, W) or (H, W, 3), BGR; pixel (0, 0) is a centre.
@@ -77,28 +77,31 @@ class ChessboardDetector:
             InputError: it is not such an image.
         """
         image = grey(image)
-        if max(image.shape) < MARGIN * max(self._columns, self._rows) or min(image.shape) < MARGIN * 3:
+        if (
+            max(image.shape) < MIN_PIXELS_PER_SQUARE * max(self._columns, self._rows)
+            or min(image.shape) < MIN_PIXELS_PER_SQUARE * 3
+        ):
             return NotDetected(f"an image of {image.shape[1]} x {image.shape[0]} pixels holds no such pattern")
-        rough = self._find_by_older_detector(image, 2 if max(image.shape) > LARGE else 1)
-        if rough is None and (rough := self._find(image)) is None and max(image.shape) > LARGE:
+        rough = self._find_by_older_detector(image, 2 if max(image.shape) > MIN_LARGE_SIDE else 1)
+        if rough is None and (rough := self._find_corners(image)) is None and max(image.shape) > MIN_LARGE_SIDE:
             rough = self._find_by_older_detector(image, 1)
         if rough is None:
             return NotDetected("not all corners of the chessboard are found")
-        pixels = self._numbered(image, rough).reshape(-1, 2)
+        pixels = self._sort_by_id(image, rough).reshape(-1, 2)
         predicted = predict(self._places, pixels, self._places)
-        refined, found = refine(image, pixels, predicted.jacobians, CLEARANCE)
+        refined, found = refine(image, pixels, predicted.jacobians, REFINEMENT_RADIUS)
         found[found] = fits_neighbours(self._places[found], refined[found]) if found.sum() >= 4 else False
         if found.mean() < LEAST_SHARE:
             return NotDetected(f"{int((~found).sum())} of {len(found)} corners do not look like corners of a board")
-        return CornerLabels(np.flatnonzero(found), np.round(refined[found], DECIMALS))
+        return CornerLabels(np.flatnonzero(found), np.round(refined[found], CORNER_DECIMALS))
 
-    def _find(self, image: Image) -> Array | None:
+    def _find_corners(self, image: Image) -> Array | None:
         """Find the corners (rows, columns, 2) in some order along rows and columns; None if there are none.
 
         Large images are first searched at half their size: in a quarter of the time, and the corners are then
         refined in the full image.
         """
-        sizes = (2, 1) if max(image.shape) > LARGE else (1,)
+        sizes = (2, 1) if max(image.shape) > MIN_LARGE_SIDE else (1,)
         for reduced in sizes:
             smaller = cv2.resize(image, None, fx=1 / reduced, fy=1 / reduced, interpolation=cv2.INTER_AREA)
             found, corners = cv2.findChessboardCornersSB(
@@ -110,7 +113,7 @@ class ChessboardDetector:
         return None
 
     def _find_by_older_detector(self, image: Image, reduced: int) -> Array | None:
-        """Find the corners like `_find`; None also for those of a charuco board, or of a part of a larger board."""
+        """Find the corners like `_find_corners`; None also for a charuco board, or a part of a larger board."""
         smaller = cv2.resize(image, None, fx=1 / reduced, fy=1 / reduced, interpolation=cv2.INTER_AREA)
         found, corners = cv2.findChessboardCorners(smaller, (self._columns, self._rows), flags=OLDER_DETECTOR)
         if not found:
@@ -125,11 +128,11 @@ class ChessboardDetector:
         # the part of a patch that the image's edge leaves may look like anything
         room = np.abs(predicted.jacobians).sum(axis=-1) / 2
         whole = ((predicted.pixels > room) & (predicted.pixels < np.array(image.shape[::-1]) - 1 - room)).all(axis=-1)
-        alike = ((likeness > LIKENESS) & whole).reshape(self._rows + 2, self._columns + 2)
+        alike = ((likeness > MIN_LIKENESS) & whole).reshape(self._rows + 2, self._columns + 2)
         beyond = (alike[0, 1:-1], alike[-1, 1:-1], alike[1:-1, 0], alike[1:-1, -1])
         return bool(alike[1:-1, 1:-1].mean() >= LEAST_SHARE and max(side.mean() for side in beyond) < 0.5)
 
-    def _numbered(self, image: Image, corners: Array) -> Array:
+    def _sort_by_id(self, image: Image, corners: Array) -> Array:
         """Sort the corners by their ids, (rows, columns, 2)."""
         ways = [way for way in grid_ways(corners) if seen_from_the_front(way)]
         black = [way for way in ways if _begins_black(image, way)]

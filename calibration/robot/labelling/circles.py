@@ -19,10 +19,10 @@ from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.board_image import Prediction, fits_neighbours, predict
 from calibration.robot.labelling.chessboard import (
-    DECIMALS,
-    LARGE,
+    CORNER_DECIMALS,
     LEAST_SHARE,
-    MARGIN,
+    MIN_LARGE_SIDE,
+    MIN_PIXELS_PER_SQUARE,
     grid_ways,
     seen_from_the_front,
     uprightness,
@@ -33,9 +33,9 @@ LEAST_CIRCLES = 3
 """Minimum of circles along each side of a grid: fewer are found in clutter."""
 LEAST_AREA = 12.0
 """Minimum area of a circle in the image, px."""
-ROUNDS = 3
+MAP_ROUNDS = 3
 """Number of times that the map and what follows from it are computed: the first has the centres of OpenCV."""
-CONTOUR = 32
+CONTOUR_POINTS = 32
 """Number of points of a circle's contour."""
 MAX_DIAMETER_OFF = 1.3
 """Factor between the diameter in the images and the described one from which on it is another board."""
@@ -67,7 +67,7 @@ class CirclesDetector:
         self._places: Array = pattern.pattern().corners[:, :2] / nearest
         self._radius = pattern.inner_size / nearest / 2
         self._gap = 1 - 2 * self._radius
-        angle = 2 * np.pi * np.arange(CONTOUR) / CONTOUR
+        angle = 2 * np.pi * np.arange(CONTOUR_POINTS) / CONTOUR_POINTS
         contour = np.concatenate([np.zeros((1, 2)), self._radius * np.stack([np.cos(angle), np.sin(angle)], -1)])
         self._centres_and_contours = self._places[:, None] + contour
 
@@ -78,20 +78,20 @@ class CirclesDetector:
             InputError: it is not such an image.
         """
         image = grey(image)
-        if min(image.shape) < MARGIN * min(self._dimension):
+        if min(image.shape) < MIN_PIXELS_PER_SQUARE * min(self._dimension):
             return NotDetected(f"an image of {image.shape[1]} x {image.shape[0]} pixels holds no such pattern")
-        found = self._find(image)
-        numbered = None if found is None else self._numbered(found)
+        found = self._find_circles(image)
+        numbered = None if found is None else self._sort_by_id(found)
         if numbered is None:
             return NotDetected("not all circles of the grid are found")
         centres = numbered.reshape(-1, 2)
-        for _ in range(ROUNDS):
+        for _ in range(MAP_ROUNDS):
             known = np.isfinite(centres).all(-1)
             if known.mean() < LEAST_SHARE:
                 return NotDetected("the circles are too near to the edge of the image")
             places, pixels = self._places[known], centres[known]
             around = predict(places, pixels, self._centres_and_contours.reshape(-1, 2))
-            bias = self._bias(around.pixels.reshape(len(centres), CONTOUR + 1, 2))
+            bias = self._centres_of_areas(around.pixels.reshape(len(centres), CONTOUR_POINTS + 1, 2))
             dark, diameters = self._dark_areas(image, predict(places, pixels, self._places), bias)
             centres = dark - bias
         seen = float(np.nanmedian(diameters)) if np.isfinite(diameters).any() else 0.0
@@ -101,13 +101,13 @@ class CirclesDetector:
         good[good] = fits_neighbours(self._places[good], centres[good]) if good.sum() >= 4 else False
         if good.mean() < LEAST_SHARE:
             return NotDetected(f"{int((~good).sum())} of {len(good)} circles do not look like those of the grid")
-        return CornerLabels(np.flatnonzero(good), np.round(centres[good], DECIMALS))
+        return CornerLabels(np.flatnonzero(good), np.round(centres[good], CORNER_DECIMALS))
 
-    def _find(self, image: Image) -> Array | None:
+    def _find_circles(self, image: Image) -> Array | None:
         """Find the circles (rows, columns, 2) in some order along rows and columns; a large image at half its size."""
         columns, rows = self._dimension
         layout = cv2.CALIB_CB_ASYMMETRIC_GRID if self._asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
-        for reduced in (2, 1) if max(image.shape) > LARGE else (1,):
+        for reduced in (2, 1) if max(image.shape) > MIN_LARGE_SIDE else (1,):
             smaller = cv2.resize(image, None, fx=1 / reduced, fy=1 / reduced, interpolation=cv2.INTER_AREA)
             finder = blob_finder(smaller.size / (columns * rows))
             for way in (0, cv2.CALIB_CB_CLUSTERING):
@@ -116,7 +116,7 @@ class CirclesDetector:
                     return ((np.array(centres, float) + 0.5) * reduced - 0.5).reshape(rows, columns, 2)
         return None
 
-    def _numbered(self, found: Array) -> Array | None:
+    def _sort_by_id(self, found: Array) -> Array | None:
         """Sort the circles by their ids, (rows, columns, 2); None if they are seen from the back."""
         ways = [way for way in grid_ways(found) if seen_from_the_front(way)]
         if (
@@ -125,7 +125,7 @@ class CirclesDetector:
             ways = [w for w in ways[:2] if ((w[1, 0] - w[0, 0]) * (w[0, 1] - w[0, 0])).sum() > 0]
         return max(ways, key=uprightness, default=None)
 
-    def _bias(self, centres_and_contours: Array) -> Array:
+    def _centres_of_areas(self, centres_and_contours: Array) -> Array:
         """Return the centres (K, 2) of the areas within contours (K, 1 + C, 2), from their first points."""
         contour = centres_and_contours[:, 1:] - centres_and_contours[:, :1]
         after = np.roll(contour, -1, axis=1)

@@ -14,7 +14,7 @@ from calibration.robot.labelling.circles import CirclesDetector
 from calibration.robot.labelling.detection import CornerDetector, Image, NotDetected, grey
 from calibration.robot.labelling.tag_list import TagListDetector
 
-DETECTORS: Mapping[PatternKind, Callable[[PatternConfiguration], CornerDetector]] = {
+DETECTOR_OF_KIND: Mapping[PatternKind, Callable[[PatternConfiguration], CornerDetector]] = {
     "charuco": CharucoDetector,
     "chessboard": ChessboardDetector,
     "aprilgrid": AprilgridDetector,
@@ -31,7 +31,7 @@ def corner_detector(pattern: PatternConfiguration) -> CornerDetector:
     Raises:
         InputError: such a board cannot be printed; the message has the reason.
     """
-    detector = DETECTORS[pattern.kind](pattern)
+    detector = DETECTOR_OF_KIND[pattern.kind](pattern)
     return InvertedBoardDetector(detector) if pattern.inverted else detector
 
 

@@ -8,15 +8,15 @@ from calibration.engine.dataset.depth_image import NO_RETURN, UNIT
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
-from calibration.robot.labelling.board_plane import END, LEAST_POINTS, SLACK, find_board
+from calibration.robot.labelling.board_plane import BORDER_END_M, BORDER_SLACK_M, LEAST_POINTS, find_board
 from calibration.robot.labelling.detection import DepthImage, NotDetected
-from calibration.robot.labelling.points import TOLERANCE, PatternPoints
+from calibration.robot.labelling.points import DEFAULT_TOLERANCE_M, PatternPoints
 
-SEARCHED = 5000
+MAX_SEARCHED_PIXELS = 5000
 """Approximate number of pixels that the plane is searched in."""
-EDGE = 0.025
+EDGE_SHARE = 0.025
 """Margin of the image, as a fraction of width and height, in which no pixel is on a border (ATOM's rule)."""
-AROUND = 0.1
+AROUND_PATTERN_M = 0.1
 """m: margin of the searched region around the pattern's expected position."""
 
 
@@ -25,7 +25,7 @@ def label_depth(
     camera: Camera,
     pattern: Pattern,
     T_sensor_pattern: Array,
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_TOLERANCE_M,
     most: int | None = 5000,
 ) -> PatternPoints | NotDetected:
     """Find the pixels of a depth image on a pattern: the largest connected region on its plane, at its position.
@@ -45,11 +45,11 @@ def label_depth(
     Returns:
         Linear indices ``y * width + x``.
     """
-    part = _window(depth.shape, camera, pattern, T_sensor_pattern, tolerance)
-    rays = _rays(camera, part)
-    points = rays * _metres(depth[part])[..., None]
+    part = _part_with_pattern(depth.shape, camera, pattern, T_sensor_pattern, tolerance)
+    rays = _pixel_directions(camera, part)
+    points = rays * _depth_in_metres(depth[part])[..., None]
     flat = points.reshape(-1, 3)
-    step = int(np.ceil(np.sqrt(max(1, len(flat) / SEARCHED))))
+    step = int(np.ceil(np.sqrt(max(1, len(flat) / MAX_SEARCHED_PIXELS))))
     board = find_board(points[::step, ::step].reshape(-1, 3), pattern.outline, T_sensor_pattern, tolerance)
     if isinstance(board, NotDetected):
         return board
@@ -57,22 +57,22 @@ def label_depth(
     inside, behind = board.inside(crossing), board.behind(flat)
     if reason := board.absent(behind, inside, sure=tolerance / 4):
         return NotDetected(reason)
-    region = _largest((board.on_plane(flat) & (inside > -SLACK)).reshape(points.shape[:2]))
+    region = _largest_part((board.on_plane(flat) & (inside > -BORDER_SLACK_M)).reshape(points.shape[:2]))
     if region.sum() < LEAST_POINTS:
         return NotDetected(f"{region.sum()} points on the pattern, at least {LEAST_POINTS} are needed")
     beyond = (board.passed(behind) | np.isnan(behind)).reshape(region.shape)
-    at_end = (inside < END + 2 * _spacing(crossing, region.shape)).reshape(region.shape)
-    border = region & _beside(beyond & ~region) & at_end & _within(depth.shape, part)
+    at_end = (inside < BORDER_END_M + 2 * _ray_spacing(crossing, region.shape)).reshape(region.shape)
+    border = region & _pixels_beside(beyond & ~region) & at_end & _away_from_edge(depth.shape, part)
     numbers = np.arange(depth.size).reshape(depth.shape)[part]
-    border = _thinned(border, most)
-    return PatternPoints(numbers[_thinned(region, most) | border], numbers[border])
+    border = _thin_region(border, most)
+    return PatternPoints(numbers[_thin_region(region, most) | border], numbers[border])
 
 
-def _window(
+def _part_with_pattern(
     shape: tuple[int, ...], camera: Camera, pattern: Pattern, T_sensor_pattern: Array, tolerance: float
 ) -> tuple[slice, slice]:
     """Return the part of the image in which the pattern may be; the whole image if it may be behind the camera."""
-    reach = tolerance + AROUND
+    reach = tolerance + AROUND_PATTERN_M
     low, high = pattern.outline.min(axis=0) - reach, pattern.outline.max(axis=0) + reach
     corners = np.stack(np.meshgrid([low[0], high[0]], [low[1], high[1]], [-tolerance, tolerance]), -1).reshape(-1, 3)
     pixels, visible = camera.project_visible(apply(T_sensor_pattern, corners))
@@ -84,18 +84,18 @@ def _window(
     return slice(*rows.tolist()), slice(*columns.tolist())
 
 
-def _rays(camera: Camera, part: tuple[slice, slice]) -> Array:
+def _pixel_directions(camera: Camera, part: tuple[slice, slice]) -> Array:
     """Directions (h, w, 3) of the pixels of a part of the image, (x, y, 1)."""
     v, u = np.mgrid[part].astype(float)
     return np.concatenate([camera.normalise(np.stack([u, v], -1)), np.ones((*u.shape, 1))], -1)
 
 
-def _metres(depth: DepthImage) -> Array:
+def _depth_in_metres(depth: DepthImage) -> Array:
     """Convert depths to metres; NaN without a return."""
     return np.where((depth == NO_RETURN) | (depth == 0), np.nan, depth * UNIT)
 
 
-def _largest(region: BoolArray) -> BoolArray:
+def _largest_part(region: BoolArray) -> BoolArray:
     """Return the largest part of a region (h, w) that is connected by the pixels' sides."""
     count, parts, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=4)
     if count < 2:
@@ -104,7 +104,7 @@ def _largest(region: BoolArray) -> BoolArray:
     return largest
 
 
-def _beside(region: BoolArray) -> BoolArray:
+def _pixels_beside(region: BoolArray) -> BoolArray:
     """Return the pixels (h, w) with a neighbour (above, below, left or right) in a region."""
     beside = np.zeros_like(region)
     beside[1:] |= region[:-1]
@@ -114,7 +114,7 @@ def _beside(region: BoolArray) -> BoolArray:
     return beside
 
 
-def _spacing(crossing: Array, shape: tuple[int, int]) -> Array:
+def _ray_spacing(crossing: Array, shape: tuple[int, int]) -> Array:
     """Distance (h * w,) between the intersections of neighbouring pixels' rays with the plane, m."""
     grid = crossing.reshape(*shape, 2)
     down = np.linalg.norm(np.diff(grid, axis=0, append=grid[-1:]), axis=-1)
@@ -123,15 +123,17 @@ def _spacing(crossing: Array, shape: tuple[int, int]) -> Array:
     return spacing
 
 
-def _within(shape: tuple[int, ...], part: tuple[slice, slice]) -> BoolArray:
+def _away_from_edge(shape: tuple[int, ...], part: tuple[slice, slice]) -> BoolArray:
     """Return a mask of the pixels of a part of an image that are not near the image's edge."""
     v, u = np.mgrid[part]
-    near = (np.minimum(v, shape[0] - 1 - v) < EDGE * shape[0]) | (np.minimum(u, shape[1] - 1 - u) < EDGE * shape[1])
+    near = (np.minimum(v, shape[0] - 1 - v) < EDGE_SHARE * shape[0]) | (
+        np.minimum(u, shape[1] - 1 - u) < EDGE_SHARE * shape[1]
+    )
     away: BoolArray = ~near
     return away
 
 
-def _thinned(region: BoolArray, most: int | None) -> BoolArray:
+def _thin_region(region: BoolArray, most: int | None) -> BoolArray:
     """Thin a region (h, w) evenly to at most this number of pixels."""
     chosen = np.flatnonzero(region)
     step = 1 if most is None else max(1, -(-len(chosen) // most))

@@ -21,16 +21,16 @@ from calibration.robot.labelling.board_image import project
 from calibration.robot.labelling.markers import Markers
 from calibration.robot.labelling.printed_corners import PrintedPatches
 
-TEXELS = 32
+TEXELS_PER_SQUARE = 32
 """Texels of the drawn board per side of a square."""
 LEAST_FOR_BOX = 6
 """Number of markers from which it is known roughly where the others are."""
-ROOM, MORE_ROOM = 0.3, 30
+SEARCH_ROOM, MORE_ROOM = 0.3, 30
 """Distance from these markers within which the others are searched: a share of their extent, and pixels."""
-AGREEMENT = 0.3
+MAX_MISFIT = 0.3
 """Limit of a marker's misfit of a homography of the board, at its corners (squares)."""
 
-NEIGHBOURS, IN_PLACE = 2.3, 0.7
+NEIGHBOUR_LIMITS, IN_PLACE = 2.3, 0.7
 """Largest distance of neighbouring markers, and limit of its error, squares: a small marker tells it roughly."""
 
 
@@ -61,7 +61,7 @@ class Reading:
         if not np.isfinite(corners).all():
             return None
         low, high = corners.min(axis=0), corners.max(axis=0)
-        room = ROOM * (high - low) + MORE_ROOM
+        room = SEARCH_ROOM * (high - low) + MORE_ROOM
         left, top = np.clip(low - room, 0, (width, height)).astype(int).tolist()
         right, bottom = np.clip(high + room, 0, (width, height)).astype(int).tolist()
         return (left, top, right, bottom) if min(right - left, bottom - top) > MORE_ROOM else None
@@ -91,10 +91,11 @@ def board_layouts(
         board = cv2.aruco.CharucoBoard((columns, rows), 1.0, marker, dictionary, ids)
         board.setLegacyPattern(legacy)
         drawing = np.asarray(
-            board.generateImage((columns * TEXELS, rows * TEXELS), marginSize=0, borderBits=1), np.uint8
+            board.generateImage((columns * TEXELS_PER_SQUARE, rows * TEXELS_PER_SQUARE), marginSize=0, borderBits=1),
+            np.uint8,
         )
         markers = np.array(board.getObjPoints(), float)[..., :2]
-        layouts.append(Layout(markers, PrintedPatches(drawing, TEXELS, corners)))
+        layouts.append(Layout(markers, PrintedPatches(drawing, TEXELS_PER_SQUARE, corners)))
     return layouts
 
 
@@ -106,7 +107,7 @@ def readings(layouts: Sequence[Layout], markers: Markers) -> list[Reading]:
     """
     in_place = [_in_place(layout, markers) for layout in layouts] if len(layouts) > 1 else [0.0]
     likely = [layout for layout, share in zip(layouts, in_place, strict=True) if share == max(in_place)]
-    found = [reading for layout in likely if (reading := _read(layout, markers)) is not None]
+    found = [reading for layout in likely if (reading := _read_layout(layout, markers)) is not None]
     most = max((len(reading.markers) for reading in found), default=0)
     return [reading for reading in found if len(reading.markers) == most]
 
@@ -126,25 +127,25 @@ def _in_place(layout: Layout, markers: Markers) -> float:
         H = cv2.getPerspectiveTransform(corners.astype(np.float32), place.astype(np.float32))
         seen, _ = project(np.array(H, float), centres)
         distances = np.linalg.norm(seen - place.mean(axis=0), axis=-1)
-        near = (distances < NEIGHBOURS) & (np.arange(len(places)) != i)
+        near = (distances < NEIGHBOUR_LIMITS) & (np.arange(len(places)) != i)
         found.append((np.linalg.norm(seen - places.mean(axis=1), axis=-1) < IN_PLACE)[near])
     agree = np.concatenate([*found, np.zeros(0, bool)])
     return float(agree.mean()) if len(agree) else 1.0
 
 
-def _read(layout: Layout, markers: Markers) -> Reading | None:
+def _read_layout(layout: Layout, markers: Markers) -> Reading | None:
     """Find the largest group of markers that fit one homography; None if there is none."""
     if not len(markers):
         return None
     places = layout.markers[markers.ids]
     # Measured on the board, so that the tolerance does not depend on the board's size in the image.
     # OpenCV's RANSAC seeds its own generator, always the same.
-    found, _ = cv2.findHomography(markers.corners.reshape(-1, 2), places.reshape(-1, 2), cv2.RANSAC, AGREEMENT)
+    found, _ = cv2.findHomography(markers.corners.reshape(-1, 2), places.reshape(-1, 2), cv2.RANSAC, MAX_MISFIT)
     if found is None or abs(np.linalg.det(np.asarray(found))) < 1e-12:
         return None
     H = np.array(found, float)
     distance = np.linalg.norm(project(H, markers.corners)[0] - places, axis=-1)
-    agrees = (distance < AGREEMENT).all(-1)
+    agrees = (distance < MAX_MISFIT).all(-1)
     if not agrees.any():
         return None
     return Reading(layout, Markers(markers.ids[agrees], markers.corners[agrees]), np.asarray(np.linalg.inv(H), float))

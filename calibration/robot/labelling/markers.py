@@ -12,23 +12,23 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.robot.labelling.detection import Image
 
-ENLARGED = 2
+ENLARGEMENT_FACTOR = 2
 """Factor by which an image is enlarged for small markers."""
 MAX_ENLARGED_PIXELS = 20_000_000
 """Limit of the pixels that are enlarged: in larger images the smallest marker has dozens of pixels anyway."""
 LEAST_PERIMETER = 0.03
 """Minimum perimeter of a marker, relative to the longer side of the image (OpenCV's default)."""
-APRILTAG = "DICT_APRILTAG_"
+APRILTAG_PREFIX = "DICT_APRILTAG_"
 """Begin of the names of OpenCV's dictionaries of AprilTag's families."""
 FIRST_36H11 = 0xD5D628584
 """Code of the first tag of AprilTag's family 36h11, upright: 36 modules row by row from the highest bit; 1 is white."""
 Windows = tuple[tuple[int, int], tuple[int, int]]
 """The least and the largest window of a threshold (px, in steps of 10): in an image, and in an enlarged one."""
-APART: Windows = (9, 9), (7, 17)
+WINDOWS_FOR_APART: Windows = (9, 9), (7, 17)
 """For markers with white around them."""
-TOUCHED: Windows = (3, 13), (5, 15)
+WINDOWS_FOR_TOUCHED: Windows = (3, 13), (5, 15)
 """For tags whose corners touch black squares, which larger windows join: in 14 rendered boards of 36 tags (640 x 480)
-an image gives 297 tags (21 with `APART`), an enlarged one 390 (342)."""
+an image gives 297 tags (21 with `WINDOWS_FOR_APART`), an enlarged one 390 (342)."""
 Box = tuple[int, int, int, int]
 """Left, top, right and bottom of a part of an image (px); right and bottom are outside."""
 
@@ -59,7 +59,7 @@ class MarkerFinder:
         border: int = 1,
         first: int = 0,
         correction: float = 0.9,
-        windows: Windows = APART,
+        windows: Windows = WINDOWS_FOR_APART,
     ) -> None:
         """Create the detector.
 
@@ -72,27 +72,27 @@ class MarkerFinder:
             windows: of the adaptive thresholds.
         """
         self._plain, self._fine = (
-            cv2.aruco.ArucoDetector(dictionary, _parameters(each, border, correction)) for each in windows
+            cv2.aruco.ArucoDetector(dictionary, _detector_parameters(each, border, correction)) for each in windows
         )
         self._first, self._count = first, count
 
     def find(self, image: Image) -> Markers:
         """Detect the markers in a grey image; small ones are missed."""
-        return self._markers(self._plain.detectMarkers(image), 1)
+        return self._as_markers(self._plain.detectMarkers(image), 1)
 
     def find_small(self, image: Image, box: Box | None = None) -> Markers:
         """Detect also small markers, down to about 9 pixels, in the enlarged image or a part of it; slower."""
         left, top, right, bottom = box or (0, 0, image.shape[1], image.shape[0])
         part = image[top:bottom, left:right]
-        scale = ENLARGED if part.size <= MAX_ENLARGED_PIXELS else 1
+        scale = ENLARGEMENT_FACTOR if part.size <= MAX_ENLARGED_PIXELS else 1
         larger = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
         # relative to the longer side of the part: the smallest marker is that of the whole image
         parameters = self._fine.getDetectorParameters()
         parameters.minMarkerPerimeterRate = LEAST_PERIMETER * max(image.shape) / max(right - left, bottom - top)
         self._fine.setDetectorParameters(parameters)
-        return self._markers(self._fine.detectMarkers(larger), scale, (left, top))
+        return self._as_markers(self._fine.detectMarkers(larger), scale, (left, top))
 
-    def _markers(self, detected: Any, scale: int, begin: tuple[int, int] = (0, 0)) -> Markers:
+    def _as_markers(self, detected: Any, scale: int, begin: tuple[int, int] = (0, 0)) -> Markers:
         corners, ids, _ = detected
         if ids is None or not len(ids):
             return Markers(np.zeros(0, np.int64), np.zeros((0, 4, 2)))
@@ -135,10 +135,10 @@ def turned_tags() -> int:
 
 def turns_of(pattern: PatternConfiguration) -> int:
     """Return the quarter turns to the left from OpenCV's drawing of a pattern's tags to how they are upright."""
-    return turned_tags() if (pattern.dictionary or "").startswith(APRILTAG) else 0
+    return turned_tags() if (pattern.dictionary or "").startswith(APRILTAG_PREFIX) else 0
 
 
-def _parameters(windows: tuple[int, int], border: int, correction: float) -> "cv2.aruco.DetectorParameters":
+def _detector_parameters(windows: tuple[int, int], border: int, correction: float) -> "cv2.aruco.DetectorParameters":
     """Return the detector parameters with the best measured trade-off between found markers and time.
 
     A low threshold constant finds dark boards; much lower ones trace the noise of the image.

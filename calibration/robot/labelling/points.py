@@ -12,16 +12,16 @@ from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.residuals.median import median
 from calibration.engine.estimation.residuals.scan_border import RING_GAP
-from calibration.robot.labelling.board_plane import END, LEAST_POINTS, SLACK, find_board
+from calibration.robot.labelling.board_plane import BORDER_END_M, BORDER_SLACK_M, LEAST_POINTS, find_board
 from calibration.robot.labelling.detection import NotDetected
 
 LEAST_RINGS = 2
 """The points of one ring are collinear and determine no plane."""
-BESIDE = 1.5
+MAX_NEIGHBOUR_STEPS = 1.5
 """Rays of a ring are neighbours if they are closer than this multiple of its step."""
-AROUND = 0.3
+AROUND_BORDER_M = 0.3
 """m: rays that intersect the board's plane up to this distance beyond its border are included."""
-TOLERANCE = 0.1
+DEFAULT_TOLERANCE_M = 0.1
 """m: default limit of a board's distance from its expected position."""
 
 
@@ -40,7 +40,7 @@ class PatternPoints:
 
 
 def label_points(
-    points: Array, pattern: Pattern, T_sensor_pattern: Array, tolerance: float = TOLERANCE
+    points: Array, pattern: Pattern, T_sensor_pattern: Array, tolerance: float = DEFAULT_TOLERANCE_M
 ) -> PatternPoints | NotDetected:
     """Find the points of a cloud on a pattern, by a search for its plane.
 
@@ -65,19 +65,19 @@ def label_points(
     inside = board.inside(crossing)
     if reason := board.absent(behind, inside, sure=tolerance / 4):
         return NotDetected(reason)
-    (around,) = np.nonzero((inside > -AROUND) & np.isfinite(behind))
-    rings = _rings(points[around], board.middle)
+    (around,) = np.nonzero((inside > -AROUND_BORDER_M) & np.isfinite(behind))
+    rings = _sort_rings(points[around], board.middle)
     steps = np.concatenate([np.diff(azimuth) for _, azimuth in rings])
-    beside = BESIDE * median(steps)
+    beside = MAX_NEIGHBOUR_STEPS * median(steps)
     runs, ends = [], []
     for order, azimuth in rings:
         ray = around[order]
-        (part,) = np.nonzero(board.on_plane(points[ray]) & (inside[ray] > -SLACK))
+        (part,) = np.nonzero(board.on_plane(points[ray]) & (inside[ray] > -BORDER_SLACK_M))
         if len(part):
             runs.append(ray[part])
             ends += [
                 ray[end]
-                for end in _border(part, azimuth, crossing[ray], inside[ray], board.passed(behind[ray]), beside)
+                for end in _border_ends(part, azimuth, crossing[ray], inside[ray], board.passed(behind[ray]), beside)
             ]
     count = sum(map(len, runs))
     if count < LEAST_POINTS or len(runs) < LEAST_RINGS:
@@ -85,7 +85,7 @@ def label_points(
     return PatternPoints(np.sort(np.concatenate(runs)), np.unique(np.array(ends, np.int64)))
 
 
-def _rings(points: Array, middle: Array) -> list[tuple[IntArray, Array]]:
+def _sort_rings(points: Array, middle: Array) -> list[tuple[IntArray, Array]]:
     """Return the points of each ring sorted by azimuth, and that azimuth, from behind the board's centre (3,)."""
     polar = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
     order = np.argsort(polar, kind="stable")
@@ -96,7 +96,7 @@ def _rings(points: Array, middle: Array) -> list[tuple[IntArray, Array]]:
     return [(ring, azimuth[ring]) for ring in rings]
 
 
-def _border(
+def _border_ends(
     part: IntArray, azimuth: Array, crossing: Array, inside: Array, passed: BoolArray, beside: float
 ) -> list[int]:
     """Return those ends of a ring's part on the board that are on the border: see `label_points`."""
@@ -104,6 +104,6 @@ def _border(
     ends = []
     for end, beyond in ((part[0], part[0] - 1), (part[-1], part[-1] + 1)):
         neighbour = 0 <= beyond < len(azimuth) and abs(azimuth[beyond] - azimuth[end]) < beside
-        if (passed[beyond] if neighbour else True) and inside[end] < END + 2 * spacing:
+        if (passed[beyond] if neighbour else True) and inside[end] < BORDER_END_M + 2 * spacing:
             ends.append(int(end))
     return ends

@@ -6,17 +6,17 @@ import numpy as np
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.robot.labelling.detection import Image
 
-WINDOWS = (2, 6)
+WINDOW_LIMITS = (2, 6)
 """Limits of the half-width of the refinement window (px)."""
 QUICK_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 1e-4)
 """Termination of OpenCV's refinement: iterations, and step in pixels."""
-STEPS, STOP = 40, 1e-7
+MAX_ITERATIONS, CONVERGED_STEP_PX = 40, 1e-7
 """Termination of the refinement here: iterations after which it has failed, and step (px) at which it has converged."""
-FLAT = 1e-4
+MIN_MOMENTS_RATIO = 1e-4
 """Corners need gradients in several directions: minimum determinant of their moments over the squared trace."""
-PATCH = 0.35
+PATCH_HALF_SIDE = 0.35
 """Half the side of the patch that is compared around a corner (squares)."""
-SAMPLES = 8
+PATCH_SAMPLES = 8
 """Samples of a patch, along each side."""
 
 
@@ -42,11 +42,11 @@ def refine(image: Image, pixels: Array, jacobians: Array, clearance: float) -> t
         The corners (K, 2), and a mask (K,) of the successful ones: within their window, and that in the image.
     """
     known: BoolArray = np.logical_and(np.isfinite(jacobians).all(axis=(1, 2)), np.isfinite(pixels).all(axis=-1))
-    half = np.clip(np.floor(clearance * shortest(jacobians)), *WINDOWS).astype(int)
+    half = np.clip(np.floor(clearance * shortest(jacobians)), *WINDOW_LIMITS).astype(int)
     refined, found = np.where(known[:, None], pixels, 0.0), np.zeros(len(pixels), bool)
     for each in np.unique(half[known]).tolist():
         chosen = known & (half == each)
-        refined[chosen], found[chosen] = _refined(image, refined[chosen], each)
+        refined[chosen], found[chosen] = _refine_in_windows(image, refined[chosen], each)
     return refined, found
 
 
@@ -66,14 +66,14 @@ def angles(jacobians: Array) -> Array:
     return between
 
 
-def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
+def _refine_in_windows(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
     """Refine corners (K, 2) with windows of one size; failed ones have arbitrary values."""
-    corners, found = _nearly(image, start, half), np.zeros(len(start), bool)
+    corners, found = _refine_by_opencv(image, start, half), np.zeros(len(start), bool)
     low, high = np.maximum(start - half, half + 1), np.minimum(start + half, np.array(image.shape[::-1]) - half - 3)
     # Of the corners that go on only, compacted when some of them end: most iterations end none.
     active, at = np.arange(len(start)), corners.copy()
     cells, moments = np.full((len(start), 2), -1), np.zeros((len(start), 5, 16))
-    for _ in range(STEPS):
+    for _ in range(MAX_ITERATIONS):
         kept = (at >= low) & (at < high)
         if not kept.all():
             kept = kept.all(axis=-1)
@@ -81,7 +81,7 @@ def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
         whole = np.floor(at).astype(int)
         if (whole != cells).any():
             elsewhere = (whole != cells).any(axis=-1)
-            moments[elsewhere] = _moments(image, whole[elsewhere], half).reshape(-1, 5, 16)
+            moments[elsewhere] = _moments_of_windows(image, whole[elsewhere], half).reshape(-1, 5, 16)
             cells = whole
         ends = np.empty((len(at), 2, 2))  # weights of the pixels before and behind, along x and y
         ends[:, 1] = at - whole
@@ -90,12 +90,12 @@ def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
         products = (share[:, :, None] * share[:, None]).reshape(-1, 16, 1)
         a, b, c, u, v = (moments @ products)[..., 0].T
         det = a * c - b * b
-        regular = det > FLAT * (a + c) ** 2
+        regular = det > MIN_MOMENTS_RATIO * (a + c) ** 2
         step = np.empty_like(at)
         step[:, 0], step[:, 1] = c * u - b * v, a * v - b * u
         step /= np.where(regular, det, 1.0)[:, None]
         at = at + step
-        ended = (np.abs(step) < STOP).all(axis=-1)
+        ended = (np.abs(step) < CONVERGED_STEP_PX).all(axis=-1)
         going_on = regular & ~ended
         if not going_on.all():
             ended &= regular
@@ -106,7 +106,7 @@ def _refined(image: Image, start: Array, half: int) -> tuple[Array, BoolArray]:
     return corners, found
 
 
-def _moments(image: Image, whole: IntArray, half: int) -> Array:
+def _moments_of_windows(image: Image, whole: IntArray, half: int) -> Array:
     """Sums over windows whose middles lie in pixels (K, 2), to the right of and below their centres: (K, 5, 4, 4).
 
     A gradient between pixels is a mean of those at the four around, with weights s (4,) that the window's place in the
@@ -135,7 +135,7 @@ def _moments(image: Image, whole: IntArray, half: int) -> Array:
     return np.stack([xx, xy, yy, u, v], 1)
 
 
-def _nearly(image: Image, start: Array, half: int) -> Array:
+def _refine_by_opencv(image: Image, start: Array, half: int) -> Array:
     """Refine corners (K, 2) approximately by OpenCV, as an initial guess."""
     inside = ((start >= 0) & (start <= np.array(image.shape[::-1]) - 1)).all(axis=-1)
     corners = start.copy()
@@ -150,12 +150,12 @@ class PrintedPatches:
 
     def __init__(self, drawing: Image, texels: int, corners: Array) -> None:
         """Cut the patches from the board's drawing; `texels` is the side of a square, corners (K, 2) are in squares."""
-        step = 2 * PATCH / SAMPLES
-        ticks = step * (np.arange(SAMPLES) - (SAMPLES - 1) / 2)
+        step = 2 * PATCH_HALF_SIDE / PATCH_SAMPLES
+        ticks = step * (np.arange(PATCH_SAMPLES) - (PATCH_SAMPLES - 1) / 2)
         self._offsets = np.stack(np.meshgrid(ticks, ticks), -1).reshape(-1, 2)
         side = max(1, round(texels * step))
         at = (corners[:, None] + self._offsets) * texels - 0.5
-        self._printed = _sampled(np.asarray(cv2.blur(drawing, (side, side)), np.uint8), at)
+        self._printed = _sample_image(np.asarray(cv2.blur(drawing, (side, side)), np.uint8), at)
 
     def likeness(self, image: Image, pixels: Array, jacobians: Array) -> Array:
         """Return the correlation of the image around each corner with the print, (K,).
@@ -170,20 +170,20 @@ class PrintedPatches:
         """
         height, width = image.shape
         at = pixels[:, None] + self._offsets @ np.swapaxes(jacobians, 1, 2)
-        inside = _inside(at, width, height)
+        inside = _is_inside(at, width, height)
         at = np.where(inside[..., None], at, 0.0)
-        a, b = (_normalised(patch, inside) for patch in (_sampled(image, at), self._printed))
+        a, b = (_normalise_patches(patch, inside) for patch in (_sample_image(image, at), self._printed))
         likeness: Array = (a * b).sum(-1)
         return likeness
 
 
-def _sampled(image: Image, at: Array) -> Array:
+def _sample_image(image: Image, at: Array) -> Array:
     x, y = np.moveaxis(at, -1, 0).astype(np.float32)
     sampled: Array = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(float)
     return sampled
 
 
-def _normalised(patches: Array, inside: BoolArray) -> Array:
+def _normalise_patches(patches: Array, inside: BoolArray) -> Array:
     """Normalise patches (K, P) to mean 0 and norm 1 over the mask; 0 without contrast."""
     mean = (patches * inside).sum(-1, keepdims=True) / np.maximum(inside.sum(-1, keepdims=True), 1)
     contrast = (patches - mean) * inside
@@ -191,7 +191,7 @@ def _normalised(patches: Array, inside: BoolArray) -> Array:
     return normalised
 
 
-def _inside(at: Array, width: int, height: int) -> BoolArray:
+def _is_inside(at: Array, width: int, height: int) -> BoolArray:
     """Return a mask of the pixels (..., 2) inside the image."""
     x, y = at[..., 0], at[..., 1]
     inside: BoolArray = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)

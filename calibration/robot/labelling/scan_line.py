@@ -6,9 +6,9 @@ from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.residuals.median import median
 from calibration.engine.geometry.transforms import apply
-from calibration.robot.labelling.board_plane import CLEAR, INLIER, LEAST_SIGMA, SEE_THROUGH
+from calibration.robot.labelling.board_plane import LEAST_SIGMA, MAX_INLIER_SIGMAS, MIN_OTHER_OBJECT_M, SEE_THROUGH
 from calibration.robot.labelling.detection import NotDetected
-from calibration.robot.labelling.points import TOLERANCE, PatternPoints
+from calibration.robot.labelling.points import DEFAULT_TOLERANCE_M, PatternPoints
 
 
 def scan_line_ends(pattern: Pattern, T_sensor_pattern: Array) -> Array:
@@ -37,12 +37,12 @@ LEAST_POINTS = 5
 """Minimum of points on a pattern."""
 LEAST_LENGTH = 0.1
 """m: minimum length of a scan line: a shorter one may not exist at the pattern's true pose."""
-GAP = 3
+MAX_MISSING_RAYS = 3
 """The points on a pattern are one run of rays with fewer missing ones in a row than this."""
 
 
 def label_scan_line(
-    points: Array, pattern: Pattern, T_sensor_pattern: Array, tolerance: float = TOLERANCE
+    points: Array, pattern: Pattern, T_sensor_pattern: Array, tolerance: float = DEFAULT_TOLERANCE_M
 ) -> PatternPoints | NotDetected:
     """Find the rays of a scan on a pattern, by a search for its line.
 
@@ -67,12 +67,14 @@ def label_scan_line(
         near = (np.abs(place) < length / 2 + tolerance) & (np.abs(height) < tolerance)
     if near.sum() < LEAST_POINTS:
         return NotDetected(f"{near.sum()} points where the pattern is expected, at least {LEAST_POINTS} are needed")
-    offset, slope, sigma = _line(place[near], height[near], length, tolerance)
+    offset, slope, sigma = _fit_line(place[near], height[near], length, tolerance)
     behind = (height - offset - slope * place) / np.hypot(1.0, slope)
     with np.errstate(invalid="ignore"):
-        on = (np.abs(behind) <= INLIER * sigma) & (np.abs(place) < length / 2 + tolerance)
-        past = ~(behind <= CLEAR + INLIER * sigma)  # a ray without a return has passed the pattern
-        inner = np.abs(_crossing(points, ends.mean(0), along, away, offset, slope)) < length / 2 - tolerance
+        on = (np.abs(behind) <= MAX_INLIER_SIGMAS * sigma) & (np.abs(place) < length / 2 + tolerance)
+        past = ~(
+            behind <= MIN_OTHER_OBJECT_M + MAX_INLIER_SIGMAS * sigma
+        )  # a ray without a return has passed the pattern
+        inner = np.abs(_ray_crossings(points, ends.mean(0), along, away, offset, slope)) < length / 2 - tolerance
     run = _longest_run(on)
     if len(run) < LEAST_POINTS:
         return NotDetected(f"{len(run)} points on a line, at least {LEAST_POINTS} are needed")
@@ -84,7 +86,7 @@ def label_scan_line(
     return PatternPoints(run, np.unique(np.array(limits, np.int64)))
 
 
-def _line(place: Array, height: Array, length: float, tolerance: float) -> tuple[float, float, float]:
+def _fit_line(place: Array, height: Array, length: float, tolerance: float) -> tuple[float, float, float]:
     """Fit the line ``height = offset + slope * place`` with most points, and their standard deviation about it.
 
     Iterated weighted least squares with Tukey's weights of decreasing width, from several initial heights.
@@ -103,18 +105,18 @@ def _line(place: Array, height: Array, length: float, tolerance: float) -> tuple
         width = max(0.8 * width, tolerance / 6)
     agreeing = (np.clip(1 - ((height - lines @ basis.T) / width) ** 2, 0, None) ** 2).sum(-1)
     line = lines[agreeing.argmax()]
-    sigma = width / INLIER
+    sigma = width / MAX_INLIER_SIGMAS
     for _ in range(5):
         residual = height - basis @ line
-        on = np.abs(residual) <= INLIER * sigma
+        on = np.abs(residual) <= MAX_INLIER_SIGMAS * sigma
         if on.sum() < LEAST_POINTS:
             break
-        sigma = min(max(1.4826 * median(np.abs(residual[on])), LEAST_SIGMA), tolerance / INLIER)
+        sigma = min(max(1.4826 * median(np.abs(residual[on])), LEAST_SIGMA), tolerance / MAX_INLIER_SIGMAS)
         line = line + np.linalg.lstsq(basis[on], residual[on], rcond=None)[0]
     return float(line[0]), float(line[1] / scale), sigma
 
 
-def _crossing(points: Array, middle: Array, along: Array, away: Array, offset: float, slope: float) -> Array:
+def _ray_crossings(points: Array, middle: Array, along: Array, away: Array, offset: float, slope: float) -> Array:
     """Return the intersections (N,) of the rays with a line, along it; NaN without a return or an intersection."""
     x, y = points[:, :2] @ along, points[:, :2] @ away
     x0, y0 = -middle @ along, -middle @ away  # origin of the sensor
@@ -125,6 +127,6 @@ def _crossing(points: Array, middle: Array, along: Array, away: Array, offset: f
 
 
 def _longest_run(on: BoolArray) -> IntArray:
-    """Return the set indices of the run that has most of them; see `GAP`."""
+    """Return the set indices of the run that has most of them; see `MAX_MISSING_RAYS`."""
     index = np.flatnonzero(on)
-    return max(np.split(index, np.flatnonzero(np.diff(index) > GAP) + 1), key=len)
+    return max(np.split(index, np.flatnonzero(np.diff(index) > MAX_MISSING_RAYS) + 1), key=len)

@@ -13,18 +13,18 @@ from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.detection import Image, NotDetected, grey
 from calibration.robot.labelling.markers import MarkerFinder, Markers, printed_dictionary, turns_of
 
-DECIMALS = 4
+CORNER_DECIMALS = 4
 """Decimals of the corners' pixels."""
 MAX_CORRECTED = 0.3
 """Limit of the share of a code's wrong bits that are corrected, of those that can be: a single tag has no neighbours
 that confirm it."""
 MIN_SIDE = 16.0
 """Minimum height of a tag above its longest side, px."""
-POSITIONS = np.linspace(0.08, 0.92, 43)
+SIDE_POSITIONS = np.linspace(0.08, 0.92, 43)
 """Positions along a side where its edge is looked for; the rest is rounded by blur."""
-DEPTH = 0.45
+SEARCH_DEPTH = 0.45
 """How far an edge is looked for to each side, in modules as seen across it: a tag's black border is one wide."""
-ROUNDS = 3
+FIT_ROUNDS = 3
 """Number of times that the sides are fitted, each from the corners before."""
 MIN_EDGES = 0.6
 """Minimum share of the positions where an edge is found."""
@@ -55,8 +55,8 @@ class TagListDetector:
         if min(image.shape) < MIN_SIDE:
             return NotDetected(f"an image of {image.shape[1]} x {image.shape[0]} pixels holds no tag")
         seen = self._finder.find(image)
-        if self._missing(seen):
-            seen = max(seen, self._finder.find_small(image), key=lambda each: -self._missing(each))
+        if self._count_missing(seen):
+            seen = max(seen, self._finder.find_small(image), key=lambda each: -self._count_missing(each))
         ids: list[IntArray] = []
         pixels: list[Array] = []
         for place, own in enumerate(self._ids):
@@ -67,9 +67,9 @@ class TagListDetector:
                     pixels.append(refined)
         if not ids:
             return NotDetected(f"none of its {len(self._ids)} tags, of {len(seen)} of the dictionary in the image")
-        return CornerLabels(np.concatenate(ids), np.concatenate(pixels).round(DECIMALS))
+        return CornerLabels(np.concatenate(ids), np.concatenate(pixels).round(CORNER_DECIMALS))
 
-    def _missing(self, seen: Markers) -> int:
+    def _count_missing(self, seen: Markers) -> int:
         return len(set(self._ids) - set(seen.ids.tolist()))
 
 
@@ -81,7 +81,7 @@ def refined_corners(image: Image, corners: Array, modules: int) -> Array | None:
         corners: (4, 2), px, roughly, around the tag in the sense of a clock.
         modules: number of its modules along a side.
     """
-    for _ in range(ROUNDS):
+    for _ in range(FIT_ROUNDS):
         sides = np.roll(corners, -1, axis=0) - corners
         lengths = np.linalg.norm(sides, axis=-1)
         x, y = (corners - np.roll(corners, 2, axis=0))[:2].T  # the diagonals
@@ -92,12 +92,12 @@ def refined_corners(image: Image, corners: Array, modules: int) -> Array | None:
         outwards = np.stack([along[:, 1], -along[:, 0]], -1)
         fits = []
         for corner, side, out, length in zip(corners, sides, outwards, lengths, strict=True):
-            reach = DEPTH * height / modules
-            edge = _edge(image, corner + POSITIONS[:, None] * side, out, reach)
+            reach = SEARCH_DEPTH * height / modules
+            edge = _edge_offsets(image, corner + SIDE_POSITIONS[:, None] * side, out, reach)
             found = np.isfinite(edge)
             if found.mean() < MIN_EDGES:
                 return None
-            fits.append(np.polynomial.polynomial.polyfit(POSITIONS[found], edge[found], 2) / [1, length, length])
+            fits.append(np.polynomial.polynomial.polyfit(SIDE_POSITIONS[found], edge[found], 2) / [1, length, length])
         bends = np.array(fits)  # offset outwards, slope and half the curvature, by the position in px
         before = np.roll(np.arange(4), 1)
         at_end = bends[before] @ [1, 0, 0] + (bends[before, 1] + bends[before, 2]) * lengths[before]
@@ -108,13 +108,13 @@ def refined_corners(image: Image, corners: Array, modules: int) -> Array | None:
     return corners
 
 
-def _edge(image: Image, places: Array, out: Array, reach: float) -> Array:
+def _edge_offsets(image: Image, places: Array, out: Array, reach: float) -> Array:
     """Return how far outwards (N,) of places (N, 2) black becomes white, px; NaN where it does not."""
     steps = np.linspace(-reach, reach, 2 * int(np.ceil(2 * reach)) + 3)
     x, y = np.moveaxis(places[:, None] + steps[:, None] * out, -1, 0).astype(np.float32)
     shades = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(float)
     # light may vary along a side, by which a common white would slant its edge
-    line = np.polynomial.polynomial.polyvander(POSITIONS, 1)
+    line = np.polynomial.polynomial.polyvander(SIDE_POSITIONS, 1)
     black, white = (line @ np.linalg.lstsq(line, shades[:, end], rcond=None)[0] for end in (0, -1))
     share = (shades - black[:, None]) / np.maximum(white - black, 1.0)[:, None]
     # the width of what is dark, as its edge is at half of it: the sum over the profile takes all of its samples

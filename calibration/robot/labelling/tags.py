@@ -19,11 +19,11 @@ from calibration.engine.dataset.pattern import tag_grid, tag_lines, tag_outline
 from calibration.robot.labelling.detection import Image
 from calibration.robot.labelling.markers import turned_tags
 
-BORDER = 2
+BORDER_MODULES = 2
 """Width of the black border around the bits of a tag, in modules."""
-MODULES = 6 + 2 * BORDER
+MODULES_PER_TAG = 6 + 2 * BORDER_MODULES
 """Modules along the side of a tag."""
-STRETCH = 1.15
+UNIT_STRETCH = 1.15
 """Unit in mean distances of corners in a row: at 1 and at 1.3 fewer corners are found."""
 
 
@@ -35,31 +35,33 @@ def tag_dictionary() -> "cv2.aruco.Dictionary":
 @lru_cache(maxsize=8)
 def tag_cells(columns: int, rows: int, first: int = 0) -> BoolArray:
     """Return a mask (rows * (MODULES + 1) + 1, columns * (MODULES + 1) + 1) of the black cells; ids from `first`."""
-    step, dictionary = MODULES + 1, tag_dictionary()
+    step, dictionary = MODULES_PER_TAG + 1, tag_dictionary()
     black = np.zeros((rows * step + 1, columns * step + 1), bool)
     black[::step, ::step] = True
     for tag in range(rows * columns):
         row, column = divmod(tag, columns)
         top, left = (rows - 1 - row) * step + 1, column * step + 1
-        drawn = np.asarray(cv2.aruco.generateImageMarker(dictionary, first + tag, MODULES, borderBits=BORDER))
-        black[top : top + MODULES, left : left + MODULES] = np.rot90(drawn < 128, turned_tags())
+        drawn = np.asarray(
+            cv2.aruco.generateImageMarker(dictionary, first + tag, MODULES_PER_TAG, borderBits=BORDER_MODULES)
+        )
+        black[top : top + MODULES_PER_TAG, left : left + MODULES_PER_TAG] = np.rot90(drawn < 128, turned_tags())
     black.flags.writeable = False
     return black
 
 
 def unit(spacing: float) -> float:
     """Length of the unit, in sides of a tag."""
-    return STRETCH * (1 + spacing) / 2
+    return UNIT_STRETCH * (1 + spacing) / 2
 
 
 def cell_ends(columns: int, rows: int, spacing: float) -> tuple[Array, Array]:
     """Return the boundaries of the cells, in sides of a tag from 0: along x and along y."""
-    return _ends(columns, spacing), _ends(rows, spacing)
+    return _module_ends(columns, spacing), _module_ends(rows, spacing)
 
 
-def _ends(count: int, spacing: float) -> Array:
+def _module_ends(count: int, spacing: float) -> Array:
     begins = tag_lines(count, 1.0, spacing)[::2] + spacing
-    cells = begins[:, None] + np.array([-spacing, *(np.arange(MODULES) / MODULES)])
+    cells = begins[:, None] + np.array([-spacing, *(np.arange(MODULES_PER_TAG) / MODULES_PER_TAG)])
     return np.concatenate([cells.ravel(), begins[-1] + [1.0, 1.0 + spacing]])
 
 

@@ -425,7 +425,7 @@ def test_the_garbage_collector_is_left_as_it_was(tmp_path):
 
 def test_reading_needs_nothing_heavier_than_numpy():
     """Nor what the configuration's YAML needs: the import is on the way of every command."""
-    code = "import sys, calibration.dataset.reading; print([m for m in sys.modules if '.' not in m])"
+    code = "import sys, calibration.engine.dataset.reading; print([m for m in sys.modules if '.' not in m])"
     modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     for heavy in ("yaml", "jsonschema", "scipy", "cv2", "click", "rich"):
         assert f"'{heavy}'" not in modules

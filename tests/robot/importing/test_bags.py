@@ -18,7 +18,7 @@ from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.geometry.transforms import distance
 from calibration.robot.importing.bags.bag import open_bag
 from calibration.robot.importing.bags.messages import image_of
-from calibration.robot.importing.bags.survey import IMAGES
+from calibration.robot.importing.bags.survey import IMAGE_TYPES
 from calibration.robot.importing.importing import import_data
 from tests.robot.importing.arm import ON_FLANGE, keys, record_arm
 from tests.robot.importing.bags import BEGIN, ENCODINGS, SECOND, BagFile, Kind
@@ -118,7 +118,7 @@ def test_every_encoding_is_decoded(tmp_path: Path, kind: Kind, encoding: str) ->
         bag.image("/image", BEGIN, true, "camera", encoding)
     with open_bag([path]) as bag_:
         (message,) = bag_.messages(["/image"])
-        assert bag_.topics["/image"] in IMAGES
+        assert bag_.topics["/image"] in IMAGE_TYPES
         assert bag_.stamp(message) == BEGIN
         found = image_of(bag_.decode(message), "here")
     grey = np.asarray(cv2.cvtColor(true, cv2.COLOR_BGR2GRAY), float)

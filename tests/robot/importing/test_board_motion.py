@@ -18,7 +18,7 @@ from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, local, transform
 from calibration.robot.importing.bags.board_motion import MovingBoards
-from calibration.robot.importing.bags.stillness import SECOND, BagImage, moments_at
+from calibration.robot.importing.bags.stillness import NS_PER_S, BagImage, moments_at
 from calibration.robot.importing.document import dataset_document
 from calibration.robot.importing.files.camera_files import KnownLens
 from calibration.robot.importing.importing import import_data
@@ -36,7 +36,7 @@ CORNERS = PATTERN.pattern().corners
 T_LEFT_RIGHT = from_xyz_rpy([0.2, 0.01, -0.02], [0.02, -0.15, 0.01])
 CAMERAS = {"left": np.eye(4), "right": T_LEFT_RIGHT}
 LAG = 0.03
-BEGIN, MOMENTS = 100 * int(SECOND), 30
+BEGIN, MOMENTS = 100 * int(NS_PER_S), 30
 
 
 def held_board(time: float, phases: Array) -> Array:
@@ -52,7 +52,7 @@ def phases_of(seed: int) -> Array:
 
 def seen(name: str, stamp: int, after: float, phases: Array, random: np.random.Generator) -> BagImage:
     """The image of a camera with a stamp, ns, which sees what is there `after` it, s."""
-    T = inverse(CAMERAS[name]) @ held_board((stamp - BEGIN) / SECOND + after, phases)
+    T = inverse(CAMERAS[name]) @ held_board((stamp - BEGIN) / NS_PER_S + after, phases)
     pixels = VGA.project(apply(T, CORNERS)) + random.normal(0, 0.1, (len(CORNERS), 2))
     inside = ((pixels > 0) & (pixels < [VGA.width, VGA.height])).all(-1)
     found = FoundCorners(tuple(np.flatnonzero(inside).tolist()), tuple(pixels[inside].ravel().tolist()))
@@ -62,12 +62,12 @@ def seen(name: str, stamp: int, after: float, phases: Array, random: np.random.G
 def recorded(lag: float, seed: int, rate: float = 20) -> Recorded:
     """Two cameras, of which the right one is late, and a board in a hand; a moment every second."""
     random, phases = np.random.default_rng(seed), phases_of(seed)
-    stamps = [BEGIN + int(i / rate * SECOND) for i in range(int(MOMENTS * rate))]
+    stamps = [BEGIN + int(i / rate * NS_PER_S) for i in range(int(MOMENTS * rate))]
     images = {
         name: [seen(name, stamp, lag if name == "right" else 0.0, phases, random) for stamp in stamps]
         for name in CAMERAS
     }
-    moments = moments_at(images, [BEGIN + (i + 0.5) * SECOND for i in range(MOMENTS - 1)])
+    moments = moments_at(images, [BEGIN + (i + 0.5) * NS_PER_S for i in range(MOMENTS - 1)])
     sensors = {name: SensorConfiguration(name, "rgb", name, "world", name) for name in CAMERAS}
     return Recorded(
         Configuration("world", sensors, {"board": PATTERN}, "left"),
@@ -137,7 +137,7 @@ def test_a_stereo_bag_with_a_lag(tmp_path: Path) -> None:
                 board = Board(PATTERN, PATTERN.pattern(), held_board(time + LAG * (name == "right"), phases_of(1)))
                 random = stream(5 * moment + step + 2)
                 image = SimulatedCamera(small).render(CAMERAS[name], Scene(ground=-5.0), [board], random)
-                bag.image(f"/{name}/image_raw", BEGIN + int((1 + time) * SECOND), image, name, "mono8")
+                bag.image(f"/{name}/image_raw", BEGIN + int((1 + time) * NS_PER_S), image, name, "mono8")
     pattern = {"type": "chessboard", "columns": 10, "rows": 7, "square": 0.04, "border": 0.06}
     (tmp_path / "times.txt").write_text("\n".join(f"{0.1 + i}" for i in range(8)))
     document = {"bags": {"files": ["recorded"], "at": "times.txt"}, "patterns": {"board": pattern}}

@@ -18,7 +18,7 @@ from calibration.engine.geometry.rotations import exp
 from calibration.engine.geometry.transforms import distance, transform
 from calibration.robot.importing.bags.bag import VIDEO_TYPES
 from calibration.robot.importing.bags.motion_log import MotionLog
-from calibration.robot.importing.bags.survey import IMAGES
+from calibration.robot.importing.bags.survey import IMAGE_TYPES
 from calibration.robot.importing.importing import import_data
 from calibration.robot.importing.patterns.image_views import decoded_image
 from calibration.robot.importing.results import ImportResults
@@ -313,7 +313,7 @@ def test_frames_of_a_video_in_compressed_images(tmp_path: Path, monkeypatch: pyt
     with BagFile(path, "mcap") as bag:
         data = np.zeros(9, np.uint8)
         header = bag.header("left", BEGIN)
-        bag.write("/left/h264", BEGIN, bag.make(f"{IMAGES[1]}", header=header, format="h264", data=data))
+        bag.write("/left/h264", BEGIN, bag.make(f"{IMAGE_TYPES[1]}", header=header, format="h264", data=data))
     assert "found a frame of a video, h264" in (error := refusal(describe(path)))
     assert "pip install av" in error
 

@@ -140,7 +140,7 @@ def test_decoding_that_stalls_is_killed(tmp_path: Path, monkeypatch: pytest.Monk
     silent.write_text("#!/bin/sh\nexec sleep 1000\n")
     silent.chmod(silent.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setattr(confined_decoding.sys, "executable", str(silent))
-    monkeypatch.setattr(confined_decoding, "STALLED", 0.2)
+    monkeypatch.setattr(confined_decoding, "MAX_STALLED_SECONDS", 0.2)
     path = write_video(tmp_path / "a.avi", [np.zeros((48, 64, 3), np.uint8)])
     with pytest.raises(InputError, match="decoding it stalls"):
         list(decoded_frames(path, [0]))
@@ -152,7 +152,7 @@ def test_decoding_that_takes_too_long_is_ended(tmp_path: Path, monkeypatch: pyte
         "import sys; sys.path.insert(0, sys.argv.pop(1)); "
         f"from calibration.robot.importing.files import decoding_child; {busy}"
     )
-    monkeypatch.setattr(confined_decoding, "_CHILD", child)
+    monkeypatch.setattr(confined_decoding, "_CHILD_CODE", child)
     monkeypatch.setattr(confined_decoding, "CPU_SECONDS", 1)
     (tmp_path / "a.mp4").write_bytes(b"0")
     with pytest.raises(InputError, match=r"a\.mp4: a video was expected, but decoding it takes more than 1 s: cut it"):

@@ -14,7 +14,7 @@ from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.aprilgrid import AprilgridDetector
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image, NotDetected
-from calibration.robot.labelling.tags import BORDER, MODULES, corner_ids, tag_cells, tag_dictionary
+from calibration.robot.labelling.tags import BORDER_MODULES, MODULES_PER_TAG, corner_ids, tag_cells, tag_dictionary
 from tests.robot.labelling.pictures import (
     HD,
     HD_DISTORTED,
@@ -50,15 +50,15 @@ def poses(count: int, seed: int, nearest: float, farthest: float) -> Iterator[np
 
 def test_tags_are_printed_as_kalibr_does() -> None:
     """The bits of a code from the top left, row by row, the highest first; 1 is white. Tag 0 is at the bottom left."""
-    step = MODULES + 1
+    step = MODULES_PER_TAG + 1
     cells = tag_cells(2, 2)
     assert cells.shape == (2 * step + 1, 2 * step + 1)
     for tag, code in enumerate(CODES):
         top, left = (1 - tag // 2) * step + 1, tag % 2 * step + 1
-        black = cells[top : top + MODULES, left : left + MODULES]
-        inside = black[BORDER:-BORDER, BORDER:-BORDER]
+        black = cells[top : top + MODULES_PER_TAG, left : left + MODULES_PER_TAG]
+        inside = black[BORDER_MODULES:-BORDER_MODULES, BORDER_MODULES:-BORDER_MODULES]
         assert "".join("01"[not module] for module in inside.ravel()) == f"{code:036b}"
-        assert black.sum() == (~np.array([b == "1" for b in f"{code:036b}"])).sum() + MODULES**2 - 36
+        assert black.sum() == (~np.array([b == "1" for b in f"{code:036b}"])).sum() + MODULES_PER_TAG**2 - 36
     assert cells[::step, ::step].all()
     assert not cells[::step, 1:step].any()
 
@@ -167,7 +167,7 @@ def test_a_tag_that_lies_elsewhere_does_no_harm() -> None:
     T = facing(BOARD, 0.9, 0.2)
     image = Photograph(VGA).of(BOARD, T)
     image[:90, :90] = 230
-    tag = cv2.aruco.generateImageMarker(tag_dictionary(), 14, 70, borderBits=BORDER)
+    tag = cv2.aruco.generateImageMarker(tag_dictionary(), 14, 70, borderBits=BORDER_MODULES)
     image[10:80, 10:80] = tag
     found = detected(image)
     truth = true_corners(VGA, BOARD, T)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from calibration.robot.labelling.detection import Image
-from calibration.robot.labelling.printed_corners import PrintedPatches, _moments, refine
+from calibration.robot.labelling.printed_corners import PrintedPatches, _moments_of_windows, refine
 from tests.robot.labelling.pictures import TEXELS, VGA, Photograph, chessboard, facing, printed, true_corners
 
 BOARD = chessboard()
@@ -92,5 +92,5 @@ def test_the_moments_are_sums_over_the_window(picture: Image, half: int, place: 
     expected = [(w * each).sum() for each in (gx * gx, gx * gy, gy * gy, gx * past, gy * past)]
     a, b = place
     share = np.array([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b])
-    (forms,) = _moments(picture, corner[None], half)
+    (forms,) = _moments_of_windows(picture, corner[None], half)
     np.testing.assert_allclose(share @ forms @ share, expected, rtol=1e-9, atol=1e-6)

@@ -36,15 +36,15 @@ if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader as Reader2
     from rosbags.typesys.store import Typestore
 
-ENDINGS = (".bag", ".db3", ".mcap")
+BAG_ENDINGS = (".bag", ".db3", ".mcap")
 """Endings of single files; a ROS 2 folder has a metadata.yaml."""
-SECOND = 10**9
+NS_PER_S = 10**9
 MAX_METADATA_BYTES = 1 << 22
 """Limit of the size of a metadata.yaml."""
 _WHOLE_FILES = re.compile(rb"^[ '\"]*compression_mode['\"]?\s*:\s*['\"]?file\b", re.IGNORECASE | re.MULTILINE)
 _SQLITE_LIMIT_LENGTH = 0
 """SQLite's number of the limit of a value's length (https://www.sqlite.org/c3ref/c_limit_attached.html)."""
-TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FOXGLOVE_VIDEO = "foxglove_msgs/msg/CompressedVideo"
 VIDEO_TYPES = {
     "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": "std_msgs/Header header\nint32 width\nint32 height\n"
@@ -61,7 +61,7 @@ LIVOX_TYPES = {
 }
 """Definitions of the clouds of Livox's drivers."""
 MORE_TYPES = (
-    dict.fromkeys(TF, "geometry_msgs/TransformStamped[] transforms") | VIDEO_TYPES | _LIVOX_POINTS | LIVOX_TYPES
+    dict.fromkeys(TF_TYPES, "geometry_msgs/TransformStamped[] transforms") | VIDEO_TYPES | _LIVOX_POINTS | LIVOX_TYPES
 )
 """Definitions of messages that the library lacks for some versions of ROS."""
 
@@ -105,7 +105,7 @@ class Bag:
         """Type of every topic, such as "sensor_msgs/msg/Image"."""
         found = {}
         for part in self._parts:
-            with _readable(part.path):
+            with _as_input_error(part.path):
                 found.update({each.topic: each.msgtype for each in part.reader.connections})
         if wrong := [each for pair in found.items() for each in pair if not isinstance(each, str)]:
             raise InputError(f"{self.path}: found {wrong[0]!r} as a topic or its type, expected a name: is it damaged?")
@@ -137,7 +137,7 @@ class Bag:
 
     @staticmethod
     def _of_part(part: _Part, topics: Collection[str], start: int | None, stop: int | None) -> Iterator[RawMessage]:
-        with _readable(part.path):
+        with _as_input_error(part.path):
             wanted = [each for each in part.reader.connections if each.topic in topics]
             if not wanted:
                 return
@@ -151,7 +151,7 @@ class Bag:
             InputError: it is invalid or truncated.
         """
         kind = self.topics[message.topic]
-        with _readable(self.path, f"{message.topic}: a message of {kind} cannot be decoded"):
+        with _as_input_error(self.path, f"{message.topic}: a message of {kind} cannot be decoded"):
             if self._ros == 1:
                 return typestore(self._ros).deserialize_ros1(message.data, kind)
             return typestore(self._ros).deserialize_cdr(message.data, kind)
@@ -171,7 +171,7 @@ class Bag:
                 seconds, rest = struct.unpack_from(f"{order}iI", message.data, 4)
         except (struct.error, IndexError):
             raise InputError(f"{self.path}: {message.topic}: found a message of {len(message.data)} bytes") from None
-        return seconds * SECOND + rest or message.recorded
+        return seconds * NS_PER_S + rest or message.recorded
 
     def without_stamp(self, message: RawMessage) -> bytes:
         """Return the bytes of a message that begins with a header, without its number and stamp."""
@@ -206,22 +206,22 @@ def open_bag(paths: Sequence[Path]) -> Iterator[Bag]:
     with ExitStack() as stack:
         parts = []
         for path in paths:
-            with _readable(path):
-                part = _opened_part(path, _unpacked(path, stack) if path.is_dir() else path, ros)
+            with _as_input_error(path):
+                part = _opened_part(path, _folder_of_unpacked_bag(path, stack) if path.is_dir() else path, ros)
             stack.callback(part.reader.close)
             parts.append(part)
         yield Bag(parts, ros)
 
 
 def _opened_part(path: Path, unpacked: Path, ros: int) -> _Part:
-    with _readable(path):
+    with _as_input_error(path):
         reader = optional(f"rosbags.rosbag{ros}", "reading bags").Reader(unpacked)
         reader.open()
         _bound_messages(reader)
     return _Part(path, unpacked, reader)
 
 
-def _unpacked(folder: Path, stack: ExitStack) -> Path:
+def _folder_of_unpacked_bag(folder: Path, stack: ExitStack) -> Path:
     """Return the folder of a ROS 2 bag, or a temporary one with its files if they are compressed as a whole."""
     metadata = folder / "metadata.yaml"
     data = read_bytes(metadata, MAX_METADATA_BYTES, "a bag's metadata")
@@ -250,12 +250,14 @@ def _ros_of(path: Path) -> int:
         raise InputError(f"{path}: found no such file, expected a bag")
     if path.is_dir():
         if not (path / "metadata.yaml").is_file():
-            raise InputError(f"{path}: found no metadata.yaml in it, expected a ROS 2 bag, or a file {_endings()}")
+            raise InputError(
+                f"{path}: found no metadata.yaml in it, expected a ROS 2 bag, or a file {_supported_endings()}"
+            )
         if strange := [each.name for each in path.iterdir() if not each.is_file() and not each.is_dir()]:
             raise InputError(f"{path / strange[0]}: this is no regular file, expected a file of a bag")
         return 2
-    if path.suffix not in ENDINGS:
-        raise InputError(f"{path}: expected a bag: a file {_endings()}, or a folder with metadata.yaml")
+    if path.suffix not in BAG_ENDINGS:
+        raise InputError(f"{path}: expected a bag: a file {_supported_endings()}, or a folder with metadata.yaml")
     if not path.stat().st_size:
         raise InputError(f"{path}: this bag is empty: found 0 bytes")
     if not path.is_file():
@@ -263,12 +265,12 @@ def _ros_of(path: Path) -> int:
     return 1 if path.suffix == ".bag" else 2
 
 
-def _endings() -> str:
-    return f"that ends in {', '.join(ENDINGS)}"
+def _supported_endings() -> str:
+    return f"that ends in {', '.join(BAG_ENDINGS)}"
 
 
 @contextmanager
-def _readable(path: Path, what: str = "this bag cannot be read") -> Iterator[None]:
+def _as_input_error(path: Path, what: str = "this bag cannot be read") -> Iterator[None]:
     """Convert any exception of the library to an InputError; MemoryError too, which damaged lengths cause."""
     try:
         yield

@@ -20,7 +20,7 @@ from calibration.robot.importing.document import dataset_document
 from calibration.robot.importing.recorded import Recorded, imported_moments
 from calibration.robot.simulation.collection.record import image_cells
 
-CANDIDATES = 1000
+MAX_CANDIDATES = 1000
 """Limit of the moments to choose from; of more, evenly spaced ones are taken."""
 
 
@@ -39,15 +39,15 @@ def best_moments(
     """
     if len(moments) <= most:
         return list(moments), None
-    candidates = evenly(moments, CANDIDATES)
+    candidates = evenly(moments, MAX_CANDIDATES)
     try:
-        chosen = _chosen(recorded(candidates), most)
+        chosen = _choose_moments(recorded(candidates), most)
     except CalibrationError as error:
         return evenly(moments, most), str(error)
     return [candidates[i] for i in sorted(chosen)], None
 
 
-def _chosen(recorded: Recorded, most: int) -> list[int]:
+def _choose_moments(recorded: Recorded, most: int) -> list[int]:
     """Return the indices of the best moments, at most this many; of repeated poses the first one."""
     imported = imported_moments("", _of_cameras(recorded))
     with temporary_folder() as folder:
@@ -56,8 +56,8 @@ def _chosen(recorded: Recorded, most: int) -> list[int]:
     solution = calibrate(dataset, Options(description="rough", intrinsics=tuple(imported.estimated))).solution
     once = np.unique(solution.clusters)  # the first collection of each pose that is repeated, and all others
     used = [dataset.keys.index(solution.setup.dataset.keys[i]) for i in once]
-    each, calibrated = _informations(solution)
-    cells, partial = _shown(dataset.with_collections(used))
+    each, calibrated = _information_of_collections(solution)
+    cells, partial = _covered_cells(dataset.with_collections(used))
     return [used[i] for i in choose(each[once], calibrated, partial, float(partial.mean()), cells, most)]
 
 
@@ -72,7 +72,7 @@ def _of_cameras(recorded: Recorded) -> Recorded:
     return replace(recorded, configuration=configuration, ranges=())
 
 
-def _informations(solution: Solution) -> tuple[Array, int]:
+def _information_of_collections(solution: Solution) -> tuple[Array, int]:
     """Return the information (N, S, S) of collections in comparable units, calibrated ones first; and their number."""
     problem, patterns = solution.setup.problem, solution.setup.dataset.patterns
     distances = [np.linalg.norm(problem.poses(group, solution.values)[:, :3, 3], axis=-1) for group in problem.groups]
@@ -85,7 +85,7 @@ def _informations(solution: Solution) -> tuple[Array, int]:
     return each[:, order[:, None], order], int((~of_patterns).sum())
 
 
-def _shown(dataset: Dataset) -> tuple[BoolArray, Array]:
+def _covered_cells(dataset: Dataset) -> tuple[BoolArray, Array]:
     """Return a mask (N, C) of the image cells with corners in each collection, and its share (N,) of partial views."""
     places: list[set[tuple[str, int]]] = []
     partial = np.zeros(len(dataset.collections))

@@ -17,7 +17,7 @@ from calibration.engine.estimation.start.single_views import corner_term, fitted
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
 from calibration.engine.geometry.transforms import local, translation
-from calibration.robot.importing.bags.stillness import SECOND, BagImage, BagMoment
+from calibration.robot.importing.bags.stillness import NS_PER_S, BagImage, BagMoment
 
 MIN_STEP, MAX_STEP = 0.03, 0.12
 """s: limits of the time between the images that a velocity is taken from: nearer ones have more noise than motion."""
@@ -25,8 +25,8 @@ OFF_STEP = 0.4
 """Limit of how far an image may be from where a step ends, in steps."""
 MAX_RMS = 1.5
 """px: limit of the error of a pose that a velocity is taken from."""
-FACTORIALS = np.array([[1.0], [2.0], [6.0]])
-STEPS = np.array([-2, -1, 1, 2])
+DERIVATIVE_FACTORS = np.array([[1.0], [2.0], [6.0]])
+IMAGE_STEPS = np.array([-2, -1, 1, 2])
 """Images around that of a moment, in steps."""
 
 
@@ -58,7 +58,7 @@ class MovingBoards:
                 if self._is_still(configuration.sensors[name].parent_link, pattern.parent_link):
                     missing = np.flatnonzero(~total.any((1, 2)))
                     moments = [self.moments[i] for i in missing.tolist()]
-                    total[missing] = _motions(self.images[name], moments, name, cameras[name], pattern)
+                    total[missing] = _pattern_motions(self.images[name], moments, name, cameras[name], pattern)
             if total.any():
                 found[pattern.parent_link, pattern.link] = total
         return found
@@ -71,17 +71,17 @@ class MovingBoards:
         return all((step.parent, step.child) not in self.moving for step in tree.path(one, other))
 
 
-def _motions(
+def _pattern_motions(
     images: Sequence[BagImage], moments: Sequence[BagMoment], name: str, camera: Camera, pattern: PatternConfiguration
 ) -> Array:
     """Return the motions (N, 3, 6) of a pattern at some moments by the images of one camera; zero if there is none."""
     found = np.zeros((len(moments), 3, 6))
     seen = [(image, labels) for image in images if (labels := image.view.found[pattern.name].labels) is not None]
     index = {id(image): i for i, (image, _) in enumerate(seen)}
-    stamps = np.array([image.stamp - images[0].stamp for image, _ in seen]) / SECOND
+    stamps = np.array([image.stamp - images[0].stamp for image, _ in seen]) / NS_PER_S
     rows = [i for i, moment in enumerate(moments) if id(moment.images.get(name)) in index]
     at = np.array([index[id(moments[i].images[name])] for i in rows], int)
-    around = [_around(stamps, i) for i in at]
+    around = [_neighbouring_images(stamps, i) for i in at]
     if not any(len(each) for each in around):
         return found
     geometry = pattern.pattern()
@@ -92,26 +92,26 @@ def _motions(
     twists = local(middles[of] @ translation(-geometry.centre), others @ translation(-geometry.centre))
     for i, (row, own) in enumerate(zip(rows, around, strict=True)):
         if len(own) and max(rms[i], others_rms[of == i].max()) <= MAX_RMS:  # not if one is NaN
-            found[row] = _derivatives(stamps[own] - stamps[at[i]], twists[of == i])
+            found[row] = _polynomial_derivatives(stamps[own] - stamps[at[i]], twists[of == i])
     return found
 
 
-def _around(stamps: Array, at: int) -> IntArray:
+def _neighbouring_images(stamps: Array, at: int) -> IntArray:
     """Return the images before and after one, by their stamps (n,), s; none if they are too far away."""
     gaps = np.diff(stamps[max(at - 1, 0) : at + 2])
     step = max(MIN_STEP, gaps.min(initial=np.inf))
     if step > MAX_STEP:
         return np.zeros(0, int)
-    ends = stamps[at] + step * STEPS
+    ends = stamps[at] + step * IMAGE_STEPS
     nearest = abs(stamps - ends[:, None]).argmin(-1)
     around = np.unique(nearest[abs(stamps[nearest] - ends) <= OFF_STEP * step])
     both_sides = (around < at).any() and (around > at).any()
     return around if both_sides else np.zeros(0, int)
 
 
-def _derivatives(times: Array, twists: Array) -> Array:
+def _polynomial_derivatives(times: Array, twists: Array) -> Array:
     """Return the derivatives (3, 6) at time 0 of a polynomial of twists (n, 6) at times (n,), s, which is 0 at 0."""
     orders = np.arange(1, min(len(times), 3) + 1)
     powers = times[:, None] ** orders
     coefficients = np.linalg.lstsq(powers, twists, rcond=None)[0]
-    return np.pad(coefficients * FACTORIALS[: len(orders)], ((0, 3 - len(orders)), (0, 0)))
+    return np.pad(coefficients * DERIVATIVE_FACTORS[: len(orders)], ((0, 3 - len(orders)), (0, 0)))

@@ -25,7 +25,7 @@ from calibration.engine.geometry.transforms import from_quaternion
 from calibration.robot.importing.patterns.image_views import decoded_image, stretched
 from calibration.robot.labelling.detection import DepthImage, Image
 
-_COLOURS = {
+_CONVERSION_OF_ENCODING = {
     "bgr8": None,
     "8UC3": None,
     "rgb8": cv2.COLOR_RGB2BGR,
@@ -54,16 +54,16 @@ _COLOURS = {
     "nv21": cv2.COLOR_YUV2BGR_NV21,
 }
 """Encodings of an Image, and OpenCV's conversions to BGR."""
-DEPTHS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
+DEPTH_ENCODINGS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
 """Encodings of depth images: number type, and unit in m."""
 MAX_DEPTH_PIXELS = 1 << 24
 """Limit of a depth image's pixels: its conversion takes some dozens of bytes for each."""
 MAX_RECTIFYING_DEG = 0.02
 """Limit of the rotation that rectifies an image: its frame is then the camera's."""
-_CHANNELS = {"bgra8": 4, "rgba8": 4, "8UC4": 4, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgr16": 3, "rgb16": 3}
+_CHANNELS_OF_ENCODING = {"bgra8": 4, "rgba8": 4, "8UC4": 4, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgr16": 3, "rgb16": 3}
 _DEPTH_HEADER = struct.Struct("<iff")
 """Header of the transport compressedDepth: the kind of compression, and the two parameters of inverse depth."""
-_TWO_BYTES = frozenset(name for name in _COLOURS if name.endswith("16") or name == "16UC1")
+_TWO_BYTES = frozenset(name for name in _CONVERSION_OF_ENCODING if name.endswith("16") or name == "16UC1")
 VIDEO_CODECS = ("h264", "h265", "hevc", "av1", "vp9")
 """What the format of a CompressedImage says where its data are a frame of a video."""
 NO_VIDEO = "record Image or CompressedImage (JPEG or PNG), or convert it by ros2 run image_transport republish"
@@ -86,17 +86,19 @@ def image_of(message: Any, where: str) -> Image:
             raise InputError(f"{where}: found a frame of a video, {message.format}, expected an image: {INSTALL_PYAV}")
         return decoded_image(bytes(message.data), f"{where} ({message.format})")
     encoding, height, width = message.encoding, message.height, message.width
-    if encoding not in _COLOURS:
-        raise InputError(f"{where}: found the encoding '{encoding}', expected one of {', '.join(_COLOURS)}")
+    if encoding not in _CONVERSION_OF_ENCODING:
+        raise InputError(
+            f"{where}: found the encoding '{encoding}', expected one of {', '.join(_CONVERSION_OF_ENCODING)}"
+        )
     _check_pixels(height, width, MAX_IMAGE_PIXELS, where)
     size = 2 if encoding in _TWO_BYTES else 1
-    channels = _CHANNELS.get(encoding, 2 if "yu" in encoding else 1)
+    channels = _CHANNELS_OF_ENCODING.get(encoding, 2 if "yu" in encoding else 1)
     rows = height * 3 // 2 if encoding in _HALF_PLANES else height
-    pixels: NDArray[Any] = _rows(message, rows, width * channels * size, where)
+    pixels: NDArray[Any] = _image_rows(message, rows, width * channels * size, where)
     if size == 2:
         pixels = stretched(pixels.view(">u2" if message.is_bigendian else "<u2"))
     pixels = pixels.reshape(rows, width, channels)
-    code = _COLOURS[encoding]
+    code = _CONVERSION_OF_ENCODING[encoding]
     if code is None:
         return np.asarray(pixels[:, :, 0] if channels == 1 else pixels, np.uint8)
     try:
@@ -116,12 +118,14 @@ def depth_of(message: Any, where: str) -> DepthImage:
     if not hasattr(message, "encoding"):
         return _in_units(_compressed_metres(message, where))
     encoding, height, width = message.encoding, int(message.height), int(message.width)
-    if encoding not in DEPTHS:
-        raise InputError(f"{where}: found the encoding '{encoding}', expected one of depth: {', '.join(DEPTHS)}")
-    kind, metres = DEPTHS[encoding]
+    if encoding not in DEPTH_ENCODINGS:
+        raise InputError(
+            f"{where}: found the encoding '{encoding}', expected one of depth: {', '.join(DEPTH_ENCODINGS)}"
+        )
+    kind, metres = DEPTH_ENCODINGS[encoding]
     _check_pixels(height, width, MAX_DEPTH_PIXELS, where)
     order = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
-    rows = _rows(message, height, width * order.itemsize, where).view(order)
+    rows = _image_rows(message, height, width * order.itemsize, where).view(order)
     return _in_units(rows.astype(float) * metres)
 
 
@@ -137,7 +141,7 @@ def _compressed_metres(message: Any, where: str) -> Array:
     """
     data, (encoding, _, transport) = bytes(message.data), str(message.format).partition(";")
     encoding, with_header = encoding.strip(), "compressedDepth" in transport
-    known = encoding in DEPTHS and (with_header or encoding != "32FC1")
+    known = encoding in DEPTH_ENCODINGS and (with_header or encoding != "32FC1")
     if not known or "rvl" in transport.lower():
         raise InputError(
             f"{where}: found a depth image compressed as '{message.format}', expected '16UC1; compressedDepth png', "
@@ -156,7 +160,7 @@ def _compressed_metres(message: Any, where: str) -> Array:
     _check_pixels(pixels.shape[0], pixels.shape[1], MAX_DEPTH_PIXELS, where)
     counts = pixels.astype(float)
     if encoding != "32FC1":
-        return counts * DEPTHS[encoding][1]
+        return counts * DEPTH_ENCODINGS[encoding][1]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return np.where(counts > 0, a / (counts - b), np.nan)
 
@@ -174,7 +178,7 @@ def _check_pixels(height: int, width: int, most: int, where: str) -> None:
         raise InputError(f"{where}: found an image of {width} x {height} pixels, expected 1 to {most} pixels")
 
 
-def _rows(message: Any, height: int, row: int, where: str) -> NDArray[np.uint8]:
+def _image_rows(message: Any, height: int, row: int, where: str) -> NDArray[np.uint8]:
     """Return the bytes (height, row) of an Image, without padding of its rows.
 
     Raises:

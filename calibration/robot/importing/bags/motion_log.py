@@ -15,15 +15,15 @@ from calibration.engine.geometry.transforms import distance, local, transform
 from calibration.robot.importing.left_out import LeftOutCounts
 from calibration.robot.simulation.robot import Joint, Robot, parse_robot
 
-NEAR = 0.5
+MAX_SECONDS_TO_RECORD = 0.5
 """s: limit of the time between a pose's record and a moment that uses it."""
-AROUND = 0.15
+SECONDS_AROUND_STILL = 0.15
 """s: time before and after a moment at standstill in which nothing moves more than `STILL_M` or `STILL_RAD`."""
 STILL_M, STILL_RAD = 1e-3, 2e-3
 """m and rad: largest motion at standstill."""
 VELOCITY_OVER = 0.06
 """s: time over which a velocity is taken: several records of an arm, and hardly any acceleration."""
-SECOND = 1e9
+NS_PER_S = 1e9
 
 
 @dataclass
@@ -54,17 +54,17 @@ class Track:
         after = min(after, len(self.times) - 1)
         nearest = min(before, after, key=lambda i: abs(self.times[i] - time))
         between = self.times[before] <= time <= self.times[after]
-        near = abs(self.times[nearest] - time) <= NEAR * SECOND
+        near = abs(self.times[nearest] - time) <= MAX_SECONDS_TO_RECORD * NS_PER_S
         unchanged = np.array_equal(self.values[before], self.values[after])
         if not near and not (between and unchanged):
             return None
         apart = self.times[after] - self.times[before]
-        if not between or unchanged or apart > 2 * NEAR * SECOND:
+        if not between or unchanged or apart > 2 * MAX_SECONDS_TO_RECORD * NS_PER_S:
             return self.values[nearest]
-        return _interpolated(self.values[before], self.values[after], (time - self.times[before]) / apart)
+        return _interpolate_value(self.values[before], self.values[after], (time - self.times[before]) / apart)
 
 
-def _interpolated(one: Array, other: Array, share: float) -> Array:
+def _interpolate_value(one: Array, other: Array, share: float) -> Array:
     """Return what lies between two transforms (4, 4) or two joint positions (1,).
 
     A position moves in a straight line, an orientation about a fixed axis at constant speed (Shoemake 1985).
@@ -116,7 +116,7 @@ class MotionLog:
         self.robot = parse_robot(urdf, path)
 
     @property
-    def _driven(self) -> Mapping[Edge, Joint]:
+    def _joints_without_transforms(self) -> Mapping[Edge, Joint]:
         """The robot's joints whose child has no transform in the recording."""
         if self.robot is None:
             return {}
@@ -126,7 +126,7 @@ class MotionLog:
     @property
     def edges(self) -> list[Edge]:
         """All known edges; a frame may have several parents."""
-        return list(dict.fromkeys([*self.static, *self.moving, *self._driven]))
+        return list(dict.fromkeys([*self.static, *self.moving, *self._joints_without_transforms]))
 
     def tree_edges(self, parents: Mapping[str, str]) -> tuple[list[Edge], Mapping[str, list[str]]]:
         """Return the edges of a tree, and the frames with several parents, of which nobody has chosen one.
@@ -151,7 +151,7 @@ class MotionLog:
 
     def moves(self, edge: Edge) -> bool:
         """Whether an edge may differ between moments."""
-        if (joint := self._driven.get(edge)) is not None:
+        if (joint := self._joints_without_transforms.get(edge)) is not None:
             return joint.kind != "fixed"
         return edge in self.moving
 
@@ -168,7 +168,7 @@ class MotionLog:
             T = self.moving[edge].at(time)
             what = f"no transform from '{edge[0]}' to '{edge[1]}'"
         else:
-            joint = self._driven[edge]
+            joint = self._joints_without_transforms[edge]
             if joint.kind == "fixed":
                 return joint.T_parent_joint
             if joint.is_free:
@@ -176,11 +176,13 @@ class MotionLog:
                     f"the {joint.kind} joint '{joint.name}' needs a transform from '{edge[0]}' to '{edge[1]}' in /tf, "
                     f"and none was recorded{self._why_not(edge)}"
                 )
-            position = self._position(joint, time)
+            position = self._position_at(joint, time)
             T = None if position is None else joint.transform(position)[0]
             what = f"no position of joint '{joint.driver}' and no transform from '{edge[0]}' to '{edge[1]}'"
         if T is None:
-            raise InputError(f"{what} was recorded within {NEAR:g} s of {time / SECOND:.3f}{self._why_not(edge)}")
+            raise InputError(
+                f"{what} was recorded within {MAX_SECONDS_TO_RECORD:g} s of {time / NS_PER_S:.3f}{self._why_not(edge)}"
+            )
         return T
 
     def velocity(self, edge: Edge, time: float) -> Array:
@@ -191,15 +193,17 @@ class MotionLog:
         if not self.moves(edge):
             return np.zeros(6)
         try:
-            before, now, after = (self.transform(edge, time + each * VELOCITY_OVER / 2 * SECOND) for each in (-1, 0, 1))
+            before, now, after = (
+                self.transform(edge, time + each * VELOCITY_OVER / 2 * NS_PER_S) for each in (-1, 0, 1)
+            )
         except InputError:
             return np.zeros(6)
         twist = (local(now, after) - local(now, before)) / VELOCITY_OVER
         speed, turning = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
-        stands = speed < STILL_M / AROUND and turning < STILL_RAD / AROUND
+        stands = speed < STILL_M / SECONDS_AROUND_STILL and turning < STILL_RAD / SECONDS_AROUND_STILL
         return np.zeros(6) if stands else twist
 
-    def _position(self, joint: Joint, time: float) -> Array | None:
+    def _position_at(self, joint: Joint, time: float) -> Array | None:
         """Return the position (1,) of a joint at a time, ns; of one that follows another, from that one's."""
         own = self.joints.get(joint.name)
         if own is not None or joint.mimic is None:
@@ -210,7 +214,7 @@ class MotionLog:
 
     def _why_not(self, edge: Edge) -> str:
         """Return what of an edge was recorded and left out, to be appended to an error."""
-        joint = self._driven.get(edge)
+        joint = self._joints_without_transforms.get(edge)
         left_out = [*self.left_out.of(frames_of(edge)), *(self.left_out.of(joint.name) if joint else ())]
         return f" ({'; '.join(left_out)})" if left_out else ""
 
@@ -218,7 +222,10 @@ class MotionLog:
         """Whether none of the edges moves around a time, ns."""
         for edge in edges:
             if self.moves(edge):
-                T = [self.transform(edge, time + offset * SECOND) for offset in (-AROUND, 0.0, AROUND)]
+                T = [
+                    self.transform(edge, time + offset * NS_PER_S)
+                    for offset in (-SECONDS_AROUND_STILL, 0.0, SECONDS_AROUND_STILL)
+                ]
                 for other in (T[0], T[2]):
                     m, rad = distance(T[1], other)
                     if m > STILL_M or rad > STILL_RAD:

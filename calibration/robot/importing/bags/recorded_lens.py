@@ -5,7 +5,7 @@ from pathlib import PurePosixPath
 
 from calibration.base.errors import InputError
 from calibration.engine.geometry.cameras import Camera
-from calibration.robot.importing.bags.bag import SECOND, Bag, RawMessage
+from calibration.robot.importing.bags.bag import NS_PER_S, Bag, RawMessage
 from calibration.robot.importing.bags.messages import CameraMessage, camera_of
 
 
@@ -39,7 +39,7 @@ class RecordedLens:
             self._found, self._content = found, content
         elif found != self._found:
             raise InputError(
-                f"{where} at {bag.stamp(message) / SECOND:.3f}: found {_in_words(found.raw)}, before it "
+                f"{where} at {bag.stamp(message) / NS_PER_S:.3f}: found {_in_words(found.raw)}, before it "
                 f"{_in_words(self._found.raw)}; expected intrinsics that do not change: cut the bag there, or give "
                 "'intrinsics'"
             )

@@ -18,7 +18,7 @@ from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.engine.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
 from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry.frames import FrameTree
-from calibration.robot.importing.bags.bag import SECOND, Bag, RawMessage
+from calibration.robot.importing.bags.bag import NS_PER_S, Bag, RawMessage
 from calibration.robot.importing.bags.motion_log import MotionLog
 from calibration.robot.importing.bags.range_views import RANGE_MODALITIES, RangeView
 from calibration.robot.importing.bags.stillness import BagImage, BagMoment, evenly, moments_at, still_moments
@@ -74,15 +74,15 @@ def detection_tasks(bag: Bag, found: Survey, detectors: Mapping[str, CornerDetec
         for message, image in reader.images(topics, start, stop):
             key = name, recorded = topics[message.topic], message.recorded
             if recorded in found.cameras[name].stamps and key not in images:
-                view = view_of_image(image(), _where(bag, message), detectors)
+                view = view_of_image(image(), _place_of_message(bag, message), detectors)
                 images[key] = SeenImage(name, recorded, view)
         return SeenImages(tuple(images.values()))
 
     return [Task.call(f"{i}", partial(detect, *ends)) for i, ends in enumerate(pairwise(bounds))]
 
 
-def _where(bag: Bag, message: RawMessage) -> str:
-    return f"{bag.path}: {message.topic} at {bag.stamp(message) / SECOND:.3f}"
+def _place_of_message(bag: Bag, message: RawMessage) -> str:
+    return f"{bag.path}: {message.topic} at {bag.stamp(message) / NS_PER_S:.3f}"
 
 
 def images_by_camera(found: Survey, seen: Sequence[SeenImages]) -> dict[str, list[BagImage]]:
@@ -107,7 +107,7 @@ def images_without_pattern(
         topic = found.cameras[name].topic
         rejected[name] = [
             RejectedView(
-                f"{topic} at {image.stamp / SECOND:.3f}",
+                f"{topic} at {image.stamp / NS_PER_S:.3f}",
                 "; ".join(dict.fromkeys(each.reason for each in image.view.found.values())),
             )
             for image in missed[:MAX_NAMED_IMAGES]
@@ -146,7 +146,7 @@ def chosen_moments(
     if described.at is not None:
         times = _read_times(described.at, start)
     else:
-        step = int((described.every or 1.0) * SECOND)
+        step = int((described.every or 1.0) * NS_PER_S)
         times = [float(start + i * step) for i in range(min((end - start) // step + 1, MAX_TIMES))]
     moments = moments_at(images, times)
     if not moments:
@@ -167,7 +167,7 @@ def _read_times(path: Path, start: int) -> list[float]:
             seconds = math.nan
         if not 0 <= seconds < 1e11:
             raise InputError(f"{path}:{line}: found '{word.strip()[:80]}', expected seconds")
-        times.append(seconds * SECOND + (start if seconds < 1e8 else 0))
+        times.append(seconds * NS_PER_S + (start if seconds < 1e8 else 0))
     return times
 
 
@@ -196,7 +196,7 @@ def extracted_images(
             for name, image in moment.images.items():
                 path = folder / f"{name.replace('/', '_')}_{image.recorded}.png"
                 if not path.exists():
-                    _extract(image_at(bag, found.cameras[name].topic, image.recorded, reader), path)
+                    _write_image(image_at(bag, found.cameras[name].topic, image.recorded, reader), path)
                 views[name] = replace(image.view, file=str(path))
             labelled.append(LabelledMoment(views))
         return labelled
@@ -219,7 +219,7 @@ def extracted_ranges(bag: Bag, found: Survey, moments: Sequence[BagMoment], fold
         stamps = np.array(list(lidar.stamps.values()))
         for own, moment in zip(views, moments, strict=True):
             nearest = int(abs(stamps - moment.time).argmin())
-            if abs(stamps[nearest] - moment.time) <= LIDAR_LAG * SECOND:
+            if abs(stamps[nearest] - moment.time) <= LIDAR_LAG * NS_PER_S:
                 own[name] = _range_view(bag, name, lidar, int(recorded[nearest]), folder)
             else:
                 rule = f"moments without its data within {LIDAR_LAG:g} s"
@@ -230,8 +230,10 @@ def extracted_ranges(bag: Bag, found: Survey, moments: Sequence[BagMoment], fold
 def _range_view(bag: Bag, name: str, lidar: SensorTopic, recorded: int, folder: Path) -> RangeView:
     for message in bag.messages({lidar.topic}, recorded, recorded + 1):
         stem = folder / f"{name.replace('/', '_')}_{recorded}"
-        return RANGE_MODALITIES[lidar.modality.name].view(bag.decode(message), _where(bag, message), lidar, stem)
-    raise InputError(f"{bag.path}: {lidar.topic}: the message at {recorded / SECOND:.3f} is gone")
+        return RANGE_MODALITIES[lidar.modality.name].view(
+            bag.decode(message), _place_of_message(bag, message), lidar, stem
+        )
+    raise InputError(f"{bag.path}: {lidar.topic}: the message at {recorded / NS_PER_S:.3f} is gone")
 
 
 def image_at(bag: Bag, topic: str, recorded: int, reader: ImageReader) -> Image:
@@ -242,10 +244,10 @@ def image_at(bag: Bag, topic: str, recorded: int, reader: ImageReader) -> Image:
     """
     if images := [image for _, image in reader.images({topic}, recorded, recorded + 1)]:
         return images[0]()
-    raise InputError(f"{bag.path}: {topic}: the image at {recorded / SECOND:.3f} is gone")
+    raise InputError(f"{bag.path}: {topic}: the image at {recorded / NS_PER_S:.3f} is gone")
 
 
-def _extract(image: Image, path: Path) -> None:
+def _write_image(image: Image, path: Path) -> None:
     write_atomically(thumbnail_of(path), encoded(thumbnail(image)))
     _write_png(image, path)
 
@@ -294,7 +296,9 @@ def mounting(
     edges = [edge for edge in chosen if edge[1] not in {pattern.link for pattern in patterns.values()}]
     tree, parent_of = FrameTree(edges), {child: parent for parent, child in edges}
     known, world = set(tree.frames), described.root
-    sensors = {name: _sensor(each, world, parent_of, found.log, where) for name, each in found.sensors.items()}
+    sensors = {
+        name: _sensor_configuration(each, world, parent_of, found.log, where) for name, each in found.sensors.items()
+    }
     bodies = body_edges(described)
     carrying = [bodies[parent][0] if (parent := each.parent_link) in bodies else parent for each in patterns.values()]
     ends = [*(sensor.parent_link for sensor in sensors.values()), *carrying]
@@ -340,7 +344,7 @@ def root_of(described: ImportDescription, found: Survey) -> str:
     return frame
 
 
-def _sensor(
+def _sensor_configuration(
     camera: SensorTopic, world: str, parent_of: Mapping[str, str], log: MotionLog, where: str
 ) -> SensorConfiguration:
     described: SensorDescription = camera.described

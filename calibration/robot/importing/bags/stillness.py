@@ -7,15 +7,15 @@ import numpy as np
 
 from calibration.robot.importing.patterns.image_views import View
 
-GAP = 0.5
+MAX_GAP_SECONDS = 0.5
 """s: images that are farther apart give no information on the motion between them."""
-SPAN = 0.3
+MIN_STILL_SECONDS = 0.3
 """s: minimum duration of a standstill."""
-MOVED = 1.0
+MAX_STILL_MOTION_PX = 1.0
 """px: limit of the corners' motion at a standstill, their median."""
-LAG = 0.1
+MAX_ASSOCIATED_SECONDS = 0.1
 """s: limit of the time between associated single images."""
-SECOND = 1e9
+NS_PER_S = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +67,14 @@ class BagMoment:
     def lag(self) -> float:
         """Time between the first and the last stamp, s."""
         stamps = [image.stamp for image in self.images.values()]
-        return (max(stamps) - min(stamps)) / SECOND
+        return (max(stamps) - min(stamps)) / NS_PER_S
 
 
 def still_moments(images: Mapping[str, Sequence[BagImage]]) -> list[BagMoment]:
     """Return the moments at which the corners of every camera that sees a pattern do not move.
 
-    One for each standstill, whatever its duration. If images are farther apart than `GAP`, each is one by itself.
+    One for each standstill, whatever its duration. If images are farther apart than `MAX_GAP_SECONDS`, each is one by
+    itself.
 
     Args:
         images: all images of each camera, sorted by stamp.
@@ -88,8 +89,12 @@ def still_moments(images: Mapping[str, Sequence[BagImage]]) -> list[BagMoment]:
                 continue
             start, end, together = group.start, group.end, {name: group}
             for other in order[i + 1 :]:
-                best = max(groups[other], key=lambda g: _overlap(g, start, end), default=None)
-                if best is not None and id(best) not in used and _overlap(best, start, end) >= -LAG * SECOND:
+                best = max(groups[other], key=lambda g: _overlap_ns(g, start, end), default=None)
+                if (
+                    best is not None
+                    and id(best) not in used
+                    and _overlap_ns(best, start, end) >= -MAX_ASSOCIATED_SECONDS * NS_PER_S
+                ):
                     used.add(id(best))
                     together[other] = best
                     start, end = sorted((max(start, best.start), min(end, best.end)))
@@ -98,12 +103,16 @@ def still_moments(images: Mapping[str, Sequence[BagImage]]) -> list[BagMoment]:
 
 
 def moments_at(images: Mapping[str, Sequence[BagImage]], times: Sequence[float]) -> list[BagMoment]:
-    """Return the images with a pattern nearest to each time (ns), within `LAG`; moving or not."""
+    """Return the images with a pattern nearest to each time (ns), within `MAX_ASSOCIATED_SECONDS`; moving or not."""
     moments = []
     for time in times:
         found = {}
         for name, own in images.items():
-            near = [image for image in own if abs(image.stamp - time) <= LAG * SECOND and image.view.labelled]
+            near = [
+                image
+                for image in own
+                if abs(image.stamp - time) <= MAX_ASSOCIATED_SECONDS * NS_PER_S and image.view.labelled
+            ]
             if near:
                 found[name] = min(near, key=lambda image: abs(image.stamp - time))
         if found:
@@ -124,12 +133,16 @@ def still_groups(images: Sequence[BagImage]) -> list[Group]:
     run: list[BagImage] = []
 
     def finish() -> None:
-        if run and (_alone(images, run) or run[-1].stamp - run[0].stamp >= SPAN * SECOND):
+        if run and (_is_lone_image(images, run) or run[-1].stamp - run[0].stamp >= MIN_STILL_SECONDS * NS_PER_S):
             groups.append(Group(tuple(run)))
         run.clear()
 
     for image in images:
-        if run and (not image.view.labelled or image.stamp - run[-1].stamp > GAP * SECOND or _moved(run[0], image)):
+        if run and (
+            not image.view.labelled
+            or image.stamp - run[-1].stamp > MAX_GAP_SECONDS * NS_PER_S
+            or _have_corners_moved(run[0], image)
+        ):
             finish()
         if image.view.labelled:
             run.append(image)
@@ -137,17 +150,17 @@ def still_groups(images: Sequence[BagImage]) -> list[Group]:
     return groups
 
 
-def _alone(images: Sequence[BagImage], run: Sequence[BagImage]) -> bool:
+def _is_lone_image(images: Sequence[BagImage], run: Sequence[BagImage]) -> bool:
     """Whether a run is a single image, with no other of the camera near it."""
     if len(run) > 1:
         return False
     stamps = [image.stamp for image in images]
     at = stamps.index(run[0].stamp)
     near = [abs(stamps[i] - run[0].stamp) for i in (at - 1, at + 1) if 0 <= i < len(stamps)]
-    return all(gap > GAP * SECOND for gap in near)
+    return all(gap > MAX_GAP_SECONDS * NS_PER_S for gap in near)
 
 
-def _moved(one: BagImage, other: BagImage) -> bool:
+def _have_corners_moved(one: BagImage, other: BagImage) -> bool:
     """Whether the common corners have moved; also true if there are none."""
     steps = []
     for pattern, found in one.view.found.items():
@@ -156,9 +169,9 @@ def _moved(one: BagImage, other: BagImage) -> bool:
             _, i, j = np.intersect1d(a.ids, b.ids, return_indices=True)
             steps.append(np.linalg.norm(a.pixels[i] - b.pixels[j], axis=-1))
     distances = np.concatenate(steps) if steps else np.zeros(0)
-    return not len(distances) or bool(np.median(distances) > MOVED)
+    return not len(distances) or bool(np.median(distances) > MAX_STILL_MOTION_PX)
 
 
-def _overlap(group: Group, start: int, end: int) -> int:
+def _overlap_ns(group: Group, start: int, end: int) -> int:
     """Overlap of a group and an interval, ns; negative for a gap."""
     return min(group.end, end) - max(group.start, start)

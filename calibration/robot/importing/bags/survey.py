@@ -9,7 +9,14 @@ import numpy as np
 from calibration.base.errors import InputError
 from calibration.engine.dataset.modalities import DEPTH, LIDAR3D, MODALITIES, RGB, Modality
 from calibration.engine.geometry.cameras import Camera
-from calibration.robot.importing.bags.bag import LIVOX_TYPES, SECOND, TF, VIDEO_TYPES, Bag, RawMessage
+from calibration.robot.importing.bags.bag import (
+    LIVOX_TYPES,
+    NS_PER_S,
+    TF_TYPES,
+    VIDEO_TYPES,
+    Bag,
+    RawMessage,
+)
 from calibration.robot.importing.bags.messages import INSTALL_PYAV, frame_of, transform_of
 from calibration.robot.importing.bags.motion_log import MotionLog, frames_of
 from calibration.robot.importing.bags.recorded_lens import RecordedLens, is_rectified
@@ -18,16 +25,20 @@ from calibration.robot.importing.description import ImportDescription, SensorDes
 from calibration.robot.importing.left_out import LeftOutCounts
 from calibration.robot.robot_description import read_robot_description
 
-_SENSOR = "sensor_msgs/msg/"
-IMAGES = (f"{_SENSOR}Image", f"{_SENSOR}CompressedImage", *VIDEO_TYPES)
+_SENSOR_PACKAGE = "sensor_msgs/msg/"
+IMAGE_TYPES = (f"{_SENSOR_PACKAGE}Image", f"{_SENSOR_PACKAGE}CompressedImage", *VIDEO_TYPES)
 MODALITY_OF_MESSAGE = {
-    **dict.fromkeys(IMAGES, RGB),
-    **{f"{_SENSOR}{each.message}": each for each in MODALITIES.values() if each.points and each.message != RGB.message},
+    **dict.fromkeys(IMAGE_TYPES, RGB),
+    **{
+        f"{_SENSOR_PACKAGE}{each.message}": each
+        for each in MODALITIES.values()
+        if each.points and each.message != RGB.message
+    },
     **dict.fromkeys(LIVOX_TYPES, LIDAR3D),
 }
 """Modalities by the types of the messages; images may be a depth camera's."""
-INFO, JOINTS = f"{_SENSOR}CameraInfo", f"{_SENSOR}JointState"
-TEXT = "std_msgs/msg/String"
+CAMERA_INFO_TYPE, JOINT_STATE_TYPE = f"{_SENSOR_PACKAGE}CameraInfo", f"{_SENSOR_PACKAGE}JointState"
+STRING_TYPE = "std_msgs/msg/String"
 OTHER_MESSAGES = {
     "FFMPEGPacket": f": {INSTALL_PYAV}",
     "CompressedVideo": f": {INSTALL_PYAV}",
@@ -85,10 +96,10 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
         InputError: a topic is missing or has no message, a clock jumps back, the stamps of two cameras do not
             overlap, or a message is wrong.
     """
-    sensors = described.sensors or _found(bag)
+    sensors = described.sensors or _at_least_one_camera(bag)
     for sensor in sensors:
         _check_topic(bag, sensor)
-    kinds = {sensor.name: _modality(bag, sensor) for sensor in sensors}
+    kinds = {sensor.name: _modality_of_topic(bag, sensor) for sensor in sensors}
     if not any(kind.has_corners for kind in kinds.values()):
         raise InputError(f"{bag.path}: found no camera among the sensors, expected one that sees where the pattern is")
     own = [sensor for sensor in sensors if sensor.intrinsics is None and kinds[sensor.name].has_intrinsics]
@@ -127,14 +138,15 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
         if kind.points and kind.has_intrinsics and sensor.intrinsics is None and camera is None:
             raise InputError(
                 f"{bag.path}: found no camera_info for the depth images of {topic}, expected one beside them, or "
-                f"'intrinsics' of '{sensor.name}'; topics of that type: {', '.join(bag.of_type(INFO)) or 'none'}"
+                f"'intrinsics' of '{sensor.name}'; topics of that type: "
+                f"{', '.join(bag.of_type(CAMERA_INFO_TYPE)) or 'none'}"
             )
         topics[sensor.name] = SensorTopic(sensor, topic, kind, frame, stamps[sensor.name], camera)
     _check_overlap(bag, list(topics.values()))
     return Survey(topics, log, key_frames.recorded)
 
 
-def _found(bag: Bag) -> tuple[SensorDescription, ...]:
+def _at_least_one_camera(bag: Bag) -> tuple[SensorDescription, ...]:
     """Return `cameras_of` a bag, at least one."""
     if not (cameras := cameras_of(bag)):
         raise InputError(f"{bag.path}: {no_images(bag)}")
@@ -162,17 +174,17 @@ def cameras_of(bag: Bag) -> tuple[SensorDescription, ...]:
 
 def image_topics(bag: Bag) -> list[str]:
     """Return every topic of images; of raw, compressed ones and video of the same images, the first of these."""
-    raw, compressed = bag.of_type(IMAGES[0]), bag.of_type(IMAGES[1])
+    raw, compressed = bag.of_type(IMAGE_TYPES[0]), bag.of_type(IMAGE_TYPES[1])
     videos = bag.of_type(*VIDEO_TYPES) if is_pyav_installed() else []
-    images = {*raw, *(_transported(topic) for topic in compressed)}
+    images = {*raw, *(_raw_topic(topic) for topic in compressed)}
     return [
         *raw,
-        *(topic for topic in compressed if _transported(topic) not in raw),
-        *(topic for topic in videos if _transported(topic) not in images),
+        *(topic for topic in compressed if _raw_topic(topic) not in raw),
+        *(topic for topic in videos if _raw_topic(topic) not in images),
     ]
 
 
-def _transported(topic: str) -> str:
+def _raw_topic(topic: str) -> str:
     """Return the topic of the raw images, of one of image_transport ("/camera/image_raw/ffmpeg")."""
     return str(PurePosixPath(topic).parent)
 
@@ -180,11 +192,11 @@ def _transported(topic: str) -> str:
 def _rectified_twins(bag: Bag) -> list[str]:
     """Return the topics of rectified images in whose namespace the images as they were taken are, too."""
     rectified: dict[str, bool] = {topic: is_rectified(topic) for topic in image_topics(bag)}
-    cameras = {_namespace(topic) for topic, is_one in rectified.items() if not is_one and not is_depth(topic)}
-    return [topic for topic, is_one in rectified.items() if is_one and _namespace(topic) in cameras]
+    cameras = {_camera_namespace(topic) for topic, is_one in rectified.items() if not is_one and not is_depth(topic)}
+    return [topic for topic, is_one in rectified.items() if is_one and _camera_namespace(topic) in cameras]
 
 
-def _namespace(topic: str) -> str:
+def _camera_namespace(topic: str) -> str:
     """Return the topic's part before "image_raw", "image_rect_color" and the like."""
     parts = PurePosixPath(topic).parts
     ends = [i for i, part in enumerate(parts) if part.startswith("image")]
@@ -208,7 +220,7 @@ def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
         )
 
 
-def _modality(bag: Bag, sensor: SensorDescription) -> Modality:
+def _modality_of_topic(bag: Bag, sensor: SensorDescription) -> Modality:
     """Return the modality by the type of its messages, and for images by the name of the topic."""
     kind = MODALITY_OF_MESSAGE[bag.topics[sensor.topic or ""]]
     if kind != RGB:
@@ -225,7 +237,7 @@ def is_depth(topic: str) -> bool:
 
 def info_topic(bag: Bag, sensor: SensorDescription) -> str | None:
     """Return the topic of a camera's intrinsics: the named one, else the one next to its images."""
-    known = bag.of_type(INFO)
+    known = bag.of_type(CAMERA_INFO_TYPE)
     if sensor.camera_info is not None:
         if sensor.camera_info not in known:
             raise InputError(
@@ -243,10 +255,11 @@ def _add_stamp(
     """Add the stamp of a message; of those that are not later than the one before, none."""
     stamp = message.recorded if sensor.stamps == "recorded" else bag.stamp(message)
     last = next(reversed(stamps.values()), None)
-    if last is not None and stamp < last - MAX_STEP_BACK * SECOND:
+    if last is not None and stamp < last - MAX_STEP_BACK * NS_PER_S:
         raise InputError(
-            f"{bag.path}: {message.topic}: the clock jumps back by {(last - stamp) / SECOND:.3f} s at "
-            f"{last / SECOND:.3f}; expected rising stamps: cut the bag there, or 'stamps: recorded' for '{sensor.name}'"
+            f"{bag.path}: {message.topic}: the clock jumps back by {(last - stamp) / NS_PER_S:.3f} s at "
+            f"{last / NS_PER_S:.3f}; expected rising stamps: cut the bag there, or 'stamps: recorded' for "
+            f"'{sensor.name}'"
         )
     if message.recorded in stamps:
         left_out.add(SAME_TIME, sensor.name, stamp)
@@ -258,8 +271,8 @@ def _add_stamp(
 
 def motion_topics(bag: Bag) -> set[str]:
     """Return the topics of frames, joints and robot descriptions."""
-    texts = [topic for topic in bag.of_type(TEXT) if topic.endswith("robot_description")]
-    return {*bag.of_type(*TF), *bag.of_type(JOINTS), *texts}
+    texts = [topic for topic in bag.of_type(STRING_TYPE) if topic.endswith("robot_description")]
+    return {*bag.of_type(*TF_TYPES), *bag.of_type(JOINT_STATE_TYPE), *texts}
 
 
 def add_described_robot(described: ImportDescription, log: MotionLog) -> None:
@@ -279,17 +292,17 @@ def add_motion(bag: Bag, message: RawMessage, log: MotionLog) -> None:
         InputError: it cannot be decoded.
     """
     kind, content = bag.topics[message.topic], bag.decode(message)
-    if kind in TF:
+    if kind in TF_TYPES:
         for each in content.transforms:
             edge, T = transform_of(each)
-            stamp = int(each.header.stamp.sec) * SECOND + int(each.header.stamp.nanosec) or message.recorded
+            stamp = int(each.header.stamp.sec) * NS_PER_S + int(each.header.stamp.nanosec) or message.recorded
             if T is None:
                 log.left_out.add(NO_POSE, frames_of(edge), stamp)
             elif message.topic.endswith("tf_static"):
                 log.static[edge] = T
             else:
                 log.add_transform(edge, stamp, T)
-    elif kind == JOINTS:
+    elif kind == JOINT_STATE_TYPE:
         for name, position in zip(content.name, content.position, strict=False):
             if np.isfinite(position):
                 log.add_joint_position(str(name), bag.stamp(message), float(position))
@@ -308,7 +321,8 @@ def _check_overlap(bag: Bag, cameras: Sequence[SensorTopic]) -> None:
         for other, (first, last) in spans.items():
             if start > last:
                 raise InputError(
-                    f"{bag.path}: the stamps of {topic} ({start / SECOND:.3f} to {end / SECOND:.3f}) and of {other} "
-                    f"({first / SECOND:.3f} to {last / SECOND:.3f}) do not overlap: are their clocks synchronised? "
+                    f"{bag.path}: the stamps of {topic} ({start / NS_PER_S:.3f} to {end / NS_PER_S:.3f}) and of "
+                    f"{other} "
+                    f"({first / NS_PER_S:.3f} to {last / NS_PER_S:.3f}) do not overlap: are their clocks synchronised? "
                     "'stamps: recorded' of a sensor takes the times at which it was recorded"
                 )

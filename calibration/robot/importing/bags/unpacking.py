@@ -53,7 +53,7 @@ class UnpackingBudget:
         while rest:
             stream, room = decompressor(), self.room
             parts.append(stream.decompress(rest, max_length=room + 1))
-            self._spend(len(parts[-1]))
+            self._spend_bytes(len(parts[-1]))
             if len(parts[-1]) > room:
                 raise UnpackingError(f"found a chunk that unpacks to more than {MAX_CHUNK} bytes")
             if not stream.eof:
@@ -72,10 +72,10 @@ class UnpackingBudget:
             return self.unpack(lz4.LZ4FrameDecompressor, packed)
         self._left += MAX_RATIO * len(packed)
         found: bytes = lz4.decompress(packed)
-        self._spend(len(found))
+        self._spend_bytes(len(found))
         return found
 
-    def _spend(self, size: int) -> None:
+    def _spend_bytes(self, size: int) -> None:
         self._left -= size
         if self._left < 0:
             raise UnpackingError(_TOO_MUCH)

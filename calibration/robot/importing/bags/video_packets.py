@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration.base.errors import InputError
 from calibration.base.optional import optional
-from calibration.robot.importing.bags.bag import SECOND, VIDEO_TYPES, Bag, RawMessage
+from calibration.robot.importing.bags.bag import NS_PER_S, VIDEO_TYPES, Bag, RawMessage
 from calibration.robot.importing.bags.messages import NO_VIDEO, image_of
 from calibration.robot.labelling.detection import Image
 
@@ -21,15 +21,15 @@ MAX_VIDEO_PIXELS = 8192 * 4320
 MAX_PACKET_BYTES = 1 << 26
 """Limit of a packet: no frame of 8K takes as much."""
 NO_KEY_FRAME = f"found no key frame of H.264 or H.265 with its parameters (SPS), expected one every second: {NO_VIDEO}"
-_CODECS = {"264": "h264", "265": "hevc", "hevc": "hevc"}
+_CODEC_OF_NAME = {"264": "h264", "265": "hevc", "hevc": "hevc"}
 """FFmpeg's names of the codecs by a part of what the messages say ("libx264", "hevc_nvenc;nv12;bgr8")."""
-_STARTS = {
+_START_HEADERS = {
     "h264": (re.compile(rb"\0\0\x01[\x07\x27\x47\x67]"), re.compile(rb"\0\0\x01[\x05\x25\x45\x65]")),
     "hevc": (re.compile(rb"\0\0\x01[\x42\x43]"), re.compile(rb"\0\0\x01[\x20-\x2b]")),
 }
 """Headers of NAL units in a packet with which decoding begins: an SPS, and a picture that needs no other (H.264 7.3.1,
 types 7 and 5; H.265 7.3.1.2, types 33 and 16 to 21)."""
-_LOSS = re.compile("frame num gap|conceal|missing (picture|reference)", re.IGNORECASE)
+_LOST_PACKET = re.compile("frame num gap|conceal|missing (picture|reference)", re.IGNORECASE)
 """In what FFmpeg logs where it makes up what a lost packet held: the frame that it returns is not marked."""
 
 
@@ -41,13 +41,13 @@ def is_pyav_installed() -> bool:
 def codec_of(message: Any) -> str | None:
     """Return FFmpeg's name of the codec of a message with video; None if it is an image, or of another codec."""
     words = str(getattr(message, "encoding", None) or getattr(message, "format", "")).lower().partition(";")[0]
-    return next((codec for part, codec in _CODECS.items() if part in words), None)
+    return next((codec for part, codec in _CODEC_OF_NAME.items() if part in words), None)
 
 
 def is_key_frame(message: Any) -> bool:
     """Return whether decoding can begin with a message."""
     codec = codec_of(message)
-    return codec is not None and all(header.search(message.data.tobytes()) for header in _STARTS[codec])
+    return codec is not None and all(header.search(message.data.tobytes()) for header in _START_HEADERS[codec])
 
 
 class KeyFrames:
@@ -110,7 +110,7 @@ class ImageReader:
             if message.recorded < begins[message.topic]:
                 continue
             content = self._bag.decode(message)
-            where = f"{self._bag.path}: {message.topic} at {self._bag.stamp(message) / SECOND:.3f}"
+            where = f"{self._bag.path}: {message.topic} at {self._bag.stamp(message) / NS_PER_S:.3f}"
             image: Callable[[], Image] | None = partial(image_of, content, where)
             if message.topic in decoders:
                 image = decoders[message.topic].decode(content, where)
@@ -151,20 +151,20 @@ class _PacketDecoder:
             with av.logging.Capture() as log:
                 frames = self._context.decode(av.Packet(data))
         except (av.error.FFmpegError, ValueError, MemoryError) as error:
-            raise _undecodable(where, " ".join(str(error).split())) from None
+            raise _decoding_error(where, " ".join(str(error).split())) from None
         finally:
             av.logging.set_level(None)
-        if lost := [text for _, _, text in log if _LOSS.search(text)]:
-            raise _undecodable(where, " ".join(lost[0].split()))
+        if lost := [text for _, _, text in log if _LOST_PACKET.search(text)]:
+            raise _decoding_error(where, " ".join(lost[0].split()))
         if len(frames) != 1:
             raise InputError(
                 f"{where}: found a packet of a video that gives {len(frames)} frames at once, expected one, as without "
                 f"B-frames: {NO_VIDEO}"
             )
-        return partial(_converted, av, frames[0], where)
+        return partial(_frame_as_bgr, av, frames[0], where)
 
 
-def _converted(av: Any, frame: Any, where: str) -> Image:
+def _frame_as_bgr(av: Any, frame: Any, where: str) -> Image:
     """Convert a frame to (H, W, 3), 8 bits, BGR."""
     if not 0 < frame.width * frame.height <= MAX_VIDEO_PIXELS:
         raise InputError(
@@ -173,10 +173,10 @@ def _converted(av: Any, frame: Any, where: str) -> Image:
     try:
         return np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
     except (av.error.FFmpegError, ValueError, MemoryError) as error:
-        raise _undecodable(where, " ".join(str(error).split())) from None
+        raise _decoding_error(where, " ".join(str(error).split())) from None
 
 
-def _undecodable(where: str, why: str) -> InputError:
+def _decoding_error(where: str, why: str) -> InputError:
     return InputError(
         f"{where}: a frame of a video cannot be decoded: {why[:300]}; was a packet before it lost? Cut the bag there, "
         f"or {NO_VIDEO}"

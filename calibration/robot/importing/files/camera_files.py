@@ -27,13 +27,13 @@ KALIBR_MODELS = {
     for distortion in dict.fromkeys((model.kalibr.distortion_model, "none"))
 }
 """Lens models by Kalibr's camera_model and distortion_model; other ones (fov) have no equivalent."""
-BASELINE = "T_cn_cnm1"
+KALIBR_BASELINE_KEY = "T_cn_cnm1"
 """Kalibr's key of a camera: the pose of the one before in its frame."""
 MAX_BASELINE = 1e4
 """Limit of a baseline, m."""
-ROUNDED = 1e-2
+MAX_ROTATION_ROUNDING = 1e-2
 """Limit of how far an element of a rotation in a file is off."""
-_KEYS = {
+_KEYS_OF_VALUE = {
     "width": ("image_width", "width", "image_Width", "imageWidth", "img_width"),
     "height": ("image_height", "height", "image_Height", "imageHeight", "img_height"),
     "K": (
@@ -46,13 +46,13 @@ _KEYS = {
     ),
 }
 """Keys of ROS, of OpenCV's samples, and of those who save what OpenCV returns."""
-_SIZES = ("cameraResolution", "size", "image_size", "img_size", "resolution")
+_SIZE_KEYS = ("cameraResolution", "size", "image_size", "img_size", "resolution")
 """Keys of width and height: of OpenCV's interactive-calibration, of anipose and multical."""
-_MODELS = ("distortion_model", "camera_model")
+_MODEL_KEYS = ("distortion_model", "camera_model")
 """Keys of the lens model: of camera_info, and of the files of camera_calibration."""
-_FISHEYE = ("fisheye", "fisheye_model", "use_fisheye")
+_FISHEYE_KEYS = ("fisheye", "fisheye_model", "use_fisheye")
 """Keys that are true for a fisheye: of anipose, of OpenCV's sample."""
-ALIASES = {
+ROS_NAME_OF_MODEL = {
     **SYNONYMS,
     "opencv_fisheye": "equidistant",
     "radial-tangential": "plumb_bob",
@@ -62,9 +62,9 @@ ALIASES = {
     "none": "plumb_bob",
 }
 """ROS's names of others' lens models; '' where it tells nothing of the distortion."""
-AMBIGUOUS = 4
+AMBIGUOUS_COEFFICIENTS = 4
 """Number of coefficients that plumb_bob (k1, k2, p1, p2) and a fisheye of cv2.fisheye (k1 to k4) both have."""
-_DEVIATIONS = (
+_DEVIATION_KEYS = (
     (("stdDeviationsIntrinsics", "std_deviations_intrinsics", "standard_deviations", "stdDeviations"), slice(0, None)),
     (("cameraMatrix_std_dev", "camera_matrix_std_dev"), slice(0, 4)),
     (("dist_coeffs_std_dev", "distCoeffs_std_dev", "distortion_coefficients_std_dev"), slice(4, None)),
@@ -101,7 +101,7 @@ def read_lens(path: Path, name: str | None = None, model: str | None = None) -> 
             something in it is missing or wrong.
     """
     chosen = None if model is None else known_model(path, model)
-    found = _lens(read_structured(path, "a file of intrinsics"), name, chosen)
+    found = _read_lens(read_structured(path, "a file of intrinsics"), name, chosen)
     camera = found.camera
     if found.has_size and not (0 <= camera.cx <= camera.width and 0 <= camera.cy <= camera.height):
         raise InputError(
@@ -118,26 +118,26 @@ def known_model(path: Path, model: str) -> str:
     Raises:
         InputError: it is unknown; the message begins with the path.
     """
-    if (known := ALIASES.get(model, model)) in MODELS:
+    if (known := ROS_NAME_OF_MODEL.get(model, model)) in MODELS:
         return known
     raise InputError(f"{path}: found the lens model '{model}' in import.yml, expected one of {', '.join(MODELS)}")
 
 
-def _lens(root: Node, name: str | None, model: str | None) -> KnownLens:
+def _read_lens(root: Node, name: str | None, model: str | None) -> KnownLens:
     if isinstance(root.value, list):
         root = Node(root.file, (), {"K": root.value})  # a matrix alone, as numpy.save writes it
     document = root.mapping()
     if "components" in document:
-        root, name = _component(root["components"], name), None
+        root, name = _metrical_as_camera_info(root["components"], name), None
     elif "camera" in document and isinstance(document["camera"], dict) and "model" in document["camera"]:
-        root = _visp(root["camera"])
-    elif cameras := _several(root):
-        chosen = _chosen(root, list(cameras), name)
+        root = _visp_as_camera_info(root["camera"])
+    elif cameras := _cameras_by_name(root):
+        chosen = _choose_camera(root, list(cameras), name)
         node, name = cameras[chosen], None
         if "camera_info" in node.value:
             return _of_our_calibration(node)
         if "camera_model" in node.value and "camera_matrix" not in node.value:
-            return replace(_kalibr(node), T_chain_camera=_pose_in_chain(root, chosen))
+            return replace(_read_kalibr_lens(node), T_chain_camera=_pose_in_chain(root, chosen))
         root = node
     elif numbered := [key[len("name_") :] for key in document if isinstance(key, str) and key.startswith("name_")]:
         return _of_our_storage(root, numbered, name)
@@ -146,11 +146,11 @@ def _lens(root: Node, name: str | None, model: str | None) -> KnownLens:
     if isinstance(root.value.get("intrinsics"), dict) and "fx" in root.value["intrinsics"]:
         return _robot_cal_tools(root["intrinsics"])
     if "intrinsics" in root.value and isinstance(root.value.get("distortion"), dict) and "type" in root.value:
-        root = _aslam(root)
+        root = _aslam_as_camera_info(root)
     return _camera_info(root, model)
 
 
-def _several(root: Node) -> dict[str, Node]:
+def _cameras_by_name(root: Node) -> dict[str, Node]:
     """Return the cameras of a file of several by their names: Kalibr's, aslam's, anipose's, caliscope's, our own."""
     listed = root.get("cameras") or root
     if isinstance(listed.value, list):
@@ -160,12 +160,12 @@ def _several(root: Node) -> dict[str, Node]:
     for key, node in listed.items():
         if not isinstance(node.value, dict) or {"rows", "cols", "data"} <= set(node.value):
             continue
-        if {"camera_info", "camera_model"} & set(node.value) or _first(node, _KEYS["K"]):
+        if {"camera_info", "camera_model"} & set(node.value) or _first_present(node, _KEYS_OF_VALUE["K"]):
             found[node["name"].text() if node.get("name") else key] = node
     return found
 
 
-def _component(components: Node, name: str | None) -> Node:
+def _metrical_as_camera_info(components: Node, name: str | None) -> Node:
     """Return a camera of MetriCal's plex, whose pixels begin at the corner of the first one, as camera_info."""
     cameras = {
         node["camera"]["name"].text(): node["camera"]["intrinsics"]
@@ -174,7 +174,7 @@ def _component(components: Node, name: str | None) -> Node:
     }
     if not cameras:
         raise components.fault("found no camera among the components, expected one")
-    node = cameras[_chosen(components, list(cameras), name)]
+    node = cameras[_choose_camera(components, list(cameras), name)]
     pinhole = node["projection"]["pinhole"]
     f, cx, cy = (pinhole[key].number() for key in ("f", "cx", "cy"))
     affinity = node.get("affinity")
@@ -189,11 +189,11 @@ def _component(components: Node, name: str | None) -> Node:
         if names is None and any(values):
             raise coefficients.fault(f"found the lens model '{kind}', expected opencv_radtan or opencv_fisheye")
         if names is not None:
-            info |= {"D": [coefficients[each].number() for each in names], "distortion_model": ALIASES[kind]}
+            info |= {"D": [coefficients[each].number() for each in names], "distortion_model": ROS_NAME_OF_MODEL[kind]}
     return Node(node.file, node.keys, info)
 
 
-def _visp(node: Node) -> Node:
+def _visp_as_camera_info(node: Node) -> Node:
     """Return the camera of ViSP's vpXmlParserCamera as camera_info; its ``kud`` is k1 of plumb_bob."""
     model = node["model"]
     fx, cx, fy, cy = (model[key].number() for key in ("px", "u0", "py", "v0"))
@@ -208,11 +208,11 @@ def _visp(node: Node) -> Node:
     return Node(node.file, node.keys, info)
 
 
-def _aslam(root: Node) -> Node:
+def _aslam_as_camera_info(root: Node) -> Node:
     """Return a camera of aslam's YAML as camera_info."""
     if (projection := root["type"]).text() != "pinhole":
         raise projection.unexpected("pinhole")
-    flat = Node(root.file, (*root.keys, "intrinsics"), _numbers(root["intrinsics"]))
+    flat = Node(root.file, (*root.keys, "intrinsics"), _flat_numbers(root["intrinsics"]))
     fx, fy, cx, cy = flat.numbers(4)
     distortion = root["distortion"]
     parameters = distortion.get("parameters")
@@ -220,7 +220,7 @@ def _aslam(root: Node) -> Node:
         "width": root["image_width"].value,
         "height": root["image_height"].value,
         "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        "D": _numbers(parameters) if parameters else [],
+        "D": _flat_numbers(parameters) if parameters else [],
         "distortion_model": distortion["type"].text(),
     }
     return Node(root.file, root.keys, info)
@@ -236,19 +236,19 @@ def _of_our_calibration(node: Node) -> KnownLens:
 def _of_our_storage(root: Node, numbered: list[str], name: str | None) -> KnownLens:
     """Parse a camera in the FileStorage of ``export``: ``name_0``, ``size_0``, ``model_0``, ``K_0``, ``D_0``."""
     names = {root[f"name_{number}"].text(): number for number in numbered}
-    number = names[_chosen(root, list(names), name)]
-    width, height = Node(root.file, (f"size_{number}",), _numbers(root[f"size_{number}"])).numbers(2)
+    number = names[_choose_camera(root, list(names), name)]
+    width, height = Node(root.file, (f"size_{number}",), _flat_numbers(root[f"size_{number}"])).numbers(2)
     info = {
         "width": width,
         "height": height,
-        "K": _numbers(root[f"K_{number}"]),
-        "D": _numbers(root[f"D_{number}"]),
+        "K": _flat_numbers(root[f"K_{number}"]),
+        "D": _flat_numbers(root[f"D_{number}"]),
         "distortion_model": root[f"model_{number}"].text(),
     }
     return KnownLens(root.file, read_camera(Node(root.file, root.keys, info)), has_size=True)
 
 
-def _chosen(root: Node, cameras: list[str], name: str | None) -> str:
+def _choose_camera(root: Node, cameras: list[str], name: str | None) -> str:
     if name is None and len(cameras) > 1:
         raise root.fault(f"has several cameras: add 'camera' with one of {', '.join(map(str, cameras))}")
     if name is not None and name not in cameras:
@@ -256,7 +256,7 @@ def _chosen(root: Node, cameras: list[str], name: str | None) -> str:
     return name or cameras[0]
 
 
-def _kalibr(node: Node) -> KnownLens:
+def _read_kalibr_lens(node: Node) -> KnownLens:
     camera, name = node["camera_model"], node.get("distortion_model")
     distortions = [distortion for known, distortion in KALIBR_MODELS if known == camera.text()]
     if not distortions:
@@ -286,19 +286,23 @@ def _pose_in_chain(root: Node, name: str) -> Array | None:
     pose = np.eye(4)
     for i in range(1, int(numbered[1]) + 1):
         camera = root.get(f"cam{i}")
-        baseline = camera.get(BASELINE) if camera else None
+        baseline = camera.get(KALIBR_BASELINE_KEY) if camera else None
         if baseline is None:
             return None
-        pose = pose @ inverse(_rigid(baseline))
+        pose = pose @ inverse(_rigid_transform(baseline))
     return pose
 
 
-def _rigid(node: Node) -> Array:
+def _rigid_transform(node: Node) -> Array:
     """Parse a transform of four rows (4, 4); its rotation may be rounded."""
     rows = [row.numbers(4) for row in node.elements()]
     T = np.array(rows) if len(rows) == 4 else np.zeros((4, 4))
     R = rotations.nearest(np.clip(T[:3, :3], -2, 2))
-    if abs(T[:3, :3] - R).max() > ROUNDED or (T[3] != [0, 0, 0, 1]).any() or abs(T[:3, 3]).max() > MAX_BASELINE:
+    if (
+        abs(T[:3, :3] - R).max() > MAX_ROTATION_ROUNDING
+        or (T[3] != [0, 0, 0, 1]).any()
+        or abs(T[:3, 3]).max() > MAX_BASELINE
+    ):
         raise node.fault("is no transform, expected four rows of four numbers: a rotation, a translation, 0 0 0 1")
     return transform(R, T[:3, 3])
 
@@ -310,43 +314,43 @@ def _robot_cal_tools(node: Node) -> KnownLens:
 
 
 def _camera_info(root: Node, model: str | None) -> KnownLens:
-    found = {what: node for what, keys in _KEYS.items() if (node := _first(root, keys)) is not None}
+    found = {what: node for what, keys in _KEYS_OF_VALUE.items() if (node := _first_present(root, keys)) is not None}
     if "K" not in found:
         raise root.fault(
             "found no camera in it, expected ROS's camera_info (camera_matrix), Kalibr's camchain (cam0) or "
             "OpenCV's FileStorage (camera_matrix or K)"
         )
     D = found.get("D")
-    coefficients = _numbers(D) if D else []
+    coefficients = _flat_numbers(D) if D else []
     stated = model or _stated_model(root)
-    if not stated and len(coefficients) == AMBIGUOUS and any(coefficients) and D:
+    if not stated and len(coefficients) == AMBIGUOUS_COEFFICIENTS and any(coefficients) and D:
         raise D.fault(
             "found 4 coefficients and no lens model, which may be plumb_bob (k1, k2, p1, p2) or a fisheye of "
             "cv2.fisheye (k1 to k4): add 'model: plumb_bob' or 'model: equidistant' to the sensor in import.yml"
         )
     stated = stated or ("rational_polynomial" if len(coefficients) > 5 else "plumb_bob")
     info: dict[str, Any] = {
-        "K": _numbers(found["K"]),
+        "K": _flat_numbers(found["K"]),
         "D": _of_the_model(D, coefficients, stated) if D else [],
         "distortion_model": stated,
     }
-    if (size := _first(root, _SIZES)) is not None:
-        info["width"], info["height"] = Node(size.file, size.keys, _numbers(size)).numbers(2)
+    if (size := _first_present(root, _SIZE_KEYS)) is not None:
+        info["width"], info["height"] = Node(size.file, size.keys, _flat_numbers(size)).numbers(2)
     elif "width" in found and "height" in found:
         info |= {"width": found["width"].value, "height": found["height"].value}
     else:
-        return replace(_without_size(root, info), uncertainty=_deviations(root, info))
+        return replace(_without_size(root, info), uncertainty=_read_standard_deviations(root, info))
     camera = read_camera(Node(root.file, root.keys, info))
-    return KnownLens(root.file, camera, has_size=True, uncertainty=_deviations(root, info))
+    return KnownLens(root.file, camera, has_size=True, uncertainty=_read_standard_deviations(root, info))
 
 
 def _stated_model(root: Node) -> str:
     """Return ROS's name of the lens model that a file states; '' if it states none."""
-    fisheye = _first(root, _FISHEYE)
+    fisheye = _first_present(root, _FISHEYE_KEYS)
     if fisheye is not None and fisheye.value not in (False, 0, "0", "false"):
         return "equidistant"
-    for node in (root.get(key) for key in _MODELS):
-        if node is not None and (name := ALIASES.get(node.text(), node.text())):
+    for node in (root.get(key) for key in _MODEL_KEYS):
+        if node is not None and (name := ROS_NAME_OF_MODEL.get(node.text(), node.text())):
             if name not in MODELS:
                 raise node.unexpected(f"a known distortion model: {', '.join(MODELS)}, or 'fisheye'")
             return name
@@ -367,13 +371,13 @@ def _of_the_model(D: Node, coefficients: list[float], model: str) -> list[float]
     return kept
 
 
-def _deviations(root: Node, info: Mapping[str, Any]) -> LensUncertainty | None:
+def _read_standard_deviations(root: Node, info: Mapping[str, Any]) -> LensUncertainty | None:
     """Return OpenCV's standard deviations, if the file has any; 0 stands for what was not calibrated."""
     names = ("fx", "fy", "cx", "cy", *MODELS[info["distortion_model"] or "plumb_bob"].names())
     found: dict[str, float] = {}
-    for keys, of in _DEVIATIONS:
-        if (node := _first(root, keys)) is not None:
-            flat = Node(root.file, node.keys, _numbers(node))
+    for keys, of in _DEVIATION_KEYS:
+        if (node := _first_present(root, keys)) is not None:
+            flat = Node(root.file, node.keys, _flat_numbers(node))
             values = [each.within(0, MAX_INTRINSIC) for each in flat.elements()]
             found |= {name: value for name, value in zip(names[of], values, strict=False) if value > 0}
     parameters = tuple(name for name in names if name in found)
@@ -385,11 +389,11 @@ def _without_size(node: Node, info: Mapping[str, Any]) -> KnownLens:
     return KnownLens(node.file, read_camera(Node(node.file, node.keys, sized)), has_size=False)
 
 
-def _first(root: Node, keys: tuple[str, ...]) -> Node | None:
+def _first_present(root: Node, keys: tuple[str, ...]) -> Node | None:
     return next((node for key in keys if (node := root.get(key))), None)
 
 
-def _numbers(node: Node) -> list[Any]:
+def _flat_numbers(node: Node) -> list[Any]:
     """Return a matrix as a flat list: from a flat list, from rows, or from ROS's and OpenCV's form with its size."""
     if isinstance(node.value, dict):
         node = node["data"]

@@ -16,19 +16,19 @@ from typing import IO, Any
 from calibration.base.errors import InputError
 from calibration.base.text import one_line, shorten
 
-STALLED = 60
+MAX_STALLED_SECONDS = 60
 """s: limit of the time between two parts of what is decoded."""
 CPU_SECONDS, BYTES_A_CPU_SECOND = 300, 100_000
 """Limit of the process's time of the processor: these seconds, and one for so many bytes of the file."""
-MEMORY = 2 << 30
+MAX_ADDRESS_SPACE = 2 << 30
 """Bytes of address space of the process, of which it uses a part."""
-FRAME = Struct("<qddIIB")
+FRAME_HEADER = Struct("<qddIIB")
 """Of a video's frame: index, time (ms), frames a second, width, height, and whether its pixels follow."""
-_CHILD = (
+_CHILD_CODE = (
     "import sys; sys.path.insert(0, sys.argv.pop(1)); "
     "from calibration.robot.importing.files.decoding_child import main; main()"
 )
-_SOURCES = str(Path(__file__).resolve().parents[4])
+_SOURCE_FOLDER = str(Path(__file__).resolve().parents[4])
 
 
 class DecodedStream:
@@ -41,11 +41,11 @@ class DecodedStream:
         """Read so many bytes, or fewer at the end.
 
         Raises:
-            TimeoutError: nothing came for `STALLED` seconds.
+            TimeoutError: nothing came for `MAX_STALLED_SECONDS` seconds.
         """
         parts: list[bytes] = []
         while size > 0:
-            if not select.select([self._stream], [], [], STALLED)[0]:
+            if not select.select([self._stream], [], [], MAX_STALLED_SECONDS)[0]:
                 raise TimeoutError
             if not (part := os.read(self._stream.fileno(), min(size, 1 << 20))):
                 break
@@ -68,10 +68,10 @@ def confined_decoding(kind: str, path: Path, what: str, **request: Any) -> Itera
         InputError: it cannot be decoded, takes too much memory or time, or stalls.
     """
     seconds = CPU_SECONDS + path.stat().st_size // BYTES_A_CPU_SECOND
-    whole = {"kind": kind, "file": str(path.resolve()), "memory": MEMORY, "seconds": seconds, **request}
+    whole = {"kind": kind, "file": str(path.resolve()), "memory": MAX_ADDRESS_SPACE, "seconds": seconds, **request}
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(
-            [sys.executable, "-I", "-c", _CHILD, _SOURCES, json.dumps(whole)],
+            [sys.executable, "-I", "-c", _CHILD_CODE, _SOURCE_FOLDER, json.dumps(whole)],
             env={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -82,9 +82,11 @@ def confined_decoding(kind: str, path: Path, what: str, **request: Any) -> Itera
         try:
             yield DecodedStream(process.stdout)
             process.stdout.close()
-            code = process.wait(STALLED)
+            code = process.wait(MAX_STALLED_SECONDS)
         except (TimeoutError, subprocess.TimeoutExpired):
-            raise InputError(f"{path}: {what} was expected, but decoding it stalls: nothing for {STALLED} s") from None
+            raise InputError(
+                f"{path}: {what} was expected, but decoding it stalls: nothing for {MAX_STALLED_SECONDS} s"
+            ) from None
         finally:
             process.kill()
             process.wait()

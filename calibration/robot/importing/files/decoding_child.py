@@ -15,12 +15,12 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from calibration.robot.expansion.confinement import restrict_by_kernel
-from calibration.robot.importing.files.confined_decoding import FRAME
+from calibration.robot.importing.files.confined_decoding import FRAME_HEADER
 
 LOG_BYTES = 1 << 20
 """Limit of what libraries print, which goes to a file."""
-_FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm"
-_OPTIONS = f"protocol_whitelist;file|format_whitelist;{_FORMATS}"
+_CONTAINER_FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm"
+_FFMPEG_OPTIONS = f"protocol_whitelist;file|format_whitelist;{_CONTAINER_FORMATS}"
 """Of FFmpeg: no playlist, which would name other files and hosts."""
 
 
@@ -29,7 +29,7 @@ def main() -> None:
     request = json.loads(sys.argv[1])
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is not what it decodes
-    decode = _DECODERS[request["kind"]]()
+    decode = _DECODER_OF_KIND[request["kind"]]()
     resource.setrlimit(resource.RLIMIT_FSIZE, (LOG_BYTES, LOG_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CPU, (request["seconds"], request["seconds"] + 1))
@@ -45,9 +45,9 @@ def main() -> None:
     os._exit(0)  # nothing is left to write, and a library may hang where it ends
 
 
-def _video() -> Callable[[Mapping[str, Any], BinaryIO], None]:
-    """Return what writes the frames of a video: `FRAME`, and the pixels (BGR, 8 bits) of those that are asked for."""
-    os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = _OPTIONS
+def _video_decoder() -> Callable[[Mapping[str, Any], BinaryIO], None]:
+    """Return what writes the frames of a video: `FRAME_HEADER`, and the pixels (BGR) of those asked for."""
+    os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = _FFMPEG_OPTIONS
     import cv2
 
     def write_frames(request: Mapping[str, Any], output: BinaryIO) -> None:
@@ -66,14 +66,14 @@ def _video() -> Callable[[Mapping[str, Any], BinaryIO], None]:
             if image is not None and image.shape != (height, width, 3):
                 raise ValueError(f"frame {i} has the shape {image.shape}, expected ({height}, {width}, 3)")
             sent = int(image is not None)
-            output.write(FRAME.pack(i, capture.get(cv2.CAP_PROP_POS_MSEC), rate, width, height, sent))
+            output.write(FRAME_HEADER.pack(i, capture.get(cv2.CAP_PROP_POS_MSEC), rate, width, height, sent))
             if image is not None:
                 output.write(image.tobytes())
 
     return write_frames
 
 
-def _laz() -> Callable[[Mapping[str, Any], BinaryIO], None]:
+def _laz_decoder() -> Callable[[Mapping[str, Any], BinaryIO], None]:
     """Return what writes the points (N, 3) of a LAZ file, as float64."""
     import laspy
 
@@ -86,4 +86,4 @@ def _laz() -> Callable[[Mapping[str, Any], BinaryIO], None]:
     return write_points
 
 
-_DECODERS = {"video": _video, "laz": _laz}
+_DECODER_OF_KIND = {"video": _video_decoder, "laz": _laz_decoder}

@@ -14,15 +14,15 @@ from calibration.base.errors import InputError
 from calibration.base.file_patterns import matching
 from calibration.base.files import read_bytes
 
-ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 """Endings of image files, in lower case."""
 MOST_IMAGES = 20_000
 """Limit of the images of one camera."""
 MAX_CSV = 10_000_000
-_NUMBER = re.compile(r"\d+")
+_NUMBER_IN_NAME = re.compile(r"\d+")
 
-_STAMP = re.compile(r"\d{15,19}")
-TOGETHER = 20_000_000
+_STAMP_IN_NAME = re.compile(r"\d{15,19}")
+MAX_STAMP_DIFFERENCE_NS = 20_000_000
 """ns: limit of the difference of stamps of associated images; Kalibr's default."""
 
 Pairs = Literal["name", "number", "stamp"] | Path | None
@@ -51,7 +51,7 @@ class Moment:
     """Time between the first and the last of them, s, if their names are stamps."""
 
 
-def find_pictures(sensor: str, place: str, endings: Sequence[str] = ENDINGS, what: str = "image") -> Pictures:
+def find_pictures(sensor: str, place: str, endings: Sequence[str] = IMAGE_ENDINGS, what: str = "image") -> Pictures:
     """Find the images, or other files by their endings, in a folder or of a glob pattern.
 
     Raises:
@@ -84,44 +84,44 @@ def moments_of(pictures: Sequence[Pictures], pairs: Pairs = None) -> list[Moment
     """
     if isinstance(pairs, Path):
         return _by_table(pictures, pairs)
-    stamped = all(_STAMP.fullmatch(path.stem) for each in pictures for path in each.files)
+    stamped = all(_STAMP_IN_NAME.fullmatch(path.stem) for each in pictures for path in each.files)
     if pairs == "stamp" or (pairs is None and stamped and len(pictures) > 1):
         return _by_stamp(pictures)
     if pairs == "name" or len(pictures) == 1:
-        return _together(pictures, [_names(each) for each in pictures], "name")
+        return _moments_of_keys(pictures, [_by_stem(each) for each in pictures], "name")
     if pairs is None:
-        named = [_names(each) for each in pictures]
+        named = [_by_stem(each) for each in pictures]
         if any(set(one) & set(other) for i, one in enumerate(named) for other in named[:i]):
-            return _together(pictures, named, "name")
-    return _together(pictures, [_numbers(each) for each in pictures], "number")
+            return _moments_of_keys(pictures, named, "name")
+    return _moments_of_keys(pictures, [_by_last_number(each) for each in pictures], "number")
 
 
 def _in_order(path: Path) -> tuple[list[int], str]:
-    return [int(number) for number in _NUMBER.findall(path.stem)[-1:]], path.name
+    return [int(number) for number in _NUMBER_IN_NAME.findall(path.stem)[-1:]], path.name
 
 
-def _names(pictures: Pictures) -> dict[str, Path]:
+def _by_stem(pictures: Pictures) -> dict[str, Path]:
     """Return the images by their names without the ending and the sensor's name."""
     found: dict[str, Path] = {}
     for path in pictures.files:
         name = path.stem.replace(pictures.sensor, "").strip("_-. ") or path.stem
         if (other := found.setdefault(name, path)) is not path:
-            raise _ambiguous(pictures, other, path, f"the name '{name}'")
+            raise _ambiguity_error(pictures, other, path, f"the name '{name}'")
     return found
 
 
-def _numbers(pictures: Pictures) -> dict[str, Path]:
+def _by_last_number(pictures: Pictures) -> dict[str, Path]:
     """Return the images by the last numbers in their names."""
     found: dict[str, Path] = {}
     for path in pictures.files:
-        numbers = _NUMBER.findall(path.stem)
+        numbers = _NUMBER_IN_NAME.findall(path.stem)
         if not numbers:
             raise InputError(
                 f"{path}: found no number in its name, expected one that tells which images belong together; or give "
                 "a CSV file: pairs"
             )
         if (other := found.setdefault(str(int(numbers[-1])), path)) is not path:
-            raise _ambiguous(pictures, other, path, f"the number {int(numbers[-1])}")
+            raise _ambiguity_error(pictures, other, path, f"the number {int(numbers[-1])}")
     return found
 
 
@@ -135,15 +135,15 @@ class _Stamped:
 
 
 def _by_stamp(pictures: Sequence[Pictures]) -> list[Moment]:
-    """Associate images within `TOGETHER`, one of each camera; each with the nearest one of the first camera."""
-    by_sensor = {each.sensor: sorted(_stamped(each)) for each in pictures}
+    """Associate images within `MAX_STAMP_DIFFERENCE_NS`, each with the nearest one of the first camera."""
+    by_sensor = {each.sensor: sorted(_with_stamps(each)) for each in pictures}
     after = {one: other.stamp for images in by_sensor.values() for one, other in pairwise(images)}
     groups: list[dict[str, _Stamped]] = []
     for image in sorted(image for images in by_sensor.values() for image in images):
         first = next(iter(groups[-1].values())) if groups else image
         apart = image.stamp - first.stamp
         nearer = first not in after or apart <= abs(after[first] - image.stamp)
-        if groups and image.sensor not in groups[-1] and apart <= TOGETHER and nearer:
+        if groups and image.sensor not in groups[-1] and apart <= MAX_STAMP_DIFFERENCE_NS and nearer:
             groups[-1][image.sensor] = image
         else:
             groups.append({image.sensor: image})
@@ -151,17 +151,18 @@ def _by_stamp(pictures: Sequence[Pictures]) -> list[Moment]:
         if not any(each.sensor in group and len(group) > 1 for group in groups):
             one, other = (by_sensor[sensor][0] for sensor in (pictures[0].sensor, each.sensor))
             raise InputError(
-                f"{each.place}: no image of '{each.sensor}' was taken within {TOGETHER / 1e9:g} s of another camera's, "
+                f"{each.place}: no image of '{each.sensor}' was taken within {MAX_STAMP_DIFFERENCE_NS / 1e9:g} s of "
+                "another camera's, "
                 f"by the stamps that are their names ({other.path.name}, '{pictures[0].sensor}' {one.path.name}): are "
                 "their clocks synchronised?"
             )
-    return [_moment(group) for group in groups]
+    return [_as_moment(group) for group in groups]
 
 
-def _stamped(pictures: Pictures) -> list[_Stamped]:
+def _with_stamps(pictures: Pictures) -> list[_Stamped]:
     """Return the images with their stamps."""
     for path in pictures.files:
-        if not _STAMP.fullmatch(path.stem):
+        if not _STAMP_IN_NAME.fullmatch(path.stem):
             raise InputError(f"{path}: found '{path.stem}' as its name, expected a stamp in nanoseconds (pairs: stamp)")
     found = {int(path.stem): path for path in pictures.files}
     if len(found) < len(pictures.files):
@@ -170,20 +171,20 @@ def _stamped(pictures: Pictures) -> list[_Stamped]:
     return [_Stamped(stamp, pictures.sensor, path) for stamp, path in found.items()]
 
 
-def _moment(group: Mapping[str, _Stamped]) -> Moment:
+def _as_moment(group: Mapping[str, _Stamped]) -> Moment:
     stamps = [image.stamp for image in group.values()]
     files = {sensor: image.path for sensor, image in group.items()}
     return Moment(str(stamps[0]), files, (stamps[-1] - stamps[0]) / 1e9)
 
 
-def _ambiguous(pictures: Pictures, one: Path, other: Path, what: str) -> InputError:
+def _ambiguity_error(pictures: Pictures, one: Path, other: Path, what: str) -> InputError:
     return InputError(
         f"{pictures.place}: found {what} in {one.name} and {other.name}, expected each once to tell which images "
         "belong together; give a CSV file: pairs"
     )
 
 
-def _together(pictures: Sequence[Pictures], keyed: Sequence[Mapping[str, Path]], by: str) -> list[Moment]:
+def _moments_of_keys(pictures: Sequence[Pictures], keyed: Sequence[Mapping[str, Path]], by: str) -> list[Moment]:
     for each, own in zip(pictures[1:], keyed[1:], strict=True):
         if not any(set(own) & set(others) for others in keyed if others is not own):
             one, other = pictures[0], each

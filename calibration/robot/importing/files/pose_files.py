@@ -17,24 +17,24 @@ from calibration.base.file_patterns import matching
 from calibration.base.files import read_bytes
 from calibration.engine.dataset.document import Node
 from calibration.robot.importing.files.pictures import MAX_CSV, MOST_IMAGES
-from calibration.robot.importing.files.pose_form import QUATERNIONS, PoseForm
+from calibration.robot.importing.files.pose_form import QUATERNION_CONVENTIONS, PoseForm
 from calibration.robot.importing.files.structured_files import read_structured
 
-TABLES = (".csv", ".tsv", ".txt", ".dat", ".tum")
+TABLE_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".tum")
 """Endings of text files with a row for each pose, or with matrices by their rows."""
-STRUCTURED = (".yaml", ".yml", ".json", ".xml", ".toml", ".npz", ".npy", ".samples")
+STRUCTURED_ENDINGS = (".yaml", ".yml", ".json", ".xml", ".toml", ".npz", ".npy", ".samples")
 MAX_POSE_NUMBERS = 64
 """Limit of the numbers of one pose."""
-POSITION = ("x", "y", "z")
-QUATERNION = ("qx", "qy", "qz", "qw")
-ANGLES = ("rx", "ry", "rz")
-MATRIX = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
-ROTATIONS = (QUATERNION, ANGLES, MATRIX)
+POSITION_NAMES = ("x", "y", "z")
+QUATERNION_NAMES = ("qx", "qy", "qz", "qw")
+ANGLE_NAMES = ("rx", "ry", "rz")
+MATRIX_NAMES = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
+ROTATION_NAMES = (QUATERNION_NAMES, ANGLE_NAMES, MATRIX_NAMES)
 """Names of the numbers of a rotation."""
 _OTHER_NAMES = {
     **{
         f"{prefix}{axis}": axis
-        for axis in POSITION
+        for axis in POSITION_NAMES
         for prefix in ("t", "t_", "p", "p_", "pos_", "pos", "position_", "position.", "translation_", "translation.")
     },
     **{
@@ -90,8 +90,10 @@ def open_pose_files(path: Path) -> list[PoseDocument]:
         InputError: a file cannot be read.
     """
     return [
-        PoseTable(file, list(_rows(file))) if file.suffix.lower() in TABLES else read_structured(file, "poses")
-        for file in _files(path)
+        PoseTable(file, list(_table_rows(file)))
+        if file.suffix.lower() in TABLE_ENDINGS
+        else read_structured(file, "poses")
+        for file in _list_files(path)
     ]
 
 
@@ -108,7 +110,7 @@ def poses_in(documents: Sequence[PoseDocument], form: PoseForm, names: Sequence[
     """
     found: list[FilePose] = []
     for document in documents:
-        poses = [_pose_at(entry, form) for entry in _entries(document, form, names)]
+        poses = [_pose_at(entry, form) for entry in _written_poses(document, form, names)]
         if len(documents) > 1 and len(poses) != 1:
             raise InputError(
                 f"{document.file}: found {len(poses)} poses, expected one in each of {len(documents)} files"
@@ -124,7 +126,7 @@ def poses_in(documents: Sequence[PoseDocument], form: PoseForm, names: Sequence[
 def has_poses(documents: Sequence[PoseDocument], form: PoseForm, name: str) -> bool:
     """Whether there are poses of a name."""
     try:
-        return next(iter(_entries(documents[0], replace(form, key=None), (name,))), None) is not None
+        return next(iter(_written_poses(documents[0], replace(form, key=None), (name,))), None) is not None
     except _NoSuchKeyError:
         return False
 
@@ -133,21 +135,28 @@ class _NoSuchKeyError(InputError):
     """The file has no pose of the name."""
 
 
-def _files(path: Path) -> list[Path]:
+def _list_files(path: Path) -> list[Path]:
     if has_magic(str(path)) and not path.exists():
         found = [Path(name) for name in matching([str(path)])]
     elif path.is_dir():
-        found = [each for each in path.iterdir() if each.suffix.lower() in (*TABLES, *STRUCTURED) and each.is_file()]
+        found = [
+            each
+            for each in path.iterdir()
+            if each.suffix.lower() in (*TABLE_ENDINGS, *STRUCTURED_ENDINGS) and each.is_file()
+        ]
     else:
         return [path]
     if not found:
-        raise InputError(f"{path}: found no file of a pose, expected some that end in {', '.join(STRUCTURED + TABLES)}")
+        raise InputError(
+            f"{path}: found no file of a pose, expected some that end in "
+            f"{', '.join(STRUCTURED_ENDINGS + TABLE_ENDINGS)}"
+        )
     if len(found) > MOST_IMAGES:
         raise InputError(f"{path}: found {len(found)} files, expected {MOST_IMAGES} at most")
     return sorted(found, key=lambda each: ([int(digits) for digits in re.findall(r"\d+", str(each))], str(each)))
 
 
-def _entries(document: PoseDocument, form: PoseForm, names: Sequence[str]) -> Iterator[Node]:
+def _written_poses(document: PoseDocument, form: PoseForm, names: Sequence[str]) -> Iterator[Node]:
     """Yield the poses of a file as they are written, each a list of numbers or an object of them."""
     names = (form.key,) if form.key is not None else names
     return (
@@ -163,15 +172,15 @@ def _table_entries(table: PoseTable, form: PoseForm, names: Sequence[str]) -> It
         return
     (line, first), are_numbers = rows[0], [_is_number(cell) for cell in rows[0][1]]
     if form.columns is not None:
-        yield from _named(path, form.columns, rows if any(are_numbers) else rows[1:], names)
+        yield from _named_rows(path, form.columns, rows if any(are_numbers) else rows[1:], names)
     elif not any(are_numbers):
-        yield from _named(path, first, rows[1:], names)
+        yield from _named_rows(path, first, rows[1:], names)
     elif names and any(cells[0] in names for _, cells in rows):
-        yield from _unnamed(path, [(line, cells[1:]) for line, cells in rows if cells[0] in names])
+        yield from _unnamed_rows(path, [(line, cells[1:]) for line, cells in rows if cells[0] in names])
     elif names:
         raise _NoSuchKeyError(f"{path}:{line}: found no names of columns, expected '{names[0]}'")
     elif all(are_numbers):
-        yield from _unnamed(path, rows)
+        yield from _unnamed_rows(path, rows)
     else:
         raise InputError(
             f"{path}:{line}: found '{first[0]}' beside numbers, expected a row of names; or add 'columns' to 'samples' "
@@ -179,7 +188,7 @@ def _table_entries(table: PoseTable, form: PoseForm, names: Sequence[str]) -> It
         )
 
 
-def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+def _table_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the rows of a table that have cells, and their lines; without brackets and a semicolon at the end."""
     content = read_bytes(path, MAX_CSV, "a CSV file of poses")
     try:
@@ -207,7 +216,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _title(text: str) -> str:
+def _column_name(text: str) -> str:
     """Return a column's name in our words: without its unit and in lower case."""
     bare = re.sub(r"[\[(].*?[\])]", "", text).strip().lower()
     for prefix in ("pattern_", ""):
@@ -217,28 +226,29 @@ def _title(text: str) -> str:
     return bare
 
 
-def _at(path: Path, line: int, value: Any) -> Node:
+def _node_at_line(path: Path, line: int, value: Any) -> Node:
     return Node(Path(f"{path}:{line}"), (), value)
 
 
-def _unnamed(path: Path, rows: Sequence[tuple[int, list[str]]]) -> Iterator[Node]:
+def _unnamed_rows(path: Path, rows: Sequence[tuple[int, list[str]]]) -> Iterator[Node]:
     """Yield rows of numbers, or matrices of four rows of four numbers."""
     numbers = [
-        (line, [_cell(path, line, cell, f"number {i}") for i, cell in enumerate(cells, 1)]) for line, cells in rows
+        (line, [_number_in_cell(path, line, cell, f"number {i}") for i, cell in enumerate(cells, 1)])
+        for line, cells in rows
     ]
     if len(numbers) % 4 == 0 and all(len(each) == 4 for _, each in numbers):
         for i in range(0, len(numbers), 4):
-            yield _at(path, numbers[i][0], [each for _, each in numbers[i : i + 4]])
+            yield _node_at_line(path, numbers[i][0], [each for _, each in numbers[i : i + 4]])
         return
     for line, each in numbers:
-        yield _at(path, line, each)
+        yield _node_at_line(path, line, each)
 
 
-def _named(
+def _named_rows(
     path: Path, named: Sequence[str], rows: Sequence[tuple[int, list[str]]], names: Sequence[str]
 ) -> Iterator[Node]:
     """Yield rows as objects of the columns whose names begin with a name, and of the image."""
-    titles = [_title(each) for each in named]
+    titles = [_column_name(each) for each in named]
     prefix = next((name for name in names if any(each.startswith(name) for each in titles)), None)
     if names and prefix is None:
         raise _NoSuchKeyError(
@@ -246,27 +256,31 @@ def _named(
         )
     for line, cells in rows:
         row = dict(zip(titles, cells, strict=False))
-        own = {_OTHER_NAMES.get(bare, bare): cell for title, cell in row.items() if (bare := _without(title, prefix))}
-        used = next((each for each in ROTATIONS if each[0] in own or each[-1] in own), QUATERNION)
-        if missing := [each for each in (*POSITION, *used) if each not in own]:
-            expected = ", ".join(f"{prefix or ''}{each}" for each in (*POSITION, *used))
+        own = {
+            _OTHER_NAMES.get(bare, bare): cell
+            for title, cell in row.items()
+            if (bare := _without_prefix(title, prefix))
+        }
+        used = next((each for each in ROTATION_NAMES if each[0] in own or each[-1] in own), QUATERNION_NAMES)
+        if missing := [each for each in (*POSITION_NAMES, *used) if each not in own]:
+            expected = ", ".join(f"{prefix or ''}{each}" for each in (*POSITION_NAMES, *used))
             raise InputError(
                 f"{path}:{line}: missing column '{prefix or ''}{missing[0]}', expected {expected}; or say what the "
                 "columns are by 'columns' of 'samples' in import.yml"
             )
         value: dict[str, Any] = {
-            name: _cell(path, line, cell, f"{prefix or ''}{name}")
+            name: _number_in_cell(path, line, cell, f"{prefix or ''}{name}")
             for name, cell in own.items()
-            if name in (*POSITION, *used)
+            if name in (*POSITION_NAMES, *used)
         }
-        yield _at(path, line, value | ({"image": image} if (image := row.get("image")) else {}))
+        yield _node_at_line(path, line, value | ({"image": image} if (image := row.get("image")) else {}))
 
 
-def _without(title: str, prefix: str | None) -> str:
+def _without_prefix(title: str, prefix: str | None) -> str:
     return title if not prefix else title.removeprefix(prefix) if title.startswith(prefix) else ""
 
 
-def _cell(path: Path, line: int, cell: str, name: str) -> float:
+def _number_in_cell(path: Path, line: int, cell: str, name: str) -> float:
     if _is_number(cell) and np.isfinite(float(cell)):
         return float(cell)
     raise InputError(f"{path}:{line}: found '{cell}' as {name}, expected a finite number")
@@ -275,14 +289,14 @@ def _cell(path: Path, line: int, cell: str, name: str) -> float:
 def _structured_entries(root: Node, names: Sequence[str]) -> Iterator[Node]:
     """Yield what the key of the poses leads to, else the poses that a document lists."""
     if names:
-        found = next((each for name in names if (each := list(_called(root, name)))), None)
+        found = next((each for name in names if (each := list(_poses_of_name(root, name)))), None)
         if found is None:
             raise _NoSuchKeyError(f"{root.file}: found no poses '{names[0]}'")
         yield from found
     elif isinstance(root.value, dict) and (key := next((each for each in _LIST_KEYS if each in root.value), None)):
-        yield from _listed(root if _is_matrix(root) else root[key])
+        yield from _poses_in_list(root if _is_matrix(root) else root[key])
     else:
-        yield from _listed(_only_array(root) or root)
+        yield from _poses_in_list(_only_array(root) or root)
 
 
 def _only_array(root: Node) -> Node | None:
@@ -293,10 +307,10 @@ def _only_array(root: Node) -> Node | None:
     return below[0] if len(below) == 1 and (isinstance(below[0].value, list) or _is_matrix(below[0])) else None
 
 
-def _called(node: Node, name: str) -> Iterator[Node]:
+def _poses_of_name(node: Node, name: str) -> Iterator[Node]:
     """Yield the poses of a name: in an object, numbered in it, or in each element of its list."""
     if isinstance(node.value, list):
-        found = [list(_called(element, name)) for element in node.elements()]
+        found = [list(_poses_of_name(element, name)) for element in node.elements()]
         for element, poses in zip(node.elements(), found, strict=True):
             if not poses and any(found):
                 raise element.fault(f"missing key '{name}'")
@@ -310,16 +324,16 @@ def _called(node: Node, name: str) -> Iterator[Node]:
         if isinstance(key, str) and re.fullmatch(re.escape(name) + r"[0-9]{1,9}", key)
     )
     if name in node.value:
-        yield from _listed(node[name], node.get("image"))
+        yield from _poses_in_list(node[name], node.get("image"))
     elif numbered:
         yield from (node[key] for _, key in numbered)
     elif f"{name}_rvec" in node.value:
         yield Node(node.file, (*node.keys, name), {key: node[f"{name}_{key}"].value for key in ("rvec", "tvec")})
     elif key := next((each for each in _LIST_KEYS if each in node.value), None):
-        yield from _called(node[key], name)
+        yield from _poses_of_name(node[key], name)
 
 
-def _listed(node: Node, image: Node | None = None) -> Iterator[Node]:
+def _poses_in_list(node: Node, image: Node | None = None) -> Iterator[Node]:
     """Yield the poses of a list, of a matrix with one in each row, or the one that a value is."""
     if isinstance(node.value, dict) and "transforms" in node.value:
         node = node["transforms"]
@@ -354,9 +368,9 @@ def _is_one_pose(value: list[Any]) -> bool:
 def _pose_at(entry: Node, form: PoseForm) -> FilePose:
     where = f"{entry.file}: {'/'.join(map(str, entry.keys))}" if entry.keys else str(entry.file)
     value = entry.value
-    image = _beside(entry["image"]) if isinstance(value, dict) and entry.get("image") else None
+    image = _file_beside(entry["image"]) if isinstance(value, dict) and entry.get("image") else None
     if isinstance(value, dict) and isinstance(value.get("pose"), str):
-        file = _beside(entry["pose"])
+        file = _file_beside(entry["pose"])
         return FilePose(where, _pose_of(read_structured(file, "a pose"), form), None, image)
     return FilePose(where, _pose_of(entry, form), None, image)
 
@@ -365,23 +379,23 @@ def _pose_of(node: Node, form: PoseForm) -> Array:
     """Return the pose (4, 4) of an object or of numbers."""
     where = f"{node.file}: {'/'.join(map(str, node.keys))}" if node.keys else str(node.file)
     if not isinstance(node.value, dict) or _is_matrix(node):
-        return _of_numbers(_numbers(node), form, where)
-    if all(name in node.value for name in POSITION):
-        names = next((each for each in ROTATIONS if any(name in node.value for name in each)), QUATERNION)
-        return form.pose([_number(node[name]) for name in POSITION], _in_order(node, names, form), where)
+        return _of_numbers(_numbers_of(node), form, where)
+    if all(name in node.value for name in POSITION_NAMES):
+        names = next((each for each in ROTATION_NAMES if any(name in node.value for name in each)), QUATERNION_NAMES)
+        return form.pose([_finite_number(node[name]) for name in POSITION_NAMES], _in_order(node, names, form), where)
     t_key = next((key for key in _TRANSLATION_KEYS if key in node.value), None)
     R_key = next((key for key in _ROTATION_KEYS if key in node.value), None)
     if t_key and R_key:
         place, rotation = node[t_key], node[R_key]
         is_object = isinstance(place.value, dict) and not _is_matrix(place)
-        t = [_number(place[axis]) for axis in POSITION] if is_object else _numbers(place)
+        t = [_finite_number(place[axis]) for axis in POSITION_NAMES] if is_object else _numbers_of(place)
         if R_key == "rvec" and form.rotation is None:
             form = replace(form, rotation="rotvec")
         if len(t) != 3:
             raise place.unexpected("3 numbers: x, y, z")
         if isinstance(rotation.value, dict) and not _is_matrix(rotation):
             return form.pose(t, _in_order(rotation, ("x", "y", "z", "w"), form), where)
-        return form.pose(t, _numbers(rotation), where)
+        return form.pose(t, _numbers_of(rotation), where)
     below = [each for _, each in node.items() if isinstance(each.value, list | dict)]
     if len(below) != 1:
         raise node.fault(
@@ -398,9 +412,9 @@ def _in_order(node: Node, names: Sequence[str], form: PoseForm) -> list[float]:
     """
     written = [name for name in node.value if name in names]
     w_first = [*names[-1:], *names[:-1]]
-    if form.rotation in QUATERNIONS and written == w_first:
+    if form.rotation in QUATERNION_CONVENTIONS and written == w_first:
         names = w_first
-    return [_number(node[name]) for name in names]
+    return [_finite_number(node[name]) for name in names]
 
 
 def _of_numbers(numbers: Sequence[float], form: PoseForm, where: str) -> Array:
@@ -420,24 +434,28 @@ def _of_numbers(numbers: Sequence[float], form: PoseForm, where: str) -> Array:
     )
 
 
-def _numbers(node: Node) -> list[float]:
+def _numbers_of(node: Node) -> list[float]:
     """Return the numbers of a list, of rows, or of a matrix with its size."""
     if isinstance(node.value, dict):
         node = node["data"]
     if len(node.sequence()) > MAX_POSE_NUMBERS:
         raise node.unexpected(f"the numbers of one pose: {MAX_POSE_NUMBERS} at most")
     rows = list(node.elements())
-    return [number for row in rows for number in (_numbers(row) if isinstance(row.value, list) else [_number(row)])]
+    return [
+        number
+        for row in rows
+        for number in (_numbers_of(row) if isinstance(row.value, list) else [_finite_number(row)])
+    ]
 
 
-def _number(node: Node) -> float:
+def _finite_number(node: Node) -> float:
     """Return a finite number, also one that YAML takes for text (``1e-5``), or raise InputError."""
     if isinstance(node.value, str) and _is_number(node.value):
         node = Node(node.file, node.keys, float(node.value))
     return node.number()
 
 
-def _beside(name: Node) -> Path:
+def _file_beside(name: Node) -> Path:
     """Return a file in the folder of the document."""
     path = name.file.parent / name.name()
     try:

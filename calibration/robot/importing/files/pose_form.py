@@ -15,27 +15,27 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import inverse, transform
 
 Name = Annotated[str, length(1, 200)]
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+METRES_OF_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 """Metres in a unit."""
-ORTHOGONAL = 1e-3
+MAX_ORTHOGONALITY_ERROR = 1e-3
 """Tolerance of a rotation matrix's orthogonality; it is projected to a rotation."""
 MAX_RADIANS = 2 * np.pi + 0.01
 """rad: limit of an angle, beyond which it is in degrees."""
 MAX_DEGREES = 720.0
-QUATERNIONS = ("quaternion-xyzw", "quaternion-wxyz")
-_EULER = re.compile(r"euler-([xyz])([xyz])([xyz])-(extrinsic|intrinsic)")
+QUATERNION_CONVENTIONS = ("quaternion-xyzw", "quaternion-wxyz")
+_EULER_CONVENTION = re.compile(r"euler-([xyz])([xyz])([xyz])-(extrinsic|intrinsic)")
 _EULER_WITHOUT_FRAME = re.compile(r"euler-[xyz]{3}")
-_EXPECTED = (
+_EXPECTED_CONVENTIONS = (
     "quaternion-xyzw, quaternion-wxyz, rotvec, matrix, euler-xyz-extrinsic (roll, pitch, yaw about fixed axes) or "
     "euler-zyx-intrinsic (about moving axes), of any axes"
 )
 
 
-def _rotation(text: str, place: Place) -> str:
+def _rotation_convention(text: str, place: Place) -> str:
     """Return the name of a convention, or raise InputError."""
-    text = {"xyzw": QUATERNIONS[0], "wxyz": QUATERNIONS[1]}.get(text, text)
-    found = _EULER.fullmatch(text)
-    if text in (*QUATERNIONS, "rotvec", "matrix") or (found and found[1] != found[2] != found[3]):
+    text = {"xyzw": QUATERNION_CONVENTIONS[0], "wxyz": QUATERNION_CONVENTIONS[1]}.get(text, text)
+    found = _EULER_CONVENTION.fullmatch(text)
+    if text in (*QUATERNION_CONVENTIONS, "rotvec", "matrix") or (found and found[1] != found[2] != found[3]):
         return text
     if _EULER_WITHOUT_FRAME.fullmatch(text):
         raise place.unexpected(
@@ -43,10 +43,10 @@ def _rotation(text: str, place: Place) -> str:
             f"{text}-extrinsic (one after the other about the fixed axes) or {text}-intrinsic (about the axes that "
             "have turned along)",
         )
-    raise place.unexpected(text, _EXPECTED)
+    raise place.unexpected(text, _EXPECTED_CONVENTIONS)
 
 
-Rotation = Annotated[str, Converted(Name, _rotation)]
+Rotation = Annotated[str, Converted(Name, _rotation_convention)]
 
 
 @record(rules=(excludes("columns", "key"),))
@@ -64,7 +64,8 @@ class PoseForm:
         default=None,
     )
     rotation: Rotation | None = field(
-        f"How rotations are written: {_EXPECTED} (quaternion-xyzw, or matrix, as their numbers are).", default=None
+        f"How rotations are written: {_EXPECTED_CONVENTIONS} (quaternion-xyzw, or matrix, as their numbers are).",
+        default=None,
     )
     degrees: bool | None = field("Whether angles are in degrees (false: radians).", default=None)
     units: Literal["m", "cm", "mm", "in"] | None = field("Unit of the translations (m).", default=None)
@@ -95,26 +96,26 @@ class PoseForm:
         Raises:
             InputError: they are no pose of this form.
         """
-        scaled = UNITS[self.units or "m"] * np.array(t, float)
+        scaled = METRES_OF_UNIT[self.units or "m"] * np.array(t, float)
         if not (np.abs(scaled) <= FAR).all():
             raise InputError(f"{where}: found a translation of {t}, expected numbers of at most {FAR:g} m")
-        T = transform(self._rotation(numbers, where), scaled)
+        T = transform(self._rotation_convention(numbers, where), scaled)
         return inverse(T) if self.inverse else T
 
-    def _rotation(self, numbers: Sequence[float], where: str) -> Array:
+    def _rotation_convention(self, numbers: Sequence[float], where: str) -> Array:
         named, count = self.rotation, len(numbers)
-        named = named or {4: QUATERNIONS[0], 9: "matrix"}.get(count)
+        named = named or {4: QUATERNION_CONVENTIONS[0], 9: "matrix"}.get(count)
         if named is None:
             raise InputError(
                 f"{where}: found {count} numbers of a rotation, which may be angles or a vector: add 'rotation' to "
                 "'samples' in import.yml: rotvec, euler-xyz-extrinsic or euler-zyx-intrinsic, ..."
             )
-        expected = 4 if named in QUATERNIONS else 9 if named == "matrix" else 3
+        expected = 4 if named in QUATERNION_CONVENTIONS else 9 if named == "matrix" else 3
         if count != expected:
             raise InputError(f"{where}: found {count} numbers of a rotation, expected the {expected} of {named}")
         values = np.array(numbers, float)
         if expected == 4:
-            return _of_quaternion(values if named == QUATERNIONS[0] else np.roll(values, -1), where)
+            return _of_quaternion(values if named == QUATERNION_CONVENTIONS[0] else np.roll(values, -1), where)
         if expected == 9:
             return _of_matrix(values.reshape(3, 3), where)
         return self._of_angles(named, values, where)
@@ -128,7 +129,7 @@ class PoseForm:
                 + ("" if self.degrees else ": add 'degrees: true' to 'samples' in import.yml if it is in degrees")
             )
         radians = np.radians(values) if self.degrees else values
-        if (euler := _EULER.fullmatch(named)) is None:
+        if (euler := _EULER_CONVENTION.fullmatch(named)) is None:
             return rotations.exp(radians)
         parts = [rotations.exp(angle * np.eye(3)["xyz".index(euler[i + 1])]) for i, angle in enumerate(radians)]
         if euler[4] == "extrinsic":
@@ -147,7 +148,9 @@ def _of_quaternion(q: Array, where: str) -> Array:
 
 
 def _of_matrix(R: Array, where: str) -> Array:
-    if not (np.abs(R).max() <= 2 and np.abs(R @ R.T - np.eye(3)).max() <= ORTHOGONAL and np.linalg.det(R) > 0):
+    if not (
+        np.abs(R).max() <= 2 and np.abs(R @ R.T - np.eye(3)).max() <= MAX_ORTHOGONALITY_ERROR and np.linalg.det(R) > 0
+    ):
         raise InputError(f"{where}: found no rigid transform, expected a rotation matrix by its rows")
     return rotations.nearest(R)
 

@@ -37,20 +37,24 @@ def read_structured(path: Path, what: str) -> Node:
         InputError: the file cannot be read, or is not of the format that its name says.
     """
     data = read_bytes(path, MAX_BYTES, what)
-    parse = _ini if re.search(rb"^\[image\]\s*$", data, re.MULTILINE) else PARSERS.get(path.suffix.lower(), _yaml)
+    parse = (
+        _parse_ini
+        if re.search(rb"^\[image\]\s*$", data, re.MULTILINE)
+        else PARSER_OF_ENDING.get(path.suffix.lower(), _parse_yaml_file)
+    )
     try:
         return Node(path, (), parse(data, path))
     except RecursionError:
         raise InputError(f"{path}: nested too deeply") from None
 
 
-def _yaml(data: bytes, path: Path) -> Any:
+def _parse_yaml_file(data: bytes, path: Path) -> Any:
     if data.startswith(b"%YAML"):  # OpenCV's first line is not valid in YAML 1.1 (``%YAML:1.0``)
         data = b"#" + data
     return parse_yaml(data, path)
 
 
-def _json(data: bytes, path: Path) -> Any:
+def _parse_json_file(data: bytes, path: Path) -> Any:
     try:
         return parse_json(data, finite=False)
     except json.JSONDecodeError as error:
@@ -59,22 +63,22 @@ def _json(data: bytes, path: Path) -> Any:
         raise InputError(f"{path}: cannot be read as JSON: {error}") from None
 
 
-def _toml(data: bytes, path: Path) -> Any:
+def _parse_toml(data: bytes, path: Path) -> Any:
     try:
         return tomllib.loads(data.decode())
     except ValueError as error:  # of TOML, of UTF-8, an integer of thousands of digits
         raise InputError(f"{path}: this is not valid TOML: {error}") from None
 
 
-def _xml(data: bytes, path: Path) -> Any:
+def _parse_xml(data: bytes, path: Path) -> Any:
     """Parse OpenCV's FileStorage, or any other XML of names and values."""
     try:
-        return _element(fromstring(data), path, 0)
+        return _value_of_element(fromstring(data), path, 0)
     except (ParseError, defusedxml.DefusedXmlException, ValueError) as error:
         raise InputError(f"{path}: this is not valid XML: {error}") from None
 
 
-def _element(element: Element, path: Path, depth: int) -> Any:
+def _value_of_element(element: Element, path: Path, depth: int) -> Any:
     """Return a value, a list of values or of elements ``_``, or the elements by their names."""
     if depth > MAX_XML_DEPTH:
         raise InputError(f"{path}: found more than {MAX_XML_DEPTH} elements inside of each other, expected fewer")
@@ -83,7 +87,7 @@ def _element(element: Element, path: Path, depth: int) -> Any:
         words = [_number_or_text(word) for word in (element.text or "").split()]
         is_text = any(isinstance(word, str) for word in words)
         return (element.text or "").strip() if is_text else words[0] if len(words) == 1 else words
-    values = [_element(child, path, depth + 1) for child in children]
+    values = [_value_of_element(child, path, depth + 1) for child in children]
     if all(child.tag == "_" for child in children):
         return values
     return dict(zip((child.tag for child in children), values, strict=True))
@@ -96,7 +100,7 @@ def _number_or_text(word: str) -> float | str:
         return word
 
 
-def _ini(data: bytes, path: Path) -> Any:
+def _parse_ini(data: bytes, path: Path) -> Any:
     """Parse the INI file of ROS's camera_calibration: a name on a line, and the lines of its numbers."""
     found: dict[str, list[float]] = {}
     name = ""
@@ -117,7 +121,7 @@ def _ini(data: bytes, path: Path) -> Any:
     return {key: value[0] if len(value) == 1 else value for key, value in found.items()}
 
 
-def _arrays(data: bytes, path: Path) -> Any:
+def _parse_arrays(data: bytes, path: Path) -> Any:
     """Parse numpy's arrays: one (.npy) or several by their names (.npz); never pickled objects."""
     try:
         if not zipfile.is_zipfile(io.BytesIO(data)):
@@ -134,11 +138,11 @@ def _arrays(data: bytes, path: Path) -> Any:
         raise InputError(f"{path}: these are no arrays of numbers as numpy.save writes them: {said}") from None
 
 
-PARSERS: Mapping[str, Callable[[bytes, Path], Any]] = {
-    ".json": _json,
-    ".toml": _toml,
-    ".xml": _xml,
-    ".npz": _arrays,
-    ".npy": _arrays,
+PARSER_OF_ENDING: Mapping[str, Callable[[bytes, Path], Any]] = {
+    ".json": _parse_json_file,
+    ".toml": _parse_toml,
+    ".xml": _parse_xml,
+    ".npz": _parse_arrays,
+    ".npy": _parse_arrays,
 }
 """By the ending of a file's name."""

@@ -17,9 +17,9 @@ from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.pattern import CIRCLES, MAX_SIZE, MIN_SIZE
 from calibration.robot.importing.description import PatternDescription
 
-NOMINAL = {"kind": "chessboard", "dimension": (2, 2), "size": 0.1}
+PLACEHOLDER_PATTERN = {"kind": "chessboard", "dimension": (2, 2), "size": 0.1}
 """Placeholder geometry of a pattern that is never detected in images: only its frame is used."""
-EVEN = 1e-6
+MAX_SIDE_DIFFERENCE = 1e-6
 """Relative tolerance of the two sides of a square: only squares are supported."""
 
 
@@ -35,9 +35,9 @@ def pattern_configuration(described: PatternDescription, world: str, root: str |
         InputError: the file cannot be read, or describes an unknown pattern.
     """
     parent = described.parent or root or world
-    printed = _printed(described) if described.target else _described(described)
+    printed = _keys_of_target_file(described) if described.target else _keys_of_pattern(described)
     if not described.is_printed:
-        printed = NOMINAL
+        printed = PLACEHOLDER_PATTERN
     return PatternConfiguration(
         name=described.name,
         link=described.frame or f"{described.name}_link",
@@ -50,7 +50,7 @@ def pattern_configuration(described: PatternDescription, world: str, root: str |
     )
 
 
-def _described(pattern: PatternDescription) -> dict[str, Any]:
+def _keys_of_pattern(pattern: PatternDescription) -> dict[str, Any]:
     if pattern.tags:
         keys = {
             "size": pattern.tags[0].size,
@@ -76,13 +76,13 @@ def _described(pattern: PatternDescription) -> dict[str, Any]:
     }
 
 
-def _printed(pattern: PatternDescription) -> dict[str, Any]:
+def _keys_of_target_file(pattern: PatternDescription) -> dict[str, Any]:
     path = pattern.target or Path()
     root = Node(path, (), read_yaml(path, "the description of a pattern"))
     if finder := root.get("target_finder"):
         printed = _by_type(finder, "type", ROBOT_CAL_TOOLS)
     else:
-        printed = _by_type(root, "target_type", KALIBR)
+        printed = _by_type(root, "target_type", KALIBR_TARGETS)
     if printed["kind"] not in CIRCLES:
         return printed
     if pattern.diameter is None or pattern.diameter >= printed["size"]:
@@ -101,29 +101,29 @@ def _by_type(node: Node, key: str, kinds: Mapping[str, Callable[[Node], dict[str
     return kinds[kind.value](node)
 
 
-def _count(node: Node, key: str, less: int = 0) -> int:
+def _corner_count(node: Node, key: str, less: int = 0) -> int:
     return node[key].whole(2 + less, MAX_CORNERS) - less
 
 
-def _size(node: Node, key: str) -> float:
+def _length_in_bounds(node: Node, key: str) -> float:
     return node[key].within(MIN_SIZE, MAX_SIZE)
 
 
 def _kalibr_chessboard(node: Node) -> dict[str, Any]:
-    width, height = _size(node, "colSpacingMeters"), _size(node, "rowSpacingMeters")
-    if abs(width - height) > EVEN * width:
+    width, height = _length_in_bounds(node, "colSpacingMeters"), _length_in_bounds(node, "rowSpacingMeters")
+    if abs(width - height) > MAX_SIDE_DIFFERENCE * width:
         raise node["rowSpacingMeters"].unexpected(f"{width:g} as colSpacingMeters: squares")
-    columns, rows = _count(node, "targetCols"), _count(node, "targetRows")
+    columns, rows = _corner_count(node, "targetCols"), _corner_count(node, "targetRows")
     return {"kind": "chessboard", "dimension": (columns, rows), "size": width}
 
 
 def _kalibr_aprilgrid(node: Node) -> dict[str, Any]:
-    columns, rows = _count(node, "tagCols"), _count(node, "tagRows")
+    columns, rows = _corner_count(node, "tagCols"), _corner_count(node, "tagRows")
     check_tags(columns, rows, node)
     return {
         "kind": "aprilgrid",
         "dimension": (columns, rows),
-        "size": _size(node, "tagSize"),
+        "size": _length_in_bounds(node, "tagSize"),
         "dictionary": TAGS,
         "spacing": node["tagSpacing"].within(MIN_SPACING, MAX_SPACING),
     }
@@ -133,28 +133,30 @@ def _kalibr_circles(node: Node) -> dict[str, Any]:
     is_asymmetric = asymmetric.flag() if (asymmetric := node.get("asymmetricGrid")) else False
     return {
         "kind": "asymmetric-circles" if is_asymmetric else "circles",
-        "dimension": (_count(node, "targetCols"), _count(node, "targetRows")),
-        "size": _size(node, "spacingMeters"),
+        "dimension": (_corner_count(node, "targetCols"), _corner_count(node, "targetRows")),
+        "size": _length_in_bounds(node, "spacingMeters"),
     }
 
 
-def _charuco(node: Node) -> dict[str, Any]:
-    number = node["dictionary"].whole(0, len(DICTIONARIES) - 1)
-    size, marker = _size(node, "chessboard_dim"), node["aruco_marker_dim"]
+def _charuco_keys(node: Node) -> dict[str, Any]:
+    number = node["dictionary"].whole(0, len(DICTIONARY_NAMES) - 1)
+    size, marker = _length_in_bounds(node, "chessboard_dim"), node["aruco_marker_dim"]
     if marker.within(MIN_SIZE, MAX_SIZE) >= size:
         raise marker.unexpected(f"less than chessboard_dim, {size:g}")
     return {
         "kind": "charuco",
-        "dimension": (_count(node, "cols", 1), _count(node, "rows", 1)),  # counts of squares
+        "dimension": (_corner_count(node, "cols", 1), _corner_count(node, "rows", 1)),  # counts of squares
         "size": size,
         "inner_size": marker.number(),
-        "dictionary": DICTIONARIES[number],
+        "dictionary": DICTIONARY_NAMES[number],
     }
 
 
-DICTIONARIES = tuple(f"DICT_{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
+DICTIONARY_NAMES = tuple(f"DICT_{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
 """Dictionaries by OpenCV's numbers."""
-KALIBR = {"aprilgrid": _kalibr_aprilgrid, "checkerboard": _kalibr_chessboard, "circlegrid": _kalibr_circles}
+KALIBR_TARGETS = {"aprilgrid": _kalibr_aprilgrid, "checkerboard": _kalibr_chessboard, "circlegrid": _kalibr_circles}
 """Kalibr's types of targets; ``targetCols`` and ``targetRows`` are inner corners or circles, ``tagCols`` ... tags."""
-ROBOT_CAL_TOOLS = dict.fromkeys(("rct_ros_tools::CharucoGridTargetFinderPlugin", "CharucoGridTargetFinder"), _charuco)
+ROBOT_CAL_TOOLS = dict.fromkeys(
+    ("rct_ros_tools::CharucoGridTargetFinderPlugin", "CharucoGridTargetFinder"), _charuco_keys
+)
 """Target finders of robot_cal_tools, and of industrial_calibration, which it has become."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import CornerLabels
-from calibration.robot.importing.bags.stillness import GAP, MOVED
-from calibration.robot.importing.look.patterns import NONE, LookedFor
+from calibration.robot.importing.bags.stillness import MAX_GAP_SECONDS, MAX_STILL_MOTION_PX
+from calibration.robot.importing.look.patterns import NO_LABELS, LookedFor
 from calibration.robot.importing.look.sources import ImageSource
 from calibration.robot.labelling.detection import Image, grey
 
@@ -17,17 +17,17 @@ MAX_IMAGES = 24
 """Images of a camera that are decoded."""
 MAX_HELD_PIXELS = 200_000_000
 """Pixels of a camera's images that are held in memory together."""
-WHITE = 254
+MIN_SATURATED_LEVEL = 254
 """Least value of a saturated pixel."""
-EDGES = 0.005
+STEEPEST_EDGE_SHARE = 0.005
 """Share of the pixels, those of the steepest edges, on which blur is measured."""
 LEAST_STEP = 4.0
 """Least slope of an edge on which blur is measured, grey values a pixel: flatter ones are noise."""
-NARROW, WIDE = 1.0, 2.0
+NARROW_FILTER_PX, WIDE_FILTER_PX = 1.0, 2.0
 """px: standard deviations of the two filters by which blur is measured."""
 SAMPLING_VARIANCE = 5 / 12
 """px^2: what pixels add to the variance of a blur: 1/3 by differences over two, 1/12 by the edge's place among them."""
-SECOND = 1e9
+NS_PER_S = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Sample:
     images: Sequence[Image]
     """Grey."""
     pairs: Sequence[tuple[int, int]]
-    """Images of them that follow each other within `GAP`."""
+    """Images of them that follow each other within `MAX_GAP_SECONDS`."""
     other_size: str
     """Size of an image that is not that of the first; empty if all have one."""
     fault: str
@@ -59,8 +59,8 @@ class MeasuredImage:
 
 
 def sample(source: ImageSource) -> Sample:
-    """Decode evenly chosen images; where they follow each other within `GAP`, pairs of consecutive ones."""
-    wanted = _chosen(source)
+    """Decode evenly chosen images; where they follow each other within `MAX_GAP_SECONDS`, pairs of consecutive ones."""
+    wanted = _choose_images(source)
     images: list[Image] = []
     other, fault = "", ""
     try:
@@ -72,25 +72,25 @@ def sample(source: ImageSource) -> Sample:
                 break
     except InputError as error:
         fault = str(error)
-    pairs = [(i, i + 1) for i in range(len(images) - 1) if _together(source, wanted[i], wanted[i + 1])]
+    pairs = [(i, i + 1) for i in range(len(images) - 1) if _are_successive(source, wanted[i], wanted[i + 1])]
     return Sample(images, pairs, other, fault)
 
 
-def _chosen(source: ImageSource) -> list[int]:
+def _choose_images(source: ImageSource) -> list[int]:
     times, count = source.times, source.count
-    paired = times is not None and count > MAX_IMAGES and np.median(np.diff(times)) <= GAP * SECOND
+    paired = times is not None and count > MAX_IMAGES and np.median(np.diff(times)) <= MAX_GAP_SECONDS * NS_PER_S
     most = MAX_IMAGES // 2 if paired else MAX_IMAGES
     places = np.linspace(0, count - 1 - paired, min(count, most)).round().astype(int).tolist()
     return sorted({each + more for each in places for more in range(1 + paired)})
 
 
-def _together(source: ImageSource, one: int, other: int) -> bool:
-    return source.times is not None and source.times[other] - source.times[one] <= GAP * SECOND
+def _are_successive(source: ImageSource, one: int, other: int) -> bool:
+    return source.times is not None and source.times[other] - source.times[one] <= MAX_GAP_SECONDS * NS_PER_S
 
 
 def measured(image: Image, pattern: LookedFor | None) -> MeasuredImage:
     """Measure a grey image."""
-    corners = pattern.find(image) if pattern else NONE
+    corners = pattern.find(image) if pattern else NO_LABELS
     part = image
     if len(corners.ids):
         left, top = np.maximum(corners.pixels.min(0), 0).astype(int)
@@ -99,7 +99,7 @@ def measured(image: Image, pattern: LookedFor | None) -> MeasuredImage:
     return MeasuredImage(
         float(np.median(image)),
         float(np.quantile(part, 0.9)),
-        float((part >= WHITE).mean()),
+        float((part >= MIN_SATURATED_LEVEL).mean()),
         blur_of(part),
         corners,
     )
@@ -112,14 +112,14 @@ def blur_of(image: Image) -> float | None:
     ``s`` (Zhuo and Sim, Defocus map estimation from a single image, 2011).
     """
     slopes = []
-    for width in (NARROW, WIDE):
+    for width in (NARROW_FILTER_PX, WIDE_FILTER_PX):
         smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), width)
         slopes.append(np.hypot(cv2.Scharr(smooth, -1, 1, 0), cv2.Scharr(smooth, -1, 0, 1)) / 32)
-    steep = slopes[0] >= max(LEAST_STEP, float(np.quantile(slopes[0], 1 - EDGES)))
+    steep = slopes[0] >= max(LEAST_STEP, float(np.quantile(slopes[0], 1 - STEEPEST_EDGE_SHARE)))
     if not steep.any():
         return None
     ratio = float(np.median(slopes[0][steep] / np.maximum(slopes[1][steep], 1e-6))) ** 2
-    variance = (WIDE**2 - ratio * NARROW**2) / max(ratio - 1, 1e-3)
+    variance = (WIDE_FILTER_PX**2 - ratio * NARROW_FILTER_PX**2) / max(ratio - 1, 1e-3)
     return float(np.sqrt(max(variance - SAMPLING_VARIANCE, 0.0)))
 
 
@@ -128,4 +128,4 @@ def is_still(one: CornerLabels, other: CornerLabels) -> bool | None:
     _, i, j = np.intersect1d(one.ids, other.ids, return_indices=True)
     if not len(i):
         return None
-    return bool(np.median(np.linalg.norm(one.pixels[i] - other.pixels[j], axis=-1)) <= MOVED)
+    return bool(np.median(np.linalg.norm(one.pixels[i] - other.pixels[j], axis=-1)) <= MAX_STILL_MOTION_PX)

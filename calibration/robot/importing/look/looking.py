@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.robot.importing.bags.bag import ENDINGS, open_bag
-from calibration.robot.importing.bags.survey import IMAGES, is_depth, no_images
+from calibration.robot.importing.bags.bag import BAG_ENDINGS, open_bag
+from calibration.robot.importing.bags.survey import IMAGE_TYPES, is_depth, no_images
 from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.importing import read_description
 from calibration.robot.importing.look.images import Sample, is_still, measured, sample
@@ -33,16 +33,16 @@ def look(recording: Path, pattern: Path | None = None) -> LookResults:
     with_pattern = read_description(pattern) if pattern else described
     looked_for = described_pattern(with_pattern) if with_pattern else None
     if described is not None and described.bags is not None:
-        seen = _bag(described.bags.files, described)
-    elif recording.suffix.lower() in ENDINGS or (recording / "metadata.yaml").is_file():
-        seen = _bag([recording], None)
+        seen = _look_at_bag(described.bags.files, described)
+    elif recording.suffix.lower() in BAG_ENDINGS or (recording / "metadata.yaml").is_file():
+        seen = _look_at_bag([recording], None)
     else:
-        seen = _files(described_images(described) if described else images_at(recording), described)
+        seen = _look_at_files(described_images(described) if described else images_at(recording), described)
     lines, cameras = list(seen.missing), {}
     for name, source in seen.images.items():
         own = sample(source)
         looked_for = looked_for or pattern_in(own.images)
-        cameras[name], white = _camera(source, own, looked_for, seen.intrinsics.get(name, "none"))
+        cameras[name], white = _look_at_camera(source, own, looked_for, seen.intrinsics.get(name, "none"))
         other = None if cameras[name].with_pattern or with_pattern is None else pattern_in(own.images)
         sought, instead = looked_for.name if looked_for else None, other.name if other else None
         lines += missing_in_images(name, cameras[name], white, sought, instead)
@@ -68,7 +68,7 @@ class _Seen:
     missing: Sequence[Missing] = ()
 
 
-def _bag(files: Sequence[Path], described: ImportDescription | None) -> _Seen:
+def _look_at_bag(files: Sequence[Path], described: ImportDescription | None) -> _Seen:
     with open_bag(files) as bag:
         content = read_content(bag, described)
         no_camera = "" if content.cameras else no_images(bag)
@@ -78,7 +78,7 @@ def _bag(files: Sequence[Path], described: ImportDescription | None) -> _Seen:
     images = {
         each.name: topic_images(files, topic, content.times[topic].recorded, content.key_frames)
         for each in content.cameras
-        if content.types.get(topic := each.topic or "") in IMAGES and content.times[topic].recorded
+        if content.types.get(topic := each.topic or "") in IMAGE_TYPES and content.times[topic].recorded
         if not (is_depth(topic) if each.modality is None else each.modality == "depth")
     }
     missing = missing_in_bag(content, frames, no_camera, only_intrinsics)
@@ -86,12 +86,12 @@ def _bag(files: Sequence[Path], described: ImportDescription | None) -> _Seen:
     return _Seen(images, content.intrinsics, topics, frames, list(missing))
 
 
-def _files(images: Mapping[str, ImageSource], described: ImportDescription | None) -> _Seen:
+def _look_at_files(images: Mapping[str, ImageSource], described: ImportDescription | None) -> _Seen:
     sensors = described.sensors if described else ()
     return _Seen(images, {each.name: each.intrinsics.name for each in sensors if each.intrinsics})
 
 
-def _camera(
+def _look_at_camera(
     source: ImageSource, own: Sample, pattern: LookedFor | None, intrinsics: str
 ) -> tuple[CameraSummary, float]:
     """Return what is measured on a camera's images, and the median level of white."""
@@ -108,9 +108,9 @@ def _camera(
         width=width,
         height=height,
         intrinsics=intrinsics,
-        brightness=_median([one.brightness for one in each]),
-        saturated=round(_median([one.saturated for one in judged]), 4),
-        blur_px=round(_median(blurs), 2) if blurs else None,
+        brightness=_median_or_zero([one.brightness for one in each]),
+        saturated=round(_median_or_zero([one.saturated for one in judged]), 4),
+        blur_px=round(_median_or_zero(blurs), 2) if blurs else None,
         with_pattern=len(seen),
         cells=image_cells(width, height, [one.corners for one in seen]),
         compared=sum(found is not None for found in compared),
@@ -118,8 +118,8 @@ def _camera(
         other_size=own.other_size,
         fault=own.fault,
     )
-    return summary, _median([one.white for one in judged])
+    return summary, _median_or_zero([one.white for one in judged])
 
 
-def _median(values: Sequence[float]) -> float:
+def _median_or_zero(values: Sequence[float]) -> float:
     return float(np.median(values)) if values else 0.0

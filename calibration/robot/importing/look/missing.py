@@ -5,14 +5,14 @@ from itertools import combinations
 
 import numpy as np
 
-from calibration.robot.importing.bags.bag import SECOND
-from calibration.robot.importing.bags.stillness import LAG
+from calibration.robot.importing.bags.bag import NS_PER_S
+from calibration.robot.importing.bags.stillness import MAX_ASSOCIATED_SECONDS
 from calibration.robot.importing.bags.survey import MAX_STEP_BACK, what_to_record
 from calibration.robot.importing.look.results import CameraSummary, FramesSummary, Missing
 from calibration.robot.importing.look.topics import NOT_CALIBRATED, BagContent
 
 YOUR_DATA = "docs/your-data.md"
-BAGS = YOUR_DATA + "#a-bag-of-ros-1-or-ros-2"
+BAGS_PAGE = YOUR_DATA + "#a-bag-of-ros-1-or-ros-2"
 MIN_POSES = 10
 """Least number of poses: with 6 the error is twice that with 15 (docs/recording.md)."""
 MIN_SEEN = 0.25
@@ -45,17 +45,17 @@ def missing_in_bag(
         only_intrinsics: whether intrinsics are all that can be wanted, by import.yml.
     """
     if not content.cameras:
-        yield Missing("no topic of images", no_camera, BAGS)
+        yield Missing("no topic of images", no_camera, BAGS_PAGE)
     for topic, kind in content.types.items():
         if remedy := what_to_record(kind):
-            yield Missing(f"{topic} is {kind}, which is not read", remedy.removeprefix(": "), BAGS)
+            yield Missing(f"{topic} is {kind}, which is not read", remedy.removeprefix(": "), BAGS_PAGE)
     named = {each.topic for each in content.cameras}
     for camera in content.cameras:
         topic = camera.topic or ""
         if topic not in content.times or not content.times[topic].recorded:
-            yield Missing(f"{topic} of '{camera.name}' has no message", "record it, or correct 'topic'", BAGS)
+            yield Missing(f"{topic} of '{camera.name}' has no message", "record it, or correct 'topic'", BAGS_PAGE)
         if fault := content.faults.get(camera.name):
-            yield Missing(f"camera_info of '{camera.name}': {fault}", "give 'intrinsics' of this sensor", BAGS)
+            yield Missing(f"camera_info of '{camera.name}': {fault}", "give 'intrinsics' of this sensor", BAGS_PAGE)
         elif content.types.get(topic, "").endswith("Image") and content.intrinsics[camera.name] == "none":
             remedy = "record the camera_info of its images, or give 'intrinsics' or 'camera-info' in import.yml"
             yield Missing(f"no camera_info of '{camera.name}'", remedy)
@@ -88,12 +88,12 @@ def _missing_frames(content: BagContent, frames: FramesSummary, only_intrinsics:
     if len(frames.roots) > 1:
         roots = ", ".join(f"'{root}'" for root in frames.roots)
         remedy = "record /tf_static from the start, with all that is published once: only frames of one tree connect"
-        yield Missing(f"frames hang on {len(frames.roots)} roots: {roots}", remedy, BAGS, is_needed=False)
+        yield Missing(f"frames hang on {len(frames.roots)} roots: {roots}", remedy, BAGS_PAGE, is_needed=False)
     known = {frame for edge in content.log.edges for frame in edge}
     for name, frame in content.frames.items():
         if frame and frame not in known:
             remedy = "publish it in /tf_static or the robot description, or name it: 'frame' or 'parent' of the sensor"
-            yield Missing(f"the frame of '{name}', '{frame}', is in no transform", remedy, BAGS, is_needed=False)
+            yield Missing(f"the frame of '{name}', '{frame}', is in no transform", remedy, BAGS_PAGE, is_needed=False)
     if frames.stays is not None and frames.stays < MIN_POSES:
         what = f"the robot stands still {frames.stays} times while images are taken, of {MIN_POSES} at least"
         yield Missing(what, "stop for half a second at each of 15 to 30 poses")
@@ -104,24 +104,24 @@ def _missing_stamps(sensors: Mapping[str, Sequence[int]], cameras: set[str]) -> 
     recorded = "'stamps: recorded' of the sensor takes the times of recording; better synchronise the clocks"
     for topic, stamps in sensors.items():
         steps = np.diff(stamps)
-        if len(steps) and steps.min() < -MAX_STEP_BACK * SECOND:
-            back = f"{topic}: the stamps jump back by {-steps.min() / SECOND:.3f} s"
-            yield Missing(back, f"cut the bag there, or {recorded}", BAGS)
+        if len(steps) and steps.min() < -MAX_STEP_BACK * NS_PER_S:
+            back = f"{topic}: the stamps jump back by {-steps.min() / NS_PER_S:.3f} s"
+            yield Missing(back, f"cut the bag there, or {recorded}", BAGS_PAGE)
         elif equal := int((steps <= 0).sum()):
             what = f"{topic}: {equal} of {len(stamps)} stamps are not later than the one before"
-            yield Missing(what, "these images are left out: mend the driver's stamps", BAGS, is_needed=False)
+            yield Missing(what, "these images are left out: mend the driver's stamps", BAGS_PAGE, is_needed=False)
     for one, other in combinations(sensors, 2):
         if not {one, other} & cameras:
             continue
         a, b = np.sort(sensors[one]), np.sort(sensors[other])
         if a[0] > b[-1] or b[0] > a[-1]:
-            yield Missing(f"the stamps of {one} and {other} do not overlap", recorded, BAGS)
+            yield Missing(f"the stamps of {one} and {other} do not overlap", recorded, BAGS_PAGE)
             continue
         after = np.clip(np.searchsorted(b, a), 1, max(len(b) - 1, 1))
         near = np.minimum(abs(b[np.minimum(after, len(b) - 1)] - a), abs(b[after - 1] - a))
-        if {one, other} <= cameras and (apart := float(np.median(near)) / SECOND) > LAG:
+        if {one, other} <= cameras and (apart := float(np.median(near)) / NS_PER_S) > MAX_ASSOCIATED_SECONDS:
             what = f"images of {one} and {other} are {apart:.2f} s apart"
-            yield Missing(what, f"trigger them together, within {LAG:g} s where all stands still")
+            yield Missing(what, f"trigger them together, within {MAX_ASSOCIATED_SECONDS:g} s where all stands still")
 
 
 def missing_in_images(

@@ -26,7 +26,7 @@ from calibration.robot.labelling.detection import CornerDetector, Image
 
 MAX_SEARCHED_SIDE = 1600
 """px: larger images are reduced before they are searched for an unknown pattern."""
-NONE = CornerLabels(np.zeros(0, np.int64), np.zeros((0, 2)))
+NO_LABELS = CornerLabels(np.zeros(0, np.int64), np.zeros((0, 2)))
 
 
 @dataclass(frozen=True)
@@ -50,14 +50,14 @@ def described_pattern(described: ImportDescription) -> LookedFor | None:
         for each in described.patterns
         if each.is_printed
     }
-    return LookedFor(", ".join(detectors), lambda image: _detected(image, detectors)) if detectors else None
+    return LookedFor(", ".join(detectors), lambda image: _detect_best(image, detectors)) if detectors else None
 
 
-def _detected(image: Image, detectors: Mapping[str, CornerDetector]) -> CornerLabels:
+def _detect_best(image: Image, detectors: Mapping[str, CornerDetector]) -> CornerLabels:
     seen = [each.detect(image) for each in detectors.values()]
     found = [(i, each) for i, each in enumerate(seen) if isinstance(each, CornerLabels)]
     if not found:
-        return NONE
+        return NO_LABELS
     ids = [each.ids + (i << 32) for i, each in found]  # of several patterns, different ones
     return CornerLabels(np.concatenate(ids), np.concatenate([each.pixels for _, each in found]))
 
@@ -67,12 +67,12 @@ def pattern_in(images: Sequence[Image]) -> LookedFor | None:
 
     A board with markers of a known dictionary, a chessboard, a grid of circles, or single tags.
     """
-    some = [_reduced(image)[0] for image in images[:: -(-len(images) // LOOKED_AT)]] if images else []
+    some = [_reduce_image(image)[0] for image in images[:: -(-len(images) // LOOKED_AT)]] if images else []
     markers = shown_markers(some)
     if board := shown_board(markers):
         return _board_with(*board)
     if pattern := shown_chessboard(some) or shown_circles(some) or shown_tags(markers):
-        return _shown(pattern)
+        return _as_looked_for(pattern)
     board = shown_board(shown_markers(some[:: -(-len(some) // MAX_BOARD_SEARCHES)], small=True)) if some else None
     return _board_with(*board) if board else None
 
@@ -81,19 +81,19 @@ def _board_with(family: Family, highest: int) -> LookedFor:
     finder = family.finder()
 
     def find(image: Image) -> CornerLabels:
-        small, scale = _reduced(image)
+        small, scale = _reduce_image(image)
         found = finder.find(small)
         if len(found) < MIN_BOARD_MARKERS:
             found = finder.find_small(small)
         if len(found) < MIN_BOARD_MARKERS:
-            return NONE
+            return NO_LABELS
         ids = 4 * np.repeat(found.ids, 4) + np.tile(np.arange(4), len(found))
         return CornerLabels(ids, found.corners.reshape(-1, 2) * scale)
 
     return LookedFor(f"markers of {family.named(highest)}, ids up to {highest}", find)
 
 
-def _shown(pattern: PatternConfiguration) -> LookedFor:
+def _as_looked_for(pattern: PatternConfiguration) -> LookedFor:
     columns, rows = pattern.dimension
     if pattern.tags:
         name = f"tags {', '.join(str(tag.id) for tag in pattern.tags)} of {pattern.dictionary}"
@@ -102,14 +102,14 @@ def _shown(pattern: PatternConfiguration) -> LookedFor:
     detectors = {name: corner_detector(pattern)}
 
     def find(image: Image) -> CornerLabels:
-        small, scale = _reduced(image)
-        found = _detected(small, detectors)
+        small, scale = _reduce_image(image)
+        found = _detect_best(small, detectors)
         return CornerLabels(found.ids, found.pixels * scale)
 
     return LookedFor(name, find)
 
 
-def _reduced(image: Image) -> tuple[Image, float]:
+def _reduce_image(image: Image) -> tuple[Image, float]:
     """Return an image no larger than `MAX_SEARCHED_SIDE`, and the size of its pixels in those of the image."""
     scale = max(image.shape) / MAX_SEARCHED_SIDE
     if scale <= 1:

@@ -8,7 +8,7 @@ from calibration.ci.report.table import shown
 from calibration.robot.importing.look.results import CameraSummary, FramesSummary, LookResults
 from calibration.robot.simulation.collection.record import COVERAGE_COLUMNS, COVERAGE_ROWS
 
-TITLE = "look"
+LOOK_TITLE = "look"
 MAX_NAMES = 12
 """Frames and joints that are named in a table."""
 
@@ -21,7 +21,7 @@ def report(results: LookResults, folder: Path | None) -> Report:
         for name, each in results.topics.items()
     )
     return Report(
-        title=TITLE,
+        title=LOOK_TITLE,
         verdict=verdict_of(not needed),
         sentence=f"{count_of(len(needed), 'thing')} missing for a calibration in {results.recording}"
         if needed
@@ -45,11 +45,11 @@ def report(results: LookResults, folder: Path | None) -> Report:
             ),
             Table(
                 ("camera", "images with it", *(f"row {row + 1}" for row in range(COVERAGE_ROWS))),
-                tuple((name, *_coverage(each)) for name, each in results.cameras.items()),
+                tuple((name, *_coverage_rows(each)) for name, each in results.cameras.items()),
                 title=f"Pattern: {results.pattern or 'none found'}",
             ),
         ),
-        suites={TITLE: [Outcome(name=results.recording, reasons=needed)]},
+        suites={LOOK_TITLE: [Outcome(name=results.recording, reasons=needed)]},
     )
 
 
@@ -58,15 +58,15 @@ def _frame_rows(frames: FramesSummary | None) -> tuple[tuple[str, str], ...]:
         return ()
     return (
         ("number", str(frames.frames)),
-        ("roots", _names(frames.roots)),
-        ("moving", _names(frames.moving)),
-        ("moving joints", _names(frames.joints)),
+        ("roots", _joined_names(frames.roots)),
+        ("moving", _joined_names(frames.moving)),
+        ("moving joints", _joined_names(frames.joints)),
         ("robot_description", frames.robot_description),
         ("stays of what carries sensors", "-" if frames.stays is None else str(frames.stays)),
     )
 
 
-def _names(names: tuple[str, ...]) -> str:
+def _joined_names(names: tuple[str, ...]) -> str:
     more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
     return ", ".join(names[:MAX_NAMES]) + more or "none"
 
@@ -83,7 +83,7 @@ def _image_cells(camera: CameraSummary) -> tuple[str, ...]:
     )
 
 
-def _coverage(camera: CameraSummary) -> tuple[str, ...]:
+def _coverage_rows(camera: CameraSummary) -> tuple[str, ...]:
     """Return the number of images with the pattern, and each row of the image with an x where corners are."""
     rows = [
         "".join("x" if row * COVERAGE_COLUMNS + i in camera.cells else "." for i in range(COVERAGE_COLUMNS))

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.base.errors import InputError
-from calibration.robot.importing.bags.bag import ENDINGS as BAGS
-from calibration.robot.importing.bags.bag import open_bag
+from calibration.robot.importing.bags.bag import BAG_ENDINGS, open_bag
 from calibration.robot.importing.bags.video_packets import ImageReader
 from calibration.robot.importing.description import VIDEO_ENDINGS, ImportDescription, SensorDescription, is_video
-from calibration.robot.importing.files.pictures import ENDINGS, find_pictures
+from calibration.robot.importing.files.pictures import IMAGE_ENDINGS, find_pictures
 from calibration.robot.importing.files.samples import read_samples
 from calibration.robot.importing.patterns.image_views import read_image
 from calibration.robot.importing.videos import decoded_frames, survey_videos
@@ -107,12 +106,13 @@ def images_at(path: Path) -> dict[str, ImageSource]:
             f"metadata.yaml), a folder of images, a video ({', '.join(VIDEO_ENDINGS)}) or an import.yml"
         )
     folders = [path, *sorted(each for each in path.iterdir() if each.is_dir())]
-    with_images = [each for each in folders if any(file.suffix.lower() in ENDINGS for file in each.iterdir())]
+    with_images = [each for each in folders if any(file.suffix.lower() in IMAGE_ENDINGS for file in each.iterdir())]
     if not with_images:
-        recordings = [file.name for file in sorted(path.iterdir()) if file.suffix.lower() in (*BAGS, *VIDEO_ENDINGS)]
+        endings = (*BAG_ENDINGS, *VIDEO_ENDINGS)
+        recordings = [file.name for file in sorted(path.iterdir()) if file.suffix.lower() in endings]
         hint = f"; name a recording in it: {recordings[0]}" if recordings else ""
         raise InputError(
-            f"{path}: found no image in it or in its folders, expected files in {', '.join(ENDINGS)}{hint}"
+            f"{path}: found no image in it or in its folders, expected files in {', '.join(IMAGE_ENDINGS)}{hint}"
         )
     chosen = with_images[:1] if with_images[0] == path else with_images[:MAX_CAMERAS]
     return {each.name: file_images(str(each), find_pictures(each.name, str(each)).files) for each in chosen}

@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Edge
-from calibration.robot.importing.bags.bag import SECOND, Bag, RawMessage
+from calibration.robot.importing.bags.bag import NS_PER_S, Bag, RawMessage
 from calibration.robot.importing.bags.messages import frame_of
 from calibration.robot.importing.bags.motion_log import STILL_M, STILL_RAD, MotionLog
 from calibration.robot.importing.bags.recorded_lens import RecordedLens, is_rectified
@@ -46,7 +46,7 @@ class TopicTimes:
 
     def summary(self, kind: str) -> TopicSummary:
         """Return them as a result."""
-        steps = np.diff(sorted(self.recorded)) / SECOND
+        steps = np.diff(sorted(self.recorded)) / NS_PER_S
         span = float(steps.sum())
         rate = len(steps) / span if span > 0 else None
         return TopicSummary(
@@ -170,19 +170,19 @@ def frames_summary(content: BagContent, parents: Collection[str]) -> FramesSumma
     return FramesSummary(
         tuple(frame for frame in frames if frame not in children),
         len(frames),
-        tuple(sorted(edge[1] for edge, track in log.moving.items() if _spread(track.values) > STILL_M)),
-        tuple(sorted(name for name, track in log.joints.items() if _spread(track.values) > STILL_RAD)),
+        tuple(sorted(edge[1] for edge, track in log.moving.items() if _largest_difference(track.values) > STILL_M)),
+        tuple(sorted(name for name, track in log.joints.items() if _largest_difference(track.values) > STILL_RAD)),
         robot,
-        _stays(content, parents),
+        _count_standstills(content, parents),
     )
 
 
-def _spread(values: Sequence[np.ndarray]) -> float:
+def _largest_difference(values: Sequence[np.ndarray]) -> float:
     """Return the largest difference of a number of some arrays."""
     return float(np.ptp(np.stack(values), axis=0).max()) if values else 0.0
 
 
-def _stays(content: BagContent, parents: Collection[str]) -> int | None:
+def _count_standstills(content: BagContent, parents: Collection[str]) -> int | None:
     """Return how often everything on the way to a camera or a pattern stands still; None if nothing there moves.
 
     Of a camera and a pattern that nothing is known to move, all counts that moves, but what never stands still, such as
@@ -201,7 +201,7 @@ def _stays(content: BagContent, parents: Collection[str]) -> int | None:
     images = [time for each in content.cameras for time in content.times.get(each.topic or "", TopicTimes()).stamps]
     if not recorded or not images:
         return None
-    count = int(min((max(images) - min(images)) / SECOND / STAY_STEP + 1, MAX_STAY_TIMES))
+    count = int(min((max(images) - min(images)) / NS_PER_S / STAY_STEP + 1, MAX_STAY_TIMES))
     times = np.linspace(min(images), max(images), count)
     still = np.array([[_is_still(log, edge, time) for time in times.tolist()] for edge in moving or recorded])
     if not moving and still.any():

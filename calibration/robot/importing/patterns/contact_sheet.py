@@ -12,13 +12,13 @@ from calibration.robot.importing.patterns.png import encoded
 from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.sensors.drawing import PICTURE_HEIGHT_PX, draw_corner
 
-FILE = "contact_sheet.png"
-WIDTH = 1600
+CONTACT_SHEET_FILE = "contact_sheet.png"
+SHEET_WIDTH_PX = 1600
 """Approximate width of the sheet, px."""
-MOST = 240
+MAX_IMAGES_SHOWN = 240
 """Limit of the number of images shown."""
-_LINE, _GAP = 16, 6
-_PAPER, _INK, _RED = (250, 250, 250), (60, 60, 60), (40, 40, 200)
+_LINE_HEIGHT_PX, _GAP_PX = 16, 6
+_PAPER_COLOUR, _INK_COLOUR, _REJECTED_COLOUR = (250, 250, 250), (60, 60, 60), (40, 40, 200)
 
 
 def contact_sheet(views: Sequence[tuple[str, View]], patterns: Mapping[str, PatternConfiguration]) -> bytes:
@@ -27,11 +27,11 @@ def contact_sheet(views: Sequence[tuple[str, View]], patterns: Mapping[str, Patt
     Raises:
         InputError: an image cannot be read.
     """
-    tiles = [_tile(title, view, patterns) for title, view in views[:MOST]]
+    tiles = [_draw_view(title, view, patterns) for title, view in views[:MAX_IMAGES_SHOWN]]
     width = max(tile.shape[1] for tile in tiles)
-    tiles = [_padded(tile, width) for tile in tiles]
-    columns = max(1, round(WIDTH / width))
-    tiles += [np.full_like(tiles[0], _PAPER)] * (-len(tiles) % columns)
+    tiles = [_pad_tile(tile, width) for tile in tiles]
+    columns = max(1, round(SHEET_WIDTH_PX / width))
+    tiles += [np.full_like(tiles[0], _PAPER_COLOUR)] * (-len(tiles) % columns)
     rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
     return encoded(np.asarray(np.vstack(rows), np.uint8))
 
@@ -48,7 +48,7 @@ def thumbnail_of(path: Path) -> Path:
     return path.with_name(f"{path.stem}.thumbnail.png")
 
 
-def _small(path: Path, width: int) -> Image:
+def _thumbnail_of(path: Path, width: int) -> Image:
     """Return the thumbnail (`PICTURE_HEIGHT_PX`, width, 3) of an image, from its file if there is one."""
     made = thumbnail_of(path)
     if made.is_file() and (small := read_image(made)).shape[:2] == (PICTURE_HEIGHT_PX, width):
@@ -56,15 +56,17 @@ def _small(path: Path, width: int) -> Image:
     return thumbnail(read_image(path))
 
 
-def _padded(tile: Image, width: int) -> Image:
+def _pad_tile(tile: Image, width: int) -> Image:
     """Pad a tile with white below it and to its right."""
-    right = width + _GAP - tile.shape[1]
-    return np.asarray(cv2.copyMakeBorder(tile, 0, _GAP, 0, right, cv2.BORDER_CONSTANT, value=_PAPER), np.uint8)
+    right = width + _GAP_PX - tile.shape[1]
+    return np.asarray(
+        cv2.copyMakeBorder(tile, 0, _GAP_PX, 0, right, cv2.BORDER_CONSTANT, value=_PAPER_COLOUR), np.uint8
+    )
 
 
-def _tile(title: str, view: View, patterns: Mapping[str, PatternConfiguration]) -> Image:
+def _draw_view(title: str, view: View, patterns: Mapping[str, PatternConfiguration]) -> Image:
     scale = PICTURE_HEIGHT_PX / view.height
-    small = _small(Path(view.file), max(1, round(scale * view.width)))
+    small = _thumbnail_of(Path(view.file), max(1, round(scale * view.width)))
     picture = np.asarray(cv2.convertScaleAbs(small, alpha=0.8, beta=40), np.uint8)  # paler, for the marks
     count = 0
     for name, found in view.found.items():
@@ -73,8 +75,8 @@ def _tile(title: str, view: View, patterns: Mapping[str, PatternConfiguration]) 
             count += len(labels.ids)
             for number, at in zip(labels.ids.tolist(), scale * (labels.pixels + 0.5) - 0.5, strict=True):
                 draw_corner(picture, at, number / corners)
-    colour = _INK if count else _RED
-    line = np.full((_LINE, small.shape[1], 3), _PAPER, np.uint8)
+    colour = _INK_COLOUR if count else _REJECTED_COLOUR
+    line = np.full((_LINE_HEIGHT_PX, small.shape[1], 3), _PAPER_COLOUR, np.uint8)
     text = f"{title}: {f'{count} corners' if count else 'not detected'}".encode("ascii", "replace").decode()
-    cv2.putText(line, text, (2, _LINE - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.38, colour, 1, cv2.LINE_AA)
+    cv2.putText(line, text, (2, _LINE_HEIGHT_PX - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.38, colour, 1, cv2.LINE_AA)
     return np.asarray(np.vstack([line, picture]), np.uint8)

@@ -15,7 +15,7 @@ from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import CIRCLES, UNMARKED
 from calibration.robot.importing.patterns.image_views import View, read_image
 from calibration.robot.importing.patterns.shown_patterns import (
-    GRID,
+    APRILGRID_FAMILY,
     MIN_BOARD_MARKERS,
     Family,
     shown_circles,
@@ -59,15 +59,16 @@ def never_seen(
     hint = _otherwise_printed(pattern, images)
     if pattern.inverted:
         images = [np.bitwise_not(image) for image in images]
-    hint = hint or _markers(pattern, images)
+    hint = hint or _describe_markers(pattern, images)
     if pattern.kind == "chessboard":
-        hint = hint or _corners(pattern, images)
+        hint = hint or _describe_chessboard(pattern, images)
     if pattern.kind in CIRCLES:
-        hint = hint or _circles(pattern, images)
+        hint = hint or _describe_circles(pattern, images)
     reasons = Counter(view.found[pattern.name].reason for view in views)
     usual = f"; in most images: {reasons.most_common(1)[0][0]}" if not hint else ""
     return InputError(
-        f"'{sensor}' sees pattern '{pattern.name}' ({_named(pattern)}) in none of its {len(views)} images{hint}{usual}"
+        f"'{sensor}' sees pattern '{pattern.name}' ({_describe_pattern(pattern)}) in none of its {len(views)} "
+        f"images{hint}{usual}"
     )
 
 
@@ -88,7 +89,7 @@ def _otherwise_printed(pattern: PatternConfiguration, images: Sequence[Image]) -
     return ""
 
 
-def _named(pattern: PatternConfiguration) -> str:
+def _describe_pattern(pattern: PatternConfiguration) -> str:
     size = f"{pattern.kind}, {pattern.dimension[0]} x {pattern.dimension[1]}"
     if pattern.kind == "aprilgrid":
         return f"{size} tags"
@@ -100,7 +101,7 @@ def _named(pattern: PatternConfiguration) -> str:
     return f"{size} corners{dictionary}"
 
 
-def _markers(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
+def _describe_markers(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
     """Describe the markers of the family with most detections."""
     plain = shown_markers(images)
     family = max(plain, key=lambda each: max(map(len, plain[each])))
@@ -115,7 +116,7 @@ def _markers(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
     if pattern.kind in UNMARKED:
         return f"; found {len(seen)} markers of {family.named(highest)}: is it a charuco board or an aprilgrid?"
     if pattern.kind == "aprilgrid":
-        return _tags(pattern, family, lowest, highest, seen)
+        return _describe_tags(pattern, family, lowest, highest, seen)
     if family.border > 1 or family.named(0).rpartition("_")[0] != (pattern.dictionary or "").rpartition("_")[0]:
         return f"; found {len(seen)} markers of another dictionary, {family.named(highest)}"
     expected = marker_ids(pattern)
@@ -141,15 +142,15 @@ def _other_first(pattern: PatternConfiguration, markers: str, lowest: int, highe
     )
 
 
-def _tags(pattern: PatternConfiguration, family: Family, lowest: int, highest: int, seen: Markers) -> str:
+def _describe_tags(pattern: PatternConfiguration, family: Family, lowest: int, highest: int, seen: Markers) -> str:
     """Describe the differences of an image's tags from an aprilgrid."""
-    if family != GRID:
+    if family != APRILGRID_FAMILY:
         border = (
             " with a border of one module, expected two, as Kalibr prints them" if family.dictionary == TAGS else ""
         )
         other = border or f", expected {TAGS}"
         return f"; found {len(seen)} markers of {family.named(highest)}{other}"
-    expected, gap = marker_ids(pattern), _gap(seen)
+    expected, gap = marker_ids(pattern), _median_gap(seen)
     if other_first := _other_first(pattern, "tags", lowest, highest):
         return other_first
     if highest == expected[-1] and 0 < gap < 1 and abs(gap - pattern.spacing) > GAP_OFF:
@@ -168,7 +169,7 @@ def _tags(pattern: PatternConfiguration, family: Family, lowest: int, highest: i
     )
 
 
-def _gap(seen: Markers) -> float:
+def _median_gap(seen: Markers) -> float:
     """Return the median gap between neighbours in a row, in sides of a tag; NaN if no two are detected."""
     (first,) = np.nonzero(np.diff(seen.ids) == 1)
     corners = np.roll(seen.corners, -turned_tags(), axis=1)  # from the top left
@@ -203,7 +204,7 @@ def check_told_apart(patterns: Mapping[str, PatternConfiguration]) -> None:
             )
 
 
-def _corners(pattern: PatternConfiguration, images: Iterable[Image]) -> str:
+def _describe_chessboard(pattern: PatternConfiguration, images: Iterable[Image]) -> str:
     """Describe a chessboard of nearly that size."""
     columns, rows = pattern.dimension
     for image in images:
@@ -217,12 +218,12 @@ def _corners(pattern: PatternConfiguration, images: Iterable[Image]) -> str:
     return ""
 
 
-def _circles(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
+def _describe_circles(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
     """Describe a grid of circles of another kind or size."""
     shown = shown_circles(images)
     if shown is None or (shown.kind, sorted(shown.dimension)) == (pattern.kind, sorted(pattern.dimension)):
         return ""
-    return f"; found {_named(shown)}: are type, columns and rows those of the printed grid?"
+    return f"; found {_describe_pattern(shown)}: are type, columns and rows those of the printed grid?"
 
 
 def check_board(
@@ -246,7 +247,7 @@ def check_board(
         return
     expected = marker_ids(pattern)
     of_others = [n for each in others if each.dictionary == pattern.dictionary for n in marker_ids(each)]
-    finder = (GRID if pattern.kind == "aprilgrid" else Family(pattern.dictionary)).finder()
+    finder = (APRILGRID_FAMILY if pattern.kind == "aprilgrid" else Family(pattern.dictionary)).finder()
     labelled = [view for view in views if view.found[pattern.name].ids]
     charuco = CharucoDetector(pattern) if pattern.kind == "charuco" else None
     strange, misplaced = [], 0
@@ -285,7 +286,9 @@ def check_spacing(sensor: str, pattern: PatternConfiguration, views: Sequence[Vi
     """
     if pattern.kind != "aprilgrid":
         return
-    seen = np.concatenate([_spacings(pattern, labels) for view in views if (labels := view.found[pattern.name].labels)])
+    seen = np.concatenate(
+        [_tag_spacings(pattern, labels) for view in views if (labels := view.found[pattern.name].labels)]
+    )
     if len(seen) < LEAST_GAPS:
         return
     shown = float(np.median(seen))
@@ -296,7 +299,7 @@ def check_spacing(sensor: str, pattern: PatternConfiguration, views: Sequence[Vi
         )
 
 
-def _spacings(pattern: PatternConfiguration, labels: CornerLabels) -> Array:
+def _tag_spacings(pattern: PatternConfiguration, labels: CornerLabels) -> Array:
     """Return the gaps (N,) between the neighbouring tags of a view, in sides of a tag."""
     columns, rows = pattern.dimension
     places = np.full((2 * rows * 2 * columns, 2), np.nan)

@@ -57,7 +57,7 @@ def labelled_ranges(
         }
         labelled.append(
             {
-                name: _labelled(name, view, guesses, configuration, place[name][i], cameras.get(name))
+                name: _label_range(name, view, guesses, configuration, place[name][i], cameras.get(name))
                 for name, view in ranges.items()
             }
         )
@@ -80,7 +80,7 @@ def _seen_by_cameras(
     return place[best] @ T if np.isfinite(T).all() else None
 
 
-def _labelled(
+def _label_range(
     name: str,
     view: RangeView,
     guesses: Mapping[str, Array | None],

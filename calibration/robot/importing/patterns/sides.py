@@ -22,11 +22,13 @@ def with_sides(described: ImportDescription) -> ImportDescription:
     """Return a description in which patterns with tags on several sides are bodies with a flat pattern a side."""
     solid = [pattern for pattern in described.patterns if not pattern.is_flat]
     bodies = [BodyDescription(each.name, each.parent, described.is_fixed(each)) for each in solid]
-    patterns = [side for each in described.patterns for side in (_sides(each) if not each.is_flat else [each])]
+    patterns = [
+        side for each in described.patterns for side in (_sides_of_pattern(each) if not each.is_flat else [each])
+    ]
     return replace(described, patterns=tuple(patterns), bodies=(*described.bodies, *bodies))
 
 
-def _sides(pattern: PatternDescription) -> list[PatternDescription]:
+def _sides_of_pattern(pattern: PatternDescription) -> list[PatternDescription]:
     """Return the sides of a pattern; the frame of each is that of its first tag."""
     sides: list[tuple[TagOnBody, list[TagOnBody]]] = []
     for tag in pattern.tags or ():

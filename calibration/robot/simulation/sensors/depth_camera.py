@@ -17,7 +17,7 @@ from calibration.engine.dataset.model import PointLabels
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, inverse
-from calibration.robot.labelling.depth import EDGE, label_depth
+from calibration.robot.labelling.depth import EDGE_SHARE, label_depth
 from calibration.robot.labelling.detection import DepthImage, Image
 from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.description import rising
@@ -128,8 +128,8 @@ class SimulatedDepthCamera(RangeSensor):
         hits &= directions[..., 2] == 1  # to the front
         inner = hits[:-2, 1:-1] & hits[2:, 1:-1] & hits[1:-1, :-2] & hits[1:-1, 2:]
         v, u = np.nonzero(hits[1:-1, 1:-1])
-        away = (np.minimum(v, camera.height - 1 - v) >= EDGE * camera.height) & (
-            np.minimum(u, camera.width - 1 - u) >= EDGE * camera.width
+        away = (np.minimum(v, camera.height - 1 - v) >= EDGE_SHARE * camera.height) & (
+            np.minimum(u, camera.width - 1 - u) >= EDGE_SHARE * camera.width
         )
         border = ~inner[v, u] & away
         labelled = border.copy()
