@@ -21,19 +21,21 @@ from calibration.engine.baseline.settings import FILE
 from calibration.engine.geometry.transforms import local
 
 MODULES = (
-    *("estimation/residuals.py", "estimation/corner_residuals.py", "estimation/ray_residuals.py"),
-    *("estimation/pose_residuals.py", "estimation/batches.py", "estimation/normal_equations.py", "estimation/views.py"),
-    *("estimation/noise_levels.py", "estimation/usable_labels.py", "estimation/least_squares.py"),
-    *("estimation/depth_border.py", "estimation/wrong_views.py", "estimation/optimisation.py"),
     *(
-        "geometry/cameras.py",
-        "geometry/lenses/pinhole.py",
-        "geometry/lenses/wide.py",
-        "geometry/transforms.py",
-        "geometry/rotations.py",
+        f"estimation/residuals/{name}.py"
+        for name in ("residuals", "corner_residuals", "ray_residuals", "pose_residuals")
     ),
-    *("geometry/joints.py", "dataset/pattern.py"),
+    *(f"estimation/residuals/{name}.py" for name in ("views", "border_rays")),
+    *(f"estimation/problem/{name}.py" for name in ("batches", "usable_labels")),
+    *(f"estimation/solve/{name}.py" for name in ("normal_equations", "least_squares", "noise_levels", "optimisation")),
+    "estimation/doubts/wrong_views.py",
+    *(
+        f"geometry/{name}.py"
+        for name in ("cameras", "lenses/pinhole", "lenses/wide", "transforms", "rotations", "joints")
+    ),
+    "dataset/pattern.py",
 )
+"""Files of `calibration/engine`."""
 SURVIVORS = 30
 TRIED = 400
 SECONDS = 120
@@ -84,7 +86,7 @@ def _verdict(base: Path, temporary: Path, mutant: tuple[str, str, str]) -> tuple
     with tempfile.TemporaryDirectory(dir=temporary) as name:
         folder = Path(name)
         _prepare(folder)
-        (folder / "calibration" / module).write_text(text)
+        (folder / "calibration" / "engine" / module).write_text(text)
         if _run(folder, "run") != 0 or _run(folder, "accept") != 0:
             return what, None
         before, now = read_baseline(base / FILE), read_baseline(folder / FILE)
@@ -130,11 +132,11 @@ def _mutants() -> Iterator[tuple[str, str, str]]:
     """Module, its text with one operator or number changed, and what was changed; in an order drawn by a seed."""
     places = []
     for module in MODULES:
-        tree = ast.parse((ROOT / "calibration" / module).read_text())
+        tree = ast.parse((ROOT / "calibration" / "engine" / module).read_text())
         places += [(module, i) for i, node in enumerate(ast.walk(tree)) if _change(node) is not None]
     random.Random(7).shuffle(places)
     for module, number in places:
-        tree = ast.parse((ROOT / "calibration" / module).read_text())
+        tree = ast.parse((ROOT / "calibration" / "engine" / module).read_text())
         node = list(ast.walk(tree))[number]
         what = _change(node)
         yield module, ast.unparse(tree), f"{module}:{getattr(node, 'lineno', 0)} {what}"

@@ -10,7 +10,7 @@ from calibration.engine.estimation.at_optimum import OpenCoefficientsError, cali
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.doubts.false_minima import why_invalid, why_not_reached
 from calibration.engine.estimation.problem.fixing import held_blocks
-from calibration.engine.estimation.solve.line_of_sight import with_noise_along_sight
+from calibration.engine.estimation.solve.noise_levels import with_noise_along_sight
 from calibration.engine.estimation.solve.optimisation import WeightedOptimum, optimise
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import Setup

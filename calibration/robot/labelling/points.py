@@ -10,8 +10,8 @@ import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.pattern import Pattern
+from calibration.engine.estimation.residuals.border_rays import RING_GAP
 from calibration.engine.estimation.residuals.median import median
-from calibration.engine.estimation.residuals.scan_border import RING_GAP
 from calibration.robot.labelling.board_plane import BORDER_END_M, BORDER_SLACK_M, LEAST_POINTS, find_board
 from calibration.robot.labelling.detection import NotDetected
 

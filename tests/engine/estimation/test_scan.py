@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.base.arrays import Array
-from calibration.engine.estimation.residuals.scan_border import border_rays
+from calibration.engine.estimation.residuals.border_rays import scan_border_rays
 from calibration.engine.estimation.start.build import build
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import transform
@@ -40,7 +40,7 @@ def test_on_average_border_rays_meet_the_border_and_limit_points_lie_inside(azim
         T = standing(azimuth, seed)
         label = scan(BOARD, T, np.random.default_rng(seed), noise=0.005)
         limits.append(outside(label.points[label.limits], T))
-        found = border_rays(label.points, label.limits)
+        found = scan_border_rays(label.points, label.limits)
         rays.append(outside(found[np.isfinite(found[:, 0])], T))
     inside, between = np.concatenate(limits), np.concatenate(rays)
     half_step = 0.5 * 2.0 * np.radians(0.4)
@@ -53,18 +53,18 @@ def test_on_average_border_rays_meet_the_border_and_limit_points_lie_inside(azim
 
 def test_turning_the_lidar_turns_the_rays():
     label = scan(BOARD, standing(0.0, 3), np.random.default_rng(3))
-    rays = border_rays(label.points, label.limits)
+    rays = scan_border_rays(label.points, label.limits)
     for angle in (0.5, np.pi - 0.1, np.pi, -1.0):
         R = rotations.exp([0, 0, angle])
-        np.testing.assert_allclose(border_rays(label.points @ R.T, label.limits), rays @ R.T, atol=1e-12)
+        np.testing.assert_allclose(scan_border_rays(label.points @ R.T, label.limits), rays @ R.T, atol=1e-12)
 
 
 def test_the_order_of_the_points_does_not_matter():
     label = scan(BOARD, standing(2.0, 4), np.random.default_rng(4), noise=0.01)
     order = np.random.default_rng(5).permutation(len(label.points))
     place = np.argsort(order)
-    rays = border_rays(label.points, label.limits)
-    np.testing.assert_allclose(border_rays(label.points[order], place[label.limits]), rays, atol=1e-12)
+    rays = scan_border_rays(label.points, label.limits)
+    np.testing.assert_allclose(scan_border_rays(label.points[order], place[label.limits]), rays, atol=1e-12)
 
 
 def ring(azimuths: list[float], height: float = 0.0) -> Array:
@@ -74,7 +74,7 @@ def ring(azimuths: list[float], height: float = 0.0) -> Array:
 
 def test_ends_move_outwards_by_half_a_step_and_keep_their_range():
     points = np.concatenate([ring([0.02, 0.0, 0.01, -0.01]), ring([0.3, 0.1, 0.2], height=0.2)])
-    rays = border_rays(points, np.array([0, 3, 4, 5]))
+    rays = scan_border_rays(points, np.array([0, 3, 4, 5]))
     np.testing.assert_allclose(np.arctan2(rays[:, 1], rays[:, 0]), [0.025, -0.015, 0.35, 0.05], atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(rays, axis=1), np.linalg.norm(points[[0, 3, 4, 5]], axis=1))
     np.testing.assert_array_equal(rays[:, 2], points[[0, 3, 4, 5], 2])
@@ -82,18 +82,18 @@ def test_ends_move_outwards_by_half_a_step_and_keep_their_range():
 
 def test_limits_within_a_ring_stay_where_they_are():
     points = ring([-0.01, 0.0, 0.01])
-    np.testing.assert_allclose(border_rays(points, np.array([1])), points[[1]], atol=1e-12)
+    np.testing.assert_allclose(scan_border_rays(points, np.array([1])), points[[1]], atol=1e-12)
 
 
 def test_a_limit_alone_on_its_ring_is_nan_in_its_place():
     points = np.concatenate([ring([0.0, 0.01]), ring([0.005], height=0.1)])
-    rays = border_rays(points, np.array([0, 2, 1]))
+    rays = scan_border_rays(points, np.array([0, 2, 1]))
     assert np.isnan(rays).all(1).tolist() == [False, True, False]
     assert np.isnan(rays).any(1).tolist() == [False, True, False]
 
 
 def test_no_limits_give_no_rays():
-    assert border_rays(ring([0.0, 0.1]), np.zeros(0, int)).shape == (0, 3)
+    assert scan_border_rays(ring([0.0, 0.1]), np.zeros(0, int)).shape == (0, 3)
 
 
 def test_borders_determine_what_planes_leave_open():

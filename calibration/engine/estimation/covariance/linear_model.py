@@ -38,7 +38,6 @@ from calibration.engine.estimation.problem.assumptions import Assumptions
 from calibration.engine.estimation.problem.batches import batches, table_of
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem
-from calibration.engine.estimation.residuals.distinct import distinct
 from calibration.engine.estimation.solve.normal_equations import Weighting
 
 MOST_CLUSTERS = 100
@@ -229,7 +228,7 @@ def _all_causes(
 
 def _at_most(clusters: IntArray, most: int) -> IntArray:
     """Merge neighbouring clusters until there are at most ``most``."""
-    _, clusters = distinct(clusters)
+    _, clusters = np.unique(clusters, return_inverse=True)
     count = int(clusters.max()) + 1
     return clusters * most // count if count > most else clusters
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.estimation.residuals.distinct import distinct
 from calibration.engine.geometry.transforms import apply, distance
 
 MAX_SIGMAS_IF_STILL = 2.0
@@ -52,7 +51,7 @@ def _near_pairs(views: Sequence[Array]) -> list[tuple[int, int]]:
     together = np.concatenate(numbers)
     if not len(together):
         return []
-    i, j = np.divmod(distinct(together)[0], N)
+    i, j = np.divmod(np.unique(together), N)
     near = np.ones(len(i), bool)
     for view in views:
         near &= ~_rows_differ(view, i, j)

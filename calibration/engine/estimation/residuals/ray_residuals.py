@@ -158,9 +158,8 @@ class BorderTerm(_Rays):
 
     The intersection depends on the ray's direction alone, so the range noise has no effect. The
     rays point to the *expected* position of the border: half a step of a LiDAR's scan, or half a pixel of a
-    depth camera, beyond the last point on the pattern (see `calibration.engine.estimation.residuals.scan_border` and
-    `residuals.depth_border`). The uncertainty is within the step, an angle: so the in-plane
-    distance is divided by the range, and one standard deviation holds at every range.
+    depth camera, beyond the last point on the pattern (`border_rays`). The uncertainty is within the step, an angle:
+    so the in-plane distance is divided by the range, and one standard deviation holds at every range.
     """
 
     normals: Array

@@ -1,7 +1,8 @@
 """Noise of the labels: the standard deviation of each kind of residual, estimated from the residuals."""
 
 from collections.abc import Mapping, Sequence
-from typing import get_args
+from dataclasses import replace
+from typing import TypeGuard, get_args
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.median import median
+from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
+from calibration.engine.estimation.residuals.views import Term
 from calibration.engine.estimation.solve.normal_equations import Squares
 
 NOISE_KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
@@ -18,7 +21,11 @@ MIN_SIGMA_OF_KIND: dict[NoiseKind, float] = {kind: 1e-6 if kind == "pixel" else 
 """Lower limits of the standard deviations (px, m or rad); they limit the weight of exact data."""
 MAX_SIGMAS_OF_INLIERS = 3.0
 """Standard deviations within which labels are used for the estimate."""
-# For a squared Gaussian residual of 1, 2 or 3 dimensions: its median, and its mean below INLIERS^2
+ISOTROPIC_VIEWS = 10
+"""Views with the same noise in all directions as which it is expected to be so: few views cannot tell."""
+MIN_SIGMAS_OF_DIFFERENCE = 2.5
+"""Difference of the logarithms of both variances, in its standard deviations, from which they differ."""
+# For a squared Gaussian residual of 1, 2 or 3 dimensions: its median, and its mean below MAX_SIGMAS_OF_INLIERS^2
 # (d P(chi2_{d+2} < c) / P(chi2_d < c), with c = 9), both in squared standard deviations.
 _MEDIAN_OF_SQUARES = {1: 0.4549364, 2: 1.3862944, 3: 2.3659739}
 _TRUNCATED_MEAN = {1: 0.9733369, 2: 1.8988755, 3: 2.7534587}
@@ -131,3 +138,38 @@ def standard_deviation(squared: Array, dimension: int, parameters: float, robust
             break
         variance = updated
     return float(np.sqrt(variance))
+
+
+def with_noise_along_sight(problem: Problem, values: Values, robust: bool) -> Problem:
+    """Return the problem with the noise of measured positions along the line of sight as their residuals tell.
+
+    Args:
+        problem: the problem; it is returned as it is if it has no measured poses, or both seem to be the same.
+        values: at or near its optimum.
+        robust: whether outliers are rejected.
+    """
+    squares = [
+        term.along_and_across(problem.poses(group, values))
+        for group in problem.groups
+        for term in group.terms
+        if _is_position(term)
+    ]
+    if not squares:
+        return problem
+    along, across = (np.concatenate(each) for each in zip(*squares, strict=True))
+    one, two = (standard_deviation(each, size, 0.0, robust) ** 2 for each, size in ((along, 1), (across, 2)))
+    count, least = len(along), MIN_SIGMA_OF_KIND["pose_translation"] ** 2
+    one, two = max(one, least), max(two, least)
+    if abs(np.log(one / two)) < MIN_SIGMAS_OF_DIFFERENCE * np.sqrt(3 / count):  # 2 / n of the one, 2 / 2n of the other
+        return problem
+    expected = ISOTROPIC_VIEWS * (one + 2 * two) / 3
+    ratio = float(np.sqrt((count * one + expected) / (count * two + expected)))
+    groups = [
+        replace(group, terms=tuple(replace(t, along=ratio) if _is_position(t) else t for t in group.terms))
+        for group in problem.groups
+    ]
+    return replace(problem, groups=tuple(groups))
+
+
+def _is_position(term: Term) -> TypeGuard[PoseTerm]:
+    return isinstance(term, PoseTerm) and term.kind == "pose_translation"

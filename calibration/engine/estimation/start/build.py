@@ -17,10 +17,9 @@ from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsic
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.problem.unknown_intrinsics import intrinsics_blocks
 from calibration.engine.estimation.problem.usable_labels import usable_labels
-from calibration.engine.estimation.residuals.depth_border import depth_border_rays
+from calibration.engine.estimation.residuals.border_rays import depth_border_rays, scan_border_rays
 from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
 from calibration.engine.estimation.residuals.ray_residuals import BorderTerm, RangeTerm
-from calibration.engine.estimation.residuals.scan_border import border_rays
 from calibration.engine.estimation.residuals.views import Chain, Link, Term, ViewGroup
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.sights import Sight, sights_of
@@ -243,7 +242,7 @@ def _border_rays(sensor: Sensor, labels: list[PointLabels]) -> list[Array]:
     starts = np.cumsum([0, *counts])
     points, limits = np.concatenate([label.points for label in labels]), [label.limits for label in labels]
     at = np.concatenate([each + start for each, start in zip(limits, starts[:-1], strict=True)])
-    rays = border_rays(points, at, np.repeat(np.arange(len(labels)), counts))
+    rays = scan_border_rays(points, at, np.repeat(np.arange(len(labels)), counts))
     return np.split(rays, np.cumsum([len(each) for each in limits])[:-1])
 
 
