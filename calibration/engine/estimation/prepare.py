@@ -10,37 +10,23 @@ from calibration.base.errors import InputError, UndeterminedError, solvable
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
 from calibration.engine.estimation.doubts.lags import with_lags
-from calibration.engine.estimation.doubts.pose_scale import (
-    MAX_SCALE_STEP_IF_FOUND,
-    MOST_STEPS,
-    OTHER_SCALE,
-    divided,
-    has_poses,
-    next_ratio,
-    rough_ratio,
-    undetermined_scale,
-    unknown_scale,
-)
 from calibration.engine.estimation.doubts.suspects import explains_all
 from calibration.engine.estimation.doubts.wrong_views import without, wrong_views
 from calibration.engine.estimation.from_linear_start import from_linear_start
+from calibration.engine.estimation.pose_scale import better_scale, unknown_scale, with_free_scale, wrong_scale
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.solve.least_squares import Termination, minimise
 from calibration.engine.estimation.solve.noise_levels import estimate_scales
 from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD
 from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.build import Setup, build_with
-from calibration.engine.estimation.start.guesses import guess_of_dataset, guess_with_patterns
-from calibration.engine.estimation.start.linear_start import LinearStart, linear_start
+from calibration.engine.estimation.start.build import Setup
+from calibration.engine.estimation.start.guesses import guess_with_patterns, linear_problem
+from calibration.engine.estimation.start.linear_start import LinearStart
 from calibration.engine.estimation.start.turned_boards import with_boards_turned_back
 
 TERMINATION_OF_TRIAL = Termination(decrease=1e-3, iterations=300)
 """Enough if the optimum explains all views; wrong views make the convergence slow."""
-MIN_BAD_FIT_M = 0.02
-"""Noise of measured poses from which another scale is tried."""
-MIN_NOISE_RATIO = 3.0
-"""Ratio of the noise to that with another scale, from which the scale is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +77,13 @@ def prepare(dataset: Dataset, options: Options) -> Prepared:
         try:
             prepared = _prepare_what_is_determined(dataset, options)
         except UndeterminedError as error:
-            if (factor := _wrong_scale(dataset, options)) is not None:
+            if (factor := wrong_scale(dataset, options)) is not None:
                 raise unknown_scale(dataset, factor) from error
             if not dataset.missing_files:
                 raise
             missing = "; ".join(map(dataset.missing_files_of, dataset.missing_files))
             raise UndeterminedError(f"{error}; {missing}") from error
-        if (factor := _better_scale(dataset, options, prepared.optimum)) is not None:
+        if (factor := better_scale(dataset, options, prepared.optimum)) is not None:
             raise unknown_scale(dataset, factor)
         return replace(prepared, optimum=replace(prepared.optimum, turned_views=turned)) if turned else prepared
 
@@ -147,7 +133,7 @@ def _prepare_problem(dataset: Dataset, options: Options) -> Prepared:
     Raises:
         UndeterminedError: the labels do not determine all parameters.
     """
-    setup, start = _linear_problem(dataset, options)
+    setup, start = linear_problem(dataset, options)
     wrong = wrong_views(setup, start.values, options.assume)
     if not wrong:
         return Prepared(dataset, options, setup, start, from_linear_start(dataset, setup, start, options))
@@ -161,15 +147,9 @@ def _prepare_problem(dataset: Dataset, options: Options) -> Prepared:
 
 def _prepare_rest(dataset: Dataset, options: Options, dropped: tuple[DroppedView, ...]) -> Prepared:
     """Build the problem without some views, and solve it from its linear start."""
-    setup, start = _linear_problem(without(dataset, dropped), options)
+    setup, start = linear_problem(without(dataset, dropped), options)
     optimum = from_linear_start(dataset, setup, start, options)
     return Prepared(dataset, options, setup, start, replace(optimum, dropped_views=dropped))
-
-
-def _linear_problem(dataset: Dataset, options: Options) -> tuple[Setup, LinearStart]:
-    """Return the problem of a dataset, and its linear start; what the labels leave open is the dataset's."""
-    setup = build_with(dataset, options)
-    return setup, linear_start(setup, guess_of_dataset(setup))
 
 
 def _explained_by_fixed_parameter(
@@ -198,49 +178,8 @@ def _naming_views_left_out(error: UndeterminedError, wrong: Sequence[DroppedView
 def _with_scale_and_lags(dataset: Dataset, options: Options) -> Dataset:
     """Return the dataset with the scale of its measured poses and the lags of its sensors, where they are free."""
     if options.scale == "free":
-        dataset, _ = _with_scale(dataset, options)
+        dataset, _ = with_free_scale(dataset, options)
     if not (free := options.free_lags_of(dataset)):
         return dataset
     known = replace(options, lag=())  # lags that cannot be told beside each other would have no error bars
-    return with_lags(dataset, free, lambda each: from_linear_start(each, *_linear_problem(each, known), known))
-
-
-def _with_scale(dataset: Dataset, options: Options) -> tuple[Dataset, float]:
-    """Return the dataset with the translations of its measured poses divided by their scale, and that factor."""
-    factor = 1.0
-    for step in range(MOST_STEPS):
-        setup, start = _linear_problem(dataset, options)
-        if step == 0:
-            ratio = rough_ratio(setup, start.values)
-        else:
-            ratio = next_ratio(from_linear_start(dataset, setup, start, options))
-        if ratio is None:
-            break
-        dataset, factor = divided(dataset, ratio), factor * ratio
-        if step and abs(ratio - 1) < MAX_SCALE_STEP_IF_FOUND:
-            return dataset, factor
-    raise undetermined_scale(dataset)
-
-
-def _wrong_scale(dataset: Dataset, options: Options) -> float | None:
-    """Return the factor by which the translations of measured poses must be divided to fit; None if there is none.
-
-    What is near 1, or does not fit either, is not the reason why nothing is determined.
-    """
-    if options.scale == "free" or not has_poses(dataset):
-        return None
-    try:
-        _, factor = _with_scale(dataset, options)
-    except UndeterminedError:
-        return None
-    return factor if abs(np.log(factor)) > OTHER_SCALE else None
-
-
-def _better_scale(dataset: Dataset, options: Options, optimum: Calibration) -> float | None:
-    """Return the factor with which measured poses that fit badly fit much better; None if there is none."""
-    level = optimum.noise_levels.pose_translation
-    if level is None or level < MIN_BAD_FIT_M or (factor := _wrong_scale(dataset, options)) is None:
-        return None
-    scaled = divided(dataset, factor)
-    other = from_linear_start(scaled, *_linear_problem(scaled, options), options).noise_levels.pose_translation
-    return factor if other is not None and other * factor * MIN_NOISE_RATIO < level else None
+    return with_lags(dataset, free, lambda each: from_linear_start(each, *linear_problem(each, known), known))

@@ -17,7 +17,7 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND
-from calibration.engine.estimation.doubts.pose_scale import divided
+from calibration.engine.estimation.pose_scale import divided
 from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.estimation.solve.options import Options, PoseNoise
 from calibration.engine.evaluation.specification import parse_evaluation

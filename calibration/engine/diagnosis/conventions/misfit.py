@@ -16,9 +16,8 @@ from calibration.engine.estimation.solve.least_squares import Termination, minim
 from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD
 from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.build import Setup, build_with
-from calibration.engine.estimation.start.guesses import guess_of_dataset
-from calibration.engine.estimation.start.linear_start import linear_start
+from calibration.engine.estimation.start.build import Setup
+from calibration.engine.estimation.start.guesses import linear_problem
 
 MOST = 0.8
 """Share of a sensor's views that a misfit is of: of the others each may be wrong."""
@@ -51,8 +50,8 @@ def misfit(dataset: Dataset, options: Options, steps: bool = True) -> Misfit:
     """Return the misfit of a dataset, after a few steps or at the linear start."""
     with np.errstate(all="ignore"):
         try:
-            setup = build_with(dataset, options)
-            values = linear_start(setup, guess_of_dataset(setup)).values
+            setup, start = linear_problem(dataset, options)
+            values = start.values
             at_start = misfit_at(setup, values)
             return misfit_at(setup, _nearer(setup, values)) if steps else at_start
         except (CalibrationError, np.linalg.LinAlgError):

@@ -3,9 +3,16 @@
 import numpy as np
 
 from calibration.base.arrays import Array
+from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.problem.blocks import Values
-from calibration.engine.estimation.start.build import Setup
-from calibration.engine.estimation.start.linear_start import pattern_poses, place_gauge_patterns
+from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.start.build import Setup, build_with
+from calibration.engine.estimation.start.linear_start import (
+    LinearStart,
+    linear_start,
+    pattern_poses,
+    place_gauge_patterns,
+)
 from calibration.engine.geometry.transforms import translation
 
 
@@ -29,6 +36,17 @@ def guess_of_dataset(setup: Setup) -> Values:
             T = dataset.transforms[block.edge] if block.per_collection else dataset.transform(*block.edge)[0]
             values.append(T @ translation(pattern.centre) if pattern else T)
     return place_gauge_patterns(setup, tuple(values))
+
+
+def linear_problem(dataset: Dataset, options: Options) -> tuple[Setup, LinearStart]:
+    """Build the problem of a dataset, and its linear start; what the labels leave open of that is the dataset's.
+
+    Raises:
+        UndeterminedError: as `build` and `linear_start`.
+        InputError: likewise.
+    """
+    setup = build_with(dataset, options)
+    return setup, linear_start(setup, guess_of_dataset(setup))
 
 
 def guess_with_patterns(setup: Setup) -> Values:

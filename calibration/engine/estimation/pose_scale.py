@@ -20,23 +20,75 @@ from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.doubts.suspects import MIN_INFORMATION_LEFT
+from calibration.engine.estimation.from_linear_start import from_linear_start
 from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import Setup
+from calibration.engine.estimation.start.guesses import linear_problem
 
+MIN_BAD_FIT_M = 0.02
+"""Noise of measured poses from which another scale is tried."""
+MIN_NOISE_RATIO = 3.0
+"""Ratio of the noise to that with another scale, from which the scale is unknown."""
 MAX_SCALE_STEP_IF_FOUND = 1e-7
 """Step, relative, after which the factor is found."""
-OTHER_SCALE = 0.05
+MIN_LOGARITHM_OF_OTHER_SCALE = 0.05
 """Logarithm of a factor from which poses have another scale than metres."""
-MOST_STEPS = 30
-LARGEST_STEP = 100.0
+MAX_STEPS = 30
+MAX_STEP_RATIO = 100.0
 """Largest ratio of a factor to the one before."""
 ROUGH_WEIGHTING = Weighting({"pose_translation": 1.0, "pose_rotation": 1e-3}, None)
 """Weights (m, rad) before anything is known of the noise: the rotations stay nearly as they start."""
 
 
-def rough_ratio(setup: Setup, values: Values) -> float | None:
+def with_free_scale(dataset: Dataset, options: Options) -> tuple[Dataset, float]:
+    """Return the dataset with the translations of its measured poses divided by their scale, and that factor.
+
+    Raises:
+        UndeterminedError: the poses do not determine their scale.
+    """
+    factor = 1.0
+    for step in range(MAX_STEPS):
+        setup, start = linear_problem(dataset, options)
+        if step == 0:
+            ratio = _rough_ratio(setup, start.values)
+        else:
+            ratio = _next_ratio(from_linear_start(dataset, setup, start, options))
+        if ratio is None:
+            break
+        dataset, factor = divided(dataset, ratio), factor * ratio
+        if step and abs(ratio - 1) < MAX_SCALE_STEP_IF_FOUND:
+            return dataset, factor
+    raise _undetermined_scale(dataset)
+
+
+def wrong_scale(dataset: Dataset, options: Options) -> float | None:
+    """Return the factor by which the translations of measured poses must be divided to fit; None if there is none.
+
+    What is near 1, or does not fit either, is not the reason why nothing is determined.
+    """
+    if options.scale == "free" or not _has_poses(dataset):
+        return None
+    try:
+        _, factor = with_free_scale(dataset, options)
+    except UndeterminedError:
+        return None
+    return factor if abs(np.log(factor)) > MIN_LOGARITHM_OF_OTHER_SCALE else None
+
+
+def better_scale(dataset: Dataset, options: Options, optimum: Calibration) -> float | None:
+    """Return the factor with which measured poses that fit badly fit much better; None if there is none."""
+    level = optimum.noise_levels.pose_translation
+    if level is None or level < MIN_BAD_FIT_M or (factor := wrong_scale(dataset, options)) is None:
+        return None
+    scaled = divided(dataset, factor)
+    other = from_linear_start(scaled, *linear_problem(scaled, options), options).noise_levels.pose_translation
+    return factor if other is not None and other * factor * MIN_NOISE_RATIO < level else None
+
+
+def _rough_ratio(setup: Setup, values: Values) -> float | None:
     """Return the factor by plain least squares from an initial guess; None if the poses do not determine it."""
     dataset = calibrated_dataset(setup, values, setup.dataset)
     return _ratio_by_newton_step(
@@ -44,7 +96,7 @@ def rough_ratio(setup: Setup, values: Values) -> float | None:
     )
 
 
-def next_ratio(calibration: Calibration) -> float | None:
+def _next_ratio(calibration: Calibration) -> float | None:
     """Return the ratio of the next factor to that of a calibration; None if the poses do not determine it.
 
     Args:
@@ -64,7 +116,7 @@ def _ratio_by_newton_step(model: LinearModel) -> float | None:
     if not left > MIN_INFORMATION_LEFT * model.alone[k]:
         return None
     step = -float((g[k] - total[k, :S] @ moves[:, 1]) / left)
-    return float(np.clip(1 + step, 1 / LARGEST_STEP, LARGEST_STEP))
+    return float(np.clip(1 + step, 1 / MAX_STEP_RATIO, MAX_STEP_RATIO))
 
 
 def divided(dataset: Dataset, factor: float) -> Dataset:
@@ -83,7 +135,7 @@ def divided(dataset: Dataset, factor: float) -> Dataset:
     return replace(dataset, collections=collections)
 
 
-def has_poses(dataset: Dataset) -> bool:
+def _has_poses(dataset: Dataset) -> bool:
     """Whether any label is a measured pose."""
     return any(isinstance(label, PoseLabels) for c in dataset.collections for label in c.labels.values())
 
@@ -96,7 +148,7 @@ def unknown_scale(dataset: Dataset, factor: float) -> UndeterminedError:
     )
 
 
-def undetermined_scale(dataset: Dataset) -> UndeterminedError:
+def _undetermined_scale(dataset: Dataset) -> UndeterminedError:
     """Return the error of poses that do not determine their scale."""
     return UndeterminedError(
         f"{dataset.path}: the poses do not determine their scale (scale: free); the arm must carry the sensor or the "
