@@ -46,7 +46,7 @@ def write_atomically(path: Path | str, content: bytes | str) -> None:
         InputError: a folder of its path is a link, below one of `follow_no_links`.
     """
     data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
-    with _replacing(Path(path)) as temporary:
+    with _replace_file(Path(path)) as temporary:
         temporary.write_bytes(data)
 
 
@@ -77,15 +77,15 @@ def link_or_copy(source: Path | str, target: Path | str) -> None:
     Raises:
         InfrastructureError: the target cannot be written, or the source cannot be read.
     """
-    with _replacing(Path(target)) as temporary:
+    with _replace_file(Path(target)) as temporary:
         try:
             temporary.hardlink_to(source)
         except OSError:
-            _copy(Path(source), temporary)
+            _copy_content(Path(source), temporary)
 
 
 @contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
+def _replace_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside a file, which replaces the file if the block succeeds."""
     _refuse_links(path)
     temporary = path.with_name(f".{os.urandom(8).hex()}.tmp")
@@ -101,7 +101,7 @@ def _replacing(path: Path) -> Iterator[Path]:
         raise InfrastructureError(f"{path}: cannot be written: {reason}") from error
 
 
-def _copy(source: Path, target: Path) -> None:
+def _copy_content(source: Path, target: Path) -> None:
     """Copy a file's content; `shutil`, which imports libraries of compression, takes a millisecond to import."""
     with source.open("rb") as reader, target.open("wb") as writer:
         while part := reader.read(1 << 20):

@@ -20,15 +20,15 @@ from calibration.base.text import one_line, shorten
 if TYPE_CHECKING:
     import requests
 
-ATTEMPTS = 4
+MAX_ATTEMPTS = 4
 FIRST_PAUSE = 0.5
 """Seconds before the second attempt; doubled before each further one."""
 LONGEST_PAUSE = 60.0
 """Seconds; if a server asks for a longer pause (``Retry-After``), the request fails instead."""
 MAX_BYTES = 4 * 1024 * 1024
 """Maximum size of an answer; registries accept no larger manifest."""
-_REDIRECTS = 5
-_LOOPBACK = re.compile(r"(localhost|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]+)?")
+_MAX_REDIRECTS = 5
+_LOOPBACK_HOST = re.compile(r"(localhost|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]+)?")
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class Http:
         self._session.close()
 
     def send(self, method: str, url: str, headers: Mapping[str, str], body: bytes | None = None) -> Answer:
-        """Send a request, with up to `ATTEMPTS` attempts if there is no answer, or 429 or 5xx.
+        """Send a request, with up to `MAX_ATTEMPTS` attempts if there is no answer, or 429 or 5xx.
 
         Raises:
             InfrastructureError: no attempt was answered, TLS is not trusted, the answer is too large, or it redirects
@@ -116,11 +116,11 @@ class Http:
         host = urlsplit(url).netloc
         if "Authorization" in headers:
             self._secrets.add(headers["Authorization"].partition(" ")[2])
-        for attempt in range(1, ATTEMPTS + 1):
+        for attempt in range(1, MAX_ATTEMPTS + 1):
             wait = FIRST_PAUSE * 2 ** (attempt - 1)
             attempts = f"{attempt} attempt{'s' if attempt > 1 else ''}"
             try:
-                answer = self._bounded(method, url, headers, body)
+                answer = self._send_within_time(method, url, headers, body)
             except _NoAnswerError as error:
                 problem = str(error)
                 advice = f"check the network, a proxy (HTTPS_PROXY) and {self._address}, or run it again"
@@ -136,7 +136,7 @@ class Http:
                     raise InfrastructureError(
                         f"{host}: {problem} and asks for a pause of {wait:g} s ({attempts}): {advice}"
                     )
-            if attempt < ATTEMPTS:
+            if attempt < MAX_ATTEMPTS:
                 self._pause(wait)
         raise InfrastructureError(f"{host}: {problem} ({attempts}): {advice}")
 
@@ -145,13 +145,13 @@ class Http:
         text = one_line(redact(self._explain(body), self._secrets))
         return f" ({shorten(text, 200)})" if text else ""
 
-    def _bounded(self, method: str, url: str, headers: Mapping[str, str], body: bytes | None) -> Answer:
+    def _send_within_time(self, method: str, url: str, headers: Mapping[str, str], body: bytes | None) -> Answer:
         """Send once with a timeout for the whole: in a thread, because each byte restarts the timeout of a socket."""
         answers: queue.SimpleQueue[Answer | Exception] = queue.SimpleQueue()
 
         def attempt() -> None:
             try:
-                answers.put(self._follow(method, url, headers, body))
+                answers.put(self._follow_redirects(method, url, headers, body))
             except Exception as error:
                 answers.put(error)
 
@@ -161,18 +161,18 @@ class Http:
         except queue.Empty:
             raise _NoAnswerError(f"did not finish its answer within {self._timeouts.whole:g} s") from None
         if isinstance(answer, Exception):
-            raise self._explained(answer, urlsplit(url).netloc)
+            raise self._explain_failure(answer, urlsplit(url).netloc)
         return answer
 
-    def _follow(self, method: str, url: str, headers: Mapping[str, str], body: bytes | None) -> Answer:
+    def _follow_redirects(self, method: str, url: str, headers: Mapping[str, str], body: bytes | None) -> Answer:
         """Send once and follow redirects; credentials are not sent to another server."""
-        for _ in range(_REDIRECTS + 1):
-            answer = self._once(method, url, headers, body)
+        for _ in range(_MAX_REDIRECTS + 1):
+            answer = self._send_once(method, url, headers, body)
             if answer.status not in (301, 302, 303, 307, 308) or "Location" not in answer.headers:
                 return answer
             target = urljoin(url, answer.headers["Location"])
             same = urlsplit(target)[:2] == urlsplit(url)[:2]
-            sends = f"{urlsplit(url).netloc}: answered {answer.status}: redirects a {method} to {_shown(target)}"
+            sends = f"{urlsplit(url).netloc}: answered {answer.status}: redirects a {method} to {_without_path(target)}"
             if method not in ("GET", "HEAD"):
                 raise InfrastructureError(f"{sends}, which is not followed: check {self._address}")
             if urlsplit(target).scheme != "https" and not same:
@@ -180,9 +180,9 @@ class Http:
             if not same:
                 headers = {name: value for name, value in headers.items() if name != "Authorization"}
             url = target
-        raise InfrastructureError(f"{urlsplit(url).netloc}: redirects more than {_REDIRECTS} times")
+        raise InfrastructureError(f"{urlsplit(url).netloc}: redirects more than {_MAX_REDIRECTS} times")
 
-    def _once(self, method: str, url: str, headers: Mapping[str, str], body: bytes | None) -> Answer:
+    def _send_once(self, method: str, url: str, headers: Mapping[str, str], body: bytes | None) -> Answer:
         proxies: dict[str, str | None] = {}
         if is_loopback(urlsplit(url).netloc):  # a proxy of the environment cannot reach this machine
             proxies = dict.fromkeys(("http", "https", "all"))
@@ -206,7 +206,7 @@ class Http:
                     )
             return Answer(response.status_code, response.headers, bytes(content))
 
-    def _explained(self, error: Exception, host: str) -> Exception:
+    def _explain_failure(self, error: Exception, host: str) -> Exception:
         """Return the exception to raise for a failed attempt."""
         if isinstance(error, InfrastructureError):
             return error
@@ -227,7 +227,7 @@ class Http:
 
 def is_loopback(netloc: str) -> bool:
     """Whether a host, with or without port, is this machine: no proxy is used for it, and it may lack TLS."""
-    return _LOOPBACK.fullmatch(netloc) is not None
+    return _LOOPBACK_HOST.fullmatch(netloc) is not None
 
 
 def retry_after(header: str) -> float | None:
@@ -253,7 +253,7 @@ def _no_other_password(request: "requests.PreparedRequest") -> "requests.Prepare
     return request
 
 
-def _shown(url: str) -> str:
+def _without_path(url: str) -> str:
     """Return scheme and host of a URL; the rest may contain secrets."""
     parts = urlsplit(url)
     return shorten(one_line(f"{parts.scheme}://{parts.hostname or ''}"))

@@ -21,10 +21,12 @@ def parse_json(text: str | bytes, *, finite: bool = True) -> Any:
         ValueError: it is not valid JSON.
         RecursionError: it is nested too deeply.
     """
-    return json.loads(text, object_pairs_hook=_object, parse_constant=_refuse if finite else None)
+    return json.loads(
+        text, object_pairs_hook=_object_without_repeats, parse_constant=_refuse_constant if finite else None
+    )
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _object_without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) != len(pairs):
         keys = [key for key, _ in pairs]
@@ -33,5 +35,5 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _refuse(text: str) -> NoReturn:
+def _refuse_constant(text: str) -> NoReturn:
     raise ValueError(f"found {text}, a finite number was expected")

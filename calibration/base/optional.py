@@ -5,7 +5,7 @@ from typing import Any
 
 from calibration.base.errors import InfrastructureError
 
-PACKAGES = {
+PACKAGE_OF_MODULE = {
     "av": ("PyAV", "av"),
     "cv2": ("OpenCV", "opencv-python-headless"),
     "rosbags": ("rosbags", "'calibration-ci[bags]'"),
@@ -29,5 +29,5 @@ def optional(module: str, user: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != package:
             raise
-        name, source = PACKAGES.get(package, (package, package))
+        name, source = PACKAGE_OF_MODULE.get(package, (package, package))
         raise InfrastructureError(f"{user} needs {name}: pip install {source}") from None

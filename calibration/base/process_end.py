@@ -19,7 +19,7 @@ from calibration.base.errors import ExitCode
 def run_process(command: Callable[[], int]) -> NoReturn:
     """Run a command, and end the process with its exit code."""
     _mark_exits_of_libraries()
-    _end(command())
+    _end_process(command())
 
 
 def _mark_exits_of_libraries() -> None:
@@ -32,7 +32,7 @@ def _mark_exits_of_libraries() -> None:
         libc.__cxa_atexit(libc._exit, ctypes.c_void_p(int(ExitCode.INFRASTRUCTURE)), None)
 
 
-def _end(code: int) -> NoReturn:
+def _end_process(code: int) -> NoReturn:
     """End the process as Python does (threads, exit handlers, streams), but without C's exit handlers."""
     threading._shutdown()  # type: ignore[attr-defined]  # waits for threads other than daemons
     atexit._run_exitfuncs()

@@ -13,10 +13,10 @@ from typing import IO
 
 from calibration.base.signals import held_back
 
-GRACE = 4.0
+STOP_SECONDS = 4.0
 """Seconds between SIGTERM and SIGKILL; a runner that cancels allows 7.5."""
 _PR_SET_DUMPABLE = 4
-_WATCHER = "import os, sys\nif not os.read(0, 1): os.killpg(int(sys.argv[1]), 9)"
+_WATCHER_CODE = "import os, sys\nif not os.read(0, 1): os.killpg(int(sys.argv[1]), 9)"
 """Kills a process group when its standard input closes before anything was written to it."""
 
 
@@ -64,21 +64,21 @@ def started(
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # a Ctrl-C reaches only this process, which stops the program
             )
-            watcher = _watcher(process.pid)
+            watcher = _start_watcher(process.pid)
         yield process
     finally:
         if process is not None:
-            _end(process)
+            _end_group(process)
             if process.stdout is not None:
                 process.stdout.close()
         if watcher is not None:
             watcher.communicate(b".")
 
 
-def _watcher(group: int) -> "subprocess.Popen[bytes]":
+def _start_watcher(group: int) -> "subprocess.Popen[bytes]":
     """Start a process that kills a process group if this process dies; any input ends it."""
     return subprocess.Popen(
-        [sys.executable, "-I", "-S", "-c", _WATCHER, str(group)],
+        [sys.executable, "-I", "-S", "-c", _WATCHER_CODE, str(group)],
         env={},
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
@@ -93,11 +93,11 @@ def has_ended(process: "subprocess.Popen[bytes]", *, wait: bool = False) -> bool
     return os.waitid(os.P_PID, process.pid, options) is not None
 
 
-def _end(process: "subprocess.Popen[bytes]") -> None:
+def _end_group(process: "subprocess.Popen[bytes]") -> None:
     """End the process group: SIGTERM, then SIGKILL; SIGKILL at once if another signal interrupts this."""
     try:
         for number in (signal.SIGTERM, signal.SIGKILL):
-            deadline = time.monotonic() + GRACE
+            deadline = time.monotonic() + STOP_SECONDS
             if not _signal_group(process, number):
                 break
             while time.monotonic() < deadline and _signal_group(process, 0):

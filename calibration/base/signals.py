@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-ENDING = (signal.SIGINT, signal.SIGTERM)
-_SOON = 0.001
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SECONDS_BEFORE_REPEAT = 0.001
 """Delay in seconds after which a signal whose exception Python has dropped is raised again."""
 
 
@@ -45,10 +45,10 @@ def terminate_cleanly() -> Iterator[None]:
             return
         number = signal.SIGTERM if issubclass(dropped.exc_type, Terminated) else signal.SIGINT
         signal.signal(signal.SIGALRM, lambda _number, frame: stop(number, frame))
-        signal.setitimer(signal.ITIMER_REAL, _SOON)
+        signal.setitimer(signal.ITIMER_REAL, _SECONDS_BEFORE_REPEAT)
 
     report_dropped, sys.unraisablehook = sys.unraisablehook, strike_again
-    before = {number: signal.getsignal(number) for number in (*ENDING, signal.SIGALRM)}
+    before = {number: signal.getsignal(number) for number in (*ENDING_SIGNALS, signal.SIGALRM)}
     signal.signal(signal.SIGTERM, stop)
     if before[signal.SIGINT] is not signal.SIG_IGN:  # ignored in a background job of a shell: keep that
         signal.signal(signal.SIGINT, stop)
@@ -76,7 +76,7 @@ def held_back() -> Iterator[None]:
         yield
         return
     arrived: list[int] = []
-    before = {number: signal.getsignal(number) for number in ENDING}
+    before = {number: signal.getsignal(number) for number in ENDING_SIGNALS}
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:
             signal.signal(number, lambda number, _frame: arrived.append(number))

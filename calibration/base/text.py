@@ -14,13 +14,13 @@ _UNPRINTABLE = re.compile(
 halves of surrogate pairs."""
 
 
-_ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|[ -/]+[0-~]|[0-Z\\^-~])")
+_TERMINAL_ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|[ -/]+[0-~]|[0-Z\\^-~])")
 """Sequences for terminals: colours and cursor, titles of windows (roslaunch), character sets, others."""
 
 
 def without_escapes(text: str) -> str:
     """Remove the sequences by which programs command a terminal."""
-    return _ESCAPES.sub("", text)
+    return _TERMINAL_ESCAPES.sub("", text)
 
 
 def one_line(text: str) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from calibration.base.errors import InputError
 
-_VARIABLE = r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}"
+_VARIABLE_USE = r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}"
 
 
 def with_variables(value: object, where: str, environment: Mapping[str, str] | None = None) -> Any:
@@ -31,7 +31,7 @@ def with_variables(value: object, where: str, environment: Mapping[str, str] | N
         return variables[name]
 
     if isinstance(value, str):
-        return re.sub(_VARIABLE, variable, value)
+        return re.sub(_VARIABLE_USE, variable, value)
     if isinstance(value, float) and not math.isfinite(value):
         raise InputError(f"{where}: found {value}, a finite number was expected")
     if isinstance(value, list):

@@ -15,7 +15,7 @@ MAX_ALIASED = 100_000
 
 MAX_DEPTH = 100
 """Limit of lists and mappings inside of each other, judged while reading."""
-_TAG = "tag:yaml.org,2002:"
+_TAG_PREFIX = "tag:yaml.org,2002:"
 
 
 class _Loader(yaml.SafeLoader):
@@ -43,12 +43,12 @@ class _Loader(yaml.SafeLoader):
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
             # What Python says of an explicit tag (!!bool x is a KeyError), or of a date or number that is none.
             found = shorten(repr(node.value)) if isinstance(node, yaml.ScalarNode) else "a list or mapping"
-            problem = f"found {found}, expected a value of the type {node.tag.removeprefix(_TAG)}"
+            problem = f"found {found}, expected a value of the type {node.tag.removeprefix(_TAG_PREFIX)}"
             raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from None
 
     def construct_document(self, node: yaml.Node) -> Any:
         sizes: dict[int, int] = {}
-        if _unfolded(node, sizes) > len(sizes) + MAX_ALIASED:
+        if _count_unfolded(node, sizes) > len(sizes) + MAX_ALIASED:
             raise yaml.constructor.ConstructorError(
                 None, None, f"its aliases expand to more than {MAX_ALIASED} values", node.start_mark
             )
@@ -71,11 +71,11 @@ class _Loader(yaml.SafeLoader):
         return self.construct_mapping(node, deep=True)
 
 
-_Loader.add_constructor(f"{_TAG}python/tuple", _Loader.construct_tuple)
-_Loader.add_constructor(f"{_TAG}opencv-matrix", _Loader.construct_matrix)
+_Loader.add_constructor(f"{_TAG_PREFIX}python/tuple", _Loader.construct_tuple)
+_Loader.add_constructor(f"{_TAG_PREFIX}opencv-matrix", _Loader.construct_matrix)
 
 
-def _unfolded(node: yaml.Node, sizes: dict[int, int]) -> int:
+def _count_unfolded(node: yaml.Node, sizes: dict[int, int]) -> int:
     """Count the values of a node with all aliases expanded."""
     if (known := sizes.get(id(node))) is not None:
         return known
@@ -83,7 +83,7 @@ def _unfolded(node: yaml.Node, sizes: dict[int, int]) -> int:
     children = node.value if isinstance(node, yaml.SequenceNode) else ()
     if isinstance(node, yaml.MappingNode):
         children = [part for pair in node.value for part in pair]
-    sizes[id(node)] = 1 + sum(_unfolded(child, sizes) for child in children)
+    sizes[id(node)] = 1 + sum(_count_unfolded(child, sizes) for child in children)
     return sizes[id(node)]
 
 
@@ -115,12 +115,12 @@ def line_in(data: bytes, keys: Sequence[str], value: str | None) -> int | None:
         if found is None:
             return line
         line, node = found[0].start_mark.line + 1, found[1]
-    texts = (each for each in _below(node, set()) if isinstance(each, yaml.ScalarNode) and each.value == value)
+    texts = (each for each in _nodes_below(node, set()) if isinstance(each, yaml.ScalarNode) and each.value == value)
     text = next(texts, None)
     return line if text is None else text.start_mark.line + 1
 
 
-def _below(node: yaml.Node | None, seen: set[int]) -> Iterator[yaml.Node]:
+def _nodes_below(node: yaml.Node | None, seen: set[int]) -> Iterator[yaml.Node]:
     """Yield a node and all nodes below it, each once."""
     if node is None or id(node) in seen:
         return
@@ -130,4 +130,4 @@ def _below(node: yaml.Node | None, seen: set[int]) -> Iterator[yaml.Node]:
     if isinstance(node, yaml.MappingNode):
         children = [part for pair in node.value for part in pair]
     for child in children:
-        yield from _below(child, seen)
+        yield from _nodes_below(child, seen)

@@ -14,7 +14,7 @@ from calibration.ci.image.builders.failure import BuildFailedError
 from calibration.ci.image.building import BuilderName, build_image
 from calibration.ci.image.context import Context
 from calibration.ci.image.plan import add_recipe
-from calibration.ci.image.report import TITLE, BuildResult, Failure, report
+from calibration.ci.image.report import REPORT_TITLE, BuildResult, Failure, report
 from calibration.ci.image.specification import (
     ImageSpecification,
     OwnDockerfile,
@@ -64,7 +64,7 @@ class BuildSettings:
 _OPTION_KEYS = option_keys(BuildSettings)
 
 
-@click.command(TITLE)
+@click.command(REPORT_TITLE)
 @record_options(BuildSettings, *_OPTION_KEYS[:-1])
 @registry_password_option
 @record_options(BuildSettings, _OPTION_KEYS[-1])

@@ -11,7 +11,14 @@ import click
 
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.records import at_least, changed, field, read, record
-from calibration.ci.execution.backends import CLOUDS, CLOUDS_TEXT, CONTAINERS, DOCKER, ExecutionTarget, check_backend
+from calibration.ci.execution.backends import (
+    CLOUDS,
+    CLOUDS_TEXT,
+    CONTAINER_BACKENDS,
+    DOCKER,
+    ExecutionTarget,
+    check_backend,
+)
 from calibration.ci.introspection.rules_file import read_rules
 from calibration.ci.registries.credentials import RegistrySettings
 from calibration.ci.workflow import Runner
@@ -137,7 +144,7 @@ def target_of(
         InputError: unknown backend, a cloud backend without software to run, or without its section of settings.
     """
     backend = settings.backend or (configuration.backend if configuration else DOCKER)
-    check_backend(backend, CONTAINERS)
+    check_backend(backend, CONTAINER_BACKENDS)
     in_cloud = backend in CLOUDS and bool(matrix.software)
     if not in_cloud and settings.backend in CLOUDS:
         raise InputError(f"backend: found {backend}, which runs the team's own software: give image and command")

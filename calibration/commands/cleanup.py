@@ -8,7 +8,7 @@ import click
 from calibration.base.addons import import_attribute
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.text import aligned
-from calibration.ci.execution.backends import CLOUDS, DOCKER, KINDS, Leftovers
+from calibration.ci.execution.backends import BACKEND_KINDS, CLOUDS, DOCKER, Leftovers
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import boolean_option, path, text
 from calibration.commands.target import DEFAULT_FILE
@@ -41,12 +41,12 @@ def command(**options: Any) -> ExitCode:
     if run == "":
         raise InputError("run is empty: expected the name of a run, as calibration cleanup --all --dry-run shows it")
     if not options["cloud"]:
-        leftovers = import_attribute(KINDS[DOCKER].leftovers)()
+        leftovers = import_attribute(BACKEND_KINDS[DOCKER].leftovers)()
     else:
         where = (options["config"] or DEFAULT_FILE, options["queue"], options["region"], options["definitions"])
         if not CLOUDS:
             raise InputError("cloud: no backend in a cloud is installed; without --cloud it is this machine's engine")
-        leftovers = import_attribute(KINDS[CLOUDS[0]].leftovers)(*where)
+        leftovers = import_attribute(BACKEND_KINDS[CLOUDS[0]].leftovers)(*where)
         everything |= options["definitions"]  # definitions belong to no run
     return clean_up(leftovers, run, everything, options["dry_run"], runner)
 

@@ -15,7 +15,14 @@ from calibration.base.files import write_atomically
 from calibration.base.records import Place, at_least, changed, field, read, record
 from calibration.base.variables import with_variables
 from calibration.base.yaml_file import read_yaml
-from calibration.ci.execution.backends import CONTAINERS, DOCKER, EMBEDDED, KINDS, ExecutionTarget, check_backend
+from calibration.ci.execution.backends import (
+    BACKEND_KINDS,
+    CONTAINER_BACKENDS,
+    DOCKER,
+    EMBEDDED,
+    ExecutionTarget,
+    check_backend,
+)
 from calibration.ci.execution.sizes import parse_seconds
 from calibration.ci.report import publish, show
 from calibration.ci.workflow import Runner, stop_commands
@@ -219,7 +226,7 @@ def _check_settings(settings: CollectionSettings, backend: str, applications: bo
     Raises:
         InputError: names the settings, and what to do.
     """
-    containers = " or ".join(CONTAINERS)
+    containers = " or ".join(CONTAINER_BACKENDS)
     if settings.scenarios is not None and "minimum-coverage" in settings.keys:
         raise InputError("minimum-coverage: judges one dataset; with scenarios give minimum-detection-rate")
     if settings.scenarios is not None and settings.scenarios > MAX_SCENARIOS:
@@ -231,8 +238,8 @@ def _check_settings(settings: CollectionSettings, backend: str, applications: bo
             raise InputError("scenario-set: scenarios vary in our own simulation only; applications receive {scenario}")
         if settings.scenarios is not None and settings.scenario is not None:
             raise InputError("scenario: give either scenarios (how many) or scenario (the id of one)")
-        if settings.resume and settings.scenarios is None and not KINDS[backend].resumes:
-            lasting = " or ".join(name for name, kind in KINDS.items() if kind.resumes)
+        if settings.resume and settings.scenarios is None and not BACKEND_KINDS[backend].resumes:
+            lasting = " or ".join(name for name, kind in BACKEND_KINDS.items() if kind.resumes)
             raise InputError(
                 f"resume: one dataset has no part that could be missing; with scenarios, or with {lasting}"
             )

@@ -9,7 +9,7 @@ from calibration.base.files import write_atomically
 from calibration.ci.execution.embedded import cores
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.report import Lines, Outcome, Report, Text, results_text
-from calibration.ci.report.badge import FILE as BADGE
+from calibration.ci.report.badge import BADGE_FILE as BADGE
 from calibration.ci.report.badge import verdict_badge
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.report_blocks import (

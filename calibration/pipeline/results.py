@@ -12,7 +12,7 @@ from calibration.base.errors import ExitCode, InputError, exit_code_of
 from calibration.base.records import computed, field, result, with_fields
 from calibration.base.text import shorten
 from calibration.ci.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
-from calibration.ci.report.badge import FILE as BADGE
+from calibration.ci.report.badge import BADGE_FILE as BADGE
 from calibration.ci.report.brief import BRIEF_FILE
 from calibration.ci.report.outcome import ErrorCode
 from calibration.engine.baseline.update import BaselineUpdate

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.__main__ import main
-from calibration.ci.execution.docker.labels import JOB, RUN, Owner
+from calibration.ci.execution.docker.labels import JOB_LABEL, RUN_LABEL, Owner
 from calibration.ci.execution.docker.leftovers import Leftover, find_leftovers, remove
 from calibration.ci.execution.run_names import new_run
 
@@ -32,7 +32,7 @@ def test_contradictions(arguments: list[str], message: str, capsys: pytest.Captu
 
 def test_objects_of_another_version(engine: "DockerClient", capsys: pytest.CaptureFixture[str]) -> None:
     run = new_run()
-    engine.api.create_volume(f"calibration-{run}", labels={RUN: run, JOB: "a\x1b[2Jb"})
+    engine.api.create_volume(f"calibration-{run}", labels={RUN_LABEL: run, JOB_LABEL: "a\x1b[2Jb"})
     try:
         assert main(["cleanup"]) == 0  # its owner is unknown
         assert len(find_leftovers(engine.api, run)) == 1
@@ -58,7 +58,7 @@ def test_why_what_may_be_in_use_is_kept(engine: "DockerClient", capsys: pytest.C
     run, here = new_run(), Owner.this_process()
     owners = {"here": here, "there": replace(here, host="robot-2"), "inside": replace(here, namespace="pid:[1]")}
     for name, owner in owners.items():
-        engine.api.create_volume(f"calibration-{run}-{name}", labels={RUN: run, **owner.labels})
+        engine.api.create_volume(f"calibration-{run}-{name}", labels={RUN_LABEL: run, **owner.labels})
     try:
         assert main(["cleanup"]) == 0
         shown = capsys.readouterr().out
@@ -72,7 +72,7 @@ def test_why_what_may_be_in_use_is_kept(engine: "DockerClient", capsys: pytest.C
 
 def test_missing_objects_are_no_error_and_used_ones_are_named(engine: "DockerClient", base_image: str) -> None:
     run = new_run()
-    labels = {RUN: run, **Owner.this_process().labels}
+    labels = {RUN_LABEL: run, **Owner.this_process().labels}
     name = f"calibration-{run}"
     engine.api.create_volume(name, labels=labels)
     host = engine.api.create_host_config(binds={name: {"bind": "/v", "mode": "rw"}})

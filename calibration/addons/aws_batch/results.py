@@ -20,7 +20,7 @@ from calibration.base.secret_forms import redact
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.copying_out import complete_or_not_at_all
 from calibration.ci.execution.job import Container, Job
-from calibration.ci.execution.job_folder import ARTIFACTS, LOGS, make_job_folder, write_manifest
+from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER, LOGS_FOLDER, make_job_folder, write_manifest
 from calibration.ci.execution.job_verdict import failure_of, how_it_ended
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
 
@@ -249,7 +249,7 @@ class Downloader:
         attempt = 0 if found is None else found.attempt
         lines: dict[str, str] = {}
         if self._all_logs or found is None or found.exit_code != ExitCode.PASS:
-            lines = self._download_logs(job, result.description, attempt, folder / LOGS, ours=attempt == 0)
+            lines = self._download_logs(job, result.description, attempt, folder / LOGS_FOLDER, ours=attempt == 0)
         if found is None and result.description is not None:
             why = why_no_outcome(job, result.description, result.given_up, lines)
             found = _failed_outcome(asked, result.description, why.reason, why.exit_code)
@@ -257,7 +257,7 @@ class Downloader:
             found = _failed_outcome(asked, None, "its result is missing in S3", ExitCode.INFRASTRUCTURE)
         elif attempt:
             found = with_ends(found, asked, _ends_of_attempt(result.description, attempt), lines)
-        found = self._download_files(found, result, attempt, folder / ARTIFACTS)
+        found = self._download_files(found, result, attempt, folder / ARTIFACTS_FOLDER)
         outcome = self._job_outcome(job, found, folder, lines)
         write_manifest(outcome, result.location.run)
         return outcome
@@ -336,7 +336,7 @@ class Downloader:
                 replace(
                     each,
                     image=images[each.name],
-                    log=folder / LOGS / f"{each.name}.log" if each.name in lines else None,
+                    log=folder / LOGS_FOLDER / f"{each.name}.log" if each.name in lines else None,
                 )
                 for each in found.containers
             ),

@@ -20,13 +20,13 @@ from calibration.addons.aws_batch.wire import (
     WATCH_CONTAINER,
     Location,
 )
-from calibration.ci.execution.docker.labels import RUN, Owner
+from calibration.ci.execution.docker.labels import RUN_LABEL, Owner
 from calibration.ci.execution.job import Job
 
 
 def run_tags(run: str) -> dict[str, str]:
     """Return the tags of a run's jobs, including the process that starts them."""
-    return {RUN: run, **_without_brackets(Owner.this_process()).labels}
+    return {RUN_LABEL: run, **_without_brackets(Owner.this_process()).labels}
 
 
 def owner_of(tags: Mapping[str, str]) -> Owner | None:

@@ -12,7 +12,7 @@ from calibration.addons.aws_batch.following import AT_ONCE, Submitted, batches, 
 from calibration.addons.aws_batch.session import Aws, Backoff
 from calibration.addons.aws_batch.submission import owner_of
 from calibration.base.errors import CalibrationError, InfrastructureError
-from calibration.ci.execution.docker.labels import RUN, Owner
+from calibration.ci.execution.docker.labels import RUN_LABEL, Owner
 
 
 def ensure(aws: Aws, request: Mapping[str, Any]) -> str:
@@ -177,7 +177,7 @@ def _read_leftover(record: dict[str, Any]) -> CloudLeftover:
     return CloudLeftover(
         id=str(record["jobId"]),
         name=str(record["jobName"]),
-        run=str(tags.get(RUN, "")),
+        run=str(tags.get(RUN_LABEL, "")),
         status=str(record["status"]),
         jobs=int(record.get("arrayProperties", {}).get("size", 1)),
         owner=owner_of(tags),

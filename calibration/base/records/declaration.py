@@ -12,8 +12,8 @@ from calibration.base.text import did_you_mean, shorten
 
 _Class = TypeVar("_Class", bound=type)
 _Getter = TypeVar("_Getter", bound=Callable[[Any], Any])
-_SETTINGS = "__record__"
-_DECLARED = "record"
+_SETTINGS_ATTRIBUTE = "__record__"
+_METADATA_KEY = "record"
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def field(
     """
     text = f"{help.removesuffix('.')}, {unit}." if unit else help
     declared = {"key": key, "help": text, "implied": implied, "flat": flat, "option": option, "omitted": omitted}
-    metadata = {_DECLARED: declared}
+    metadata = {_METADATA_KEY: declared}
     if default_factory is not MISSING:
         return dataclasses.field(default_factory=default_factory, metadata=metadata, repr=repr)
     return dataclasses.field(default=default, metadata=metadata, repr=repr)
@@ -109,7 +109,7 @@ def computed(key: str | None = None) -> Callable[[_Getter], _Getter]:
     """
 
     def declare(getter: _Getter) -> _Getter:
-        setattr(getter, _DECLARED, key or getter.__name__)
+        setattr(getter, _METADATA_KEY, key or getter.__name__)
         return getter
 
     return declare
@@ -139,7 +139,7 @@ def record(cls: Any = None, /, **settings: Any) -> Any:
         own = {name: settings[name] for name in Settings.__dataclass_fields__.keys() & settings.keys()}
         others = {name: value for name, value in settings.items() if name not in own}
         made = dataclass(frozen=True, **others)(cls)
-        setattr(made, _SETTINGS, Settings(**own))
+        setattr(made, _SETTINGS_ATTRIBUTE, Settings(**own))
         return made
 
     return declare if cls is None else declare(cls)
@@ -179,12 +179,12 @@ def with_fields(fields: Mapping[str, tuple[Any, Any]]) -> Callable[[_Class], _Cl
 
 def is_record(kind: Any) -> bool:
     """Return whether a type is a record."""
-    return isinstance(kind, type) and hasattr(kind, _SETTINGS)
+    return isinstance(kind, type) and hasattr(kind, _SETTINGS_ATTRIBUTE)
 
 
 def settings_of(kind: Any) -> Settings:
     """Return the properties of a record as a whole."""
-    found: Settings = getattr(kind, _SETTINGS)
+    found: Settings = getattr(kind, _SETTINGS_ATTRIBUTE)
     return found
 
 
@@ -195,21 +195,21 @@ def fields_of(kind: Any) -> tuple[Declared, ...]:
     kebab = settings_of(kind).case == "kebab"
     found = []
     for each in dataclasses.fields(kind):
-        if (declared := each.metadata.get(_DECLARED)) is None:
+        if (declared := each.metadata.get(_METADATA_KEY)) is None:
             continue
         default = each.default if each.default_factory is MISSING else each.default_factory()
         key = declared["key"] or (each.name.replace("_", "-") if kebab else each.name)
         details = {name: declared[name] for name in ("help", "implied", "flat", "option", "omitted")}
         found.append(Declared(each.name, key, types[each.name], default=default, **details))
-    return (*found, *_computed(kind))
+    return (*found, *_computed_fields(kind))
 
 
-def _computed(kind: Any) -> list[Declared]:
+def _computed_fields(kind: Any) -> list[Declared]:
     members = {name: member for base in reversed(kind.__mro__) for name, member in vars(base).items()}
     found = []
     for name, member in members.items():
         getter = member.func if isinstance(member, cached_property) else getattr(member, "fget", None)
-        if (key := getattr(getter, _DECLARED, None)) is not None:
+        if (key := getattr(getter, _METADATA_KEY, None)) is not None:
             help_, result = (getter.__doc__ or "").split("\n")[0], typing.get_type_hints(getter, include_extras=True)
             found.append(Declared(name, key, result["return"], help_, MISSING, MISSING, False, False, False, True))
     return found

@@ -7,7 +7,7 @@ from pathlib import Path
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.text import shorten
 
-_FEW = 3
+_MAX_LISTED_NUMBERS = 3
 """Limit of the numbers of a list in a message."""
 
 
@@ -56,7 +56,7 @@ def shown(value: object) -> str:
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, dict):
         return f"a mapping of {len(value)} keys" if value else "an empty mapping"
-    if isinstance(value, list) and not (1 < len(value) <= _FEW and all(map(is_number, value))):
+    if isinstance(value, list) and not (1 < len(value) <= _MAX_LISTED_NUMBERS and all(map(is_number, value))):
         return f"a list of {len(value)}" if value else "an empty list"
     return shorten(repr(value))
 

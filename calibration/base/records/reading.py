@@ -22,7 +22,14 @@ from calibration.base.records.place import Misfit, Place, is_number, shown
 from calibration.base.text import did_you_mean
 
 _Record = TypeVar("_Record")
-_NOUNS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", Path: "a path", dict: "keys"}
+_NOUN_OF_TYPE = {
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    Path: "a path",
+    dict: "keys",
+}
 
 
 def read(
@@ -46,7 +53,7 @@ def read(
     Raises:
         InputError: one line that names the file, the key, what was found and what was expected.
     """
-    found: _Record = _record(kind, document, Place(where, folder=folder or Path(), error=error), more)
+    found: _Record = _read_record(kind, document, Place(where, folder=folder or Path(), error=error), more)
     return found
 
 
@@ -80,66 +87,68 @@ def read_as(kind: Any, value: object, place: Place) -> Any:
     Raises:
         InputError: as `read`.
     """
-    base, extras = _parts(kind)
+    base, extras = _split_annotated(kind)
     for extra in extras:
         if isinstance(extra, Converted):
             made = extra.make(read_as(extra.accepts, value, place), place)
-            return _checked(made, value, base, extras, place)
+            return _check_constraints(made, value, base, extras, place)
         if isinstance(extra, ByName):
             return _by_name(typing.get_args(base)[0], value, extra, place)
-    return _checked(_plain(base, value, extras, place), value, base, extras, place)
+    return _check_constraints(_read_unchecked(base, value, extras, place), value, base, extras, place)
 
 
-def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
+def _split_annotated(kind: Any) -> tuple[Any, tuple[Any, ...]]:
     """Return a type without ``Annotated``, and the content of that, innermost first."""
     if typing.get_origin(kind) is typing.Annotated:
         base, *extras = typing.get_args(kind)
-        inner, more = _parts(base)
+        inner, more = _split_annotated(base)
         return inner, (*more, *extras)
     return kind, ()
 
 
-def _plain(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> Any:
+def _read_unchecked(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> Any:
     origin = typing.get_origin(kind)
     if origin in (typing.Union, UnionType):
-        return _union(kind, value, extras, place)
+        return _read_union(kind, value, extras, place)
     if not fits(kind, value):
-        raise _wrong(value, kind, extras, place)
+        raise _type_error(value, kind, extras, place)
     if is_record(kind):
-        return _record(kind, value, place, {})
+        return _read_record(kind, value, place, {})
     if origin is tuple:
         item = typing.get_args(kind)[0]
         return tuple(read_as(item, each, place.below(i)) for i, each in enumerate(typing.cast("list[Any]", value)))
     if origin is not None and origin is not typing.Literal:
         names, item = typing.get_args(kind)
         mapping = typing.cast("dict[Any, Any]", value)
-        return {str(_key(names, key, place)): read_as(item, each, place.below(key)) for key, each in mapping.items()}
+        return {
+            str(_read_key(names, key, place)): read_as(item, each, place.below(key)) for key, each in mapping.items()
+        }
     if kind is Path:
         return place.folder / str(value)
     return kind(value) if kind in (int, float) else value
 
 
-def _key(kind: Any, key: object, place: Place) -> Any:
+def _read_key(kind: Any, key: object, place: Place) -> Any:
     try:
         return read_as(kind, key, place)
     except CalibrationError:
         if typing.get_origin(kind) is typing.Literal:
             raise place.fault(unknown_key(key, typing.get_args(kind))) from None
-        expected = ", ".join(each.expected for each in _parts(kind)[1] if isinstance(each, Constraint))
+        expected = ", ".join(each.expected for each in _split_annotated(kind)[1] if isinstance(each, Constraint))
         raise place.fault(f"found the key {shown(key)}, expected {expected or 'a text'}") from None
 
 
-def _checked(result: Any, value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> Any:
+def _check_constraints(result: Any, value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> Any:
     """Return the result after checking all constraints."""
     for extra in extras:
         if isinstance(extra, Constraint) and not extra.holds(result):
             if extra.secret:
                 raise place.fault(f"expected {extra.expected}")
-            raise _wrong(value, kind, extras, place)
+            raise _type_error(value, kind, extras, place)
     return result
 
 
-def _wrong(value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> CalibrationError:
+def _type_error(value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> CalibrationError:
     limits = [each for each in extras if isinstance(each, Constraint)]
     whole = next((each.expected for each in limits if each.whole), None)
     expected = whole or " ".join([expectation(kind), *(each.expected for each in limits)])
@@ -153,13 +162,13 @@ def _wrong(value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> C
     return place.unexpected(value, expected + hint)
 
 
-def _union(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> Any:
+def _read_union(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> Any:
     members = [each for each in typing.get_args(kind) if each is not NoneType]
     if len(members) > 1:
         fitting = [each for each in members if fits(each, value)]
         members = [each for each in fitting if _is_literal_of(each, value)] or fitting
     if not members:
-        raise _wrong(value, kind, extras, place)
+        raise _type_error(value, kind, extras, place)
     return read_as(members[0], value, place)
 
 
@@ -169,7 +178,7 @@ def _is_literal_of(kind: Any, value: object) -> bool:
 
 def fits(kind: Any, value: object) -> bool:
     """Return whether a value has the form that a type is read from; its content may still be invalid."""
-    base, extras = _parts(kind)
+    base, extras = _split_annotated(kind)
     if (other := next((each for each in extras if isinstance(each, Converted)), None)) is not None:
         return fits(other.accepts, value)
     origin = typing.get_origin(base)
@@ -190,7 +199,7 @@ def fits(kind: Any, value: object) -> bool:
 
 def expectation(kind: Any) -> str:
     """Describe the expected value of a type for a message: ``a number``."""
-    base, extras = _parts(kind)
+    base, extras = _split_annotated(kind)
     for extra in extras:
         if isinstance(extra, Converted):
             return expectation(extra.accepts)
@@ -198,15 +207,15 @@ def expectation(kind: Any) -> str:
             return extra.expected
     origin = typing.get_origin(base)
     if origin in (typing.Union, UnionType):
-        return _listed([expectation(each) for each in typing.get_args(base) if each is not NoneType])
+        return _join_with_or([expectation(each) for each in typing.get_args(base) if each is not NoneType])
     if origin is typing.Literal:
-        return _listed([str(each) for each in typing.get_args(base)])
+        return _join_with_or([str(each) for each in typing.get_args(base)])
     if is_record(base):
         return f"keys: {', '.join(flat_fields(base))}"
-    return _NOUNS.get(base) or ("a list" if origin is tuple or base is list else "keys and values")
+    return _NOUN_OF_TYPE.get(base) or ("a list" if origin is tuple or base is list else "keys and values")
 
 
-def _listed(texts: list[str]) -> str:
+def _join_with_or(texts: list[str]) -> str:
     texts = list(dict.fromkeys(texts))
     return " or ".join(filter(None, (", ".join(texts[:-1]), texts[-1])))
 
@@ -219,10 +228,10 @@ def _by_name(kind: Any, value: object, extra: ByName, place: Place) -> tuple[Any
             expected = extra.names.expected if extra.names else "a text"
             hint = "" if isinstance(name, str) else ": put it in quotes"
             raise place.fault(f"found the name {shown(name)}, expected {expected}{hint}")
-    return tuple(_record(kind, each, place.below(name), {"name": name}) for name, each in value.items())
+    return tuple(_read_record(kind, each, place.below(name), {"name": name}) for name, each in value.items())
 
 
-def _record(kind: Any, document: object, place: Place, more: Mapping[str, Any]) -> Any:
+def _read_record(kind: Any, document: object, place: Place, more: Mapping[str, Any]) -> Any:
     if not isinstance(document, dict):
         raise place.unexpected(document, expectation(kind))
     known = flat_fields(kind)
@@ -230,7 +239,7 @@ def _record(kind: Any, document: object, place: Place, more: Mapping[str, Any]) 
         if key not in known and settings_of(kind).unknown == "refuse":
             raise place.fault(unknown_key(key, list(known)))
     _check_rules(kind, document, place)
-    return _made(kind, document, place, more)
+    return _build_record(kind, document, place, more)
 
 
 def _check_rules(kind: Any, document: Mapping[str, Any], place: Place) -> None:
@@ -245,7 +254,7 @@ def _may_be_null(each: Declared) -> bool:
     return not each.required or NoneType in typing.get_args(each.type)
 
 
-def _made(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[str, Any]) -> Any:
+def _build_record(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[str, Any]) -> Any:
     """Build the record from those keys of the document that are its own."""
     values = dict(more)
     nulls = settings_of(kind).nulls
@@ -257,7 +266,7 @@ def _made(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[st
             if each.default is None and not flat_fields(flat).keys() & document.keys():
                 continue
             _check_rules(flat, document, place)
-            made = _made(flat, document, place, {})
+            made = _build_record(flat, document, place, {})
             values[each.name] = converted.make(made, place) if converted else made
         elif each.key in document and not (nulls and document[each.key] is None and _may_be_null(each)):
             values[each.name] = read_as(each.type, document[each.key], place.below(each.key))

@@ -13,8 +13,8 @@ from calibration.base.records.constraints import ByName, Constraint, Converted
 from calibration.base.records.declaration import Declared, fields_of, flat_record, is_record, settings_of
 from calibration.base.records.writing import value_of
 
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
-_TYPES = {
+SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_SCHEMA_OF_TYPE = {
     str: "string",
     int: "integer",
     float: "number",
@@ -23,10 +23,10 @@ _TYPES = {
     dict: "object",
     list: "array",
 }
-_RECORD = "$record"
+_RECORD_KEY = "$record"
 """Temporary key with the name of the record, removed from the final schema."""
 _OF_A_FIELD = ("description", "default")
-_LENGTHS = {"string": "Length", "array": "Items", "object": "Properties"}
+_LENGTH_SUFFIX = {"string": "Length", "array": "Items", "object": "Properties"}
 
 
 def schema_text(kind: type, title: str, head: type | None = None) -> str:
@@ -37,12 +37,12 @@ def schema_text(kind: type, title: str, head: type | None = None) -> str:
         title: title of the schema.
         head: record whose keys precede those of the first in the same document.
     """
-    schema = _of_record(kind, head) if head else _schema(kind)
-    counts = Counter(_bodies(schema))
-    shared = {body: json.loads(body)[_RECORD] for body, count in counts.items() if count > 1}
+    schema = _of_record(kind, head) if head else _schema_of(kind)
+    counts = Counter(_find_bodies(schema))
+    shared = {body: json.loads(body)[_RECORD_KEY] for body, count in counts.items() if count > 1}
     shared = {body: name for body, name in shared.items() if list(shared.values()).count(name) == 1}
-    definitions = {name: _referring(json.loads(body), shared, inside=True) for body, name in shared.items()}
-    whole = {"$schema": DIALECT, "title": title, **_referring(schema, shared, inside=True)}
+    definitions = {name: _refer_to_shared(json.loads(body), shared, inside=True) for body, name in shared.items()}
+    whole = {"$schema": SCHEMA_DIALECT, "title": title, **_refer_to_shared(schema, shared, inside=True)}
     if definitions:
         whole["$defs"] = dict(sorted(definitions.items()))
     return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
@@ -50,82 +50,82 @@ def schema_text(kind: type, title: str, head: type | None = None) -> str:
 
 def schema_of(kind: Any) -> dict[str, Any]:
     """Return the schema of a record, or of any other type of a field."""
-    found: dict[str, Any] = _referring(_schema(kind), {})
+    found: dict[str, Any] = _refer_to_shared(_schema_of(kind), {})
     return found
 
 
-def _body(node: Mapping[str, Any]) -> str:
+def _record_body(node: Mapping[str, Any]) -> str:
     """Return the schema of a record without the description of the field that contains it."""
     return json.dumps({key: value for key, value in node.items() if key not in _OF_A_FIELD})
 
 
-def _bodies(node: Any) -> Iterator[str]:
+def _find_bodies(node: Any) -> Iterator[str]:
     """Return all occurrences of a record's schema."""
     if isinstance(node, Mapping):
-        if _RECORD in node:
-            yield _body(node)
+        if _RECORD_KEY in node:
+            yield _record_body(node)
         for each in node.values():
-            yield from _bodies(each)
+            yield from _find_bodies(each)
     elif isinstance(node, list):
         for each in node:
-            yield from _bodies(each)
+            yield from _find_bodies(each)
 
 
-def _referring(node: Any, shared: Mapping[str, str], *, inside: bool = False) -> Any:
+def _refer_to_shared(node: Any, shared: Mapping[str, str], *, inside: bool = False) -> Any:
     """Replace shared records by references to their names; ``inside`` for the top level of one of them."""
     if isinstance(node, list):
-        return [_referring(each, shared) for each in node]
+        return [_refer_to_shared(each, shared) for each in node]
     if not isinstance(node, Mapping):
         return node
-    if not inside and _RECORD in node and (name := shared.get(_body(node))):
+    if not inside and _RECORD_KEY in node and (name := shared.get(_record_body(node))):
         return {**{key: node[key] for key in _OF_A_FIELD if key in node}, "$ref": f"#/$defs/{name}"}
-    return {key: _referring(value, shared) for key, value in node.items() if key != _RECORD}
+    return {key: _refer_to_shared(value, shared) for key, value in node.items() if key != _RECORD_KEY}
 
 
-def _schema(kind: Any) -> dict[str, Any]:
+def _schema_of(kind: Any) -> dict[str, Any]:
     """Return the schema, in which records are still marked with their names."""
     if is_record(kind):
         return _of_record(kind)
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is typing.Annotated:
-        return _annotated(arguments[0], arguments[1:])
+        return _apply_annotations(arguments[0], arguments[1:])
     if origin in (typing.Union, UnionType):
-        return _union([_schema(each) for each in arguments if each is not NoneType])
+        return _union_schema([_schema_of(each) for each in arguments if each is not NoneType])
     if origin is typing.Literal:
         return {"enum": list(arguments)}
     if origin in (tuple, list):
-        return {"type": "array", "items": _schema(arguments[0])}
+        return {"type": "array", "items": _schema_of(arguments[0])}
     if origin is not None:
-        names = {key: value for key, value in _schema(arguments[0]).items() if key != "type"}
+        names = {key: value for key, value in _schema_of(arguments[0]).items() if key != "type"}
         schema: dict[str, Any] = {"type": "object"} | ({"propertyNames": names} if names else {})
-        return schema | {"additionalProperties": _schema(arguments[1])}
-    return {"type": _TYPES[kind]} | ({"minLength": 1} if kind is Path else {})
+        return schema | {"additionalProperties": _schema_of(arguments[1])}
+    return {"type": _SCHEMA_OF_TYPE[kind]} | ({"minLength": 1} if kind is Path else {})
 
 
-def _annotated(base: Any, extras: tuple[Any, ...]) -> dict[str, Any]:
+def _apply_annotations(base: Any, extras: tuple[Any, ...]) -> dict[str, Any]:
     special = next((each for each in extras if isinstance(each, Converted | ByName)), None)
     if isinstance(special, ByName):
         schema: dict[str, Any] = {"type": "object", "minProperties": 1}
         schema |= {"propertyNames": dict(special.names.schema)} if special.names else {}
-        return schema | {"additionalProperties": _schema(typing.get_args(base)[0])}
+        return schema | {"additionalProperties": _schema_of(typing.get_args(base)[0])}
     if special is not None:
-        return _schema(special.described_as or special.accepts)
-    schema = _schema(base)
+        return _schema_of(special.described_as or special.accepts)
+    schema = _schema_of(base)
     for extra in extras:
         if isinstance(extra, Constraint):
-            schema |= _keywords(extra.schema, schema.get("type"))
+            schema |= _length_keywords(extra.schema, schema.get("type"))
     return schema
 
 
-def _keywords(keywords: Mapping[str, Any], kind: Any) -> dict[str, Any]:
+def _length_keywords(keywords: Mapping[str, Any], kind: Any) -> dict[str, Any]:
     if "length" not in keywords:
         return dict(keywords)
-    noun = _LENGTHS[str(kind)]
+    noun = _LENGTH_SUFFIX[str(kind)]
     limits = zip(("min", "max"), keywords["length"], strict=True)
     return {f"{side}{noun}": limit for side, limit in limits if limit}
 
 
-def _union(members: list[dict[str, Any]]) -> dict[str, Any]:
+def _union_schema(members: list[dict[str, Any]]) -> dict[str, Any]:
     if len(members) == 1:
         return members[0]
     if all(member.keys() == {"type"} for member in members):
@@ -137,7 +137,7 @@ def _union(members: list[dict[str, Any]]) -> dict[str, Any]:
 def _of_record(kind: Any, head: Any = None) -> dict[str, Any]:
     settings = settings_of(kind)
     schema: dict[str, Any] = {
-        _RECORD: kind.__name__,
+        _RECORD_KEY: kind.__name__,
         "description": " ".join((kind.__doc__ or "").split("\n\n")[0].split()),
         "type": "object",
     }
@@ -147,30 +147,32 @@ def _of_record(kind: Any, head: Any = None) -> dict[str, Any]:
     required: list[str] = []
     rules: list[Mapping[str, Any]] = []
     for each in (head, kind) if head else (kind,):
-        _collect(each, properties, required, rules)
+        _collect_properties(each, properties, required, rules)
     if required:
         schema["required"] = required
-    schema |= _together(rules)
+    schema |= _combine_rules(rules)
     return {**schema, "properties": properties}
 
 
-def _collect(kind: Any, properties: dict[str, Any], required: list[str], rules: list[Mapping[str, Any]]) -> None:
+def _collect_properties(
+    kind: Any, properties: dict[str, Any], required: list[str], rules: list[Mapping[str, Any]]
+) -> None:
     """Return the properties of a record, including those of flat records."""
     rules += [rule.schema for rule in settings_of(kind).rules]
     nulls = settings_of(kind).nulls
     for each in fields_of(kind):
         if each.flat:
-            _collect(flat_record(each)[0], properties, [] if each.default is None else required, rules)
+            _collect_properties(flat_record(each)[0], properties, [] if each.default is None else required, rules)
             continue
         if each.required and each.key not in properties:
             required.append(each.key)
-        properties[each.key] = _property(each, nulls)
+        properties[each.key] = _property_schema(each, nulls)
 
 
-def _property(each: Declared, nulls: bool) -> dict[str, Any]:
-    schema = _schema(each.type)
+def _property_schema(each: Declared, nulls: bool) -> dict[str, Any]:
+    schema = _schema_of(each.type)
     if nulls and not each.omitted and NoneType in typing.get_args(each.type):
-        schema = _union([schema, {"type": "null"}])
+        schema = _union_schema([schema, {"type": "null"}])
     if each.help:
         schema = {"description": each.help, **{key: value for key, value in schema.items() if key != "description"}}
     default = value_of(each.default) if each.implied is MISSING else each.implied
@@ -179,7 +181,7 @@ def _property(each: Declared, nulls: bool) -> dict[str, Any]:
     return schema
 
 
-def _together(rules: list[Mapping[str, Any]]) -> dict[str, Any]:
+def _combine_rules(rules: list[Mapping[str, Any]]) -> dict[str, Any]:
     """Return rules as keywords; conflicting keywords are combined by ``allOf``."""
     merged: dict[str, Any] = {}
     rest = []

@@ -8,7 +8,7 @@ from typing import Any
 
 from calibration.base.records.declaration import fields_of, is_record, settings_of
 
-_PLAIN = frozenset({str, int, float, bool, type(None)})
+_PLAIN_TYPES = frozenset({str, int, float, bool, type(None)})
 
 
 def document_of(record: Any, *, defaults: bool = True) -> dict[str, Any]:
@@ -49,7 +49,7 @@ def value_of(value: Any, *, defaults: bool = True) -> Any:
     kind = type(value)
     if kind is float and not math.isfinite(value):
         return None
-    if kind in _PLAIN:  # nearly all are
+    if kind in _PLAIN_TYPES:  # nearly all are
         return value
     if is_record(kind):
         return document_of(value, defaults=defaults)

@@ -20,13 +20,13 @@ class Allowance:
 
     def above(self, baseline: float) -> float:
         """Return the largest allowed number, in exact decimal arithmetic."""
-        return float(Decimal(repr(baseline)) + self._change(baseline))
+        return float(Decimal(repr(baseline)) + self._allowed_change(baseline))
 
     def below(self, baseline: float) -> float:
         """Return the smallest allowed number, in exact decimal arithmetic."""
-        return float(Decimal(repr(baseline)) - self._change(baseline))
+        return float(Decimal(repr(baseline)) - self._allowed_change(baseline))
 
-    def _change(self, baseline: float) -> Decimal:
+    def _allowed_change(self, baseline: float) -> Decimal:
         amount = Decimal(repr(self.amount))
         return amount * abs(Decimal(repr(baseline))) / 100 if self.relative else amount
 

@@ -3,7 +3,7 @@
 import math
 import re
 
-_DECIMAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_DECIMAL_TEXT = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 def parse_number(text: str) -> float | None:
@@ -11,7 +11,7 @@ def parse_number(text: str) -> float | None:
 
     NaN, infinity, overflow, an empty text, ``1,5``, ``0x1f`` and ``1_000`` are rejected.
     """
-    if not _DECIMAL.fullmatch(text):
+    if not _DECIMAL_TEXT.fullmatch(text):
         return None
     number = float(text)
     return number if math.isfinite(number) else None

@@ -42,13 +42,13 @@ from calibration.base.tables.selection import (
 SUMMARY_ROWS = ("Averages",)
 """Default labels of rows that summarise others."""
 
-_LIMITS = ("min", "max")
-_EVERY = ("every-min", "every-max")
-_TEXTS = ("contains", "does-not-contain", "matches")
-_CHANGES = ("max-increase", "max-decrease")
+_LIMIT_KEYS = ("min", "max")
+_EVERY_KEYS = ("every-min", "every-max")
+_TEXT_KEYS = ("contains", "does-not-contain", "matches")
+_CHANGE_KEYS = ("max-increase", "max-decrease")
 
 
-def _parsed(parse: Callable[[Any], Any]) -> Callable[[Any, Place], Any]:
+def _with_place(parse: Callable[[Any], Any]) -> Callable[[Any, Place], Any]:
     """Turn a function that raises messages without a position into one for `Converted`."""
 
     def make(value: Any, place: Place) -> Any:
@@ -60,35 +60,37 @@ def _parsed(parse: Callable[[Any], Any]) -> Callable[[Any, Place], Any]:
     return make
 
 
-def _stripped(value: str) -> str:
+def _strip_text(value: str) -> str:
     if not value.strip():
         raise InputError("the text is empty")
     return value.strip()
 
 
-def _pattern(value: str) -> re.Pattern[str]:
+def _parse_pattern(value: str) -> re.Pattern[str]:
     try:
         return re.compile(value)
     except (re.error, OverflowError, RecursionError) as error:
         raise InputError(f"{value!r} is no regular expression: {error}") from None
 
 
-def _finite(value: object) -> float | None:
+def _parse_finite(value: object) -> float | None:
     return parse_number(str(value).strip())
 
 
 Text = Annotated[str, length(1)]
-Name = Annotated[str, Converted(str, _parsed(_stripped))]
+Name = Annotated[str, Converted(str, _with_place(_strip_text))]
 """Return text without surrounding white space."""
 Number = Annotated[
     float,
     Converted(
-        Annotated[str | float, Constraint(lambda value: _finite(value) is not None, "a finite number", whole=True)],
-        lambda value, _: _finite(value),
+        Annotated[
+            str | float, Constraint(lambda value: _parse_finite(value) is not None, "a finite number", whole=True)
+        ],
+        lambda value, _: _parse_finite(value),
     ),
 ]
 """Return a number; text is accepted too, because YAML 1.1 reads ``1e-3`` as text."""
-Change = Annotated[Allowance, Converted(str | float, _parsed(lambda value: parse_allowance(str(value))))]
+Change = Annotated[Allowance, Converted(str | float, _with_place(lambda value: parse_allowance(str(value))))]
 
 
 @record
@@ -96,10 +98,10 @@ class RuleEntry:
     """A rule in a document: for one row or aggregate, for every row, or for both."""
 
     column: Name = field("Column of the rule.")
-    row: Annotated[LabelledRow | IndexedRow, Converted(Name, _parsed(parse_row))] | None = field(
+    row: Annotated[LabelledRow | IndexedRow, Converted(Name, _with_place(parse_row))] | None = field(
         "The row that is judged: its label, first, last or index:3.", default=None
     )
-    aggregate: Annotated[Aggregate, Converted(Name, _parsed(parse_aggregate))] | None = field(
+    aggregate: Annotated[Aggregate, Converted(Name, _with_place(parse_aggregate))] | None = field(
         "Judge one number made from every row: max, min, mean, median or p95.", default=None
     )
     every: bool = field("Whether every row is judged; so it is without row and aggregate.", default=False)
@@ -114,7 +116,7 @@ class RuleEntry:
     every_max: Number | None = field("Largest number that passes in every row.", default=None)
     contains: Text | None = field("Text that the cell contains.", default=None)
     does_not_contain: Text | None = field("Text that the cell does not contain.", default=None)
-    matches: Annotated[re.Pattern[str], Converted(Text, _parsed(_pattern))] | None = field(
+    matches: Annotated[re.Pattern[str], Converted(Text, _with_place(_parse_pattern))] | None = field(
         "Regular expression that the whole cell matches.", default=None
     )
     max_increase: Change | None = field("Largest increase against the baseline: 0.1, or 10%.", default=None)
@@ -122,9 +124,9 @@ class RuleEntry:
 
     def __post_init__(self) -> None:
         """Reject keys that contradict each other, and a rule without a limit."""
-        numeric, texts = self._given(*_LIMITS, *_EVERY, *_CHANGES), self._given(*_TEXTS)
+        numeric, texts = self._given_keys(*_LIMIT_KEYS, *_EVERY_KEYS, *_CHANGE_KEYS), self._given_keys(*_TEXT_KEYS)
         targets = [target for target in (self.row, self.aggregate, EveryRow() if self.every else None) if target]
-        chosen = self._given("row", "aggregate")
+        chosen = self._given_keys("row", "aggregate")
         fault = ""
         if len(targets) > 1:
             fault = f"give one of row, aggregate, every, found {' and '.join(map(str, targets))}"
@@ -134,16 +136,16 @@ class RuleEntry:
             fault = f"{numeric[0]} is for numbers and {texts[0]} for text: make two rules of it"
         elif texts and self.aggregate:
             fault = f"{texts[0]} is for text, of which there is no {self.aggregate.name}"
-        elif chosen and not self._given(*_LIMITS, *_TEXTS, *_CHANGES):
+        elif chosen and not self._given_keys(*_LIMIT_KEYS, *_TEXT_KEYS, *_CHANGE_KEYS):
             fault = f"a {chosen[0]} is chosen but has no limit: give min or max, or leave it out"
-        elif not chosen and self._given(*_LIMITS) and self._given(*_EVERY):
+        elif not chosen and self._given_keys(*_LIMIT_KEYS) and self._given_keys(*_EVERY_KEYS):
             fault = "min, max and every-min, every-max are all for every row: choose a row for min, max"
-        elif self.exclusive and not self._given(*_LIMITS, *_EVERY):
+        elif self.exclusive and not self._given_keys(*_LIMIT_KEYS, *_EVERY_KEYS):
             fault = "exclusive is for min, max, every-min and every-max, and there is none"
         if fault:
             raise Misfit(f"{self.column}: {fault}")
 
-    def _given(self, *keys: str) -> list[str]:
+    def _given_keys(self, *keys: str) -> list[str]:
         return [key for key in keys if getattr(self, key.replace("-", "_")) is not None]
 
     @property
@@ -151,13 +153,13 @@ class RuleEntry:
         """Return the rules that the entry defines."""
         target: Target = self.row or self.aggregate or EveryRow()
         rules: list[Rule] = []
-        if self._given(*_LIMITS):
+        if self._given_keys(*_LIMIT_KEYS):
             rules.append(LimitRule(self.column, target, Limits(self.min, self.max, self.exclusive)))
-        if self._given(*_EVERY):
+        if self._given_keys(*_EVERY_KEYS):
             rules.append(LimitRule(self.column, EveryRow(), Limits(self.every_min, self.every_max, self.exclusive)))
-        if self._given(*_TEXTS):
+        if self._given_keys(*_TEXT_KEYS):
             rules.append(TextRule(self.column, target, self.contains, self.does_not_contain, self.matches))
-        if self._given(*_CHANGES):
+        if self._given_keys(*_CHANGE_KEYS):
             rules.append(ChangeRule(self.column, target, self.max_increase, self.max_decrease))
         return tuple(rules)
 

@@ -55,8 +55,8 @@ class Aggregate:
 
     def __call__(self, values: Sequence[Decimal]) -> Decimal:
         """Return the aggregate of at least one value, in exact decimal arithmetic."""
-        if self.name in _AGGREGATES:
-            return _AGGREGATES[self.name](values)
+        if self.name in _AGGREGATE_FUNCTIONS:
+            return _AGGREGATE_FUNCTIONS[self.name](values)
         return percentile(values, Decimal(self.name[1:]))
 
 
@@ -86,11 +86,11 @@ def parse_aggregate(text: str) -> Aggregate:
 
     Raises :class:`InputError`.
     """
-    if text in _AGGREGATES:
+    if text in _AGGREGATE_FUNCTIONS:
         return Aggregate(text)
     if re.fullmatch(r"p[0-9]{1,3}(\.[0-9]{1,9})?", text) and float(text[1:]) <= 100:
         return Aggregate(text)
-    raise InputError(f"{text!r} is no aggregate: give {', '.join(_AGGREGATES)} or a percentile such as p95")
+    raise InputError(f"{text!r} is no aggregate: give {', '.join(_AGGREGATE_FUNCTIONS)} or a percentile such as p95")
 
 
 def percentile(values: Sequence[Decimal], percent: Decimal) -> Decimal:
@@ -102,7 +102,7 @@ def percentile(values: Sequence[Decimal], percent: Decimal) -> Decimal:
     return ordered[lower] + (ordered[upper] - ordered[lower]) * (place - lower)
 
 
-_AGGREGATES: dict[str, Callable[[Sequence[Decimal]], Decimal]] = {
+_AGGREGATE_FUNCTIONS: dict[str, Callable[[Sequence[Decimal]], Decimal]] = {
     "max": max,
     "min": min,
     "mean": lambda values: sum(values, start=Decimal()) / len(values),
@@ -131,7 +131,7 @@ class KeyedTable:
         return cls(table, key_column or next(found, table.header[0]), frozenset(summary_rows))
 
     @cached_property
-    def _key(self) -> int:
+    def _key_index(self) -> int:
         return self.table.header.index(self.key_column)
 
     @cached_property
@@ -146,7 +146,7 @@ class KeyedTable:
 
     def label(self, row: Row) -> str:
         """Return the label of a row."""
-        return row.cells[self._key]
+        return row.cells[self._key_index]
 
     def row(self, target: LabelledRow | IndexedRow) -> Row | None:
         """Return the selected row of the whole table; None if the table has too few rows for the index.

@@ -15,10 +15,10 @@ from calibration.base.text import did_you_mean
 
 MAX_BYTES = 64 * 1024 * 1024
 """Limit of the size of a file."""
-DELIMITERS = (",", ";", "\t", "|")
+DETECTED_DELIMITERS = (",", ";", "\t", "|")
 """Delimiters that are detected, in the order of preference."""
 
-_SAMPLE = 64 * 1024  # length of the sample, in characters, for the detection of the delimiter
+_SAMPLE_CHARACTERS = 64 * 1024  # length of the sample, in characters, for the detection of the delimiter
 _DELIMITER_NAMES = {"comma": ",", "semicolon": ";", "tab": "\t", r"\t": "\t", "pipe": "|"}
 _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
@@ -27,7 +27,7 @@ _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-_BINARY = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
+_BINARY_CHARACTER = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Table:
 def read_table(path: str | Path, delimiter: str | None = None, encoding: str | None = None) -> Table:
     """Read a CSV file.
 
-    The delimiter is detected among :data:`DELIMITERS` unless given (see :func:`parse_delimiter`);
+    The delimiter is detected among :data:`DETECTED_DELIMITERS` unless given (see :func:`parse_delimiter`);
     the encoding is given, or follows from the byte order mark, else UTF-8, else Latin-1. Quoting,
     any kind of line end and blank lines are supported.
 
@@ -75,23 +75,23 @@ def read_table(path: str | Path, delimiter: str | None = None, encoding: str | N
     the header, or truncated within a row.
     """
     data = read_bytes(Path(path), MAX_BYTES, "a CSV file")
-    return parse_table(_decode(data, str(path), encoding), str(path), delimiter)
+    return parse_table(_decode_text(data, str(path), encoding), str(path), delimiter)
 
 
 def parse_table(text: str, name: str, delimiter: str | None = None) -> Table:
     """Parse the text of a CSV file as :func:`read_table` does; ``name`` is for messages."""
     text = text.removeprefix("\ufeff")
-    binary = _BINARY.search(text)
+    binary = _BINARY_CHARACTER.search(text)
     if binary:
         line = text.count("\n", 0, binary.start()) + 1
         raise InputError(
             f"{name}:{line}: this is no CSV file: it holds {binary[0]!r}; if it is text, give its encoding"
         )
-    records = _records(text, name, delimiter or recognise_delimiter(text))
+    records = _read_records(text, name, delimiter or recognise_delimiter(text))
     _, header = next(records, (0, ()))
     if not any(header):
         raise InputError(f"{name}: there is nothing in the file: a header and rows were expected")
-    rows = tuple(Row(line, _fit(cells, len(header))) for line, cells in records)
+    rows = tuple(Row(line, _fit_to_header(cells, len(header))) for line, cells in records)
     for row in rows:
         if len(row.cells) != len(header):
             found = f"{len(row.cells)} of {len(header)} cells"
@@ -107,13 +107,13 @@ def recognise_delimiter(text: str) -> str:
     def score(delimiter: str) -> tuple[int, int]:
         lengths = []
         try:
-            for _, cells in islice(_records(text[:_SAMPLE], "", delimiter), 100):
+            for _, cells in islice(_read_records(text[:_SAMPLE_CHARACTERS], "", delimiter), 100):
                 lengths.append(len(cells))
         except InputError:
             pass  # rows before a malformed row, or before the end of the sample, are used
         return (lengths.count(lengths[0]), lengths[0]) if lengths and lengths[0] > 1 else (0, 0)
 
-    return max(DELIMITERS, key=score)
+    return max(DETECTED_DELIMITERS, key=score)
 
 
 def parse_delimiter(text: str) -> str:
@@ -127,7 +127,7 @@ def parse_delimiter(text: str) -> str:
     return delimiter
 
 
-def _decode(data: bytes, name: str, encoding: str | None) -> str:
+def _decode_text(data: bytes, name: str, encoding: str | None) -> str:
     try:
         if encoding is not None:
             return data.decode(encoding)
@@ -144,7 +144,7 @@ def _decode(data: bytes, name: str, encoding: str | None) -> str:
         return data.decode("latin-1")
 
 
-def _records(text: str, name: str, delimiter: str) -> Iterator[tuple[int, tuple[str, ...]]]:
+def _read_records(text: str, name: str, delimiter: str) -> Iterator[tuple[int, tuple[str, ...]]]:
     """Yield the first line and the cells of each record; blank lines are skipped."""
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True, strict=True)
     line = 1
@@ -160,6 +160,6 @@ def _records(text: str, name: str, delimiter: str) -> Iterator[tuple[int, tuple[
         raise InputError(f"{name}:{line}: the row is not well-formed CSV: {error}") from None
 
 
-def _fit(cells: tuple[str, ...], length: int) -> tuple[str, ...]:
+def _fit_to_header(cells: tuple[str, ...], length: int) -> tuple[str, ...]:
     """Remove empty cells beyond the header, which some programs write."""
     return cells[:length] if not any(cells[length:]) else cells

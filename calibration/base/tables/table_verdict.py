@@ -73,7 +73,7 @@ def _check_required_rows(keyed: KeyedTable, required: Sequence[str]) -> RuleResu
 
 
 def _check_rule(keyed: KeyedTable, rule: Rule, baseline: KeyedTable | None) -> RuleResult:
-    cells = _cells(keyed, rule)
+    cells = _judged_cells(keyed, rule)
     if not cells:
         findings = [(_Cell(None, str(rule.target), ""), "no row", str(rule))]
     elif isinstance(rule, TextRule):
@@ -82,7 +82,11 @@ def _check_rule(keyed: KeyedTable, rule: Rule, baseline: KeyedTable | None) -> R
         findings = [finding for cell in cells for finding in _judge_number(cell, rule.limits, str(rule))]
     else:
         findings = _judge_change(rule, cells, keyed, baseline)
-    numbers = [] if isinstance(rule, TextRule) else [number for cell in cells if (number := _number(cell)) is not None]
+    numbers = (
+        []
+        if isinstance(rule, TextRule)
+        else [number for cell in cells if (number := _number_of_cell(cell)) is not None]
+    )
     only = cells[0] if len(cells) == 1 else None
     return RuleResult(
         column=rule.column,
@@ -100,7 +104,7 @@ def _check_rule(keyed: KeyedTable, rule: Rule, baseline: KeyedTable | None) -> R
     )
 
 
-def _cells(keyed: KeyedTable, rule: Rule) -> list[_Cell]:
+def _judged_cells(keyed: KeyedTable, rule: Rule) -> list[_Cell]:
     """Return the values that a rule judges: the cells of its rows, or their aggregate.
 
     If a cell is not a number there is no aggregate; then the non-numeric cells are returned.
@@ -114,7 +118,7 @@ def _cells(keyed: KeyedTable, rule: Rule) -> list[_Cell]:
     cells = [_Cell(row.line, keyed.label(row), row.cells[column]) for row in rows]
     if not isinstance(rule.target, Aggregate) or not cells:
         return cells
-    no_numbers = [cell for cell in cells if _number(cell) is None]
+    no_numbers = [cell for cell in cells if _number_of_cell(cell) is None]
     if no_numbers:
         return no_numbers
     aggregate = rule.target([Decimal(cell.text) for cell in cells])
@@ -132,7 +136,7 @@ def _judge_text(rule: TextRule, cells: Sequence[_Cell]) -> list[_Finding]:
 
 
 def _judge_number(cell: _Cell, limits: Limits, expected: str) -> list[_Finding]:
-    number = _number(cell)
+    number = _number_of_cell(cell)
     if number is None:
         found = f"{shorten(cell.text)!r}, which is no finite number" if cell.text else "an empty cell"
         return [(cell, found, f"a number {expected}")]
@@ -163,7 +167,7 @@ def _judge_change(
 
 def _baseline_numbers(baseline: KeyedTable, rule: ChangeRule) -> dict[str, float]:
     """Return the baseline's numbers by row label."""
-    cells = _cells(baseline, rule)
+    cells = _judged_cells(baseline, rule)
     name = baseline.table.name
     if not cells:
         raise InputError(f"{name}: the baseline has no row to compare with ({rule.column}, {rule.target})")
@@ -171,7 +175,7 @@ def _baseline_numbers(baseline: KeyedTable, rule: ChangeRule) -> dict[str, float
         _refuse_repeated_labels(baseline, cells)
     numbers = {}
     for cell in cells:
-        number = _number(cell)
+        number = _number_of_cell(cell)
         if number is None:
             line = "" if cell.line is None else f":{cell.line}"
             raise InputError(f"{name}{line}: {rule.column}: the baseline has {cell.text!r}, which is no finite number")
@@ -190,5 +194,5 @@ def _refuse_repeated_labels(keyed: KeyedTable, cells: Sequence[_Cell]) -> None:
         seen.add(cell.row)
 
 
-def _number(cell: _Cell) -> float | None:
+def _number_of_cell(cell: _Cell) -> float | None:
     return parse_number(cell.text)

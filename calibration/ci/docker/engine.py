@@ -22,10 +22,10 @@ from docker.errors import APIError
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.text import one_line, shorten
 
-SECONDS = 60
+REQUEST_SECONDS = 60
 """Timeout of a request to the engine."""
-_UNIX = "unix://"
-DEFAULT_ADDRESS = f"{_UNIX}/var/run/docker.sock"
+_UNIX_SCHEME = "unix://"
+DEFAULT_ADDRESS = f"{_UNIX_SCHEME}/var/run/docker.sock"
 _BY_SOCKET = "http+docker://localhost"
 """The SDK's base URL for engines at a local socket."""
 _OUR_FAULT = (
@@ -58,25 +58,25 @@ class Engine:
     local: bool
     """Whether it uses our file system: it runs on this machine, and this process is not in a container."""
 
-    def client(self, seconds: int = SECONDS) -> DockerClient:
+    def client(self, seconds: int = REQUEST_SECONDS) -> DockerClient:
         """Create a client, without a request to the engine."""
-        return _client(self.version, seconds)
+        return _open_client(self.version, seconds)
 
 
-def connect(seconds: int = SECONDS) -> DockerClient:
+def connect(seconds: int = REQUEST_SECONDS) -> DockerClient:
     """Create a client of the engine and check that it answers.
 
     Raises:
         InfrastructureError: no engine answers.
     """
     try:
-        if os.environ.get("DOCKER_HOST", "").startswith(_UNIX):
-            _peer(address().removeprefix(_UNIX))  # the SDK leaks the socket if nobody listens
-        client = _client(None, seconds)
+        if os.environ.get("DOCKER_HOST", "").startswith(_UNIX_SCHEME):
+            _pid_listening_at(address().removeprefix(_UNIX_SCHEME))  # the SDK leaks the socket if nobody listens
+        client = _open_client(None, seconds)
         client.ping()
     except (docker.errors.DockerException, requests.RequestException, OSError, ValueError) as error:
         raise InfrastructureError(
-            f"no Docker Engine answers at {address()}: {_cause(error)}; start it, or set DOCKER_HOST"
+            f"no Docker Engine answers at {address()}: {_innermost_message(error)}; start it, or set DOCKER_HOST"
         ) from None
     return client
 
@@ -143,7 +143,7 @@ def engine_errors(where: str = "") -> Iterator[None]:
 
 def lost(error: Exception | None = None) -> EngineLostError:
     """Return the error for a lost connection to the engine."""
-    cause = f": {_cause(error)}" if error is not None else ""
+    cause = f": {_innermost_message(error)}" if error is not None else ""
     return EngineLostError(f"the Docker Engine at {address()} does not answer any more{cause}")
 
 
@@ -158,7 +158,7 @@ def is_our_fault(error: APIError) -> bool:
     return error.is_client_error() or any(sentence in message for sentence in _OUR_FAULT)
 
 
-def _client(version: str | None, seconds: int) -> DockerClient:
+def _open_client(version: str | None, seconds: int) -> DockerClient:
     return docker.from_env(version=version, timeout=seconds, use_ssh_client=address().startswith("ssh://"))
 
 
@@ -169,14 +169,14 @@ def _sees_our_files(base_url: str) -> bool:
     """
     if base_url != _BY_SOCKET:
         return False
-    path = address().removeprefix(_UNIX)
-    return not Path(path).exists() or _peer(path) != 0
+    path = address().removeprefix(_UNIX_SCHEME)
+    return not Path(path).exists() or _pid_listening_at(path) != 0
 
 
-def _peer(path: str) -> int:
+def _pid_listening_at(path: str) -> int:
     """Return the pid of the process that listens at a socket; 0 if it is not visible, -1 where unknown (not Linux)."""
     with socket.socket(socket.AF_UNIX) as connection:
-        connection.settimeout(SECONDS)
+        connection.settimeout(REQUEST_SECONDS)
         connection.connect(path)
         if sys.platform != "linux":
             return -1
@@ -184,7 +184,7 @@ def _peer(path: str) -> int:
         return int(struct.unpack("3i", credentials)[0])
 
 
-def _cause(error: Exception) -> str:
+def _innermost_message(error: Exception) -> str:
     """Return the message of the innermost cause of an error, shortened."""
     reason: BaseException = error
     for _ in range(10):

@@ -50,7 +50,7 @@ class Admission:
     def wait(self) -> int | None:
         """Wait for the next job that may start, and return its index; None after the last one, or when stopped."""
         with self._changed:
-            self._changed.wait_for(lambda: self._stopped or self._next >= len(self._needs) or self._fits())
+            self._changed.wait_for(lambda: self._stopped or self._next >= len(self._needs) or self._next_job_fits())
             if self._stopped or self._next >= len(self._needs):
                 return None
             index = self._next
@@ -71,7 +71,7 @@ class Admission:
             self._stopped = True
             self._changed.notify_all()
 
-    def _fits(self) -> bool:
+    def _next_job_fits(self) -> bool:
         if not self._running:
             return True
         needs = [self._needs[index] for index in (*self._running, self._next)]

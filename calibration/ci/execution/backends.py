@@ -1,7 +1,7 @@
 """Registry of backends, and their interface for the rest of the package.
 
-A backend for jobs is an entry of `KINDS`: its factory, and the removal of leftovers of killed runs. Its settings are
-the section of calibration.yml that is named as it.
+A backend for jobs is an entry of `BACKEND_KINDS`: its factory, and the removal of leftovers of killed runs. Its
+settings are the section of calibration.yml that is named as it.
 """
 
 from collections.abc import Generator, Mapping, Sequence
@@ -86,7 +86,7 @@ JobBackend = Backend[Job, JobOutcome]
 EMBEDDED = "embedded"
 """Functions of this package, in processes of this machine."""
 DOCKER = "docker"
-KINDS: Mapping[str, BackendKind] = {
+BACKEND_KINDS: Mapping[str, BackendKind] = {
     DOCKER: BackendKind(
         "calibration.ci.execution.docker.backend:open_docker",
         "calibration.ci.execution.docker.leftovers:EngineLeftovers",
@@ -94,16 +94,16 @@ KINDS: Mapping[str, BackendKind] = {
     **of_addons(lambda addon: addon.backends),
 }
 """Backends for jobs of containers by name."""
-CONTAINERS = tuple(KINDS)
-CLOUDS = tuple(name for name, kind in KINDS.items() if kind.resumes)
+CONTAINER_BACKENDS = tuple(BACKEND_KINDS)
+CLOUDS = tuple(name for name, kind in BACKEND_KINDS.items() if kind.resumes)
 CLOUDS_TEXT = " or ".join(CLOUDS) or "of a cloud, and none is installed"
-BACKENDS = (EMBEDDED, *CONTAINERS)
+BACKEND_NAMES = (EMBEDDED, *CONTAINER_BACKENDS)
 if TYPE_CHECKING:
     ContainerBackend: TypeAlias = str
     BackendName: TypeAlias = str
 else:
-    ContainerBackend = Literal[CONTAINERS]
-    BackendName = Literal[BACKENDS]
+    ContainerBackend = Literal[CONTAINER_BACKENDS]
+    BackendName = Literal[BACKEND_NAMES]
 SECTIONS = {
     name: (import_attribute(section.record), section.help)
     for name, section in of_addons(lambda addon: addon.sections).items()
@@ -126,7 +126,7 @@ class Sections:
         return getattr(self, name.replace("-", "_"), None)
 
 
-def check_backend(name: str, known: tuple[str, ...] = BACKENDS) -> None:
+def check_backend(name: str, known: tuple[str, ...] = BACKEND_NAMES) -> None:
     """Refuse an unknown backend.
 
     Raises:
@@ -142,7 +142,7 @@ class ExecutionTarget:
     """Backend, settings and run to execute jobs of containers."""
 
     backend: str = DOCKER
-    """Name of the backend, a key of `KINDS`."""
+    """Name of the backend, a key of `BACKEND_KINDS`."""
     sections: Sections = dataclass_field(default_factory=Sections)
     """Sections of calibration.yml, including that of the backend."""
     run: str | None = None
@@ -168,7 +168,7 @@ class ExecutionTarget:
                 f"backend: found {self.backend}, but its settings are missing: expected a section {self.backend} in "
                 "calibration.yml, or a file with one"
             )
-        backend: AbstractContextManager[JobBackend] = import_attribute(KINDS[self.backend].target)(self)
+        backend: AbstractContextManager[JobBackend] = import_attribute(BACKEND_KINDS[self.backend].target)(self)
         return backend
 
 

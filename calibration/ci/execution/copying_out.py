@@ -55,39 +55,39 @@ class ArtifactCopier:
         """
         for artifact in container.artifacts:
             try:
-                found = self._extract(container, opener, Glob(artifact.path))
+                found = self._extract_glob(container, opener, Glob(artifact.path))
             except RefusedError as error:
                 raise RefusedError(f"container '{container.name}': {error}") from None
             self.left_out += [f"container '{container.name}': {note}" for note in found.left_out]
-            self._add(container, found)
+            self._add_files(container, found)
             if artifact.required and not found.files:
-                self.missing.append(_missing(container, artifact, found))
+                self.missing.append(_describe_missing(container, artifact, found))
 
-    def _extract(self, container: Container, opener: Opener, glob: Glob) -> Extraction:
+    def _extract_glob(self, container: Container, opener: Opener, glob: Glob) -> Extraction:
         # Extracted to a separate folder first, because equal files of other artifacts are no conflict.
-        with _fresh(self._folder) as fresh:
+        with _fresh_folder(self._folder) as fresh:
             try:
-                found = self._read(opener, glob, fresh)
+                found = self._read_archive(opener, glob, fresh)
             except NothingThereError:
                 return Extraction()
-            self._settle(fresh, found, container)
+            self._move_to_artifacts(fresh, found, container)
             return found
 
-    def _read(self, opener: Opener, glob: Glob, fresh: Path) -> Extraction:
+    def _read_archive(self, opener: Opener, glob: Glob, fresh: Path) -> Extraction:
         with opener(glob.source) as archive:
             if not archive.link:
-                return extract(self._watched(archive.chunks), glob.landing, glob.source, fresh, self._budget)
+                return extract(self._until_stopped(archive.chunks), glob.landing, glob.source, fresh, self._budget)
             link = archive.link
         # the artifact itself may be a link, such as one to the latest folder
         with opener(link) as archive:
-            return extract(self._watched(archive.chunks), glob.landing, link, fresh, self._budget)
+            return extract(self._until_stopped(archive.chunks), glob.landing, link, fresh, self._budget)
 
-    def _watched(self, chunks: Iterator[bytes]) -> Iterator[bytes]:
+    def _until_stopped(self, chunks: Iterator[bytes]) -> Iterator[bytes]:
         for chunk in chunks:
             self._go_on()
             yield chunk
 
-    def _settle(self, fresh: Path, found: Extraction, container: Container) -> None:
+    def _move_to_artifacts(self, fresh: Path, found: Extraction, container: Container) -> None:
         """Move extracted files to the artifacts."""
         there = {file.path: file for file in self.files}
         for file in found.files:
@@ -109,7 +109,7 @@ class ArtifactCopier:
                 ) from None
             (fresh / file.path).rename(target)
 
-    def _add(self, container: Container, found: Extraction) -> None:
+    def _add_files(self, container: Container, found: Extraction) -> None:
         known = {file.path for file in self.files}
         self.files += [
             ArtifactFile(file.path, container.name, file.size, file.sha256)
@@ -137,7 +137,7 @@ def complete_or_not_at_all(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _fresh(folder: Path) -> Iterator[Path]:
+def _fresh_folder(folder: Path) -> Iterator[Path]:
     fresh = folder.with_name(f"{folder.name}-{os.urandom(6).hex()}")
     try:
         fresh.mkdir()
@@ -148,6 +148,6 @@ def _fresh(folder: Path) -> Iterator[Path]:
         shutil.rmtree(fresh, ignore_errors=True)
 
 
-def _missing(container: Container, artifact: Artifact, found: Extraction) -> str:
+def _describe_missing(container: Container, artifact: Artifact, found: Extraction) -> str:
     there = f"; beside it are {', '.join(found.seen)}" if found.seen else ""
     return shorten(f"container '{container.name}' left no file for the artifact '{artifact.path}'{there}", 400)

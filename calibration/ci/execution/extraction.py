@@ -13,13 +13,13 @@ from calibration.base.errors import CalibrationError, ExitCode, InfrastructureEr
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.sizes import describe_bytes
 
-DEEPEST = 64
+MAX_FOLDER_DEPTH = 64
 """Limit of nested folders."""
 _LONGEST_NAME = 255
-_BLOCK = 512
-_HEADERS = 1024**2
+_BLOCK_BYTES = 512
+_MAX_HEADER_BYTES = 1024**2
 """Limit of the size of an entry's headers, in bytes."""
-_CHUNK = 1024**2
+_CHUNK_BYTES = 1024**2
 
 
 class RefusedError(CalibrationError):
@@ -91,7 +91,7 @@ def extract(
     """
     result = Extraction()
     written: dict[tuple[str, ...], tuple[str, ...]] = {}
-    for entry, content in _entries(stream):
+    for entry, content in _archive_entries(stream):
         inside = path_parts(entry.name)[1:]
         to = landing(inside)
         if to is None:
@@ -99,28 +99,30 @@ def extract(
             if entry.isreg() and len(result.seen) < 5:
                 result.seen.append("/".join(inside))
         elif entry.isdir():
-            _count(entry, budget)
+            _charge_budget(entry, budget)
             _make_folder(folder, to)
         elif entry.issym():
             result.left_out.append(_link_inside(entry, inside, source))
         elif entry.islnk():
             first = path_parts(entry.linkname)[1:]
             if first not in written:
-                raise _refused(entry, f"is a hard link to '{_shown(entry.linkname)}', which is not an artifact")
-            entry.size = _target(folder, written[first]).stat().st_size
-            _count(entry, budget)
-            with _target(folder, written[first]).open("rb") as original:
-                result.files.append(_write(entry, original, folder, to))
+                raise _refused_entry(
+                    entry, f"is a hard link to '{_shortened_name(entry.linkname)}', which is not an artifact"
+                )
+            entry.size = _target_path(folder, written[first]).stat().st_size
+            _charge_budget(entry, budget)
+            with _target_path(folder, written[first]).open("rb") as original:
+                result.files.append(_write_file(entry, original, folder, to))
         elif entry.isreg():
-            _count(entry, budget)
-            result.files.append(_write(entry, content(), folder, to))
+            _charge_budget(entry, budget)
+            result.files.append(_write_file(entry, content(), folder, to))
             written[inside] = to
         else:
-            raise _refused(entry, "is no file or folder, but a device or a pipe")
+            raise _refused_entry(entry, "is no file or folder, but a device or a pipe")
     return result
 
 
-def _entries(stream: Iterable[bytes]) -> Iterator[tuple[tarfile.TarInfo, Callable[[], IO[bytes]]]]:
+def _archive_entries(stream: Iterable[bytes]) -> Iterator[tuple[tarfile.TarInfo, Callable[[], IO[bytes]]]]:
     """Yield entries, and functions that open their content.
 
     Raises:
@@ -128,9 +130,9 @@ def _entries(stream: Iterable[bytes]) -> Iterator[tuple[tarfile.TarInfo, Callabl
     """
     source = _Source(stream)
     try:
-        with tarfile.open(fileobj=cast("IO[bytes]", source), mode="r|", bufsize=_BLOCK * 128) as archive:
+        with tarfile.open(fileobj=cast("IO[bytes]", source), mode="r|", bufsize=_BLOCK_BYTES * 128) as archive:
             for entry in archive:
-                source.allow(entry.size + _HEADERS)
+                source.allow(entry.size + _MAX_HEADER_BYTES)
 
                 def content(entry: tarfile.TarInfo = entry) -> IO[bytes]:
                     opened = archive.extractfile(entry)
@@ -139,7 +141,7 @@ def _entries(stream: Iterable[bytes]) -> Iterator[tuple[tarfile.TarInfo, Callabl
 
                 yield entry, content
     except (tarfile.TarError, EOFError, ValueError, OverflowError, UnicodeError) as error:
-        raise _broken(error) from None
+        raise _broken_archive(error) from None
     if not source.is_complete:
         raise InfrastructureError("the archive of the artifacts ends too early")
 
@@ -151,16 +153,16 @@ class _Source:
         self._chunks = iter(stream)
         self._buffer = bytearray()
         self._last = b""
-        self._allowed = _HEADERS
+        self._allowed = _MAX_HEADER_BYTES
 
     def allow(self, count: int) -> None:
         """Set the number of bytes that may be read until the next call."""
-        self._allowed = count + _BLOCK * 128
+        self._allowed = count + _BLOCK_BYTES * 128
 
     @property
     def is_complete(self) -> bool:
         """Whether it ended with zeros, as required for a tar."""
-        return len(self._last) >= _BLOCK and not any(self._last[-_BLOCK:])
+        return len(self._last) >= _BLOCK_BYTES and not any(self._last[-_BLOCK_BYTES:])
 
     def read(self, count: int) -> bytes:
         """Read a number of bytes; fewer at the end.
@@ -175,7 +177,7 @@ class _Source:
             self._buffer += chunk
         data = bytes(self._buffer[:count])
         del self._buffer[: len(data)]
-        self._last = (self._last + data)[-_BLOCK:]
+        self._last = (self._last + data)[-_BLOCK_BYTES:]
         self._allowed -= len(data)
         if self._allowed < 0:
             raise InfrastructureError("the archive of the artifacts is broken: a header has no end")
@@ -190,12 +192,12 @@ def path_parts(name: str) -> tuple[str, ...]:
     """
     parts = tuple(part for part in name.split("/") if part not in ("", "."))
     if name.startswith("/") or ".." in parts or not parts:
-        raise RefusedError(f"artifact '{_shown(name)}' leaves its folder")
-    if len(parts) > DEEPEST:
-        raise RefusedError(f"artifact '{_shown(name)}' is nested in more than {DEEPEST} folders")
+        raise RefusedError(f"artifact '{_shortened_name(name)}' leaves its folder")
+    if len(parts) > MAX_FOLDER_DEPTH:
+        raise RefusedError(f"artifact '{_shortened_name(name)}' is nested in more than {MAX_FOLDER_DEPTH} folders")
     for part in parts:
         if not part.isprintable() or "\\" in part or len(part.encode("utf-8", "surrogateescape")) > _LONGEST_NAME:
-            raise RefusedError(f"artifact '{_shown(name)}' has a name that some file systems do not allow")
+            raise RefusedError(f"artifact '{_shortened_name(name)}' has a name that some file systems do not allow")
     return parts
 
 
@@ -209,46 +211,46 @@ def _link_inside(entry: tarfile.TarInfo, inside: tuple[str, ...], source: str) -
     at = posixpath.dirname(root + "/".join(inside)) if inside else root
     leads_to = posixpath.normpath(posixpath.join(at, entry.linkname))
     if not f"{leads_to}/".startswith(root):
-        raise _refused(entry, f"is a link to '{_shown(entry.linkname)}', which leaves the folder")
-    return f"'{_shown(entry.name)}' is a link to '{_shown(entry.linkname)}'"
+        raise _refused_entry(entry, f"is a link to '{_shortened_name(entry.linkname)}', which leaves the folder")
+    return f"'{_shortened_name(entry.name)}' is a link to '{_shortened_name(entry.linkname)}'"
 
 
-def _count(entry: tarfile.TarInfo, budget: Budget) -> None:
+def _charge_budget(entry: tarfile.TarInfo, budget: Budget) -> None:
     if entry.size < 0 or entry.size > budget.size:
-        raise _refused(
+        raise _refused_entry(
             entry,
             f"has {describe_bytes(entry.size)}: more than the {describe_bytes(budget.most[0])} allowed for the "
             "artifacts of a job",
         )
     if budget.files < 1:
-        raise _refused(entry, f"exceeds the limit of {budget.most[1]} artifacts of a job")
+        raise _refused_entry(entry, f"exceeds the limit of {budget.most[1]} artifacts of a job")
     budget.size -= entry.size
     budget.files -= 1
 
 
 def _pass_over(entry: tarfile.TarInfo, source: str, budget: Budget) -> None:
-    budget.passed_over -= max(0, entry.size) + _BLOCK
+    budget.passed_over -= max(0, entry.size) + _BLOCK_BYTES
     if budget.passed_over < 0:
-        raise _refused(
+        raise _refused_entry(
             entry, f"and others beside the artifacts in {source} are too large to be read: give a more specific path"
         )
 
 
 def _make_folder(folder: Path, parts: tuple[str, ...]) -> None:
     try:
-        _target(folder, parts).mkdir(parents=True, exist_ok=True)
+        _target_path(folder, parts).mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
-        raise RefusedError(f"artifact '{_shown('/'.join(parts))}' is a folder and a file") from None
+        raise RefusedError(f"artifact '{_shortened_name('/'.join(parts))}' is a folder and a file") from None
     except OSError as error:
         raise InfrastructureError(f"{folder}: an artifact cannot be written: {error.strerror}") from error
 
 
-def _write(entry: tarfile.TarInfo, content: IO[bytes], folder: Path, parts: tuple[str, ...]) -> Extracted:
+def _write_file(entry: tarfile.TarInfo, content: IO[bytes], folder: Path, parts: tuple[str, ...]) -> Extracted:
     _make_folder(folder, parts[:-1])
     digest = hashlib.sha256()
     size = 0
-    with _new_file(_target(folder, parts), entry) as file:
-        while chunk := _read(content):
+    with _new_file(_target_path(folder, parts), entry) as file:
+        while chunk := _read_chunk(content):
             digest.update(chunk)
             size += len(chunk)
             try:
@@ -264,30 +266,30 @@ def _new_file(path: Path, entry: tarfile.TarInfo) -> io.FileIO:
     try:
         return io.FileIO(path, "x")
     except (FileExistsError, IsADirectoryError):
-        raise _refused(entry, "has the same target as another file") from None
+        raise _refused_entry(entry, "has the same target as another file") from None
     except OSError as error:
         raise InfrastructureError(f"{path}: an artifact cannot be written: {error.strerror}") from error
 
 
-def _read(content: IO[bytes]) -> bytes:
+def _read_chunk(content: IO[bytes]) -> bytes:
     """Read content, separately from writing, to distinguish errors of the stream from errors of the disk."""
     try:
-        return content.read(_CHUNK)
+        return content.read(_CHUNK_BYTES)
     except tarfile.TarError as error:
-        raise _broken(error) from None
+        raise _broken_archive(error) from None
 
 
-def _target(folder: Path, parts: tuple[str, ...]) -> Path:
+def _target_path(folder: Path, parts: tuple[str, ...]) -> Path:
     return folder.joinpath(*parts)
 
 
-def _broken(error: Exception) -> InfrastructureError:
+def _broken_archive(error: Exception) -> InfrastructureError:
     return InfrastructureError(f"the archive of the artifacts is broken: {shorten(one_line(str(error)))}")
 
 
-def _refused(entry: tarfile.TarInfo, why: str) -> RefusedError:
-    return RefusedError(f"artifact '{_shown(entry.name)}' {why}")
+def _refused_entry(entry: tarfile.TarInfo, why: str) -> RefusedError:
+    return RefusedError(f"artifact '{_shortened_name(entry.name)}' {why}")
 
 
-def _shown(name: str) -> str:
+def _shortened_name(name: str) -> str:
     return shorten(one_line(name), 200)

@@ -45,20 +45,20 @@ Variable = Annotated[str, matching("[A-Za-z_][A-Za-z0-9_]*", "the name of a vari
 ExitCode = Annotated[int, between(0, 255)]
 
 
-def _command(value: str | tuple[str, ...], place: Place) -> tuple[str, ...]:
+def _command_words(value: str | tuple[str, ...], place: Place) -> tuple[str, ...]:
     return split_command(value, str(place))
 
 
-def _entrypoint(value: str | tuple[str, ...], place: Place) -> tuple[str, ...]:
+def _entrypoint_words(value: str | tuple[str, ...], place: Place) -> tuple[str, ...]:
     return () if value == () else split_command(value, str(place))
 
 
-def _value(value: str | float, _: Place) -> str:
+def _variable_text(value: str | float, _: Place) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-Command = Annotated[tuple[str, ...], Converted(str | tuple[str, ...], _command)]
-Value = Annotated[str, Converted(str | int | float | bool, _value)]
+Command = Annotated[tuple[str, ...], Converted(str | tuple[str, ...], _command_words)]
+Value = Annotated[str, Converted(str | int | float | bool, _variable_text)]
 """Numbers as written, booleans as ``true`` or ``false``."""
 
 
@@ -71,10 +71,10 @@ class Mount:
     writable: bool = field("Whether the container may write to it.", default=False)
 
 
-_MOUNT = matching("[^:]+:/[^:]*(:ro)?", "HERE:THERE with an absolute THERE, or keys: source, target, writable")
+_MOUNT_TEXT = matching("[^:]+:/[^:]*(:ro)?", "HERE:THERE with an absolute THERE, or keys: source, target, writable")
 
 
-def _mount(value: str | Mount, place: Place) -> Mount:
+def _parse_mount(value: str | Mount, place: Place) -> Mount:
     if isinstance(value, Mount):
         return value
     source, target = value.removesuffix(":ro").split(":")
@@ -147,7 +147,7 @@ class Container:
         "Arguments, run without a shell; a string is split as in a shell. By default the command of the image.",
         default=(),
     )
-    entrypoint: Annotated[tuple[str, ...], Converted(str | tuple[str, ...], _entrypoint)] | None = field(
+    entrypoint: Annotated[tuple[str, ...], Converted(str | tuple[str, ...], _entrypoint_words)] | None = field(
         "Entrypoint instead of the image's; an empty list for none.", default=None
     )
     environment: Mapping[Annotated[str, matching("[^=]+", "a name without =")], Value] = field(
@@ -166,7 +166,7 @@ class Container:
     user: Annotated[str, Converted(str | int, lambda user, _: str(user))] | None = field(
         "User name or id in the image, optionally with a group (1000:1000).", default=None
     )
-    mounts: tuple[Annotated[Mount, Converted(Annotated[str, _MOUNT] | Mount, _mount)], ...] = field(
+    mounts: tuple[Annotated[Mount, Converted(Annotated[str, _MOUNT_TEXT] | Mount, _parse_mount)], ...] = field(
         "Folders and files of this machine, read-only by default; paths are relative to this file.",
         default=(),
     )

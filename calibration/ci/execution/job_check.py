@@ -13,7 +13,7 @@ from calibration.ci.execution.globs import Glob
 from calibration.ci.execution.job import CONTAINER_NAME, OUTPUT, Container, Job, Limits, Mount, Readiness
 
 _JOB_NAME_PART = r"[A-Za-z0-9_+=,@][A-Za-z0-9_+=,@ .:-]{0,127}"
-_VARIABLE = r"[^=\0]+"
+_VARIABLE_NAME = r"[^=\0]+"
 _ENGINE_SOCKETS = ("/var/run/docker.sock", "/run/docker.sock")
 _MOST_PORT = 65535
 _LEAST_MEMORY = 6 * 1024**2
@@ -56,7 +56,7 @@ def check_job(job: Job) -> None:
         raise InputError(f"{where}: it has {len(job.containers)} containers, expected 1 to {_MOST_CONTAINERS}")
     if not any(container.essential for container in job.containers):
         raise InputError(f"{where}: no container is essential, so nothing would end it")
-    if job.seconds is not None and not _positive(job.seconds):
+    if job.seconds is not None and not _is_positive(job.seconds):
         raise InputError(f"{where}: its time of {job.seconds!r} s is not above 0")
     if job.artifact_bytes < 0 or job.artifact_files < 0:
         raise InputError(f"{where}: a limit of its artifacts is below 0")
@@ -102,11 +102,11 @@ def _check_container(container: Container, where: str) -> None:
         raise InputError(f"{where}: this is no name for a container: letters, digits, _ . and -, at most 63")
     if not container.image.strip():
         raise InputError(f"{where}: it has no image")
-    for problem in _problems(container):
+    for problem in _container_problems(container):
         raise InputError(f"{where}: {problem}")
 
 
-def _problems(container: Container) -> Iterator[str]:
+def _container_problems(container: Container) -> Iterator[str]:
     yield from _in_texts(container)
     yield from _in_limits(container.limits)
     if container.readiness is not None:
@@ -123,7 +123,7 @@ def _problems(container: Container) -> Iterator[str]:
 
 def _in_texts(container: Container) -> Iterator[str]:
     for key, value in container.environment.items():
-        if not re.fullmatch(_VARIABLE, key) or "\0" in value:
+        if not re.fullmatch(_VARIABLE_NAME, key) or "\0" in value:
             yield f"environment: '{shorten(key)}' is no name of a variable, or its value has a NUL character"
     for name in sorted(container.secrets - set(container.environment)):
         yield f"secrets: '{shorten(name)}' is no variable of its environment"
@@ -140,11 +140,11 @@ def _in_texts(container: Container) -> Iterator[str]:
 def _in_limits(limits: Limits) -> Iterator[str]:
     if limits.memory is not None and limits.memory < _LEAST_MEMORY:
         yield f"memory: {limits.memory} bytes are below the minimum of all engines (6m)"
-    if limits.cpus is not None and not _positive(limits.cpus):
+    if limits.cpus is not None and not _is_positive(limits.cpus):
         yield f"cpus: found {limits.cpus!r}, expected a number above 0"
     if limits.processes is not None and limits.processes < 1:
         yield f"processes: found {limits.processes!r}, expected at least 1"
-    if limits.seconds is not None and not _positive(limits.seconds):
+    if limits.seconds is not None and not _is_positive(limits.seconds):
         yield f"timeout: found {limits.seconds!r} s, expected a time above 0"
 
 
@@ -155,7 +155,7 @@ def _in_readiness(readiness: Readiness) -> Iterator[str]:
         yield f"ready: {readiness.port} is no port from 1 to {_MOST_PORT}"
     if readiness.file is not None and not _is_plain_absolute(readiness.file):
         yield f"ready: file '{readiness.file}': expected an absolute path in the container"
-    if not _positive(readiness.seconds):
+    if not _is_positive(readiness.seconds):
         yield f"ready: timeout: found {readiness.seconds!r} s, expected a time above 0"
     try:
         re.compile(readiness.log or "")
@@ -197,5 +197,5 @@ def _is_plain_absolute(path: str) -> bool:
     return path.startswith("/") and "\0" not in path and not {".", ".."} & set(path.split("/"))
 
 
-def _positive(value: float) -> bool:
+def _is_positive(value: float) -> bool:
     return math.isfinite(value) and value > 0

@@ -16,7 +16,7 @@ from calibration.base.errors import InfrastructureError
 from calibration.base.files import write_atomically
 from calibration.ci.execution.outcome import JobOutcome
 
-ARTIFACTS, LOGS = "artifacts", "logs"
+ARTIFACTS_FOLDER, LOGS_FOLDER = "artifacts", "logs"
 """Subfolders of a job's folder."""
 FILE_NAME = "manifest.json"
 
@@ -28,13 +28,13 @@ def make_job_folder(folder: Path) -> None:
         InfrastructureError: it cannot be written.
     """
     try:
-        for name in (ARTIFACTS, LOGS, FILE_NAME):
+        for name in (ARTIFACTS_FOLDER, LOGS_FOLDER, FILE_NAME):
             place = folder / name
             if place.is_dir() and not place.is_symlink():
                 shutil.rmtree(place)
             else:
                 place.unlink(missing_ok=True)
-        (folder / LOGS).mkdir(parents=True)
+        (folder / LOGS_FOLDER).mkdir(parents=True)
     except OSError as error:
         raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
 

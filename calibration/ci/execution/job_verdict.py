@@ -10,8 +10,8 @@ from calibration.ci.execution.job import Container, Job, Readiness
 from calibration.ci.execution.outcome import End
 from calibration.ci.execution.sizes import describe_bytes
 
-_SIGNALLED = 128
-_HINTS = {126: "its command is not executable", 127: "its command was not found"}
+_SIGNAL_EXIT_CODES = 128
+_HINT_OF_EXIT_CODE = {126: "its command is not executable", 127: "its command was not found"}
 
 
 class Watched(Protocol):
@@ -152,13 +152,14 @@ class Judge:
             if limit is not None and seconds >= limit:
                 self.stopped_for[name] = End.TIMED_OUT
                 self.fail(
-                    f"container '{name}' ran longer than its {limit:g} s{_said(container)}", ExitCode.INFRASTRUCTURE
+                    f"container '{name}' ran longer than its {limit:g} s{_quote_last_line(container)}",
+                    ExitCode.INFRASTRUCTURE,
                 )
                 return True
             if readiness is not None and not container.ready and seconds >= readiness.seconds:
                 self.stopped_for[name] = End.NOT_READY
                 missing = f"within {readiness.seconds:g} s ({container.not_ready_for()})"
-                self.fail(f"container '{name}' was not ready {missing}{_said(container)}", ExitCode.FAIL)
+                self.fail(f"container '{name}' was not ready {missing}{_quote_last_line(container)}", ExitCode.FAIL)
                 return True
         return False
 
@@ -193,16 +194,16 @@ def failure_of(watched: Watched) -> str | None:
     if watched.end == End.OUT_OF_MEMORY:
         limit = watched.container.limits.memory
         known = "the machine had no free memory" if limit is None else f"its limit is {describe_bytes(limit)} (memory)"
-        return f"{container} ran out of memory: {known}{_said(watched)}"
+        return f"{container} ran out of memory: {known}{_quote_last_line(watched)}"
     if watched.end == End.SIGNALLED:
-        return f"{container} was killed by {watched.signal}{_said(watched)}"
+        return f"{container} was killed by {watched.signal}{_quote_last_line(watched)}"
     if watched.end == End.LOST:
-        return f"{container} ended without an exit code: it was killed{_said(watched)}"
+        return f"{container} ended without an exit code: it was killed{_quote_last_line(watched)}"
     if watched.end == End.EXITED and watched.exit_code not in watched.container.success:
-        hint = f" ({_HINTS[watched.exit_code]})" if watched.exit_code in _HINTS else ""
+        hint = f" ({_HINT_OF_EXIT_CODE[watched.exit_code]})" if watched.exit_code in _HINT_OF_EXIT_CODE else ""
         if not watched.container.success:
             hint += ", before the job was done"
-        return f"{container} ended with exit code {watched.exit_code}{hint}{_said(watched)}"
+        return f"{container} ended with exit code {watched.exit_code}{hint}{_quote_last_line(watched)}"
     return None
 
 
@@ -224,10 +225,10 @@ def unmet(readiness: Readiness, names: Collection[str], log_has_line: bool) -> s
 def signal_of(exit_code: int) -> str | None:
     """Return the signal encoded in an exit code, by the shell's convention; None if there is none."""
     try:
-        return signal.Signals(exit_code - _SIGNALLED).name if exit_code > _SIGNALLED else None
+        return signal.Signals(exit_code - _SIGNAL_EXIT_CODES).name if exit_code > _SIGNAL_EXIT_CODES else None
     except ValueError:
         return None
 
 
-def _said(watched: Watched) -> str:
+def _quote_last_line(watched: Watched) -> str:
     return f": {watched.last_line}" if watched.last_line else ""

@@ -71,7 +71,7 @@ class LogFile:
         Raises:
             InfrastructureError: the file cannot be written.
         """
-        self._take(self._redactor.feed(data))
+        self._take_within_limit(self._redactor.feed(data))
 
     def close(self) -> None:
         """Finish the log; idempotent.
@@ -82,28 +82,28 @@ class LogFile:
         if self._file.closed:
             return
         try:
-            self._take(self._redactor.close())
+            self._take_within_limit(self._redactor.close())
             if self._rest:
-                self._line(self._rest)
+                self._show_line(self._rest)
                 self._rest = b""
             if self._left_out:
-                self._write(f"\n(cut here: {self._left_out} more bytes were not kept)\n".encode())
+                self._write_bytes(f"\n(cut here: {self._left_out} more bytes were not kept)\n".encode())
         finally:
             self._file.close()
 
-    def _take(self, data: bytes) -> None:
+    def _take_within_limit(self, data: bytes) -> None:
         kept = data[: self._most - self._written]
-        self._write(kept)
+        self._write_bytes(kept)
         self._written += len(kept)
         self._left_out += len(data) - len(kept)
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
-            self._line(line)
+            self._show_line(line)
         while len(self._rest) > LONGEST_LINE:
-            self._line(self._rest[:LONGEST_LINE])
+            self._show_line(self._rest[:LONGEST_LINE])
             self._rest = self._rest[LONGEST_LINE:]
 
-    def _line(self, data: bytes) -> None:
+    def _show_line(self, data: bytes) -> None:
         text = data[:LONGEST_LINE].decode("utf-8", "replace")
         if self._show is not None:
             self._show(text)
@@ -112,7 +112,7 @@ class LogFile:
         if line := tame(text).strip():
             self.last_line = shorten(line, 200)
 
-    def _write(self, data: bytes) -> None:
+    def _write_bytes(self, data: bytes) -> None:
         try:
             if data:
                 self._file.write(data)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from calibration.base.errors import InputError
 from calibration.base.text import did_you_mean, shorten
 
-_BRACES = r"\{\{|\}\}|\{([^{}]*)\}|[{}]"
+_BRACED_TEXT = r"\{\{|\}\}|\{([^{}]*)\}|[{}]"
 
 
 def fill(arguments: Sequence[str], values: Mapping[str, str], where: str) -> tuple[str, ...]:
@@ -32,7 +32,7 @@ def fill(arguments: Sequence[str], values: Mapping[str, str], where: str) -> tup
             f"(known: {', '.join(values) or 'none'}; write {{{{ and }}}} for braces)"
         )
 
-    return tuple(re.sub(_BRACES, replacement, argument) for argument in arguments)
+    return tuple(re.sub(_BRACED_TEXT, replacement, argument) for argument in arguments)
 
 
 def split_command(command: str | Sequence[str], where: str) -> tuple[str, ...]:
@@ -43,7 +43,7 @@ def split_command(command: str | Sequence[str], where: str) -> tuple[str, ...]:
     Raises:
         InputError: the quoting is wrong, it is empty, or an argument is not a string.
     """
-    arguments = _split(command, where) if isinstance(command, str) else tuple(command)
+    arguments = _split_words(command, where) if isinstance(command, str) else tuple(command)
     for argument in arguments:
         if not isinstance(argument, str):
             raise InputError(f"{where}: found {argument!r} among the arguments, expected strings: put it in quotes")
@@ -54,7 +54,7 @@ def split_command(command: str | Sequence[str], where: str) -> tuple[str, ...]:
     return arguments
 
 
-def _split(text: str, where: str) -> tuple[str, ...]:
+def _split_words(text: str, where: str) -> tuple[str, ...]:
     try:
         return tuple(shlex.split(text))
     except ValueError as error:

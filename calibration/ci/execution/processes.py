@@ -21,9 +21,9 @@ Result = TypeVar("Result")
 
 PR_SET_PDEATHSIG = 1
 """Linux's prctl option for a signal when the parent dies."""
-THREADS = 64 << 20
+POOL_THREADS_BYTES = 64 << 20
 """Bytes of address space: the stacks of the pool's two threads (8 MB each), their heaps, and some more."""
-BATCH = 0.03
+BATCH_SECONDS = 0.03
 """Seconds of work in a batch, the functions that a worker is sent at once; after a signal it finishes its batch."""
 MOST_IN_BATCH = 16
 """Most functions in a batch: one worker may have the last batch while the others have nothing left to do."""
@@ -35,7 +35,7 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
     """Call each function in a worker process; see `calibration.ci.execution.embedded.Embedded.run`."""
     _require_room_for_threads()
     context = multiprocessing.get_context("fork")
-    pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(work, os.getpid()))
+    pool = ProcessPoolExecutor(workers, context, initializer=_initialise_worker, initargs=(work, os.getpid()))
     try:
         # A queue, because a signal may interrupt waiting on it: waiting on futures holds locks that the
         # pool's own thread needs to end.
@@ -75,16 +75,16 @@ class _Pace:
 
     def __init__(self, workers: int) -> None:
         """Begin measuring so many workers."""
-        self._workers, self._begin = workers, time.monotonic()
+        self._workers, self._initialise_worker = workers, time.monotonic()
         self.finished = 0
         """Number of functions that have returned."""
 
     def batch_size(self) -> int:
-        """Return how many functions take about `BATCH`, by the mean time so far; 1 before any has returned."""
+        """Return how many functions take about `BATCH_SECONDS`, by the mean time so far; 1 before any has returned."""
         if not self.finished:
             return 1
-        seconds = (time.monotonic() - self._begin) * self._workers / self.finished
-        return MOST_IN_BATCH if seconds * MOST_IN_BATCH < BATCH else max(1, int(BATCH / seconds))
+        seconds = (time.monotonic() - self._initialise_worker) * self._workers / self.finished
+        return MOST_IN_BATCH if seconds * MOST_IN_BATCH < BATCH_SECONDS else max(1, int(BATCH_SECONDS / seconds))
 
 
 def _require_room_for_threads() -> None:
@@ -94,12 +94,12 @@ def _require_room_for_threads() -> None:
         MemoryError: the free memory is less than the stacks of these threads.
     """
     try:
-        mmap.mmap(-1, THREADS).close()
+        mmap.mmap(-1, POOL_THREADS_BYTES).close()
     except OSError:
         raise MemoryError from None
 
 
-def _begin(work: Sequence[Callable[[], Any]], parent: int) -> None:
+def _initialise_worker(work: Sequence[Callable[[], Any]], parent: int) -> None:
     """Initialise a worker: the parent handles signals; if it is killed, the worker is killed too."""
     global _work
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from calibration.base.secret_forms import derived_forms
 
-HIDDEN = b"***"
+REDACTED_BYTES = b"***"
 
 
 class Redactor:
@@ -33,13 +33,13 @@ class Redactor:
                 shown += data[position:open_end]
                 self._held = data[open_end:]
                 return bytes(shown)
-            shown += data[position : match.start()] + HIDDEN
+            shown += data[position : match.start()] + REDACTED_BYTES
             position = match.end()
 
     def close(self) -> bytes:
         """Return the delayed bytes at the end of the stream."""
         held, self._held = self._held, b""
-        return held if self._pattern is None else self._pattern.sub(HIDDEN, held)
+        return held if self._pattern is None else self._pattern.sub(REDACTED_BYTES, held)
 
     def _possible_beginning(self, data: bytes, start: int) -> int:
         """Return the position where an incomplete secret may begin; the length of the data if there is none."""

@@ -12,11 +12,11 @@ RosVersion = Literal["none", "1", "2"]
 Ros = Annotated[RosVersion, Converted(Literal["none", "1", "2", 1, 2], lambda version, _: str(version))]
 """Type of a record's field: the version, also as a number."""
 ROS_HELP = "1: a ROS master is started, with variables for all containers. 2: a separate domain."
-MASTER = "master"
+MASTER_NAME = "master"
 """Name of the container with the ROS master."""
-PORT = 11311
-_LOOPBACK = "127.0.0.1"
-_ADDRESS = r"(?P<before>https?://)(?P<host>[^/:]+)(?P<after>.*)"
+MASTER_PORT = 11311
+_LOOPBACK_ADDRESS = "127.0.0.1"
+_MASTER_URI = r"(?P<before>https?://)(?P<host>[^/:]+)(?P<after>.*)"
 
 
 def with_ros(job: Job, version: RosVersion, image: str | None = None) -> Job:
@@ -43,16 +43,18 @@ def with_ros(job: Job, version: RosVersion, image: str | None = None) -> Job:
         return replace(job, containers=containers, own_network=True)
     if job.network not in ("private", "internal"):
         raise InputError(f"job '{job.name}': ROS 1 needs the network private or internal, found {job.network}")
-    if MASTER in {container.name for container in job.containers}:
-        raise InputError(f"job '{job.name}': with ROS 1 no other container may have the name '{MASTER}'")
+    if MASTER_NAME in {container.name for container in job.containers}:
+        raise InputError(f"job '{job.name}': with ROS 1 no other container may have the name '{MASTER_NAME}'")
     master = Container(
-        name=MASTER,
+        name=MASTER_NAME,
         image=image or job.containers[0].image,
-        command=("roscore", "-p", str(PORT)),
-        readiness=Readiness(port=PORT),
+        command=("roscore", "-p", str(MASTER_PORT)),
+        readiness=Readiness(port=MASTER_PORT),
         essential=False,
     )
-    nodes = (replace(container, after=(*dict.fromkeys((MASTER, *container.after)),)) for container in job.containers)
+    nodes = (
+        replace(container, after=(*dict.fromkeys((MASTER_NAME, *container.after)),)) for container in job.containers
+    )
     return replace(job, containers=tuple(_as_node(container) for container in (master, *nodes)))
 
 
@@ -66,10 +68,10 @@ def on_one_address(job: Job) -> Job:
     def moved(container: Container) -> Container:
         environment = dict(container.environment)
         if environment.get("ROS_HOSTNAME") in names:
-            environment["ROS_HOSTNAME"] = _LOOPBACK
-        master = re.fullmatch(_ADDRESS, environment.get("ROS_MASTER_URI", ""))
+            environment["ROS_HOSTNAME"] = _LOOPBACK_ADDRESS
+        master = re.fullmatch(_MASTER_URI, environment.get("ROS_MASTER_URI", ""))
         if master is not None and master["host"] in names:
-            environment["ROS_MASTER_URI"] = f"{master['before']}{_LOOPBACK}{master['after']}"
+            environment["ROS_MASTER_URI"] = f"{master['before']}{_LOOPBACK_ADDRESS}{master['after']}"
         return replace(container, environment=environment)
 
     return replace(job, containers=tuple(map(moved, job.containers)))
@@ -77,7 +79,7 @@ def on_one_address(job: Job) -> Job:
 
 def _as_node(container: Container) -> Container:
     environment = {
-        "ROS_MASTER_URI": f"http://{MASTER}:{PORT}",
+        "ROS_MASTER_URI": f"http://{MASTER_NAME}:{MASTER_PORT}",
         "ROS_HOSTNAME": container.name,
     }
     return _with_environment(container, environment)

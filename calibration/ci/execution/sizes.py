@@ -7,10 +7,10 @@ from typing import Annotated, TypeGuard
 from calibration.base.errors import InputError
 from calibration.base.records import Converted
 
-_BYTES = r"([0-9]+(?:\.[0-9]+)?)\s*([kmgt]?)(?:i?b)?"
-_TIMES = r"(?:[0-9]+(?:\.[0-9]+)?(?:ms|s|m|h|d)\s*)+"
-_TIME = r"([0-9]+(?:\.[0-9]+)?)(ms|s|m|h|d)"
-_SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+_SIZE_TEXT = r"([0-9]+(?:\.[0-9]+)?)\s*([kmgt]?)(?:i?b)?"
+_DURATION_TEXT = r"(?:[0-9]+(?:\.[0-9]+)?(?:ms|s|m|h|d)\s*)+"
+_DURATION_PART = r"([0-9]+(?:\.[0-9]+)?)(ms|s|m|h|d)"
+_SECONDS_OF_UNIT = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 _MOST_BYTES = 2**60
 _MOST_SECONDS = 366 * 86400.0
 
@@ -21,7 +21,7 @@ def parse_bytes(value: object, where: str) -> int:
     Raises:
         InputError: it is not a size above 0; the message names the key.
     """
-    match = re.fullmatch(_BYTES, str(value).strip(), re.IGNORECASE) if _is_amount(value) else None
+    match = re.fullmatch(_SIZE_TEXT, str(value).strip(), re.IGNORECASE) if _is_amount(value) else None
     if match is not None:
         found = int(float(match[1]) * 1024 ** " kmgt".index(match[2].lower() or " "))
         if 0 < found <= _MOST_BYTES:
@@ -39,8 +39,10 @@ def parse_seconds(value: object, where: str) -> float:
     if isinstance(value, str) and len(value) < 100:
         text = value.strip().lower()
         text += "s" if re.fullmatch(r"[0-9]+(\.[0-9]+)?", text) else ""
-        if re.fullmatch(_TIMES, text):
-            found = math.fsum(float(number) * _SECONDS[unit] for number, unit in re.findall(_TIME, text))
+        if re.fullmatch(_DURATION_TEXT, text):
+            found = math.fsum(
+                float(number) * _SECONDS_OF_UNIT[unit] for number, unit in re.findall(_DURATION_PART, text)
+            )
     elif _is_amount(value):
         found = float(value)
     if 0 < found <= _MOST_SECONDS:

@@ -20,9 +20,9 @@ from calibration.ci.execution.tasks import Task
 
 Result = TypeVar("Result")
 
-FOLDER = ".unfinished"
-_IDENTITY = "identity.txt"
-_ENDING = ".result.json"
+UNFINISHED_FOLDER = ".unfinished"
+_IDENTITY_FILE = "identity.txt"
+_RESULT_SUFFIX = ".result.json"
 
 
 def identity(*parts: bytes) -> str:
@@ -46,7 +46,7 @@ class Workspace(Generic[Result]):
     def find(self, name: str) -> Result | None:
         """Return the result of a finished task; None if it is not finished, or cannot be read."""
         with suppress(OSError, ValueError, TypeError, KeyError, AttributeError, InputError):
-            return self._decode(self._path(name).read_bytes())
+            return self._decode(self._result_path(name).read_bytes())
         return None
 
     def keep(self, name: str, result: Result, files: Mapping[str, bytes] | None = None) -> Result:
@@ -57,7 +57,7 @@ class Workspace(Generic[Result]):
         """
         for file, content in (files or {}).items():
             write_atomically(self.folder / file, content)
-        write_atomically(self._path(name), self._encode(result))
+        write_atomically(self._result_path(name), self._encode(result))
         return result
 
     def keeping(self, task: Task[Result]) -> Task[Result]:
@@ -66,10 +66,10 @@ class Workspace(Generic[Result]):
 
     def count(self) -> int:
         """Return the number of finished tasks."""
-        return sum(1 for _ in self.folder.glob(f"*{_ENDING}"))
+        return sum(1 for _ in self.folder.glob(f"*{_RESULT_SUFFIX}"))
 
-    def _path(self, name: str) -> Path:
-        return self.folder / f"{quote(name, safe=' ,')}{_ENDING}"
+    def _result_path(self, name: str) -> Path:
+        return self.folder / f"{quote(name, safe=' ,')}{_RESULT_SUFFIX}"
 
 
 @contextmanager
@@ -91,14 +91,14 @@ def workspace(
         InputError: another run uses this folder.
         InfrastructureError: the folder cannot be created or written.
     """
-    folder = output / FOLDER
+    folder = output / UNFINISHED_FOLDER
     try:
         with locked(output):
             if not _is_of(folder, identity):
                 if folder.exists():
                     shutil.rmtree(folder)
                 folder.mkdir()
-                write_atomically(folder / _IDENTITY, json.dumps(identity))
+                write_atomically(folder / _IDENTITY_FILE, json.dumps(identity))
             work, finished = Workspace(folder, encode, decode), False
             try:
                 yield work
@@ -112,6 +112,6 @@ def workspace(
 
 def _is_of(folder: Path, identity: str) -> bool:
     try:
-        return bool(json.loads((folder / _IDENTITY).read_bytes()) == identity)
+        return bool(json.loads((folder / _IDENTITY_FILE).read_bytes()) == identity)
     except (OSError, ValueError):
         return False

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from calibration.base.errors import InputError
 from calibration.ci.git.repository import Repository
 
-_HUNK = re.compile(rb"@@ -[0-9]{1,12}(?:,([0-9]{1,12}))? \+([0-9]{1,12})(?:,([0-9]{1,12}))? @@")
-_BINARY = re.compile(rb'Binary files .* and ("?b/.*) differ')
-_ESCAPE = re.compile(rb"\\([0-7]{3}|.)")
-_LETTERS = {b"a": b"\a", b"b": b"\b", b"f": b"\f", b"n": b"\n", b"r": b"\r", b"t": b"\t", b"v": b"\v"}
+_HUNK_HEADER = re.compile(rb"@@ -[0-9]{1,12}(?:,([0-9]{1,12}))? \+([0-9]{1,12})(?:,([0-9]{1,12}))? @@")
+_BINARY_FILES = re.compile(rb'Binary files .* and ("?b/.*) differ')
+_ESCAPED_CHARACTER = re.compile(rb"\\([0-7]{3}|.)")
+_CHARACTER_OF_LETTER = {b"a": b"\a", b"b": b"\b", b"f": b"\f", b"n": b"\n", b"r": b"\r", b"t": b"\t", b"v": b"\v"}
 
 
 def changed_lines(difference: bytes) -> dict[str, set[int]]:
@@ -28,8 +28,8 @@ def changed_lines(difference: bytes) -> dict[str, set[int]]:
                 found[file].add(number)
                 number += 1
         elif line.startswith(b"+++ "):
-            file = _path(line[4:])
-        elif (hunk := _HUNK.match(line)) is not None:
+            file = _new_path(line[4:])
+        elif (hunk := _HUNK_HEADER.match(line)) is not None:
             number = int(hunk[2])
             skip = int(hunk[1] or 1) + int(hunk[3] or 1)
             if file is not None:
@@ -43,8 +43,8 @@ def files_without_lines(difference: bytes) -> set[str]:
     Args:
         difference: output of git, with the prefixes ``a/`` and ``b/``.
     """
-    names = (each[1] for line in difference.split(b"\n") if (each := _BINARY.fullmatch(line)) is not None)
-    return {path for path in map(_path, names) if path is not None}
+    names = (each[1] for line in difference.split(b"\n") if (each := _BINARY_FILES.fullmatch(line)) is not None)
+    return {path for path in map(_new_path, names) if path is not None}
 
 
 def find_base(repository: Repository, named: str | None, candidates: Iterable[str]) -> str:
@@ -70,14 +70,14 @@ def find_base(repository: Repository, named: str | None, candidates: Iterable[st
     return base
 
 
-def _path(text: bytes) -> str | None:
+def _new_path(text: bytes) -> str | None:
     """Return the path in a ``+++`` line; None for a deleted file."""
     text = text.removesuffix(b"\t")  # git appends a tab to a path with a space
     if text.startswith(b'"') and text.endswith(b'"'):
-        text = _ESCAPE.sub(_unescaped, text[1:-1])
+        text = _ESCAPED_CHARACTER.sub(_unescape_match, text[1:-1])
     return text[2:].decode("utf-8", "surrogateescape") if text.startswith(b"b/") else None
 
 
-def _unescaped(match: re.Match[bytes]) -> bytes:
+def _unescape_match(match: re.Match[bytes]) -> bytes:
     escaped = match[1]
-    return bytes([int(escaped, 8)]) if len(escaped) == 3 else _LETTERS.get(escaped, escaped)
+    return bytes([int(escaped, 8)]) if len(escaped) == 3 else _CHARACTER_OF_LETTER.get(escaped, escaped)

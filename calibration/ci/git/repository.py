@@ -16,11 +16,11 @@ from typing import Self
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.text import one_line, shorten
 
-SECONDS = 120
+COMMAND_SECONDS = 120
 """Timeout of a git command."""
-MEMORY = 2 * 1024**3
+MAX_MEMORY_BYTES = 2 * 1024**3
 """Limit of its memory, bytes: it takes 40 times the size of a file of line breaks to compare it."""
-_SETTINGS = (
+_SAFE_SETTINGS = (
     "core.fsmonitor=false",
     f"core.hooksPath={os.devnull}",
     "core.bigFileThreshold=10m",  # larger files are compared as binary ones
@@ -32,7 +32,7 @@ _SETTINGS = (
     "maintenance.auto=false",
     "safe.bareRepository=explicit",
 )
-_VARIABLES = {
+_SAFE_VARIABLES = {
     "GIT_CONFIG_GLOBAL": os.devnull,
     "GIT_CONFIG_NOSYSTEM": "1",
     "GIT_ATTR_NOSYSTEM": "1",
@@ -42,19 +42,19 @@ _VARIABLES = {
     "LC_ALL": "C",
 }
 """Environment of git. Also a command that only reads fetches what a partial clone lacks: by https alone."""
-_FETCHING = {"GIT_ALLOW_PROTOCOL": "https:file", "GIT_NO_LAZY_FETCH": "1"}
+_FETCH_VARIABLES = {"GIT_ALLOW_PROTOCOL": "https:file", "GIT_NO_LAZY_FETCH": "1"}
 """With a file as origin, its own settings count in git-upload-pack, which must not fetch what the origin lacks."""
-_PROGRAMS = r"^(filter\..*\.(clean|smudge|process|required)|hook\..*)$"
-"""Settings that run a program of any name, as git's regular expression; the fixed names are in `_SETTINGS`."""
-_REGULAR = ("100644", "100755")
+_PROGRAM_SETTINGS = r"^(filter\..*\.(clean|smudge|process|required)|hook\..*)$"
+"""Settings that run a program of any name, as git's regular expression; the fixed names are in `_SAFE_SETTINGS`."""
+_REGULAR_FILE_MODES = ("100644", "100755")
 """Modes of regular files, without symbolic links, which may point anywhere, and submodules."""
-_BLOB = re.compile(rb"([0-9a-f]+) blob ([0-9]+)")
-_COMMIT = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
+_BLOB_LINE = re.compile(rb"([0-9a-f]+) blob ([0-9]+)")
+_COMMIT_HASH = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
 
 
 def is_commit(text: str) -> bool:
     """Return whether a text is the full hash of a commit."""
-    return _COMMIT.fullmatch(text) is not None
+    return _COMMIT_HASH.fullmatch(text) is not None
 
 
 @dataclass(frozen=True)
@@ -100,21 +100,21 @@ class Repository:
         if root is None:
             raise InputError(f"{expected}: no folder above has .git")
         repository = cls(root)
-        code, _, problem = repository._git("rev-parse", "--git-dir")
+        code, _, problem = repository._run_git("rev-parse", "--git-dir")
         if code:
-            raise InputError(f"{expected}: {_said(problem)}")
-        return replace(repository, disabled=tuple(repository._disabling()))
+            raise InputError(f"{expected}: {_quote_problem(problem)}")
+        return replace(repository, disabled=tuple(repository._disabling_settings()))
 
-    def _disabling(self) -> Iterator[str]:
+    def _disabling_settings(self) -> Iterator[str]:
         """Yield settings that disable the programs of the repository's own settings, in any file that these include.
 
         Raises:
             InputError: the name of such a setting cannot be given to git.
             InfrastructureError: git fails.
         """
-        code, output, problem = self._git("config", "--null", "--name-only", "--get-regexp", _PROGRAMS)
+        code, output, problem = self._run_git("config", "--null", "--name-only", "--get-regexp", _PROGRAM_SETTINGS)
         if code not in (0, 1):  # 1: there is none
-            raise InfrastructureError(f"git config: {_said(problem)}")
+            raise InfrastructureError(f"git config: {_quote_problem(problem)}")
         for name in sorted(set(output.decode("utf-8", "surrogateescape").split("\0")) - {""}):
             if "=" in name:
                 raise InputError(f"{self.root}: the setting '{one_line(name)}' of git has a = in its name: rename it")
@@ -139,8 +139,8 @@ class Repository:
             InfrastructureError: git fails.
         """
         left_out = [f":(exclude,top,glob){pattern}{below}" for pattern in exclude for below in ("", "/**")]
-        entries = self._entries(*left_out)
-        return sorted({path for path, mode in entries if mode in _REGULAR and (self.root / path).is_file()})
+        entries = self._tracked_entries(*left_out)
+        return sorted({path for path, mode in entries if mode in _REGULAR_FILE_MODES and (self.root / path).is_file()})
 
     def links(self) -> list[str]:
         """Return the tracked symbolic links and submodules, sorted, relative to the root with ``/``.
@@ -148,13 +148,13 @@ class Repository:
         Raises:
             InfrastructureError: git fails.
         """
-        return sorted({path for path, mode in self._entries() if mode not in _REGULAR})
+        return sorted({path for path, mode in self._tracked_entries() if mode not in _REGULAR_FILE_MODES})
 
-    def _entries(self, *patterns: str) -> Iterator[tuple[str, str]]:
+    def _tracked_entries(self, *patterns: str) -> Iterator[tuple[str, str]]:
         """Yield path and mode of everything that is tracked."""
-        code, output, problem = self._git("ls-files", "-s", "-z", "--", ":(top)", *patterns)
+        code, output, problem = self._run_git("ls-files", "-s", "-z", "--", ":(top)", *patterns)
         if code:
-            raise InfrastructureError(f"git ls-files: {_said(problem)}")
+            raise InfrastructureError(f"git ls-files: {_quote_problem(problem)}")
         for entry in output.decode("utf-8", "surrogateescape").split("\0"):
             mode, _, path = entry.partition("\t")
             if path:
@@ -166,23 +166,23 @@ class Repository:
 
     def commit(self, name: str) -> str | None:
         """Return the hash of a commit given by any name; None if it does not exist."""
-        code, output, _ = self._git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}")
+        code, output, _ = self._run_git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}")
         return None if code else output.decode("ascii").strip()
 
     def newest(self) -> Commit | None:
         """Return the checked-out commit; None if the repository has none."""
-        code, output, _ = self._git("log", "--format=%H%x09%cs%x09%s", "--max-count=1", "--no-show-signature")
+        code, output, _ = self._run_git("log", "--format=%H%x09%cs%x09%s", "--max-count=1", "--no-show-signature")
         return None if code else Commit(*output.decode("utf-8", "replace").rstrip("\n").split("\t", 2))
 
     def parents(self, commit: str) -> list[str]:
         """Return the hashes of a commit's parents, including those missing in a shallow checkout."""
-        code, output, _ = self._git("cat-file", "commit", commit)
+        code, output, _ = self._run_git("cat-file", "commit", commit)
         header = output.partition(b"\n\n")[0].decode("utf-8", "replace")
         return [] if code else re.findall(r"^parent ([0-9a-f]+)$", header, re.MULTILINE)
 
     def merge_base(self, one: str, other: str) -> str | None:
         """Return the merge base of two commits; None if there is none, or a shallow checkout lacks it."""
-        code, output, _ = self._git("merge-base", one, other)
+        code, output, _ = self._run_git("merge-base", one, other)
         return None if code else output.decode("ascii").strip()
 
     def content(self, commit: str, path: str, most: int) -> bytes | None:
@@ -192,17 +192,17 @@ class Repository:
             InputError: it is not a regular file, or larger than ``most`` bytes.
             InfrastructureError: git fails.
         """
-        code, output, _ = self._git("ls-tree", "-l", "-z", "--full-tree", commit, "--", path)
+        code, output, _ = self._run_git("ls-tree", "-l", "-z", "--full-tree", commit, "--", path)
         if code or not output:
             return None
         mode, _, name, size = output.split(b"\t")[0].decode("ascii").split()
-        if mode not in _REGULAR:
+        if mode not in _REGULAR_FILE_MODES:
             raise InputError(f"{commit[:12]}:{path}: expected a regular file, found a link or a folder")
         if int(size) > most:
             raise InputError(f"{commit[:12]}:{path}: found {size} bytes, expected at most {most}")
-        code, output, problem = self._git("cat-file", "blob", name)
+        code, output, problem = self._run_git("cat-file", "blob", name)
         if code:
-            raise InfrastructureError(f"git cat-file: {_said(problem)}")
+            raise InfrastructureError(f"git cat-file: {_quote_problem(problem)}")
         return output
 
     def contents(self, commits: Sequence[str], path: str, most: int) -> Iterator[tuple[str, bytes | None]]:
@@ -216,20 +216,20 @@ class Repository:
         """
         if "\n" in path:
             raise InputError(f"{one_line(path)}: a path without line breaks was expected: rename it")
-        facts = self._batch("--batch-check", [f"{commit}:{path}" for commit in commits]).split(b"\n")
+        facts = self._cat_files("--batch-check", [f"{commit}:{path}" for commit in commits]).split(b"\n")
         batch: list[tuple[str, str, int]] = []
         for commit, line in zip(commits, facts, strict=False):
-            blob = _BLOB.fullmatch(line)
+            blob = _BLOB_LINE.fullmatch(line)
             name, size = (blob[1].decode(), int(blob[2])) if blob and int(blob[2]) <= most else ("", 0)
             if sum(each[2] for each in batch) + size > most:
-                yield from self._blobs(batch)
+                yield from self._read_blobs(batch)
                 batch = []
             batch.append((commit, name, size))
-        yield from self._blobs(batch)
+        yield from self._read_blobs(batch)
 
-    def _blobs(self, batch: Sequence[tuple[str, str, int]]) -> Iterator[tuple[str, bytes | None]]:
+    def _read_blobs(self, batch: Sequence[tuple[str, str, int]]) -> Iterator[tuple[str, bytes | None]]:
         """Yield the content for each commit, from the name and the size of its blob; None without a name."""
-        output, at = self._batch("--batch", [name for _, name, _ in batch if name]), 0
+        output, at = self._cat_files("--batch", [name for _, name, _ in batch if name]), 0
         for commit, name, size in batch:
             if not name:
                 yield commit, None
@@ -238,17 +238,17 @@ class Repository:
             at = begin + size + 1
             yield commit, output[begin : begin + size]
 
-    def _batch(self, option: str, names: Sequence[str]) -> bytes:
+    def _cat_files(self, option: str, names: Sequence[str]) -> bytes:
         """Return what ``git cat-file`` writes about objects."""
         given = "".join(f"{name}\n" for name in names).encode("utf-8", "surrogateescape")
-        code, output, problem = self._git("cat-file", option, given=given)
+        code, output, problem = self._run_git("cat-file", option, given=given)
         if code:
-            raise InfrastructureError(f"git cat-file: {_said(problem)}")
+            raise InfrastructureError(f"git cat-file: {_quote_problem(problem)}")
         return output
 
     def origin(self) -> str | None:
         """Return the URL of the origin; None if there is none."""
-        code, output, _ = self._git("config", "--get", "remote.origin.url")
+        code, output, _ = self._run_git("config", "--get", "remote.origin.url")
         return None if code else one_line(output.decode("utf-8", "replace")) or None
 
     def fetched(self, commit: str) -> str:
@@ -261,10 +261,10 @@ class Repository:
         if self.origin() is None:  # git would take a folder of this name
             raise InputError(f"{missing} fetched: there is no remote 'origin'")
         options = ("--quiet", "--no-tags", "--no-recurse-submodules", "--upload-pack=git-upload-pack", "--depth=1")
-        code, _, problem = self._git("fetch", *options, "origin", commit, variables=_FETCHING)
+        code, _, problem = self._run_git("fetch", *options, "origin", commit, variables=_FETCH_VARIABLES)
         found = None if code else self.commit(commit)
         if found is None:
-            raise InputError(f"{missing} fetched: {_said(problem)}")
+            raise InputError(f"{missing} fetched: {_quote_problem(problem)}")
         return found
 
     def changes_of(self, path: str, since: str | None = None, newest: int | None = None) -> list[Commit]:
@@ -286,11 +286,11 @@ class Repository:
         if since is not None:
             found = self.commit(since)
             arguments.append(f"{found}..HEAD" if found else f"--since={since}")
-        code, output, problem = self._git(*arguments, "--", path)
+        code, output, problem = self._run_git(*arguments, "--", path)
         if code:
             if self.head() is None:
                 return []
-            raise InfrastructureError(f"git log: {_said(problem)}")
+            raise InfrastructureError(f"git log: {_quote_problem(problem)}")
         rows = (entry.split("\t", 2) for entry in output.decode("utf-8", "replace").split("\0") if entry)
         return [Commit(*row) for row in rows]
 
@@ -300,12 +300,12 @@ class Repository:
         Raises:
             InfrastructureError: git fails.
         """
-        code, output, problem = self._git(
+        code, output, problem = self._run_git(
             *("diff", "--unified=0", "--no-color", "--no-ext-diff", "--no-textconv", "--find-renames"),
             *("--src-prefix=a/", "--dst-prefix=b/", "--ignore-submodules", commit, "--"),
         )
         if code:
-            raise InfrastructureError(f"git diff {commit}: {_said(problem)}")
+            raise InfrastructureError(f"git diff {commit}: {_quote_problem(problem)}")
         return output
 
     def changed(self, commit: str) -> list[str]:
@@ -314,7 +314,7 @@ class Repository:
         Raises:
             InfrastructureError: git fails.
         """
-        code, output, problem = self._git(
+        code, output, problem = self._run_git(
             "diff",
             "--name-only",
             "--no-renames",
@@ -326,10 +326,10 @@ class Repository:
             "--",
         )
         if code:
-            raise InfrastructureError(f"git diff {commit}: {_said(problem)}")
+            raise InfrastructureError(f"git diff {commit}: {_quote_problem(problem)}")
         return sorted(filter(None, output.decode("utf-8", "surrogateescape").split("\0")))
 
-    def _git(
+    def _run_git(
         self, *arguments: str, given: bytes = b"", variables: Mapping[str, str] = MappingProxyType({})
     ) -> tuple[int, bytes, bytes]:
         """Run git in this checkout, and return exit code, output and errors: the only place where we run it.
@@ -342,42 +342,42 @@ class Repository:
         Args:
             arguments: command and its arguments.
             given: standard input.
-            variables: environment in addition to `_VARIABLES`.
+            variables: environment in addition to `_SAFE_VARIABLES`.
 
         Raises:
             InfrastructureError: git cannot be started, or takes too long.
         """
-        settings = [part for setting in (*_SETTINGS, *self.disabled) for part in ("-c", setting)]
+        settings = [part for setting in (*_SAFE_SETTINGS, *self.disabled) for part in ("-c", setting)]
         place = [f"--git-dir={self.root / '.git'}", f"--work-tree={self.root}"]
         inherited = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
         try:
             with subprocess.Popen(
                 ["git", "--no-pager", "--no-optional-locks", *place, *settings, *arguments],
                 cwd=self.root,
-                env={**inherited, **_VARIABLES, **variables},
+                env={**inherited, **_SAFE_VARIABLES, **variables},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
             ) as process:
                 _limit_memory(process.pid)
                 try:
-                    output, problem = process.communicate(given, SECONDS)
+                    output, problem = process.communicate(given, COMMAND_SECONDS)
                 except BaseException:
                     process.kill()
                     raise
         except subprocess.TimeoutExpired:
-            raise InfrastructureError(f"git {arguments[0]} took longer than {SECONDS} s") from None
+            raise InfrastructureError(f"git {arguments[0]} took longer than {COMMAND_SECONDS} s") from None
         except OSError as error:
             raise InfrastructureError(f"git cannot be started: {error.strerror}") from None
         return process.returncode, output, problem
 
 
 def _limit_memory(process: int) -> None:
-    """Limit the memory of a process to `MEMORY`, on Linux; files that it maps do not count."""
+    """Limit the memory of a process to `MAX_MEMORY_BYTES`, on Linux; files that it maps do not count."""
     if sys.platform == "linux":
         with suppress(ProcessLookupError):
-            resource.prlimit(process, resource.RLIMIT_DATA, (MEMORY, MEMORY))
+            resource.prlimit(process, resource.RLIMIT_DATA, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
 
 
-def _said(problem: bytes) -> str:
+def _quote_problem(problem: bytes) -> str:
     return shorten(one_line(problem.decode("utf-8", "replace")).removeprefix("fatal: ") or "no reason given", 200)

@@ -14,10 +14,10 @@ from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.http import Answer, Http, is_loopback
 
 API_URL = "https://api.github.com"
-MOST_BYTES = 64 * 1024**2
+MAX_ANSWER_BYTES = 64 * 1024**2
 """Maximum size of an answer: a page of the longest comments has about 25 MiB."""
-PAGE = 100
-MOST_PAGES = 100
+ENTRIES_PER_PAGE = 100
+MAX_PAGES = 100
 
 
 class MissingError(Exception):
@@ -47,7 +47,7 @@ class GitHubApi:
         parts = urlsplit(url)
         if not parts.netloc or parts.scheme not in ("https", "http" if is_loopback(parts.netloc) else "https"):
             raise InputError(f"GITHUB_API_URL: found {url!r:.80}, expected an address such as {API_URL}")
-        http = Http([token], address="GITHUB_API_URL", explain=_message, most_bytes=MOST_BYTES, pause=pause)
+        http = Http([token], address="GITHUB_API_URL", explain=_error_message, most_bytes=MAX_ANSWER_BYTES, pause=pause)
         return cls(token, url.rstrip("/"), http=http)
 
     def request(self, method: str, path: str, body: object = None) -> Any:
@@ -71,13 +71,13 @@ class GitHubApi:
         content = None if body is None else json.dumps(body).encode()
         answer = self.http.send(method, self.url + path, headers, content)
         if 200 <= answer.status < 300:
-            return self._json(answer)
+            return self._parse_answer(answer)
         fault = f"{urlsplit(self.url).netloc}: answered {answer.status}{self.http.quote(answer.body)}"
         if answer.status in (404, 410):
             raise MissingError(fault)
         if answer.status == 401:
             raise InputError(f"{fault}: the token is wrong or has expired")
-        if answer.status == 403 and _has_had_too_many(answer):
+        if answer.status == 403 and _is_rate_limit(answer):
             raise InfrastructureError(f"{fault}: the rate limit of this token is exceeded: run it again later")
         if answer.status == 403:
             raise InputError(f"{fault}: the token lacks a permission: the job needs permissions: pull-requests: write")
@@ -89,15 +89,15 @@ class GitHubApi:
         Raises:
             InfrastructureError: as `request`, or the answer is not a list.
         """
-        for page in range(1, MOST_PAGES + 1):
-            entries = self.request("GET", f"{path}per_page={PAGE}&page={page}")
+        for page in range(1, MAX_PAGES + 1):
+            entries = self.request("GET", f"{path}per_page={ENTRIES_PER_PAGE}&page={page}")
             if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
                 raise InfrastructureError(f"{urlsplit(self.url).netloc}: {path}: expected a list of objects")
             yield from entries
-            if len(entries) < PAGE:
+            if len(entries) < ENTRIES_PER_PAGE:
                 return
 
-    def _json(self, answer: Answer) -> Any:
+    def _parse_answer(self, answer: Answer) -> Any:
         if not answer.body:
             return None
         try:
@@ -109,7 +109,7 @@ class GitHubApi:
             ) from None
 
 
-def _has_had_too_many(answer: Answer) -> bool:
+def _is_rate_limit(answer: Answer) -> bool:
     """Whether a 403 is a rate limit.
 
     https://docs.github.com/en/rest/using-the-rest-api/rate-limits-for-the-rest-api
@@ -117,7 +117,7 @@ def _has_had_too_many(answer: Answer) -> bool:
     return answer.headers.get("X-RateLimit-Remaining") == "0" or "Retry-After" in answer.headers
 
 
-def _message(body: bytes) -> str:
+def _error_message(body: bytes) -> str:
     """Return the error message in an answer of GitHub; empty if there is none."""
     try:
         document = json.loads(body)

@@ -17,7 +17,8 @@ from calibration.ci.workflow.annotation import Annotation, Level
 from calibration.ci.workflow.runner import Environment, PullRequestComments, Runner, Terminal
 
 WORKFLOW_FILE = Path(".github", "workflows", "calibration.yml")
-_WORKFLOW = """# Written by `calibration init`: calibrates what calibration.yml names, on every push and pull request.
+_WORKFLOW_TEXT = """\
+# Written by `calibration init`: calibrates what calibration.yml names, on every push and pull request.
 name: Calibration
 on:
   push: {{branches: [main]}}
@@ -112,7 +113,7 @@ GITHUB = GitHub()
 
 def first_workflow(suite: str, version: str) -> str:
     """Return a workflow that calls the suite's reusable workflow (OWNER/REPOSITORY) at a version."""
-    return _WORKFLOW.format(suite=suite, version=version)
+    return _WORKFLOW_TEXT.format(suite=suite, version=version)
 
 
 def workflow_command(name: str, message: str = "", **properties: str | int | None) -> str:

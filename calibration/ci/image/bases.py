@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Login = Callable[[str], Credentials]
 """Returns the credentials for the registry of an image."""
 
-_MISSING = re.compile(r"not found|manifest unknown|does not exist|denied|unauthorized|name unknown|no such image")
+_MISSING_IMAGE = re.compile(r"not found|manifest unknown|does not exist|denied|unauthorized|name unknown|no such image")
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def find_base(client: "DockerClient", name: str, login: Login, *, ask_registry: 
         return Base(name, reference.digest, reference.digest)
     local = None if ask_registry else local_image(client, str(reference))
     if local is not None:
-        digest = _digest(local, reference)
+        digest = _digest_in_registry(local, reference)
         return Base(name, digest or str(local.id), digest)
     with RegistryClient(login(name)) as registry:
         found = registry.find_manifest(reference)
@@ -99,21 +99,21 @@ def fetch(client: "DockerClient", name: str, login: Login, platform: str | None,
         )
         for event in events:
             if "error" in event:
-                raise _failed(name, str(event["error"]), log)
+                raise _pull_error(name, str(event["error"]), log)
             if not event.get("progressDetail"):  # skip progress events, hundreds per layer
                 log.output(f"{event.get('id', '')} {event.get('status', '')}\n")
     except docker.errors.APIError as error:
-        raise _failed(name, str(error.explanation or error), log) from None
+        raise _pull_error(name, str(error.explanation or error), log) from None
 
 
-def _failed(name: str, message: str, log: BuildLog) -> InputError | InfrastructureError:
+def _pull_error(name: str, message: str, log: BuildLog) -> InputError | InfrastructureError:
     message = shorten(log.clean(message), 300)
-    if _MISSING.search(message.lower()):
+    if _MISSING_IMAGE.search(message.lower()):
         return InputError(f"image {name}: it cannot be pulled: {message}: check the name, or log in")
     return InfrastructureError(f"image {name}: it cannot be pulled: {message}")
 
 
-def _digest(image: "Image", reference: Reference) -> str | None:
+def _digest_in_registry(image: "Image", reference: Reference) -> str | None:
     """Return the digest of an image in its registry, if the engine has recorded it for this name."""
     for text in image.attrs.get("RepoDigests") or ():
         known = parse_reference(one_line(text))

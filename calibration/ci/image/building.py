@@ -126,11 +126,11 @@ class _Work:
         for note in plan.notes:
             runner.log(f"not covered by the content key: {note}")
         reference = f"{specification.name}:{key_tag(plan.key)}"
-        found = None if force else self._find(reference, plan.key)
+        found = None if force else self._find_image(reference, plan.key)
         if found is not None:
             runner.log(f"{reference}: nothing has changed, found {_PLACES[found.found_in]}")
-        image = found or self._build(plan, reference, builder, force)
-        return self._tagged(image)
+        image = found or self._build_image(plan, reference, builder, force)
+        return self._set_tags(image)
 
     def login(self, name: str) -> Credentials:
         """Return the credentials for an image's registry; the settings are for that of the built image."""
@@ -150,7 +150,7 @@ class _Work:
         places |= {f"labels.{name}": value for name, value in self._specification.labels.items()}
         refuse_secrets_in(self._secrets, places)
 
-    def _find(self, reference: str, key: str) -> BuiltImage | None:
+    def _find_image(self, reference: str, key: str) -> BuiltImage | None:
         """Return the image of a key from the engine or the registry; None if it is missing."""
         local = local_image(self._client, reference) if len(self._specification.platforms) < 2 else None
         if local is not None and local.labels.get(KEY_LABEL) == key:
@@ -161,7 +161,7 @@ class _Work:
         if not self._load:
             return BuiltImage(reference, key, built=False, digest=digest, found_in="registry")
         name = f"{self._specification.name}@{digest}"
-        with self._shown(f"{TITLE}: pulling {reference}") as log:
+        with self._logged_group(f"{TITLE}: pulling {reference}") as log:
             fetch(self._client, name, self.login, None, log)
         image = self._client.images.get(name)
         if image.labels.get(KEY_LABEL) != key:
@@ -185,10 +185,10 @@ class _Work:
             self._runner.log(f"the registry was not searched: {error}")
             return None
 
-    def _build(self, plan: Plan, reference: str, builder: BuilderName, force: bool) -> BuiltImage:
+    def _build_image(self, plan: Plan, reference: str, builder: BuilderName, force: bool) -> BuiltImage:
         specification = self._specification
         own = specification.source if isinstance(specification.source, OwnDockerfile) else None
-        program = self._builder(plan, builder)
+        program = self._choose_program(plan, builder)
         described = hashlib.sha256(plan.text.encode()).hexdigest()
         folder = own.context if own else Path()
         request = BuildRequest(
@@ -203,7 +203,7 @@ class _Work:
             ssh=specification.ssh,
             no_cache=force,
         )
-        with self._shown(f"{TITLE}: building {reference}") as log:
+        with self._logged_group(f"{TITLE}: building {reference}") as log:
             if len(specification.platforms) > 1:
                 return self._built_for_several(program, request, reference, plan, log)
             for base in plan.bases:
@@ -241,7 +241,7 @@ class _Work:
         digest = build_and_push(program, request, [reference], self.login(reference), log)
         return BuiltImage(reference, plan.key, built=True, digest=digest)
 
-    def _builder(self, plan: Plan, builder: BuilderName) -> "Program | None":
+    def _choose_program(self, plan: Plan, builder: BuilderName) -> "Program | None":
         """Return the command to build with; None for the engine's classic builder.
 
         Raises:
@@ -258,7 +258,7 @@ class _Work:
         return program
 
     @contextmanager
-    def _shown(self, title: str) -> Iterator[BuildLog]:
+    def _logged_group(self, title: str) -> Iterator[BuildLog]:
         """Log the block in a group, with workflow commands disabled and secrets redacted."""
         values = [secret.text for secret in self._secrets]
         values += [value for login in self._logins.values() for value in login.secrets]
@@ -269,7 +269,7 @@ class _Work:
             finally:
                 log.end_line()
 
-    def _tagged(self, image: BuiltImage) -> BuiltImage:
+    def _set_tags(self, image: BuiltImage) -> BuiltImage:
         """Set the other tags of an image, on the engine and in the registry."""
         specification = self._specification
         if image.id is not None:
@@ -277,10 +277,10 @@ class _Work:
             for tag in specification.tags:
                 local.tag(specification.name, tag)
         if self._push:
-            image = replace(image, digest=self._pushed(image))
+            image = replace(image, digest=self._push_image(image))
         return replace(image, tags=tuple(f"{specification.name}:{tag}" for tag in specification.tags))
 
-    def _pushed(self, image: BuiltImage) -> str:
+    def _push_image(self, image: BuiltImage) -> str:
         """Push an image and its tags; return its digest in the registry."""
         specification = self._specification
         credentials = self.login(image.reference)
@@ -288,14 +288,14 @@ class _Work:
         if digest is None and not image.built:
             digest = self._digest_in_registry(image.reference)
         if digest is None:
-            with self._advance(f"{TITLE}: pushing {image.reference}") as advance:
+            with self._grouped_progress(f"{TITLE}: pushing {image.reference}") as advance:
                 return push_image(self._client, image.reference, specification.tags, credentials, advance)
         if specification.tags:
             promote(specification.name, digest, specification.tags, credentials, self._runner)
         return digest
 
     @contextmanager
-    def _advance(self, title: str) -> Iterator[Advance]:
+    def _grouped_progress(self, title: str) -> Iterator[Advance]:
         with group(self._runner, title), progress(self._runner, TITLE) as advance:
             yield advance
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from calibration.ci.image.context import Context
 
-FORM = 1
+KEY_VERSION = 1
 """Version of the hashed format; images of older versions are not found."""
 TAG_DIGITS = 24
 """Number of hexadecimal digits of the key in a tag: 96 bits."""
@@ -38,7 +38,7 @@ def content_key(
         InfrastructureError: a file cannot be read.
     """
     parts = {
-        "form": FORM,
+        "form": KEY_VERSION,
         "dockerfile": dockerfile,
         "bases": dict(bases),
         "platforms": list(platforms),

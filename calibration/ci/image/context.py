@@ -18,7 +18,7 @@ from calibration.base.files import read_bytes, write_atomically
 MAX_BYTES = 2 * 1024**3
 """Limit of the size, because the context is hashed on every push and sent to the engine for every build."""
 MAX_FILES = 100_000
-MTIME = 315_619_200
+FILE_TIME = 315_619_200
 """1980-01-02: modification time of every file, for reproducible bytes. Zip files, such as wheels, allow no earlier."""
 NO_SOURCES = ("**/.git", "**/.hg", "**/.svn", "**/__pycache__")
 """Excluded from sources by default."""
@@ -82,7 +82,7 @@ class Context:
 
     def add_bytes(self, path: str, content: bytes, *, executable: bool = False) -> None:
         """Add a generated file."""
-        self._put(path, Entry(0o755 if executable else 0o644, len(content), content=content))
+        self._put_entry(path, Entry(0o755 if executable else 0o644, len(content), content=content))
 
     def add_file(self, path: str, source: Path, what: str) -> None:
         """Add a file; ``what`` describes its purpose in messages ("files: robot.yml").
@@ -90,10 +90,10 @@ class Context:
         Raises:
             InputError: the file does not exist, or the context gets too large.
         """
-        status = _status(source, what)
+        status = _status_of(source, what)
         if not stat.S_ISREG(status.st_mode):
             raise InputError(f"{what}: {source} is no regular file")
-        self._put(path, _file(source, status))
+        self._put_entry(path, _file_entry(source, status))
 
     def add_folder(
         self, path: str, source: Path, what: str, ignored: Ignored, only: frozenset[str] | None = None
@@ -111,21 +111,21 @@ class Context:
             InputError: the folder does not exist; a link points out of it; it contains something that is neither
                 file, folder nor link, or is not readable; or the context gets too large.
         """
-        if not stat.S_ISDIR(_status(source, what).st_mode):
+        if not stat.S_ISDIR(_status_of(source, what).st_mode):
             raise InputError(f"{what}: {source} is no folder")
         if path:
-            self._put(path, Entry(0o755))
-        for name, found in _walk(source.resolve(), ignored, self._leave_out, what):
-            status = _status(found, what, follow=False)
+            self._put_entry(path, Entry(0o755))
+        for name, found in _walk_folder(source.resolve(), ignored, self._leave_out, what):
+            status = _status_of(found, what, follow=False)
             if only is not None and not (stat.S_ISREG(status.st_mode) and found.name in only):
                 continue
             place = f"{path}/{name}" if path else name
             if stat.S_ISLNK(status.st_mode):
-                self._put(place, Entry(0o777, link=_link(found, name, what)))
+                self._put_entry(place, Entry(0o777, link=_read_link(found, name, what)))
             elif stat.S_ISDIR(status.st_mode):
-                self._put(place, Entry(0o755))
+                self._put_entry(place, Entry(0o755))
             elif stat.S_ISREG(status.st_mode):
-                self._put(place, _file(found, status))
+                self._put_entry(place, _file_entry(found, status))
             else:
                 raise InputError(f"{what}: {found} is neither file, folder nor link: leave it out with a .dockerignore")
 
@@ -141,7 +141,7 @@ class Context:
             elif entry.is_folder:
                 yield path, entry.mode, "folder"
             else:
-                with _opened(path, entry) as file:
+                with _open_content(path, entry) as file:
                     yield path, entry.mode, hashlib.file_digest(file, "sha256").hexdigest()
 
     def write_tar(self, target: IO[bytes]) -> None:
@@ -153,7 +153,7 @@ class Context:
         with tarfile.open(fileobj=target, mode="w", format=tarfile.GNU_FORMAT, errors="surrogateescape") as archive:
             for path, entry in sorted(self.entries.items()):
                 info = tarfile.TarInfo(path)
-                info.mode, info.mtime = entry.mode, MTIME
+                info.mode, info.mtime = entry.mode, FILE_TIME
                 if entry.link is not None:
                     info.type, info.linkname = tarfile.SYMTYPE, entry.link
                     archive.addfile(info)
@@ -162,8 +162,8 @@ class Context:
                     archive.addfile(info)
                 else:
                     info.size = entry.size
-                    with _opened(path, entry) as file:
-                        _add(archive, info, file)
+                    with _open_content(path, entry) as file:
+                        _add_to_archive(archive, info, file)
 
     def write_folder(self, folder: Path) -> None:
         """Write the context as a folder for ``docker build``.
@@ -184,19 +184,19 @@ class Context:
                 elif entry.is_folder:
                     target.mkdir(exist_ok=True)
                 else:
-                    with _opened(path, entry) as file:
+                    with _open_content(path, entry) as file:
                         write_atomically(target, file.read())
                     target.chmod(entry.mode)
         except OSError as error:
             raise InfrastructureError(f"{folder}: the context cannot be written: {error.strerror}") from error
 
-    def _put(self, path: str, entry: Entry) -> None:
+    def _put_entry(self, path: str, entry: Entry) -> None:
         self.entries[path] = entry
         self._bytes += entry.size
         if self._bytes > self._max_bytes:
             raise InputError(
-                f"the build context is larger than {self._max_bytes / 1e6:.0f} MB; the largest: {self._largest()}: "
-                "leave out what the image does not need, with a .dockerignore"
+                f"the build context is larger than {self._max_bytes / 1e6:.0f} MB; the largest: "
+                f"{self._describe_largest()}: leave out what the image does not need, with a .dockerignore"
             )
         if len(self.entries) > self._max_files:
             raise InputError(
@@ -204,7 +204,7 @@ class Context:
                 "leave out what the image does not need, with a .dockerignore"
             )
 
-    def _largest(self) -> str:
+    def _describe_largest(self) -> str:
         largest = sorted(self.entries.items(), key=lambda item: -item[1].size)[:3]
         return ", ".join(f"{entry.source or path} ({entry.size / 1e6:.0f} MB)" for path, entry in largest)
 
@@ -224,7 +224,7 @@ def read_ignore_file(path: Path) -> list[str]:
     return [line.strip() for line in lines if line.strip() and not line.startswith("#")]
 
 
-def _walk(root: Path, ignored: Ignored, leave_out: frozenset[Path], what: str) -> Iterator[tuple[str, Path]]:
+def _walk_folder(root: Path, ignored: Ignored, leave_out: frozenset[Path], what: str) -> Iterator[tuple[str, Path]]:
     """Yield the relative and full paths of a folder's content that is not ignored; links are not followed."""
     folders = [""]
     while folders:
@@ -245,7 +245,7 @@ def _walk(root: Path, ignored: Ignored, leave_out: frozenset[Path], what: str) -
                 folders.append(name)
 
 
-def _link(path: Path, name: str, what: str) -> str:
+def _read_link(path: Path, name: str, what: str) -> str:
     target = os.readlink(path)  # noqa: PTH115 (a Path would tidy what stands there)
     place = os.path.normpath(PurePosixPath(name).parent / target)
     if target.startswith("/") or place == ".." or place.startswith("../"):
@@ -253,11 +253,11 @@ def _link(path: Path, name: str, what: str) -> str:
     return target
 
 
-def _file(source: Path, status: os.stat_result) -> Entry:
+def _file_entry(source: Path, status: os.stat_result) -> Entry:
     return Entry(0o755 if status.st_mode & 0o111 else 0o644, status.st_size, source=source)
 
 
-def _status(path: Path, what: str, *, follow: bool = True) -> os.stat_result:
+def _status_of(path: Path, what: str, *, follow: bool = True) -> os.stat_result:
     try:
         return path.stat(follow_symlinks=follow)
     except (OSError, ValueError) as error:
@@ -265,7 +265,7 @@ def _status(path: Path, what: str, *, follow: bool = True) -> os.stat_result:
         raise InputError(f"{what}: {path} cannot be read: {reason}") from None
 
 
-def _opened(path: str, entry: Entry) -> BytesIO | BufferedReader:
+def _open_content(path: str, entry: Entry) -> BytesIO | BufferedReader:
     if entry.source is None:
         return BytesIO(entry.content or b"")
     try:
@@ -274,7 +274,7 @@ def _opened(path: str, entry: Entry) -> BytesIO | BufferedReader:
         raise InfrastructureError(f"{entry.source}: cannot be read for the build ({path}): {error.strerror}") from error
 
 
-def _add(archive: tarfile.TarFile, info: tarfile.TarInfo, file: IO[bytes]) -> None:
+def _add_to_archive(archive: tarfile.TarFile, info: tarfile.TarInfo, file: IO[bytes]) -> None:
     try:
         archive.addfile(info, file)
     except OSError as error:  # also raised by tarfile for a file that was truncated meanwhile

@@ -11,8 +11,8 @@ from calibration.ci.git.repository import Repository
 from calibration.ci.image.content_key import KEY_LABEL, SPECIFICATION_LABEL
 from calibration.ci.services import service_of
 
-SOURCE = "org.opencontainers.image.source"
-REVISION = "org.opencontainers.image.revision"
+SOURCE_LABEL = "org.opencontainers.image.source"
+REVISION_LABEL = "org.opencontainers.image.revision"
 
 
 def build_labels(
@@ -30,7 +30,7 @@ def build_labels(
             checkout = Repository.around(folder)
             source = source or checkout.origin() or ""
             revision = revision or checkout.head() or ""
-    found = {SOURCE: _without_login(source), REVISION: revision}
+    found = {SOURCE_LABEL: _without_login(source), REVISION_LABEL: revision}
     ours = {KEY_LABEL: key, SPECIFICATION_LABEL: specification}
     return {name: value for name, value in found.items() if value} | dict(user) | ours
 

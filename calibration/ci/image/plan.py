@@ -20,7 +20,7 @@ from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
 if TYPE_CHECKING:
     from docker import DockerClient
 
-MANIFESTS = frozenset({"package.xml", "CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE"})
+MANIFEST_NAMES = frozenset({"package.xml", "CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE"})
 """Files that describe the packages of a workspace; rosdep reads no others."""
 MAX_DOCKERFILE = 1024 * 1024
 
@@ -66,7 +66,7 @@ def make_plan(
     context = Context(leave_out)
     arguments, target = {}, None
     if isinstance(source, OwnDockerfile):
-        name, text = _own(source, context)
+        name, text = _add_own_dockerfile(source, context)
         found = bases_of(text, source.build_arguments)
         bases = tuple(find_base(client, base, login, ask_registry=ask_registry) for base in found.images)
         notes = tuple(f"only the builder can resolve {base}" for base in found.unresolved)
@@ -75,8 +75,8 @@ def make_plan(
     else:
         base = find_base(client, source.base, login, ask_registry=ask_registry)
         rendered = add_recipe(specification, context, base.digest)
-        name, text, buildkit = layout.DOCKERFILE, rendered.dockerfile, rendered.needs_buildkit
-        bases, notes = (base,), tuple(_moving(source))
+        name, text, buildkit = layout.DOCKERFILE_NAME, rendered.dockerfile, rendered.needs_buildkit
+        bases, notes = (base,), tuple(_moving_parts(source))
     platforms = specification.platforms or (_own_platform(client),)
     identities = {base.name: base.identity for base in bases}
     key = content_key(context, name, identities, platforms, arguments, target, specification.labels)
@@ -96,21 +96,21 @@ def add_recipe(specification: ImageSpecification, context: Context, base_digest:
         context.add_file(layout.requirements(number), file, "pip")
     for number, copied in enumerate(recipe.files):
         if copied.source.is_dir():
-            context.add_folder(layout.copied(number), copied.source, "files", _ignored(copied.source))
+            context.add_folder(layout.copied(number), copied.source, "files", _ignored_files(copied.source))
         else:
             context.add_file(layout.copied(number), copied.source, "files")
     for number, folder in enumerate(recipe.workspace.sources if recipe.workspace else ()):
-        ignored = _ignored(folder)
-        context.add_folder(layout.manifests(number), folder, "workspace.sources", ignored, only=MANIFESTS)
+        ignored = _ignored_files(folder)
+        context.add_folder(layout.manifests(number), folder, "workspace.sources", ignored, only=MANIFEST_NAMES)
         context.add_folder(layout.source(number), folder, "workspace.sources", ignored)
     rendered = render(specification, base_digest)
-    context.add_bytes(layout.DOCKERFILE, rendered.dockerfile.encode())
+    context.add_bytes(layout.DOCKERFILE_NAME, rendered.dockerfile.encode())
     if rendered.entrypoint is not None:
-        context.add_bytes(layout.ENTRYPOINT, rendered.entrypoint.encode(), executable=True)
+        context.add_bytes(layout.ENTRYPOINT_NAME, rendered.entrypoint.encode(), executable=True)
     return rendered
 
 
-def _own(source: OwnDockerfile, context: Context) -> tuple[str, str]:
+def _add_own_dockerfile(source: OwnDockerfile, context: Context) -> tuple[str, str]:
     """Add a user's Dockerfile and its context; return its path in the context, and its content."""
     data = read_bytes(source.file, MAX_DOCKERFILE, "a Dockerfile")
     try:
@@ -126,11 +126,11 @@ def _own(source: OwnDockerfile, context: Context) -> tuple[str, str]:
     return name, text
 
 
-def _ignored(folder: Path) -> Ignored:
+def _ignored_files(folder: Path) -> Ignored:
     return Ignored([*NO_SOURCES, *read_ignore_file(folder / ".dockerignore")])
 
 
-def _moving(recipe: Recipe) -> list[str]:
+def _moving_parts(recipe: Recipe) -> list[str]:
     repositories: Sequence[Repository] = recipe.workspace.repositories if recipe.workspace else ()
     return [
         f"{repository.url} is at {repository.version or 'its default branch'}, which may move: pin a commit"

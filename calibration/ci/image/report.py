@@ -7,8 +7,8 @@ from calibration.base.records import computed, field, result
 from calibration.ci.report import Code, Outcome, Report, Table, verdict_of
 from calibration.ci.workflow import Annotation, Runner
 
-TITLE = "build-image"
-_PLACES = {"local": "on the engine", "registry": "in the registry", None: ""}
+REPORT_TITLE = "build-image"
+_WORDS_OF_PLACE = {"local": "on the engine", "registry": "in the registry", None: ""}
 
 
 @result
@@ -57,9 +57,9 @@ def report(result: BuildResult, source: Path, runner: Runner) -> Report:
     lines = failure.lines if failure else ()
     annotated = "\n".join((*result.reasons, *(lines if runner.service.annotates_lines else ())))
     return Report(
-        title=TITLE,
+        title=REPORT_TITLE,
         verdict=verdict_of(failure is None),
-        sentence=_sentence(result),
+        sentence=_result_sentence(result),
         results=result,
         outputs={
             "reference": result.reference,
@@ -88,16 +88,18 @@ def report(result: BuildResult, source: Path, runner: Runner) -> Report:
                 only="summary",
             ),
         ),
-        suites={TITLE: [Outcome(name="image", group=TITLE, reasons=result.reasons, seconds=result.seconds)]},
+        suites={
+            REPORT_TITLE: [Outcome(name="image", group=REPORT_TITLE, reasons=result.reasons, seconds=result.seconds)]
+        },
     )
 
 
-def _sentence(result: BuildResult) -> str:
+def _result_sentence(result: BuildResult) -> str:
     if result.failure is not None:
         return result.failure.message
     names = ", ".join(result.promoted)
     if result.key is None:
         return f"{result.reference} is promoted to {names}"
-    how = "built" if result.built else f"unchanged, found {_PLACES[result.found_in]}"
+    how = "built" if result.built else f"unchanged, found {_WORDS_OF_PLACE[result.found_in]}"
     promoted = f", promoted to {names}" if names else ""
     return f"{result.reference}: {how}{promoted} ({result.seconds:.1f} s)"

@@ -14,7 +14,7 @@ from calibration.ci.workflow import Runner, add_mask
 
 MAX_BYTES = 500 * 1024
 """BuildKit's limit."""
-SHORTEST = 6
+MIN_SEARCHED_CHARACTERS = 6
 """Minimum length in characters to search for; a shorter secret may occur in a text by chance."""
 
 
@@ -63,7 +63,7 @@ def refuse_secrets_in(secrets: Iterable[SecretValue], places: Mapping[str, str])
     for secret in secrets:
         text = secret.text.strip()
         for place, content in places.items():
-            if len(text) >= SHORTEST and text in content:
+            if len(text) >= MIN_SEARCHED_CHARACTERS and text in content:
                 raise InputError(
                     f"secrets: {secret.id}: its value occurs in {place}, which everyone with the image can read: "
                     f"remove it, and let the command read /run/secrets/{secret.id}"

@@ -59,11 +59,11 @@ from calibration.ci.registries.reference import Reference, parse_reference
 
 DEFAULT_NAME = "calibration-image"
 """Name of images that are not for a registry."""
-LABELS = "ci.calibration."
+OWN_LABEL_PREFIX = "ci.calibration."
 """Prefix of our own labels."""
 
 
-def _text(check: Callable[[str, str], str], least: int = 0) -> Converted:
+def _checked_text(check: Callable[[str, str], str], least: int = 0) -> Converted:
     """Convert a text by a check of `user_text`."""
     return Converted(Annotated[str, length(least)] if least else str, lambda text, place: check(text, str(place)))
 
@@ -77,47 +77,47 @@ def _pip_item(text: str, place: Place) -> str | Path:
     return item
 
 
-def _shell(text: str, place: Place) -> str:
+def _check_command(text: str, place: Place) -> str:
     if not text.strip():
         raise place.fault("found a blank, a command was expected")
     return check_text(text, str(place))
 
 
-def _words(entry: str | tuple[str, ...], place: Place) -> tuple[str, ...]:
+def _entrypoint_words(entry: str | tuple[str, ...], place: Place) -> tuple[str, ...]:
     words = ("/bin/bash", "-c", entry) if isinstance(entry, str) else entry
     return tuple(check_text(word, str(place)) for word in words)
 
 
-def _reference(text: str, place: Place) -> Reference:
+def _parse_image(text: str, place: Place) -> Reference:
     try:
         return parse_reference(text)
     except InputError as error:
         raise place.fault(str(error)) from None
 
 
-def _name(text: str, place: Place) -> str:
-    reference = _reference(text, place)
+def _parse_name(text: str, place: Place) -> str:
+    reference = _parse_image(text, place)
     if reference.tag or reference.digest:
         raise place.fault(f"found {text!r}, a name without a tag was expected: write it under tags")
     return reference.name
 
 
-def _base(text: str, place: Place) -> str:
-    if (base := str(_reference(text, place))) == "scratch":
+def _parse_base(text: str, place: Place) -> str:
+    if (base := str(_parse_image(text, place))) == "scratch":
         raise place.fault("scratch has no programs to install with: name an image of Debian or Ubuntu")
     return base
 
 
-def _value(value: object, place: Place) -> str:
+def _label_text(value: object, place: Place) -> str:
     """Convert a value to text: numbers as written, booleans as ``true`` or ``false``."""
     text = {True: "true", False: "false"}[value] if isinstance(value, bool) else str(value)
     return check_line(text, str(place))
 
 
-Line = Annotated[str, _text(check_line)]
+Line = Annotated[str, _checked_text(check_line)]
 File = Annotated[Path, Converted(Annotated[Line, length(1)], lambda text, place: place.folder / text)]
 """A path, relative to the file that names it."""
-Value = Annotated[str, Converted(str | bool | int | float, _value)]
+Value = Annotated[str, Converted(str | bool | int | float, _label_text)]
 Tag = Annotated[str, matching("[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}", "a tag: letters, digits and _ . -")]
 Stage = Annotated[str, matching("[A-Za-z0-9][A-Za-z0-9_.-]*", "a name: letters, digits and _ . -")]
 Distro = Annotated[str, matching("[a-z][a-z0-9]*", "the name of a distribution such as noetic")]
@@ -134,8 +134,8 @@ Host = Annotated[
 Label = Annotated[
     str,
     matching(
-        rf"(?!{re.escape(LABELS)})[A-Za-z0-9]([A-Za-z0-9._/-]*[A-Za-z0-9])?",
-        f"letters, digits and . _ / -, not {LABELS} at its start: these are set by build-image",
+        rf"(?!{re.escape(OWN_LABEL_PREFIX)})[A-Za-z0-9]([A-Za-z0-9._/-]*[A-Za-z0-9])?",
+        f"letters, digits and . _ / -, not {OWN_LABEL_PREFIX} at its start: these are set by build-image",
     ),
 ]
 
@@ -191,11 +191,11 @@ class Workspace:
 class Recipe:
     """Additions to a base image, from which a Dockerfile is generated."""
 
-    base: Annotated[str, Converted(Annotated[str, length(1)], _base)] = field(
+    base: Annotated[str, Converted(Annotated[str, length(1)], _parse_base)] = field(
         "Base image, of Debian or Ubuntu; by default ros:<distro> if ros is given.", default=""
     )
     ros: Distro | None = field("A ROS distribution in /opt/ros that is sourced: noetic, humble, ...", default=None)
-    apt: tuple[Annotated[str, _text(package_name, 1)], ...] = field(
+    apt: tuple[Annotated[str, _checked_text(package_name, 1)], ...] = field(
         "Debian packages, optionally with =version.", default=()
     )
     pip_items: tuple[Annotated[str | Path, Converted(Annotated[str, length(1)], _pip_item)], ...] = field(
@@ -206,16 +206,16 @@ class Recipe:
         default_factory=dict,
     )
     files: tuple[CopiedFile, ...] = field("Files and folders to copy, before the commands.", default=())
-    commands: tuple[Annotated[str, Converted(str, _shell)], ...] = field(
+    commands: tuple[Annotated[str, Converted(str, _check_command)], ...] = field(
         "Shell (bash) commands, a step each, run by root before the workspace is built.", default=()
     )
     workspace: Workspace | None = field("A ROS workspace that is built into the image.", default=None)
-    entrypoint: tuple[Annotated[str, _text(check_text)], ...] = field(
+    entrypoint: tuple[Annotated[str, _checked_text(check_text)], ...] = field(
         "Lines of shell for the start of a container, after ROS and the workspace are sourced.", default=()
     )
     command: Annotated[
         tuple[str, ...],
-        Converted(Annotated[str, length(1)] | Annotated[tuple[str, ...], length(1)], _words),
+        Converted(Annotated[str, length(1)] | Annotated[tuple[str, ...], length(1)], _entrypoint_words),
     ] = field("Default command of a container: arguments, or a line for the shell.", default=())
     user: User = field("User that runs containers; created if the base does not have it.", default="robot")
 
@@ -277,7 +277,7 @@ class ImageSpecification:
     """An image, its registry, and how it is built."""
 
     source: Recipe | OwnDockerfile
-    name: Annotated[str, Converted(Annotated[str, length(1)], _name)] = field(
+    name: Annotated[str, Converted(Annotated[str, length(1)], _parse_name)] = field(
         "Name of the image with its registry, without a tag: ghcr.io/team/robot. Required to push.",
         default=DEFAULT_NAME,
     )
@@ -362,10 +362,10 @@ def parse_image_specification(entry: object, folder: Path, where: str) -> ImageS
         InputError: a key is invalid, or keys exclude each other; the message names the key.
     """
     if not isinstance(entry, dict) or "dockerfile" not in entry:
-        _refuse(entry, OwnDockerfile, f"{where}: {{}} needs dockerfile: it is for a Dockerfile of your own")
+        _refuse_other_keys(entry, OwnDockerfile, f"{where}: {{}} needs dockerfile: it is for a Dockerfile of your own")
         specification: ImageSpecification = read(RecipeImage, entry, where, folder)
     else:
-        _refuse(entry, Recipe, f"{where}: {{}} excludes dockerfile: write it in your Dockerfile")
+        _refuse_other_keys(entry, Recipe, f"{where}: {{}} excludes dockerfile: write it in your Dockerfile")
         specification = read(DockerfileImage, entry, where, folder)
     if specification.name == DEFAULT_NAME and (specification.push or specification.promote):
         raise InputError(f"{where}: name is not given: a registry's image needs one, such as ghcr.io/team/robot")
@@ -374,7 +374,7 @@ def parse_image_specification(entry: object, folder: Path, where: str) -> ImageS
     return specification
 
 
-def _refuse(entry: object, kind: type, message: str) -> None:
+def _refuse_other_keys(entry: object, kind: type, message: str) -> None:
     """Refuse the keys of the other kind of image."""
     for key in flat_fields(kind):
         if isinstance(entry, dict) and key in entry:

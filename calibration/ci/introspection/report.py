@@ -39,7 +39,7 @@ def report(tables: Sequence[TableResult]) -> Report:
             Lines(notes),
             Table(_CHECK_HEADER, tuple(_check_row(*each) for each in checks), title="What was checked", folded=True),
         ),
-        suites={table.file: [_outcome(table, check) for check in table.checks] for table in tables},
+        suites={table.file: [_outcome_of_rule(table, check) for check in table.checks] for table in tables},
     )
 
 
@@ -62,7 +62,7 @@ def _violation_row(violation: Violation) -> tuple[str, ...]:
     return violation.file, line, violation.column or "", violation.row, violation.found, violation.expected
 
 
-def _outcome(table: TableResult, check: RuleResult) -> Outcome:
+def _outcome_of_rule(table: TableResult, check: RuleResult) -> Outcome:
     lines = [
         f"{violation.file}:{violation.line or ''}{':' if violation.line else ''} {violation.message}"
         for violation in check.violations

@@ -14,7 +14,7 @@ from calibration.base.text import did_you_mean
 COLUMNS_KEY = "introspection_target_columns"
 """Key that distinguishes a Rigelfile from a rule set."""
 
-_NAMES = {
+_KEY_OF_LIMIT = {
     "validation_min": "every-min",
     "validation_max": "every-max",
     "acceptable_min": "min",
@@ -31,14 +31,14 @@ def find_columns(document: object, where: str) -> Mapping[str, Any] | None:
     Returns None if there are none, so that the document is not a Rigelfile. Raises :class:`InputError`
     if there is more than one.
     """
-    found = dict(_settings(document, (), set()))
+    found = dict(_find_settings(document, (), set()))
     if len(found) > 1:
         names = ", ".join(found)
         raise InputError(f"{where}: {names} all have {COLUMNS_KEY}: put the one to use in a file of its own")
     return next(iter(found.values()), None)
 
 
-def _settings(node: object, path: tuple[str, ...], seen: set[int]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _find_settings(node: object, path: tuple[str, ...], seen: set[int]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Return every mapping below a node that has the plugin's key, by its path.
 
     Nodes that YAML aliases repeat, or nest in themselves, are visited once.
@@ -49,7 +49,7 @@ def _settings(node: object, path: tuple[str, ...], seen: set[int]) -> Iterator[t
     if isinstance(node, Mapping) and COLUMNS_KEY in node:
         yield ".".join(path), node
     for key, value in node.items() if isinstance(node, Mapping) else enumerate(node):
-        yield from _settings(value, (*path, str(key)), seen)
+        yield from _find_settings(value, (*path, str(key)), seen)
 
 
 def translate(settings: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -69,18 +69,18 @@ def translate(settings: Mapping[str, Any], where: str) -> dict[str, Any]:
         if not isinstance(entry, Mapping) or len(entry) != 1 or not isinstance(next(iter(entry.values())), Mapping):
             raise InputError(f"{where}: {COLUMNS_KEY}: entry {number}: one column and its limits were expected")
         ((column, limits),) = entry.items()
-        rules.append(_rule(str(column), limits, f"{where}: {COLUMNS_KEY}: {column}"))
+        rules.append(_rule_of_column(str(column), limits, f"{where}: {COLUMNS_KEY}: {column}"))
     document: dict[str, Any] = {"rules": rules}
     if settings.get("file") is not None:
         document["file"] = settings["file"]
     return document
 
 
-def _rule(column: str, limits: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _rule_of_column(column: str, limits: Mapping[str, Any], where: str) -> dict[str, Any]:
     given = {key: value for key, value in limits.items() if value is not None}
     for key, value in given.items():
-        if key not in (*_NAMES, *_ROW_KEYS):
-            raise InputError(f"{where}: there is no key {key!r}{did_you_mean(str(key), (*_NAMES, *_ROW_KEYS))}")
+        if key not in (*_KEY_OF_LIMIT, *_ROW_KEYS):
+            raise InputError(f"{where}: there is no key {key!r}{did_you_mean(str(key), (*_KEY_OF_LIMIT, *_ROW_KEYS))}")
         if "{{" in str(value):
             raise InputError(f"{where}: {key}: only Rigel fills in {value!r}: write the value itself")
     latest, label = given.get("use_latest_row", False), given.get("value_row")
@@ -88,7 +88,7 @@ def _rule(column: str, limits: Mapping[str, Any], where: str) -> dict[str, Any]:
         raise InputError(f"{where}: use_latest_row: true or false was expected, found {latest!r}")
     if latest and label is not None:
         raise InputError(f"{where}: use_latest_row and value_row both choose a row: leave one out")
-    rule = {"column": column, **{_NAMES[key]: value for key, value in given.items() if key in _NAMES}}
+    rule = {"column": column, **{_KEY_OF_LIMIT[key]: value for key, value in given.items() if key in _KEY_OF_LIMIT}}
     if rule.keys() & {"min", "max", "contains", "does-not-contain"}:
         if not latest and label is None:
             raise InputError(f"{where}: the limits are for one row: choose it with value_row or use_latest_row")

@@ -8,7 +8,7 @@ from calibration.ci.pages.html import Html, element
 from calibration.ci.pages.svg import drawing, text
 
 LEFT, TOP, CELL, HIGH = 150.0, 8.0, 22.0, 24.0
-LARGEST = 120
+MAX_COLUMNS = 120
 """Maximum number of columns; above it, neighbours are merged into one that shows their maximum."""
 
 
@@ -22,7 +22,7 @@ def heat_map(title: str, rows: Sequence[str], columns: Sequence[str], values: Ar
         values: (R, C); NaN for missing values.
         unit: unit of the values.
     """
-    step = math.ceil(len(columns) / LARGEST)
+    step = math.ceil(len(columns) / MAX_COLUMNS)
     groups = [list(range(i, min(i + step, len(columns)))) for i in range(0, len(columns), step)]
     finite = [float(v) for v in values.ravel() if math.isfinite(v)]
     most = max(finite, default=1.0) or 1.0
@@ -30,7 +30,7 @@ def heat_map(title: str, rows: Sequence[str], columns: Sequence[str], values: Ar
     parts = []
     for r, name in enumerate(rows):
         y = TOP + r * HIGH
-        parts.append(text(LEFT - 8, y + HIGH * 0.68, _short(name), "end"))
+        parts.append(text(LEFT - 8, y + HIGH * 0.68, _short_name(name), "end"))
         for c, group in enumerate(groups):
             found = [float(values[r, i]) for i in group if math.isfinite(values[r, i])]
             if not found:
@@ -50,5 +50,5 @@ def heat_map(title: str, rows: Sequence[str], columns: Sequence[str], values: Ar
     return drawing(width, below + 20, f"{title}: at most {most:.3g} {unit}", *parts, *labels)
 
 
-def _short(name: str) -> str:
+def _short_name(name: str) -> str:
     return name if len(name) <= 20 else f"{name[:19]}…"

@@ -9,8 +9,8 @@ from calibration.ci.pages.html import Html, element
 from calibration.ci.pages.svg import Axis, drawing, path, text
 
 WIDTH, HEIGHT, MARGIN = 420.0, 200.0, 34.0
-BINS = 48
-SPAN = 5.0
+BIN_COUNT = 48
+HALF_WIDTH_IN_DEVIATIONS = 5.0
 """Half the width of the histogram, in standard deviations."""
 
 
@@ -25,7 +25,7 @@ def histogram(name: str, values: Array, sigma: float, unit: str) -> Html:
     """
     if not sigma > 0:
         sigma = float(np.std(values)) or 1.0
-    edges = np.linspace(-SPAN * sigma, SPAN * sigma, BINS + 1)
+    edges = np.linspace(-HALF_WIDTH_IN_DEVIATIONS * sigma, HALF_WIDTH_IN_DEVIATIONS * sigma, BIN_COUNT + 1)
     counts, _ = np.histogram(np.clip(values, edges[0], edges[-1]), edges)
     x = Axis(edges[0], edges[-1], MARGIN, WIDTH - 10)
     density = [

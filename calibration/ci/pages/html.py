@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from calibration.base.text import escape_markup
 
-VOID = frozenset(("br", "img", "meta", "line", "rect", "circle", "path", "polyline", "polygon", "ellipse"))
+VOID_ELEMENTS = frozenset(("br", "img", "meta", "line", "rect", "circle", "path", "polyline", "polygon", "ellipse"))
 """Elements without content."""
 
 
@@ -27,7 +27,7 @@ def element(tag: str, *children: str, **attributes: str | float | None) -> Html:
         for name, value in attributes.items()
         if value is not None
     )
-    if tag in VOID and not children:
+    if tag in VOID_ELEMENTS and not children:
         return Html(f"<{tag}{given}/>")
     return Html(f"<{tag}{given}>{join(children)}</{tag}>")
 

@@ -6,7 +6,7 @@ from calibration.base.arrays import Array
 from calibration.ci.pages.html import Html, element
 from calibration.ci.pages.svg import drawing
 
-WIDTH = 430.0
+FIGURE_WIDTH = 430.0
 """Width of the figure, px."""
 ARM = 3.0
 """Half the size of a cross, px of the figure."""
@@ -22,10 +22,10 @@ def overlay(title: str, jpeg: bytes | None, size: tuple[int, int], seen: Array, 
         seen: (n, 2), px, drawn as crosses.
         expected: (n, 2), px, drawn as circles.
     """
-    scale = WIDTH / size[0]
+    scale = FIGURE_WIDTH / size[0]
     height = size[1] * scale
     address = "" if jpeg is None else f"data:image/jpeg;base64,{b64encode(jpeg).decode('ascii')}"
-    picture = element("image", href=address, width=WIDTH, height=height) if address else Html("")
+    picture = element("image", href=address, width=FIGURE_WIDTH, height=height) if address else Html("")
     crosses = "".join(
         f"M{x - ARM:.1f} {y:.1f}h{2 * ARM:g}m-{ARM:g}-{ARM:g}v{2 * ARM:g}" for x, y in (seen * scale).tolist()
     )
@@ -34,11 +34,11 @@ def overlay(title: str, jpeg: bytes | None, size: tuple[int, int], seen: Array, 
         for x, y in (expected * scale).tolist()
     )
     return drawing(
-        WIDTH,
+        FIGURE_WIDTH,
         height,
         title,
         picture,
-        element("rect", x=0.5, y=0.5, width=WIDTH - 1, height=height - 1, class_="frame"),
+        element("rect", x=0.5, y=0.5, width=FIGURE_WIDTH - 1, height=height - 1, class_="frame"),
         element("path", d=circles, class_="expected"),
         element("path", d=crosses, class_="seen"),
     )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from calibration.ci.pages.html import Html, element, join
 
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
+_SECURITY_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
 """Content security policy: no external resources."""
 
 
@@ -16,7 +16,7 @@ def page(title: str, sections: list[Html]) -> str:
         [
             element("meta", charset="utf-8"),
             element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-            element("meta", http_equiv="Content-Security-Policy", content=_POLICY),
+            element("meta", http_equiv="Content-Security-Policy", content=_SECURITY_POLICY),
             element("title", title),
             Html(f"<style>\n{style}</style>"),
         ]

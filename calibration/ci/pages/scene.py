@@ -12,10 +12,10 @@ from calibration.base.arrays import Array
 from calibration.ci.pages.html import Html, element, join
 from calibration.ci.pages.svg import drawing, path
 
-WIDTH, HEIGHT = 900.0, 520.0
-FILLED = 0.92
+FIGURE_WIDTH, FIGURE_HEIGHT = 900.0, 520.0
+FILLED_FRACTION = 0.92
 """Initial size of the scene as a fraction of the figure."""
-TURN, TILT = math.radians(-35), math.radians(28)
+INITIAL_TURN, INITIAL_TILT = math.radians(-35), math.radians(28)
 """Initial direction of view."""
 
 
@@ -31,13 +31,13 @@ class Line:
     """Text beside it."""
 
 
-SIDES = tuple((x, y) for x, y in itertools.product((1, 0, -1), (0, -1, 1)) if (x, y) != (0, 0))
+LABEL_SIDES = tuple((x, y) for x, y in itertools.product((1, 0, -1), (0, -1, 1)) if (x, y) != (0, 0))
 """Where a label may stand beside the box around its line: to the right (1) or left (-1), below (1) or above (-1)."""
-GAPS = (5.0, 16.0, 32.0)
+LABEL_GAPS = (5.0, 16.0, 32.0)
 """px: distances of a label from that box."""
-LETTER, HIGH = 6.3, 12.0
+LETTER_WIDTH, LETTER_HEIGHT = 6.3, 12.0
 """px: estimated width of a label's character, and its height."""
-SAMPLED = 6.0
+SAMPLE_DISTANCE = 6.0
 """px: distance of the points of the drawing that a label avoids."""
 
 
@@ -51,26 +51,28 @@ def scene(lines: Sequence[Line], title: str) -> Html:
     everything = np.concatenate([line.points for line in lines]) if lines else np.zeros((1, 3))
     low, high = everything.min(axis=0), everything.max(axis=0)
     centre = (low + high) / 2
-    wide, tall = np.abs(_seen(everything - centre) - (WIDTH / 2, HEIGHT / 2)).max(axis=0).tolist()
-    radius = max(tall, wide * HEIGHT / WIDTH, 1e-3)
-    scale = FILLED * HEIGHT / 2 / radius
-    drawn = [_seen((line.points - centre) * scale) for line in lines]
-    places = _labels(lines, drawn)
+    wide, tall = (
+        np.abs(_project_points(everything - centre) - (FIGURE_WIDTH / 2, FIGURE_HEIGHT / 2)).max(axis=0).tolist()
+    )
+    radius = max(tall, wide * FIGURE_HEIGHT / FIGURE_WIDTH, 1e-3)
+    scale = FILLED_FRACTION * FIGURE_HEIGHT / 2 / radius
+    drawn = [_project_points((line.points - centre) * scale) for line in lines]
+    places = _place_labels(lines, drawn)
     pairs = zip(lines, drawn, strict=True)
     parts = [element("path", d=path(flat), class_=f"scene {line.class_}") for line, flat in pairs]
     for number, place in places.items():
         x, y = place.corner(drawn[number])
-        parts.append(element("text", lines[number].label, x=x, y=y + HIGH - 3, class_="small label"))
+        parts.append(element("text", lines[number].label, x=x, y=y + LETTER_HEIGHT - 3, class_="small label"))
     data = {
-        "centre": _rounded(centre),
+        "centre": _round_values(centre),
         "scale": round(scale, 4),
         "lines": [
-            {"p": _rounded(line.points.ravel()), "c": line.class_}
+            {"p": _round_values(line.points.ravel()), "c": line.class_}
             | ({"t": line.label, "s": places[i].side, "g": places[i].gap} if i in places else {})
             for i, line in enumerate(lines)
         ],
     }
-    still = drawing(WIDTH, HEIGHT, title, join(parts))
+    still = drawing(FIGURE_WIDTH, FIGURE_HEIGHT, title, join(parts))
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     return element(
         "div", still, element("script", Html(text), type="application/json"), class_="turning", data_title=title
@@ -88,52 +90,54 @@ class _Place:
 
     def corner(self, line: Array) -> tuple[float, float]:
         """Return the upper left corner of the label of a line (N, 2), px."""
-        low, high, size = line.min(axis=0), line.max(axis=0), np.array((self.width, HIGH))
+        low, high, size = line.min(axis=0), line.max(axis=0), np.array((self.width, LETTER_HEIGHT))
         side = np.array(self.side)
         beside = np.where(side > 0, high + self.gap, low - self.gap - size)
         x, y = np.where(side == 0, (low + high - size) / 2, beside).tolist()
         return x, y
 
 
-def _labels(lines: Sequence[Line], drawn: Sequence[Array]) -> dict[int, _Place]:
+def _place_labels(lines: Sequence[Line], drawn: Sequence[Array]) -> dict[int, _Place]:
     """Choose the place of each label, by the number of its line: where it covers least of the drawing and of others."""
-    avoided = np.concatenate([_sampled(flat) for flat in drawn]) if drawn else np.zeros((0, 2))
+    avoided = np.concatenate([_sample_line(flat) for flat in drawn]) if drawn else np.zeros((0, 2))
     found = {}
     for number, line in enumerate(lines):
         if not line.label:
             continue
-        places = [_Place(side, gap, LETTER * len(line.label)) for gap in GAPS for side in SIDES]
-        chosen = places[int(np.argmin([_covered(place, drawn[number], avoided) for place in places]))]
+        places = [_Place(side, gap, LETTER_WIDTH * len(line.label)) for gap in LABEL_GAPS for side in LABEL_SIDES]
+        chosen = places[int(np.argmin([_count_covered(place, drawn[number], avoided) for place in places]))]
         x, y = chosen.corner(drawn[number])
-        box = np.array([(x, y), (x + chosen.width, y), (x + chosen.width, y + HIGH), (x, y + HIGH), (x, y)])
-        avoided = np.concatenate([avoided, _sampled(box)])
+        box = np.array(
+            [(x, y), (x + chosen.width, y), (x + chosen.width, y + LETTER_HEIGHT), (x, y + LETTER_HEIGHT), (x, y)]
+        )
+        avoided = np.concatenate([avoided, _sample_line(box)])
         found[number] = chosen
     return found
 
 
-def _covered(place: _Place, line: Array, avoided: Array) -> int:
+def _count_covered(place: _Place, line: Array, avoided: Array) -> int:
     """Return how many points (N, 2) a label covers; one that leaves the figure covers more than any other."""
     corner = np.array(place.corner(line))
-    end = corner + np.array((place.width, HIGH))
-    if (corner < 0).any() or end[0] > WIDTH or end[1] > HEIGHT:
+    end = corner + np.array((place.width, LETTER_HEIGHT))
+    if (corner < 0).any() or end[0] > FIGURE_WIDTH or end[1] > FIGURE_HEIGHT:
         return len(avoided) + 1
     return int(((avoided > corner - 2) & (avoided < end + 2)).all(axis=-1).sum())
 
 
-def _sampled(line: Array) -> Array:
+def _sample_line(line: Array) -> Array:
     """Return points (M, 2) along a polyline (N, 2) at small distances."""
-    counts = np.maximum(1, np.ceil(np.linalg.norm(np.diff(line, axis=0), axis=-1) / SAMPLED).astype(int))
+    counts = np.maximum(1, np.ceil(np.linalg.norm(np.diff(line, axis=0), axis=-1) / SAMPLE_DISTANCE).astype(int))
     parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(line[:-1], line[1:], counts.tolist(), strict=True)]
     return np.concatenate([*parts, line[-1:]])
 
 
-def _seen(points: Array) -> Array:
+def _project_points(points: Array) -> Array:
     """Project points (N, 3) to the figure, (N, 2), px: parallel projection, from the front, right and above."""
-    x = math.cos(TURN) * points[:, 0] - math.sin(TURN) * points[:, 1]
-    y = math.sin(TURN) * points[:, 0] + math.cos(TURN) * points[:, 1]
-    up = math.cos(TILT) * points[:, 2] + math.sin(TILT) * y
-    return np.stack([WIDTH / 2 + x, HEIGHT / 2 - up], axis=-1)
+    x = math.cos(INITIAL_TURN) * points[:, 0] - math.sin(INITIAL_TURN) * points[:, 1]
+    y = math.sin(INITIAL_TURN) * points[:, 0] + math.cos(INITIAL_TURN) * points[:, 1]
+    up = math.cos(INITIAL_TILT) * points[:, 2] + math.sin(INITIAL_TILT) * y
+    return np.stack([FIGURE_WIDTH / 2 + x, FIGURE_HEIGHT / 2 - up], axis=-1)
 
 
-def _rounded(values: Array) -> list[float]:
+def _round_values(values: Array) -> list[float]:
     return [round(v, 4) + 0.0 for v in values.tolist()]

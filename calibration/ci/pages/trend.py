@@ -7,7 +7,7 @@ import numpy as np
 from calibration.ci.pages.html import Html, element
 from calibration.ci.pages.svg import Axis, drawing, path, text
 
-LONGEST = 18
+MAX_LABEL_CHARACTERS = 18
 """Maximum number of characters of a label below the chart."""
 WIDTH, HEIGHT, LEFT, MARGIN = 420.0, 170.0, 44.0, 26.0
 
@@ -38,7 +38,7 @@ def trend(name: str, labels: Sequence[str], values: Sequence[float], sigmas: Seq
     for (px, py), label, value in zip(points.tolist(), labels, values, strict=True):
         tooltip = element("title", f"{label}: {value:.3g} {unit}")
         parts.append(element("circle", tooltip, cx=px, cy=py, r=3.5, class_="bar"))
-    ends = [text(LEFT + 4, HEIGHT - 8, labels[0][:LONGEST], "start", "small")]
-    ends += [text(WIDTH - 4, HEIGHT - 8, labels[-1][:LONGEST], "end", "small")]
+    ends = [text(LEFT + 4, HEIGHT - 8, labels[0][:MAX_LABEL_CHARACTERS], "start", "small")]
+    ends += [text(WIDTH - 4, HEIGHT - 8, labels[-1][:MAX_LABEL_CHARACTERS], "end", "small")]
     title = f"{name}, {unit}, over {len(values)} accepted calibrations: last {values[-1]:.3g} {unit}"
     return drawing(WIDTH, HEIGHT, title, *parts, *(ends if len(labels) > 1 else ends[:1]))

@@ -11,8 +11,8 @@ from calibration.base.http import Http, is_loopback
 from calibration.base.text import one_line, shorten
 from calibration.ci.registries.credentials import Credentials
 
-_SCHEME = re.compile(r"(?:^|,)\s*(bearer|basic)\b", re.IGNORECASE)
-_PARAMETER = re.compile(r'([a-z_]+)\s*=\s*(?:"([^"]*)"|([^\s,"]+))', re.IGNORECASE)
+_SCHEME_NAME = re.compile(r"(?:^|,)\s*(bearer|basic)\b", re.IGNORECASE)
+_PARAMETER_TEXT = re.compile(r'([a-z_]+)\s*=\s*(?:"([^"]*)"|([^\s,"]+))', re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Challenge:
 
 def parse_challenge(header: str) -> Challenge | None:
     """Parse the header ``WWW-Authenticate``; None if it names no supported scheme."""
-    found = list(_SCHEME.finditer(header))
+    found = list(_SCHEME_NAME.finditer(header))
     for number, scheme in enumerate(found):
         end = found[number + 1].start() if number + 1 < len(found) else len(header)
-        values = {name.lower(): a or b for name, a, b in _PARAMETER.findall(header[scheme.end() : end])}
+        values = {name.lower(): a or b for name, a, b in _PARAMETER_TEXT.findall(header[scheme.end() : end])}
         if scheme[1].lower() == "basic":
             return Challenge(bearer=False)
         if values.get("realm"):

@@ -8,10 +8,15 @@ from calibration.base.records import field as declared
 from calibration.base.records import length, matching, needs, record
 
 VariableName = Annotated[str, matching("[A-Za-z_][A-Za-z0-9_]*", "the name of a variable")]
-_TOGETHER = "username and password-variable go together: found one of them"
+_ONLY_ONE_GIVEN = "username and password-variable go together: found one of them"
 
 
-@record(rules=(needs("username", "password-variable", _TOGETHER), needs("password-variable", "username", _TOGETHER)))
+@record(
+    rules=(
+        needs("username", "password-variable", _ONLY_ONE_GIVEN),
+        needs("password-variable", "username", _ONLY_ONE_GIVEN),
+    )
+)
 class RegistrySettings:
     """Login to a registry: the user, and the variable with the password, which is never in the settings."""
 

@@ -34,13 +34,15 @@ def registry_login(
     """
     settings = settings or RegistrySettings()
     registry = parse_reference(name).registry
-    credentials = _credentials(settings, name, registry, runner, os.environ if environment is None else environment)
+    credentials = _find_credentials(
+        settings, name, registry, runner, os.environ if environment is None else environment
+    )
     for secret in credentials.secrets:
         add_mask(runner, secret)
     return credentials
 
 
-def _credentials(
+def _find_credentials(
     settings: RegistrySettings, name: str, registry: str, runner: Runner, environment: Mapping[str, str]
 ) -> Credentials:
     if settings.username or settings.password_variable:

@@ -20,9 +20,9 @@ from calibration.ci.workflow.progress import Advance
 if TYPE_CHECKING:
     from docker import DockerClient
 
-LARGE = 50_000_000
+LARGE_LAYER_BYTES = 50_000_000
 """Bytes; the upload of larger layers is reported at each quarter."""
-_DONE = {"Pushed": "pushed", "Layer already exists": "is there already"}
+_WORDS_OF_DONE = {"Pushed": "pushed", "Layer already exists": "is there already"}
 
 
 class PushProgress:
@@ -40,19 +40,19 @@ class PushProgress:
         if self._advance is None or not layer:
             return
         known = self._layers.setdefault(layer, False)
-        done = next((word for start, word in _DONE.items() if status.startswith(start)), None)
+        done = next((word for start, word in _WORDS_OF_DONE.items() if status.startswith(start)), None)
         if status.startswith("Mounted from"):
             done = "is there already"
         if done is not None and not known:
             self._layers[layer] = True
             size = f" ({megabytes(self._sizes[layer])})" if layer in self._sizes else ""
-            self._say(f"layer {layer} {done}{size}", important=False)
+            self._report_line(f"layer {layer} {done}{size}", important=False)
         elif status == "Pushing":
-            self._pushing(layer, event.get("progressDetail"))
+            self._report_upload(layer, event.get("progressDetail"))
         elif status.startswith("Retrying in 1 second"):
-            self._say(f"layer {layer} is sent again", important=True)
+            self._report_line(f"layer {layer} is sent again", important=True)
 
-    def _pushing(self, layer: str, detail: object) -> None:
+    def _report_upload(self, layer: str, detail: object) -> None:
         if not isinstance(detail, Mapping):
             return
         current, total = detail.get("current"), detail.get("total")
@@ -60,11 +60,11 @@ class PushProgress:
             return
         self._sizes[layer] = total
         quarter = 4 * current // total if total else 0
-        if total >= LARGE and self._quarters.get(layer, 0) < quarter < 4:
+        if total >= LARGE_LAYER_BYTES and self._quarters.get(layer, 0) < quarter < 4:
             self._quarters[layer] = quarter
-            self._say(f"layer {layer}: {megabytes(current)} of {megabytes(total)}", important=True)
+            self._report_line(f"layer {layer}: {megabytes(current)} of {megabytes(total)}", important=True)
 
-    def _say(self, line: str, *, important: bool) -> None:
+    def _report_line(self, line: str, *, important: bool) -> None:
         if self._advance is not None:
             total = len(self._layers)
             self._advance(sum(self._layers.values()), total, shorten(one_line(line)), important=important)
@@ -75,17 +75,19 @@ def megabytes(size: int) -> str:
     return f"{size / 1e6:.1f} MB"
 
 
-ATTEMPTS = 4
+MAX_PUSH_ATTEMPTS = 4
 FIRST_PAUSE = 1.0
 """Seconds before the second attempt; doubled before each further one."""
 
-_DENIED = re.compile(
+_DENIED_MESSAGE = re.compile(
     r"denied|unauthorized|authentication required|no basic auth|incorrect username|forbidden|\b40[13]\b"
 )
-_UNKNOWN = re.compile(r"name unknown|name invalid|repository .*(does not exist|not found)|repository name not known")
+_UNKNOWN_NAME_MESSAGE = re.compile(
+    r"name unknown|name invalid|repository .*(does not exist|not found)|repository name not known"
+)
 _NOT_LOCAL = re.compile(r"does not exist locally|no such image")
 _HTTP_EXPECTED = re.compile(r"server gave http response to https client|x509|certificate")
-_PASSING = re.compile(
+_PASSING_MESSAGE = re.compile(
     r"reset|\beof\b|timeout|timed out|too ?many ?requests|refused|broken pipe|unavailable|unreachable|try again"
     r"|\b(429|5\d\d)\b|no such host|temporary failure|tls handshake|closed network connection"
 )
@@ -121,7 +123,7 @@ def push_image(
     """
     image = parse_reference(reference)
     wanted = [image.with_tag(tag) for tag in dict.fromkeys(tags) if tag != image.tag]
-    digest = _push(client, image, credentials, advance, pause)
+    digest = _push_with_retries(client, image, credentials, advance, pause)
     with RegistryClient(credentials, pause=pause) as registry:
         manifest = registry.read_manifest(image.with_digest(digest))
         if manifest is None or registry.find_manifest(image) != digest:
@@ -131,28 +133,28 @@ def push_image(
     return digest
 
 
-def _push(
+def _push_with_retries(
     client: "DockerClient",
     image: Reference,
     credentials: Credentials | None,
     advance: Advance | None,
     pause: Callable[[float], None],
 ) -> str:
-    for attempt in range(ATTEMPTS):
+    for attempt in range(MAX_PUSH_ATTEMPTS):
         try:
             return _push_once(client, image, credentials, advance)
         except _PassingError as error:
             problem = str(error)
-        if attempt + 1 < ATTEMPTS:
+        if attempt + 1 < MAX_PUSH_ATTEMPTS:
             pause(FIRST_PAUSE * 2**attempt)
-    raise InfrastructureError(f"{image}: the push failed: {problem} ({ATTEMPTS} attempts)")
+    raise InfrastructureError(f"{image}: the push failed: {problem} ({MAX_PUSH_ATTEMPTS} attempts)")
 
 
 def _push_once(
     client: "DockerClient", image: Reference, credentials: Credentials | None, advance: Advance | None
 ) -> str:
     shown, digest, problem = PushProgress(advance), "", ""
-    for event in _events(client, image, credentials):  # read to the end, to free the connection
+    for event in _push_events(client, image, credentials):  # read to the end, to free the connection
         detail = event.get("errorDetail")
         if detail is not None or "error" in event:
             reason = (detail.get("message") if isinstance(detail, Mapping) else None) or event.get("error")
@@ -162,13 +164,15 @@ def _push_once(
         if isinstance(aux, Mapping) and is_digest(str(aux.get("Digest", ""))):
             digest = str(aux["Digest"])
     if problem:
-        raise _error(problem, image, credentials)
+        raise _error_of_message(problem, image, credentials)
     if not digest:
         raise _PassingError("the engine ended without a digest")
     return digest
 
 
-def _events(client: "DockerClient", image: Reference, credentials: Credentials | None) -> Iterator[Mapping[str, Any]]:
+def _push_events(
+    client: "DockerClient", image: Reference, credentials: Credentials | None
+) -> Iterator[Mapping[str, Any]]:
     """Yield the engine's events during the push."""
     # Passed even if empty: otherwise docker-py would search for a login itself.
     login = {} if credentials is None else credentials.auth_config()
@@ -178,7 +182,7 @@ def _events(client: "DockerClient", image: Reference, credentials: Credentials |
             if isinstance(event, Mapping):
                 yield event
     except docker.errors.APIError as error:
-        raise _error(str(error.explanation or error), image, credentials) from None
+        raise _error_of_message(str(error.explanation or error), image, credentials) from None
     except (requests.RequestException, OSError, ValueError) as error:
         raise InfrastructureError(
             f"{image}: the engine broke off the push: {shorten(one_line(str(error)), 200)}"
@@ -189,20 +193,22 @@ class _PassingError(Exception):
     """A temporary failure, to be retried."""
 
 
-def _error(message: str, image: Reference, credentials: Credentials | None) -> CalibrationError | _PassingError:
+def _error_of_message(
+    message: str, image: Reference, credentials: Credentials | None
+) -> CalibrationError | _PassingError:
     """Return the error to raise for an error message of the engine."""
     message = shorten(one_line(redact(message, credentials.secrets if credentials else ())), 300)
     text = message.lower()
     if _NOT_LOCAL.search(text):
         return InputError(f"{image}: the engine has no such image to push")
-    if _UNKNOWN.search(text):
+    if _UNKNOWN_NAME_MESSAGE.search(text):
         hint = "check image.name; registry.create-repository: true creates it on ECR"
         return InputError(f"{image}: {image.registry} has no such repository ({message}): {hint}")
-    if _DENIED.search(text):
+    if _DENIED_MESSAGE.search(text):
         return denied(image, credentials, message)
     if _HTTP_EXPECTED.search(text):
         hint = "the engine has to trust it (its certificate, or insecure-registries in daemon.json)"
         return InputError(f"{image}: {image.registry} is not trusted by the engine ({message}): {hint}")
-    if _PASSING.search(text):
+    if _PASSING_MESSAGE.search(text):
         return _PassingError(message)
     return InfrastructureError(f"{image}: the push failed: {message}")

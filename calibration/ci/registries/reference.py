@@ -11,12 +11,12 @@ DOCKER_HUB = "docker.io"
 MAX_LENGTH = 255
 """Maximum length of registry and repository together, as in the Docker Engine."""
 
-_PART = r"[a-z0-9]+(?:(?:\.|__?|-+)[a-z0-9]+)*"
-_REPOSITORY = re.compile(rf"{_PART}(?:/{_PART})*")
-_LABEL = r"[A-Za-z0-9](?:[A-Za-z0-9-]*[A-Za-z0-9])?"
-_REGISTRY = re.compile(rf"(?:{_LABEL}(?:\.{_LABEL})*|\[[0-9A-Fa-f:.]+\])(?::[0-9]{{1,5}})?")
-_TAG = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
-_DIGEST = re.compile(r"sha256:[0-9a-f]{64}|sha512:[0-9a-f]{128}")
+_PATH_PART = r"[a-z0-9]+(?:(?:\.|__?|-+)[a-z0-9]+)*"
+_REPOSITORY_PATH = re.compile(rf"{_PATH_PART}(?:/{_PATH_PART})*")
+_HOST_LABEL = r"[A-Za-z0-9](?:[A-Za-z0-9-]*[A-Za-z0-9])?"
+_REGISTRY_HOST = re.compile(rf"(?:{_HOST_LABEL}(?:\.{_HOST_LABEL})*|\[[0-9A-Fa-f:.]+\])(?::[0-9]{{1,5}})?")
+_TAG_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
+_DIGEST_TEXT = re.compile(r"sha256:[0-9a-f]{64}|sha512:[0-9a-f]{128}")
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def parse_reference(text: str) -> Reference:
         InputError: the name is invalid; the message names the wrong part.
     """
     rest, at, digest = text.partition("@")
-    if at and not _DIGEST.fullmatch(digest):
+    if at and not _DIGEST_TEXT.fullmatch(digest):
         raise InputError(
             f"image {shorten(text)!r}: {shorten(digest)!r} is no digest (sha256: and 64 hexadecimal digits)"
         )
@@ -80,9 +80,9 @@ def parse_reference(text: str) -> Reference:
         host = DOCKER_HUB
     if host == DOCKER_HUB and "/" not in path:
         path = f"library/{path}"
-    if not _REGISTRY.fullmatch(host):
+    if not _REGISTRY_HOST.fullmatch(host):
         raise InputError(f"image {shorten(text)!r}: {shorten(host)!r} is no registry (a host, and a port where needed)")
-    if not _REPOSITORY.fullmatch(path):
+    if not _REPOSITORY_PATH.fullmatch(path):
         expected = "lower-case letters, digits, and single . _ - between them"
         raise InputError(f"image {shorten(text)!r}: {shorten(path)!r} is no repository ({expected})")
     if len(host) + 1 + len(path) > MAX_LENGTH:
@@ -96,7 +96,7 @@ def check_tag(tag: str) -> str:
     Raises:
         InputError: the tag is invalid.
     """
-    if not _TAG.fullmatch(tag):
+    if not _TAG_NAME.fullmatch(tag):
         expected = "1 to 128 letters, digits, _ . -, the first no . or -"
         raise InputError(f"found the tag {shorten(tag)!r}, expected {expected}")
     return tag
@@ -104,7 +104,7 @@ def check_tag(tag: str) -> str:
 
 def is_digest(text: str) -> bool:
     """Whether a text is a digest: ``sha256:`` and 64 hexadecimal digits, or the same of sha512."""
-    return _DIGEST.fullmatch(text) is not None
+    return _DIGEST_TEXT.fullmatch(text) is not None
 
 
 def _looks_like_a_host(text: str) -> bool:

@@ -29,7 +29,7 @@ MEDIA_TYPES = (
 )
 """Manifests of images for one platform, and indexes of images for several platforms."""
 MAX_TAGS = 10_000
-_DENIED = (401, 403)
+_DENIED_STATUSES = (401, 403)
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class RegistryClient:
     ) -> None:
         """Open a session; ``pause`` and ``timeouts`` are those of `Http`."""
         secrets = credentials.secrets if credentials else ()
-        self._http = Http(secrets, address="the image's name", explain=_errors, pause=pause, timeouts=timeouts)
+        self._http = Http(secrets, address="the image's name", explain=_error_messages, pause=pause, timeouts=timeouts)
         self._credentials = credentials
         self._authorizations: dict[tuple[str, str, bool], str] = {}
 
@@ -76,9 +76,9 @@ class RegistryClient:
             InputError: the user has no access.
             InfrastructureError: the registry cannot be reached, or gives an invalid answer.
         """
-        reference = _parsed(reference)
-        answer = self._request(
-            "HEAD", reference, f"manifests/{_version(reference)}", {"Accept": ", ".join(MEDIA_TYPES)}
+        reference = _as_reference(reference)
+        answer = self._request_with_login(
+            "HEAD", reference, f"manifests/{_tag_or_digest(reference)}", {"Accept": ", ".join(MEDIA_TYPES)}
         )
         if self._is_missing(answer, reference):
             return None
@@ -97,8 +97,10 @@ class RegistryClient:
             InputError: the user has no access, or the manifest has an obsolete format.
             InfrastructureError: the registry cannot be reached, or the manifest does not match its digest.
         """
-        reference = _parsed(reference)
-        answer = self._request("GET", reference, f"manifests/{_version(reference)}", {"Accept": ", ".join(MEDIA_TYPES)})
+        reference = _as_reference(reference)
+        answer = self._request_with_login(
+            "GET", reference, f"manifests/{_tag_or_digest(reference)}", {"Accept": ", ".join(MEDIA_TYPES)}
+        )
         if self._is_missing(answer, reference):
             return None
         media_type = answer.content_type
@@ -120,11 +122,13 @@ class RegistryClient:
             InputError: access is denied, or the registry refuses the manifest.
             InfrastructureError: the registry cannot be reached, or stores another digest.
         """
-        reference = _parsed(reference)
+        reference = _as_reference(reference)
         headers = {"Content-Type": manifest.media_type}
-        answer = self._request("PUT", reference, f"manifests/{_version(reference)}", headers, manifest.content)
-        if answer.status in _DENIED:
-            raise self._denied(answer, reference)
+        answer = self._request_with_login(
+            "PUT", reference, f"manifests/{_tag_or_digest(reference)}", headers, manifest.content
+        )
+        if answer.status in _DENIED_STATUSES:
+            raise self._denied_error(answer, reference)
         if answer.status not in (200, 201):
             message = f"{reference}: the registry refuses it: {answer.status}{self._http.quote(answer.body)}"
             raise InputError(message) if 400 <= answer.status < 500 else InfrastructureError(message)
@@ -139,11 +143,13 @@ class RegistryClient:
             InputError: the user has no access, or there are more than :data:`MAX_TAGS`.
             InfrastructureError: the registry cannot be reached, or gives an invalid answer.
         """
-        reference = replace(_parsed(reference), tag=None, digest=None)
+        reference = replace(_as_reference(reference), tag=None, digest=None)
         found: list[str] = []
         while len(found) <= MAX_TAGS:
             last = f"&last={quote(found[-1], safe='')}" if found else ""
-            answer = self._request("GET", reference, f"tags/list?n=1000{last}", {"Accept": "application/json"})
+            answer = self._request_with_login(
+                "GET", reference, f"tags/list?n=1000{last}", {"Accept": "application/json"}
+            )
             if self._is_missing(answer, reference):
                 return found
             try:
@@ -157,7 +163,7 @@ class RegistryClient:
                 return found
         raise InputError(f"{reference}: there are more than {MAX_TAGS} tags")
 
-    def _request(
+    def _request_with_login(
         self, method: str, reference: Reference, path: str, headers: dict[str, str], body: bytes | None = None
     ) -> Answer:
         """Send a request, and repeat it with credentials if the registry asks for them."""
@@ -196,17 +202,17 @@ class RegistryClient:
             return False
         if answer.status == 404:
             return True
-        if answer.status in _DENIED:
+        if answer.status in _DENIED_STATUSES:
             if self._is_nobody(reference):
                 return True
-            raise self._denied(answer, reference)
+            raise self._denied_error(answer, reference)
         raise InfrastructureError(f"{reference}: the registry answers {answer.status}{self._http.quote(answer.body)}")
 
     def _is_nobody(self, reference: Reference) -> bool:
         own = self._credentials
         return own is None or own.anonymous or own.registry != reference.registry
 
-    def _denied(self, answer: Answer, reference: Reference) -> InputError:
+    def _denied_error(self, answer: Answer, reference: Reference) -> InputError:
         return denied(reference, self._credentials, f"{answer.status}{self._http.quote(answer.body)}")
 
 
@@ -219,7 +225,7 @@ def denied(reference: Reference, credentials: Credentials | None, message: str) 
     return InputError(f"{reference}: {reference.registry} denies access ({message}); {who}")
 
 
-def _errors(body: bytes) -> str:
+def _error_messages(body: bytes) -> str:
     """Return the error messages in a registry's answer; empty if it has another form."""
     try:
         return "; ".join(f"{error['code']}: {error.get('message') or ''}" for error in json.loads(body)["errors"][:3])
@@ -227,9 +233,9 @@ def _errors(body: bytes) -> str:
         return ""
 
 
-def _parsed(reference: Reference | str) -> Reference:
+def _as_reference(reference: Reference | str) -> Reference:
     return parse_reference(reference) if isinstance(reference, str) else reference
 
 
-def _version(reference: Reference) -> str:
+def _tag_or_digest(reference: Reference) -> str:
     return reference.digest or reference.tag or "latest"

@@ -3,14 +3,14 @@
 from calibration.base.text import escape_markup
 from calibration.base.verdict import Verdict
 
-FILE = "badge.svg"
+BADGE_FILE = "badge.svg"
 GOOD, FAIR, BAD, NONE = "#3a7d1e", "#946200", "#b3261e", "#6b6b6b"
 """Dark enough for white text (contrast ratio at least 4.5)."""
 
 
 def drawn_badge(label: str, text: str, colour: str) -> str:
     """Return a badge as SVG: a label, and a text on a coloured background."""
-    left, right = _width(label), _width(text)
+    left, right = _text_width(label), _text_width(text)
     whole, label, text = left + right, escape_markup(label), escape_markup(text)
     return f"""<svg xmlns="http://www.w3.org/2000/svg" width="{whole}" height="20" role="img">
 <title>{label}: {text}</title>
@@ -28,5 +28,5 @@ def verdict_badge(label: str, verdict: Verdict) -> str:
     return drawn_badge(label, verdict, {"pass": GOOD, "undecided": FAIR, "fail": BAD}[verdict])
 
 
-def _width(text: str) -> int:
+def _text_width(text: str) -> int:
     return 10 + 7 * len(text)

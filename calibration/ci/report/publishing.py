@@ -15,9 +15,9 @@ from calibration.ci.workflow.runner import Runner
 from calibration.ci.workflow.step import add_summary, annotate, set_outputs, stop_commands
 from calibration.ci.workflow.step_files import OutputValue
 
-MOST_CHARACTERS = 100_000
+MAX_OUTPUT_CHARACTERS = 100_000
 """Limit of an output that is a list or a mapping: as an environment variable of a later step it may have 128 KiB."""
-_PATHS = {"results": RESULTS_FILE, "summary": SUMMARY_FILE}
+_FILE_OF_OUTPUT = {"results": RESULTS_FILE, "summary": SUMMARY_FILE}
 """Outputs that are paths of files, empty if no files are written."""
 
 
@@ -33,20 +33,20 @@ def publish(report: Report, runner: Runner, folder: Path | None = None) -> None:
 
 def show(report: Report, runner: Runner, folder: Path | None = None) -> None:
     """Show a report whose files are already written, as :func:`publish` does."""
-    outputs, notes = _bounded(report.outputs)
+    outputs, notes = _bound_outputs(report.outputs)
     report = replace(report, notes=(*report.notes, *notes))
     if text := report.log():
         with stop_commands(runner):  # names and cells are untrusted text
             runner.log(f"{text}\n")
     annotate(runner, report.all_annotations())
     add_summary(runner, report.markdown())
-    paths = {name: "" if folder is None else folder / file for name, file in _PATHS.items()}
+    paths = {name: "" if folder is None else folder / file for name, file in _FILE_OF_OUTPUT.items()}
     set_outputs(runner, {"verdict": report.verdict, **paths, **outputs})
     place = "" if folder is None else f" ({folder / RESULTS_FILE})"
     runner.log(one_line(f"{report.line}{place}"))
 
 
-def _bounded(outputs: Mapping[str, OutputValue | None]) -> tuple[dict[str, OutputValue], list[str]]:
+def _bound_outputs(outputs: Mapping[str, OutputValue | None]) -> tuple[dict[str, OutputValue], list[str]]:
     """Truncate outputs that are lists or mappings to the limit; return them, and a note for each truncated one."""
     bounded: dict[str, OutputValue] = {name: "" if value is None else value for name, value in outputs.items()}
     notes = []
@@ -55,7 +55,7 @@ def _bounded(outputs: Mapping[str, OutputValue | None]) -> tuple[dict[str, Outpu
             continue
         entries = list(value.items()) if isinstance(value, dict) else list(value)
         sizes = accumulate(len(json.dumps(entry)) + 2 for entry in entries)
-        fit = sum(1 for _ in takewhile(lambda size: size < MOST_CHARACTERS, sizes))
+        fit = sum(1 for _ in takewhile(lambda size: size < MAX_OUTPUT_CHARACTERS, sizes))
         if fit < len(entries):
             bounded[name] = dict(entries[:fit]) if isinstance(value, dict) else entries[:fit]
             notes.append(f"output {name}: has the first {fit} of {len(entries)} entries; all are in {RESULTS_FILE}")

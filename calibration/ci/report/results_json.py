@@ -15,7 +15,7 @@ _Record = TypeVar("_Record")
 RESULTS_FILE = "results.json"
 SCHEMA_NUMBER: Literal[1] = 1
 """Version of the format of results.json. Keys may be added; renaming one requires a new number."""
-MOST_BYTES = 64 * 1024**2
+MAX_RESULTS_BYTES = 64 * 1024**2
 """Size limit of a results file that is read."""
 
 
@@ -51,7 +51,7 @@ def read_results_file(kind: type[_Record], path: Path, command: str) -> tuple[_R
         InputError: it cannot be read, has another schema number, or a value has a wrong type.
     """
     try:
-        document = parse_json(read_bytes(path, MOST_BYTES, f"results of {command}"))
+        document = parse_json(read_bytes(path, MAX_RESULTS_BYTES, f"results of {command}"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: this is not a results file: {error}") from None
     if isinstance(document, dict) and (found := document.get("schema", SCHEMA_NUMBER)) != SCHEMA_NUMBER:

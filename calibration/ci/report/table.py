@@ -27,11 +27,11 @@ class Table(Block):
 
     def plain(self) -> str:
         """Return the table with aligned columns."""
-        return "\n\n".join(aligned(part.columns, part._shown()) for part in self.parts() if part.rows)
+        return "\n\n".join(aligned(part.columns, part._shown_rows()) for part in self.parts() if part.rows)
 
     def markdown(self) -> str:
         """Return a Markdown table."""
-        return markdown_table(self.columns, self._shown()) if self.rows else ""
+        return markdown_table(self.columns, self._shown_rows()) if self.rows else ""
 
     def csv(self) -> str:
         r"""Return the table as CSV; lines end in ``\n``."""
@@ -48,7 +48,7 @@ class Table(Block):
             parts.append(Table((self.columns[0], *self.columns[side]), rows, self.most_rows, self.rest))
         return parts
 
-    def _shown(self) -> tuple[tuple[str, ...], ...]:
+    def _shown_rows(self) -> tuple[tuple[str, ...], ...]:
         labels = cut([row[0] for row in self.rows], self.most_rows, self.rest)
         more = ((labels[-1], *[""] * (len(self.columns) - 1)),) if len(self.rows) > self.most_rows else ()
         return (*self.rows[: self.most_rows], *more)

@@ -25,7 +25,7 @@ def append_outputs(path: Path | None, values: Mapping[str, OutputValue]) -> None
         ValueError: GitHub rejects a name, or a number is not finite.
         InfrastructureError: the file cannot be written.
     """
-    lines = "".join(_assignment(name, _output_text(value)) for name, value in values.items())
+    lines = "".join(_format_assignment(name, _output_text(value)) for name, value in values.items())
     if path is None:
         return
     try:
@@ -57,7 +57,7 @@ def _output_text(value: OutputValue) -> str:
     return json.dumps(value, allow_nan=False)
 
 
-def _assignment(name: str, value: str) -> str:
+def _format_assignment(name: str, value: str) -> str:
     if not _OUTPUT_NAME.fullmatch(name):
         raise ValueError(f"{name!r} is not the name of an output")
     if "\n" not in value and "\r" not in value:

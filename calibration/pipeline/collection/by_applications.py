@@ -17,7 +17,7 @@ from calibration.base.json_file import parse_json
 from calibration.base.temporary_folder import temporary_folder
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import Job
-from calibration.ci.execution.job_folder import ARTIFACTS, LOGS
+from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER, LOGS_FOLDER
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.engine.dataset import truth
@@ -146,11 +146,11 @@ def write_inputs(folder: Path, plan: ApplicationPlan) -> Path | None:
 def _keep_logs(outcome: JobOutcome, output: Path) -> None:
     """Keep the containers' logs beside the dataset, and remove those of an earlier collection."""
     try:
-        shutil.rmtree(output / LOGS, ignore_errors=True)
-        if (outcome.folder / LOGS).is_dir():
-            shutil.move(outcome.folder / LOGS, output / LOGS)
+        shutil.rmtree(output / LOGS_FOLDER, ignore_errors=True)
+        if (outcome.folder / LOGS_FOLDER).is_dir():
+            shutil.move(outcome.folder / LOGS_FOLDER, output / LOGS_FOLDER)
     except OSError as error:
-        raise InfrastructureError(f"{output / LOGS}: cannot be written: {error.strerror or error}") from error
+        raise InfrastructureError(f"{output / LOGS_FOLDER}: cannot be written: {error.strerror or error}") from error
 
 
 def judged(plan: ApplicationPlan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
@@ -171,7 +171,7 @@ def _results_of_output(plan: ApplicationPlan, outcome: JobOutcome, scenario: int
     if outcome.exit_code in (ExitCode.BAD_INPUT, ExitCode.INFRASTRUCTURE):
         error = outcome.exit_code
     if outcome.exit_code == ExitCode.PASS:
-        brought = outcome.folder / ARTIFACTS / plan.dataset_name(scenario)
+        brought = outcome.folder / ARTIFACTS_FOLDER / plan.dataset_name(scenario)
         try:
             dataset = read_dataset(brought)
             records = _records_of_poses(dataset, _read_player_report(outcome))
@@ -232,7 +232,7 @@ def _read_player_report(outcome: JobOutcome) -> list[dict[str, Any]]:
     Raises:
         InputError: it is invalid; a container may have written it.
     """
-    path = outcome.folder / ARTIFACTS / PurePosixPath(REPORT_PATH).name
+    path = outcome.folder / ARTIFACTS_FOLDER / PurePosixPath(REPORT_PATH).name
     if not path.exists():
         return []
     try:

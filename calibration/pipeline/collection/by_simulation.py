@@ -19,7 +19,7 @@ from calibration.base.records import read, text_of
 from calibration.base.temporary_folder import temporary_folder
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Mount
-from calibration.ci.execution.job_folder import ARTIFACTS, LOGS
+from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER, LOGS_FOLDER
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.tasks import run_tasks
 from calibration.ci.execution.workspace import identity, workspace
@@ -256,7 +256,7 @@ class SimulatedScenarios(Scenarios):
         if outcome.exit_code != ExitCode.PASS:
             error = None if outcome.exit_code == ExitCode.FAIL else outcome.exit_code
             return Judged(replace(known, reasons=outcome.reasons), error, complete=False)
-        brought = outcome.folder / ARTIFACTS / DATASET_FOLDER
+        brought = outcome.folder / ARTIFACTS_FOLDER / DATASET_FOLDER
         try:
             if not (brought / SCENARIO_FILE).exists():
                 raise InputError(f"the image left no {SCENARIO_FILE} (it needs calibration-ci){_last_line(outcome)}")
@@ -279,7 +279,7 @@ def _scenario_result_from(text: bytes) -> ScenarioResult:
 def _last_line(outcome: JobOutcome) -> str:
     """Return the last line of the container's log, for messages; empty if there is none."""
     try:
-        with (outcome.folder / LOGS / f"{CONTAINER_NAME}.log").open("rb") as log:
+        with (outcome.folder / LOGS_FOLDER / f"{CONTAINER_NAME}.log").open("rb") as log:
             log.seek(max(0, log.seek(0, 2) - _LOG_TAIL_BYTES))
             lines = log.read(_LOG_TAIL_BYTES).decode("utf-8", "replace").splitlines()
     except OSError:

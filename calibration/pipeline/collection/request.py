@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from calibration.base.records import Converted, Place, at_least, between, field, needs, one_of, record
-from calibration.ci.execution.backends import CONTAINERS, BackendName, ContainerBackend, ExecutionTarget
+from calibration.ci.execution.backends import CONTAINER_BACKENDS, BackendName, ContainerBackend, ExecutionTarget
 from calibration.engine.diagnosis.limits import Limit
 from calibration.pipeline.collection.applications import DEFAULT_SECONDS, Applications, checked_applications
 from calibration.pipeline.system import Text, Truth
@@ -128,9 +128,9 @@ class CollectionRequest:
         """
         contained = bool(self.applications.containers)
         found: BackendName = self.backend or (backend if contained else "embedded")
-        if (found in CONTAINERS) != contained:
+        if (found in CONTAINER_BACKENDS) != contained:
             raise place.below("backend").fault(
-                f"found {found}; containers run with {' or '.join(CONTAINERS)}, and these need containers"
+                f"found {found}; containers run with {' or '.join(CONTAINER_BACKENDS)}, and these need containers"
             )
         applications = checked_applications(self.applications, place) if contained else self.applications
         return replace(self, applications=applications, backend=found)

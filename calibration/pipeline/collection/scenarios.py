@@ -20,7 +20,7 @@ from calibration.base.temporary_folder import temporary_folder
 from calibration.base.text import one_line
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.job import Job
-from calibration.ci.execution.job_folder import LOGS
+from calibration.ci.execution.job_folder import LOGS_FOLDER
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.pipeline.collection.scenario_report import REPORT_FILES
@@ -157,7 +157,7 @@ class ScenarioFolder:
             for name in REPORT_FILES:
                 (self.output / name).unlink(missing_ok=True)
             if not self.resume:
-                for folder in (place, self.output / LOGS):
+                for folder in (place, self.output / LOGS_FOLDER):
                     if folder.exists():
                         shutil.rmtree(folder)
         except OSError as error:
@@ -192,7 +192,7 @@ class ScenarioFolder:
         name = scenarios.pending[number].id
         try:
             judged = scenarios.judge(number, outcome, new)
-            _move_folder(outcome.folder / LOGS, self.output / LOGS / name)
+            _move_folder(outcome.folder / LOGS_FOLDER, self.output / LOGS_FOLDER / name)
             if judged.complete:
                 write_scenario(judged.result, scenarios.stillness, new)
                 _move_folder(new, self.output / SCENARIOS_FOLDER / name)

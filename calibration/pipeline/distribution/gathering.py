@@ -9,7 +9,7 @@ from calibration.base.errors import ExitCode, InputError, brief
 from calibration.base.records import result
 from calibration.base.text import one_line
 from calibration.ci.report import RESULTS_FILE, Report, Text, Verdict, reasons_in, verdict_of
-from calibration.ci.report.badge import FILE as BADGE
+from calibration.ci.report.badge import BADGE_FILE as BADGE
 from calibration.ci.report.badge import verdict_badge
 from calibration.pipeline.distribution.jobs import JOB_SUCCESS, Cost, Needs, jobs_table, money
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, WorkflowPlan

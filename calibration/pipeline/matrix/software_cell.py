@@ -13,7 +13,7 @@ from calibration.base.tables.selection import KeyedTable, LabelledRow
 from calibration.base.tables.table import read_table
 from calibration.base.temporary_folder import temporary_folder
 from calibration.ci.execution.job import OUTPUT, Job, Mount
-from calibration.ci.execution.job_folder import ARTIFACTS
+from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.tasks import Task
 from calibration.engine.baseline.calibration_document import SoftwareStart
@@ -132,7 +132,7 @@ def software_result(
     folder = outcome.folder.relative_to(output)
     paths = [file.path for file in outcome.artifacts]
     try:
-        result = _with_table(result, software, folder / ARTIFACTS, paths, output)
+        result = _with_table(result, software, folder / ARTIFACTS_FOLDER, paths, output)
         if software.leaves_dataset:
             result = _with_dataset(result, cell, system, software, folder, paths, output)
         else:
@@ -162,7 +162,7 @@ def _with_dataset(
 ) -> CellResult:
     """Return the result by the calibrated dataset and the table; without a table, by the dataset's own."""
     try:
-        path = folder / ARTIFACTS / str(_only_artifact(paths, software.calibrated, "calibrated", required=True))
+        path = folder / ARTIFACTS_FOLDER / str(_only_artifact(paths, software.calibrated, "calibrated", required=True))
     except InputError as error:
         raise InputError(
             f"{error}: its calibrated dataset (or say calibrated: {NO_DATASET}, to believe its table)"

@@ -35,7 +35,7 @@ def test_files_of_which_git_tells_no_lines(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="needs prlimit")
 def test_the_memory_of_git_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The attribute ``diff`` makes text of a file of any size: 60 MB of line breaks took 2.4 GB."""
-    monkeypatch.setattr("calibration.ci.git.repository.MEMORY", 200 * 1024**2)
+    monkeypatch.setattr("calibration.ci.git.repository.MAX_MEMORY_BYTES", 200 * 1024**2)
     base = commit(tmp_path, {"large.txt": "1\n", ".gitattributes": "* diff\n"})
     commit(tmp_path, {"large.txt": "\n" * 11_000_000})
     with pytest.raises(InfrastructureError, match=r"git diff .*: Out of memory"):

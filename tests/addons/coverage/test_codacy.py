@@ -21,7 +21,7 @@ from calibration.addons.coverage.codacy import (
 )
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.http import ATTEMPTS, FIRST_PAUSE, MAX_BYTES, Http, Timeouts
+from calibration.base.http import FIRST_PAUSE, MAX_ATTEMPTS, MAX_BYTES, Http, Timeouts
 from tests.docker_engine import wait_until
 
 from . import projects
@@ -205,7 +205,7 @@ def test_what_does_not_pass(server: projects.Codacy, status: int, body: str, sai
     with pytest.raises(InfrastructureError) as failed:
         tell(codacy)
     assert said in str(failed.value)
-    assert len(server.asked) == ATTEMPTS == 4
+    assert len(server.asked) == MAX_ATTEMPTS == 4
     assert pauses == [0.5, 1.0, 2.0]
 
 

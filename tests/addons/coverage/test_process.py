@@ -65,7 +65,7 @@ def test_what_it_leaves_behind_is_ended(tmp_path: Path) -> None:
 
 
 def test_it_may_not_take_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.base.programs.GRACE", 0.2)  # it ignores SIGTERM
+    monkeypatch.setattr("calibration.base.programs.STOP_SECONDS", 0.2)  # it ignores SIGTERM
     output = bytearray()
     with pytest.raises(InfrastructureError, match=r"the tests took longer than 1.5 s \(timeout\) and were stopped"):
         run([sys.executable, "-c", STUBBORN], tmp_path, dict(os.environ), 1.5, output.extend)

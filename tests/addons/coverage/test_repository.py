@@ -38,7 +38,7 @@ def test_git_that_takes_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     (tmp_path / "git").write_text("#!/bin/sh\nexec sleep 30\n")
     (tmp_path / "git").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    monkeypatch.setattr(repository, "SECONDS", 0.3)
+    monkeypatch.setattr(repository, "COMMAND_SECONDS", 0.3)
     with pytest.raises(InfrastructureError, match=r"git rev-parse took longer than 0.3 s"):
         Repository.around(tmp_path)
 

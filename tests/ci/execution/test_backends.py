@@ -1,14 +1,14 @@
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.ci.execution.backends import CONTAINERS, ExecutionTarget, check_backend
+from calibration.ci.execution.backends import CONTAINER_BACKENDS, ExecutionTarget, check_backend
 from calibration.ci.execution.docker.backend import DockerBackend
 
 
 def test_by_name() -> None:
     check_backend("embedded")
     check_backend("docker")
-    check_backend("aws-batch", CONTAINERS)
+    check_backend("aws-batch", CONTAINER_BACKENDS)
     backend = ExecutionTarget(run="r").open()
     assert isinstance(backend, DockerBackend)
     assert backend.run_name == "r"
@@ -20,7 +20,7 @@ def test_unknown() -> None:
     ):
         check_backend("doker")
     with pytest.raises(InputError, match="backend: found 'embedded', expected docker or aws-batch"):
-        check_backend("embedded", CONTAINERS)
+        check_backend("embedded", CONTAINER_BACKENDS)
 
 
 def test_a_cloud_backend_without_settings() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.execution.tasks import Task, run_tasks
-from calibration.ci.execution.workspace import FOLDER, Workspace, identity, workspace
+from calibration.ci.execution.workspace import UNFINISHED_FOLDER, Workspace, identity, workspace
 
 
 def opened(output: Path, identity: str) -> AbstractContextManager[Workspace[int]]:
@@ -40,7 +40,7 @@ def test_finished_tasks_are_found(tmp_path: Path) -> None:
 
 def test_other_work_begins_anew(tmp_path: Path) -> None:
     interrupted(tmp_path, "a", lambda work: work.keep("0", 1, {"x.pcd": b""}))
-    (tmp_path / FOLDER / "sub").mkdir()
+    (tmp_path / UNFINISHED_FOLDER / "sub").mkdir()
     with opened(tmp_path, "b") as work:
         assert work.find("0") is None
         assert names(work.folder) == {"identity.txt"}
@@ -80,7 +80,7 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
         opened(tmp_path / "file" / "inside", "a"),
     ):
         pass
-    assert FOLDER not in names(tmp_path)
+    assert UNFINISHED_FOLDER not in names(tmp_path)
 
 
 def test_identities_differ_in_every_part() -> None:

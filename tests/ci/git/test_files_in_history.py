@@ -91,14 +91,14 @@ def test_contents_are_read_within_a_limit(checkout: Path, monkeypatch: pytest.Mo
     repository = Repository.around(checkout)
     hashes = git(checkout, "rev-list", "HEAD").split()
     read: list[int] = []
-    ask = Repository._git
+    ask = Repository._run_git
 
     def asking(self: Repository, *arguments: str, **given: Any) -> tuple[int, bytes, bytes]:
         answer = ask(self, *arguments, **given)
         read.append(len(answer[1]))
         return answer
 
-    monkeypatch.setattr(Repository, "_git", asking)
+    monkeypatch.setattr(Repository, "_run_git", asking)
     found = dict(repository.contents([*hashes, "f" * 40], FILE, 10))
     expected = [None, b"y" * 5, b"x" * 8, b"a\nb\n", b"", b"two", b"one", b"one"]
     assert list(found.items()) == [*zip(hashes, expected, strict=True), ("f" * 40, None)]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from calibration.base.errors import InputError
-from calibration.ci.github.comment_text import LONGEST_TEXT, ROWS_SHOWN, comment_text
+from calibration.ci.github.comment_text import MAX_ROWS_OF_TABLE, MAX_TEXT_CHARACTERS, comment_text
 from calibration.ci.report.brief import Brief, BriefTable, read_brief
 
 LINKS = {"run": "https://github.com/me/robot/actions/runs/1"}
@@ -70,14 +70,14 @@ def test_an_address_cannot_end_its_link_early() -> None:
 
 
 def test_truncation_is_stated() -> None:
-    table = BriefTable(("Start",), (("x",),) * (ROWS_SHOWN + 3))
+    table = BriefTable(("Start",), (("x",),) * (MAX_ROWS_OF_TABLE + 3))
     brief = Brief(verdict="fail", sentence="", reasons=("why",) * 100, tables=(table,))
     text = comment_text(brief, "", {})
     assert text.count("- why\n") == 100
     assert "\nand 3 more\n" in text
     huge = BriefTable(("c",) * 30, (("y" * 200,) * 30,) * 40)
     text = comment_text(Brief(verdict="fail", sentence="", tables=(huge,)), "", LINKS)
-    assert len(text) < LONGEST_TEXT + 300
+    assert len(text) < MAX_TEXT_CHARACTERS + 300
     assert "*Truncated" in text
     assert text.endswith("[run](https://github.com/me/robot/actions/runs/1)\n")
 

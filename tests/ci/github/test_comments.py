@@ -8,7 +8,7 @@ import pytest
 
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.github.api import GitHubApi
-from calibration.ci.github.comments import LONGEST, Comments, Marker
+from calibration.ci.github.comments import MAX_COMMENT_CHARACTERS, Comments, Marker
 
 from .stand_in import FORBIDDEN, REPOSITORY, TOKEN, GitHub, github
 
@@ -117,7 +117,7 @@ def test_a_comment_that_is_deleted_meanwhile_is_made_anew(service: GitHub) -> No
 
 def test_a_text_is_truncated_to_the_limit_of_github(service: GitHub) -> None:
     comments(service).keep(marker(1), "x" * 10**6)
-    assert [len(body) for body in service.bodies()] == [LONGEST]
+    assert [len(body) for body in service.bodies()] == [MAX_COMMENT_CHARACTERS]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.image.content_key import content_key, key_tag
-from calibration.ci.image.context import MTIME, NO_SOURCES, Context, Ignored, read_ignore_file
+from calibration.ci.image.context import FILE_TIME, NO_SOURCES, Context, Ignored, read_ignore_file
 
 
 def packed(context: Context) -> bytes:
@@ -57,7 +57,7 @@ def folder(tmp_path: Path) -> Path:
 def test_the_archive_contains_no_owners_and_times(folder: Path) -> None:
     with tarfile.open(fileobj=io.BytesIO(packed(of_folder(folder)))) as archive:
         found = {member.name: member for member in archive}
-        assert {member.mtime for member in found.values()} == {MTIME}
+        assert {member.mtime for member in found.values()} == {FILE_TIME}
         assert {(m.uid, m.gid, m.uname, m.gname) for m in found.values()} == {(0, 0, "", "")}
         assert {name: oct(member.mode) for name, member in found.items()} == {
             "a.py": "0o644",

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.ci.pages.ellipses import ellipses
-from calibration.ci.pages.scene import HIGH, LETTER, Line, scene
+from calibration.ci.pages.scene import LETTER_HEIGHT, LETTER_WIDTH, Line, scene
 from calibration.ci.pages.tables import table
 from calibration.ci.pages.trend import trend
 
@@ -33,8 +33,8 @@ def test_labels_of_a_scene_lie_neither_over_the_drawing_nor_over_each_other() ->
     points = lines_of(drawing)
     boxes = []
     for x, y, name in TEXT.findall(drawing):
-        low = np.array((float(x), float(y) + 3 - HIGH))
-        high = low + np.array((LETTER * len(name), HIGH))
+        low = np.array((float(x), float(y) + 3 - LETTER_HEIGHT))
+        high = low + np.array((LETTER_WIDTH * len(name), LETTER_HEIGHT))
         assert not ((points > low) & (points < high)).all(axis=1).any(), name
         boxes.append((low, high))
     assert len(boxes) == len(names)

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from calibration.ci.pages.image_map import STEPS, image_map
+from calibration.ci.pages.image_map import COLOUR_STEPS, image_map
 
 
 def test_each_number_is_a_cell_at_its_place_and_none_where_there_is_none() -> None:
@@ -17,11 +17,11 @@ def test_each_number_is_a_cell_at_its_place_and_none_where_there_is_none() -> No
 
 
 def test_larger_numbers_are_stronger_and_the_scale_has_every_step() -> None:
-    values = np.array([[edge * 1.01 for edge in STEPS]])
+    values = np.array([[edge * 1.01 for edge in COLOUR_STEPS]])
     opacities = [
         float(each) for each in re.findall(r'fill-opacity="([\d.]+)"', str(image_map("Map", (640, 480), values)))
     ]
-    cells, scale = opacities[: len(STEPS)], opacities[len(STEPS) :]
+    cells, scale = opacities[: len(COLOUR_STEPS)], opacities[len(COLOUR_STEPS) :]
     assert cells == sorted(set(cells))
     assert scale == sorted(set(scale))
     assert cells == scale[1:]

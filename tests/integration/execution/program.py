@@ -41,7 +41,7 @@ def jobs(kind: str, argument: str) -> list[Job]:
     if kind == "short":
         return [Job(f"j{i}", (shell("echo up"), shell("sleep 600", "b", essential=False))) for i in range(20)]
     if kind == "bare":  # a separate engine, with an image that contains only sleep
-        backend._POLL_SECONDS, backend._PATIENCE = 1, 2
+        backend._POLL_SECONDS, backend._SECONDS_WITHOUT_ANSWER = 1, 2
         return [Job(f"j{i}", (Container("a", argument, ("/bin/sleep", "600")),), network="none") for i in range(2)]
     raise AssertionError(kind)
 

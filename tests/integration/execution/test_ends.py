@@ -13,7 +13,7 @@ from docker.errors import APIError, NotFound
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.ci.execution.docker.backend import DockerBackend
 from calibration.ci.execution.docker.container_run import attach
-from calibration.ci.execution.docker.labels import RUN
+from calibration.ci.execution.docker.labels import RUN_LABEL
 from calibration.ci.execution.docker.networks import Networks
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Limits, Readiness
 from calibration.ci.execution.outcome import End
@@ -131,7 +131,7 @@ def test_a_job_ends_with_its_essential_container(tmp_path: Path) -> None:
 
 
 def test_containers_that_ignore_sigterm_are_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.ci.execution.docker.job_run.GRACE", 1)
+    monkeypatch.setattr("calibration.ci.execution.docker.job_run.STOP_SECONDS", 1)
     stubborn = python(
         "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('up', flush=True)\ntime.sleep(600)",
         "stubborn",
@@ -272,7 +272,7 @@ def test_failed_removals_are_reported(tmp_path: Path, engine: "DockerClient") ->
     host = engine.api.create_host_config(binds={volume: {"bind": "/v", "mode": "rw"}})
     backend = DockerBackend(run=run)
     backend.__enter__()
-    engine.api.create_volume(volume, labels={RUN: run})
+    engine.api.create_volume(volume, labels={RUN_LABEL: run})
     user = engine.api.create_container(PYTHON_IMAGE, ["true"], host_config=host)
     with pytest.raises(InfrastructureError, match=f"cannot be removed: volume {volume}: .*in use"):
         backend.__exit__(None, None, None)

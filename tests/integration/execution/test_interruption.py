@@ -16,7 +16,7 @@ import pytest
 
 from calibration.base.errors import InfrastructureError
 from calibration.ci.execution.docker.backend import DockerBackend
-from calibration.ci.execution.docker.labels import RUN
+from calibration.ci.execution.docker.labels import RUN_LABEL
 from calibration.ci.execution.docker.leftovers import find_leftovers, remove
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.run_names import new_run
@@ -80,7 +80,7 @@ def test_stopped_while_it_goes_on(
         assert left(engine, run) == []
         assert err == ""
     # GitHub kills after 7.5 s, so containers are killed without SIGTERM
-    asked = {"event": ["kill"], "label": [f"{RUN}={run}"]}
+    asked = {"event": ["kill"], "label": [f"{RUN_LABEL}={run}"]}
     events = engine.api.events(f"{begin:.6f}", f"{time.time():.6f}", filters=asked, decode=True)
     sent = {event["Actor"]["Attributes"]["signal"] for event in events}
     assert sent == ({"9"} if state == "running" else set())

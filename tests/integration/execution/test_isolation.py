@@ -10,7 +10,7 @@ import pytest
 from calibration.ci.docker.engine import find_engine
 from calibration.ci.execution.docker import backend as backend_module
 from calibration.ci.execution.docker.container_settings import container_settings
-from calibration.ci.execution.docker.labels import RUN
+from calibration.ci.execution.docker.labels import RUN_LABEL
 from calibration.ci.execution.docker.leftovers import find_leftovers, remove
 from calibration.ci.execution.docker.networks import Networks
 from calibration.ci.execution.job import (
@@ -225,7 +225,7 @@ for name in ("server", "other"):
 @pytest.mark.parametrize("internal", [False, True])
 def test_networks_as_the_engine_makes_them(engine: "DockerClient", internal: bool) -> None:
     run = new_run()
-    networks = Networks(run, {RUN: run})
+    networks = Networks(run, {RUN_LABEL: run})
     try:
         own, shared = networks.take(engine.api, internal), networks.shared(engine.api, internal)
         assert networks.shared(engine.api, internal) == shared
@@ -245,7 +245,7 @@ def test_where_the_engine_cannot_keep_containers_apart_jobs_have_networks_of_the
     engine: "DockerClient", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = new_run()
-    networks = Networks(run, {RUN: run})
+    networks = Networks(run, {RUN_LABEL: run})
     monkeypatch.setattr(
         "calibration.ci.execution.docker.networks._NO_TALKING", {"com.docker.network.bridge.enable_icc": "perhaps"}
     )

@@ -17,7 +17,7 @@ from calibration.ci.execution.admission import Admission, Need
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.docker.images import find_images
 from calibration.ci.execution.docker.job_run import Interrupted, JobRun, Run, lost_job
-from calibration.ci.execution.docker.labels import RUN, Owner
+from calibration.ci.execution.docker.labels import RUN_LABEL, Owner
 from calibration.ci.execution.docker.leftovers import counts_of, find_leftovers, remove, remove_of_dead_runs
 from calibration.ci.execution.docker.networks import Networks
 from calibration.ci.execution.job import Job
@@ -30,9 +30,9 @@ _RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
 _MOST_THREADS = 64
 _POLL_SECONDS = 5
 """Interval of checks whether the engine still answers, seconds."""
-_PATIENCE = 15.0
+_SECONDS_WITHOUT_ANSWER = 15.0
 """Seconds without an answer of the engine after which jobs are given up."""
-_ENDING = 10.0
+_SECONDS_TO_END_JOBS = 10.0
 """Seconds for the jobs of a stopped run to end."""
 
 
@@ -65,7 +65,7 @@ class DockerBackend:
         if not _RUN_NAME.fullmatch(self.run_name):
             raise InputError(f"run '{self.run_name}': expected letters, digits, _ . and -, at most 61")
         self._show = show
-        self._labels = {RUN: self.run_name, **Owner.this_process().labels}
+        self._labels = {RUN_LABEL: self.run_name, **Owner.this_process().labels}
         self._networks = Networks(self.run_name, self._labels)
         self._threads: list[threading.Thread] = []
         """Threads that run jobs."""
@@ -140,9 +140,9 @@ class DockerBackend:
             alone=len(jobs) == 1,
             show=self._show,
         )
-        return self._outcomes(run, jobs, folder, workers)
+        return self._yield_outcomes(run, jobs, folder, workers)
 
-    def _outcomes(
+    def _yield_outcomes(
         self, run: Run, jobs: Sequence[Job], folder: Path, workers: int | None
     ) -> Generator[tuple[int, JobOutcome]]:
         needs = [Need.of(job) for job in jobs]
@@ -151,7 +151,7 @@ class DockerBackend:
         answers: SimpleQueue[_Answer] = SimpleQueue()
         count = min(len(jobs), workers or _MOST_THREADS)
         threads = [
-            threading.Thread(target=_work, args=(run, jobs, folder, admission, answers), daemon=True)
+            threading.Thread(target=_run_admitted_jobs, args=(run, jobs, folder, admission, answers), daemon=True)
             for _ in range(count)
         ]
         self._threads = threads
@@ -161,17 +161,17 @@ class DockerBackend:
                 thread.start()
             while left:
                 try:
-                    answer = self._next(answers)
+                    answer = self._next_answer(answers)
                 except EngineLostError as error:  # the threads wait for answers that will not come
                     admission.stop()
                     for index in sorted(left):
-                        yield from self._report(index, lost_job(run, jobs[index], folder, error))
+                        yield from self._yield_while_paused(index, lost_job(run, jobs[index], folder, error))
                     left.clear()
                     break
                 if not isinstance(answer.outcome, JobOutcome):
                     raise answer.outcome
                 left.discard(answer.index)
-                yield from self._report(answer.index, answer.outcome)
+                yield from self._yield_while_paused(answer.index, answer.outcome)
         finally:
             admission.stop()
             if left:
@@ -180,12 +180,12 @@ class DockerBackend:
                     self._leave_nothing()
                 self._networks = Networks(self.run_name, self._labels)  # the old networks are removed
 
-    def _report(self, index: int, outcome: JobOutcome) -> Generator[tuple[int, JobOutcome]]:
+    def _yield_while_paused(self, index: int, outcome: JobOutcome) -> Generator[tuple[int, JobOutcome]]:
         """Yield an outcome while logs are paused, so that the consumer can print."""
         with self._show.paused() if self._show is not None else nullcontext():
             yield index, outcome
 
-    def _next(self, answers: "SimpleQueue[_Answer]") -> _Answer:
+    def _next_answer(self, answers: "SimpleQueue[_Answer]") -> _Answer:
         """Wait for the next result while the engine answers.
 
         Raises:
@@ -198,16 +198,16 @@ class DockerBackend:
             except Empty:
                 pass
             try:
-                self._ask()
+                self._ping_engine()
             except EngineLostError as error:
                 # the threads detect a lost engine themselves, unless it keeps connections open without answering
                 silent_since = silent_since or time.monotonic()
-                if time.monotonic() - silent_since > _PATIENCE:
+                if time.monotonic() - silent_since > _SECONDS_WITHOUT_ANSWER:
                     raise error
             else:
                 silent_since = None
 
-    def _ask(self) -> None:
+    def _ping_engine(self) -> None:
         """Send a ping to the engine.
 
         Raises:
@@ -224,12 +224,12 @@ class DockerBackend:
         finally:
             client.close()
 
-    def _stop(self, threads: Sequence[threading.Thread]) -> None:
+    def _stop_jobs(self, threads: Sequence[threading.Thread]) -> None:
         """End all jobs at once by removing their containers, for which their threads wait."""
-        deadline = time.monotonic() + _ENDING
+        deadline = time.monotonic() + _SECONDS_TO_END_JOBS
         while any(thread.is_alive() for thread in threads) and time.monotonic() < deadline:
             try:
-                self._sweep(containers_only=True)
+                self._remove_objects(containers_only=True)
             except EngineLostError:
                 break
             except InfrastructureError:
@@ -243,16 +243,16 @@ class DockerBackend:
         Raises:
             InfrastructureError: something cannot be removed, or the engine does not answer.
         """
-        self._stop([thread for thread in self._threads if thread.is_alive()])
-        self._sweep()
+        self._stop_jobs([thread for thread in self._threads if thread.is_alive()])
+        self._remove_objects()
 
-    def _sweep(self, containers_only: bool = False) -> None:
+    def _remove_objects(self, containers_only: bool = False) -> None:
         """Remove all objects of the run from the engine.
 
         Raises:
             InfrastructureError: something cannot be removed, or the engine does not answer.
         """
-        self._ask()  # fail fast if the engine does not answer
+        self._ping_engine()  # fail fast if the engine does not answer
         leftovers = find_leftovers(self._client.api, self.run_name)
         remove(self._client.api, [each for each in leftovers if not containers_only or each.kind == "container"])
 
@@ -266,7 +266,9 @@ def open_docker(target: ExecutionTarget) -> DockerBackend:
     return DockerBackend(target.run, target.show)
 
 
-def _work(run: Run, jobs: Sequence[Job], folder: Path, admission: Admission, answers: "SimpleQueue[_Answer]") -> None:
+def _run_admitted_jobs(
+    run: Run, jobs: Sequence[Job], folder: Path, admission: Admission, answers: "SimpleQueue[_Answer]"
+) -> None:
     """Run one job after the other, in a thread."""
     while (index := admission.wait()) is not None:
         try:

@@ -23,12 +23,12 @@ from calibration.ci.execution.outcome import End
 from calibration.ci.execution.run_names import new_run
 from calibration.ci.execution.supervision import Supervised
 
-GRACE = 5
+STOP_SECONDS = 5
 """Seconds between SIGTERM and SIGKILL."""
-_TRIES = 5
-_HEADER = struct.Struct(">BxxxL")
+_MAX_NAME_TRIES = 5
+_FRAME_HEADER = struct.Struct(">BxxxL")
 """Header of a frame of output: stream, and number of bytes."""
-_SETTLING = 0.25
+_SECONDS_TO_REPORT_MEMORY = 0.25
 """Seconds; the engine may report lack of memory a little after the end of the container."""
 
 
@@ -56,7 +56,7 @@ class ContainerRun(Supervised):
         Raises:
             docker.errors.APIError: the engine refuses the request.
         """
-        tries = _TRIES
+        tries = _MAX_NAME_TRIES
         while not self.id:
             try:
                 self.id = api.create_container(self.image, name=f"{prefix}-{new_run()}", **settings)["Id"]
@@ -84,7 +84,7 @@ class ContainerRun(Supervised):
             self._probe = Probe(api, self.id, self.container.readiness, host_network)
         self.ready = self._probe is None
         self._follower = threading.Thread(
-            target=self._follow, args=(client, stream, ends), name=f"log of {self.name}", daemon=True
+            target=self._follow_output, args=(client, stream, ends), name=f"log of {self.name}", daemon=True
         )
         self._follower.start()
 
@@ -130,9 +130,9 @@ class ContainerRun(Supervised):
         """
         with engine_errors(f"container '{self.name}'"):
             state = api.inspect_container(self.id)["State"]
-            settled = time.monotonic() + (_SETTLING if self.container.limits.memory is not None else 0)
+            settled = time.monotonic() + (_SECONDS_TO_REPORT_MEMORY if self.container.limits.memory is not None else 0)
             while not state.get("OOMKilled") and time.monotonic() < settled:
-                time.sleep(_SETTLING / 10)
+                time.sleep(_SECONDS_TO_REPORT_MEMORY / 10)
                 state = api.inspect_container(self.id)["State"]
         self.exit_code = int(state["ExitCode"])
         self.end, self.signal = how_it_ended(self.container, self.exit_code, bool(state.get("OOMKilled")), ours)
@@ -142,13 +142,13 @@ class ContainerRun(Supervised):
         """Last line of its log."""
         return self._output.last_line
 
-    def _follow(self, client: DockerClient, stream: Response, ends: "SimpleQueue[ContainerRun]") -> None:
+    def _follow_output(self, client: DockerClient, stream: Response, ends: "SimpleQueue[ContainerRun]") -> None:
         """Write its output to the log until it ends; runs in a thread."""
         try:
             with engine_errors(f"container '{self.name}'"):
                 try:
                     for chunk in pieces(stream):
-                        self._feed(chunk)
+                        self._feed_log(chunk)
                 except (OSError, ValueError) as error:  # exceptions of a broken connection that the SDK does not wrap
                     raise lost(error) from None
                 client.api.wait(self.id, timeout=None)
@@ -160,7 +160,7 @@ class ContainerRun(Supervised):
             stream.close()
             client.close()
 
-    def _feed(self, chunk: bytes) -> None:
+    def _feed_log(self, chunk: bytes) -> None:
         """Write to the log; after a failure keep reading, because a full pipe would block the container."""
         if self._problem is None:
             try:
@@ -190,6 +190,6 @@ def attach(api: APIClient, container: str) -> Response:
 
 def pieces(response: Response) -> Iterator[bytes]:
     """Yield the output, stdout and stderr in the order of arrival, until the container ends."""
-    while len(header := response.raw.read(_HEADER.size)) == _HEADER.size:
-        _, size = _HEADER.unpack(header)
+    while len(header := response.raw.read(_FRAME_HEADER.size)) == _FRAME_HEADER.size:
+        _, size = _FRAME_HEADER.unpack(header)
         yield response.raw.read(size)

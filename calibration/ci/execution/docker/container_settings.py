@@ -11,8 +11,8 @@ from calibration.ci.execution.job import OUTPUT, Container
 
 DEFAULT_BRIDGE = "bridge"
 """Default network of the engine."""
-_SOCKET = "/var/run/docker.sock"
-_GRACE = 5
+_DOCKER_SOCKET = "/var/run/docker.sock"
+_STOP_SECONDS = 5
 
 
 def container_settings(
@@ -36,7 +36,7 @@ def container_settings(
             for mount in container.mounts
         ]
     if relaxed.docker_socket:
-        mounts.append(Mount(_SOCKET, _SOCKET, type="bind"))
+        mounts.append(Mount(_DOCKER_SOCKET, _DOCKER_SOCKET, type="bind"))
     limits = container.limits
     host: dict[str, Any] = {
         "init": True,  # forwards signals and reaps zombies
@@ -63,7 +63,7 @@ def container_settings(
         "environment": dict(container.environment),
         "labels": dict(labels),
         "host_config": api.create_host_config(**host),
-        "stop_timeout": _GRACE,
+        "stop_timeout": _STOP_SECONDS,
     }
     if container.entrypoint is not None:
         settings["entrypoint"] = list(container.entrypoint) or [""]  # the engine's notation for none

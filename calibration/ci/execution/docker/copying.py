@@ -21,8 +21,8 @@ from calibration.ci.docker.engine import engine_errors
 from calibration.ci.execution.copying_out import Archive, NothingThereError, Opener
 from calibration.ci.execution.job import OUTPUT, Mount
 
-_CHUNK = 1024**2
-_FACTS = "X-Docker-Container-Path-Stat"
+_CHUNK_BYTES = 1024**2
+_STAT_HEADER = "X-Docker-Container-Path-Stat"
 _IN_MEMORY = 16 * 1024**2
 
 
@@ -55,14 +55,14 @@ def copy_in(api: APIClient, container: str, mounts: Iterable[Mount]) -> None:
         try:
             with tarfile.open(fileobj=file, mode="w") as archive:
                 for mount in mounts:
-                    archive.add(mount.source.resolve(), mount.target.strip("/"), filter=_readable)
+                    archive.add(mount.source.resolve(), mount.target.strip("/"), filter=_as_readable)
         except OSError as error:
             raise InputError(f"mount '{mount.target}': {error.filename}: cannot be read: {error.strerror}") from None
         file.seek(0)
         api.put_archive(container, "/", cast("Any", file))
 
 
-def _readable(entry: tarfile.TarInfo) -> tarfile.TarInfo:
+def _as_readable(entry: tarfile.TarInfo) -> tarfile.TarInfo:
     """Make a tar entry readable for all users, without an owner."""
     entry.uid = entry.gid = 0
     entry.uname = entry.gname = ""
@@ -80,15 +80,15 @@ def open_archive(api: APIClient, container: str, path: str) -> Iterator[Archive]
     """
     headers = {"Accept-Encoding": "identity"}
     response = api.get(
-        _address(api, container), params={"path": path}, headers=headers, stream=True, timeout=api.timeout
+        _archive_url(api, container), params={"path": path}, headers=headers, stream=True, timeout=api.timeout
     )
     try:
         try:
             response.raise_for_status()
         except requests.HTTPError as error:
             docker.errors.create_api_error_from_http_exception(error)
-        facts = json.loads(base64.b64decode(response.headers.get(_FACTS, "e30=")))
-        yield Archive(response.iter_content(_CHUNK), str(facts.get("linkTarget") or ""))
+        facts = json.loads(base64.b64decode(response.headers.get(_STAT_HEADER, "e30=")))
+        yield Archive(response.iter_content(_CHUNK_BYTES), str(facts.get("linkTarget") or ""))
     finally:
         response.close()
 
@@ -110,9 +110,9 @@ def opener_of(api: APIClient, container: str, name: str) -> Opener:
 
 def exists(api: APIClient, container: str, path: str) -> bool:
     """Return whether a file or folder exists."""
-    with api.head(_address(api, container), params={"path": path}, timeout=api.timeout) as response:
+    with api.head(_archive_url(api, container), params={"path": path}, timeout=api.timeout) as response:
         return response.ok
 
 
-def _address(api: APIClient, container: str) -> str:
+def _archive_url(api: APIClient, container: str) -> str:
     return f"{api.base_url}/v{api.api_version}/containers/{container}/archive"

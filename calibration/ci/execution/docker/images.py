@@ -35,10 +35,10 @@ def find_images(api: APIClient, images: Iterable[str]) -> dict[str, str]:
         InputError: an image does not exist, or access is denied.
         InfrastructureError: the engine or the registry cannot be reached.
     """
-    return {image: _find(api, image) or _pull(api, image) for image in dict.fromkeys(images)}
+    return {image: _find_image(api, image) or _pull_image(api, image) for image in dict.fromkeys(images)}
 
 
-def _find(api: APIClient, image: str) -> str | None:
+def _find_image(api: APIClient, image: str) -> str | None:
     with engine_errors(f"image '{image}'"):
         try:
             return str(api.inspect_image(image)["Id"])  # type: ignore[no-untyped-call]
@@ -46,7 +46,7 @@ def _find(api: APIClient, image: str) -> str | None:
             return None
 
 
-def _pull(api: APIClient, image: str) -> str:
+def _pull_image(api: APIClient, image: str) -> str:
     repository, tag = parse_repository_tag(image)
     with engine_errors(f"image '{image}'"):
         try:
@@ -55,7 +55,7 @@ def _pull(api: APIClient, image: str) -> str:
                     raise _not_pulled(image, str(event["error"]))
         except docker.errors.APIError as error:
             raise _not_pulled(image, engine_message(error)) from None
-    found = _find(api, image)
+    found = _find_image(api, image)
     if found is None:
         raise InfrastructureError(f"image '{image}': was pulled, but the engine does not have it")
     return found

@@ -13,22 +13,22 @@ from calibration.base.secret_forms import redact
 from calibration.base.text import one_line
 from calibration.ci.docker.engine import Engine, EngineLostError, engine_errors
 from calibration.ci.execution.copying_out import Opener
-from calibration.ci.execution.docker.container_run import GRACE, ContainerRun
+from calibration.ci.execution.docker.container_run import STOP_SECONDS, ContainerRun
 from calibration.ci.execution.docker.container_settings import DEFAULT_BRIDGE, container_settings
 from calibration.ci.execution.docker.copying import copy_in, open_output, opener_of
-from calibration.ci.execution.docker.labels import CONTAINER, JOB
+from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL
 from calibration.ci.execution.docker.leftovers import Leftover, remove
 from calibration.ci.execution.docker.networks import Network, Networks
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.job_check import start_order
-from calibration.ci.execution.job_folder import ARTIFACTS, LOGS, make_job_folder, write_manifest
+from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER, LOGS_FOLDER, make_job_folder, write_manifest
 from calibration.ci.execution.log_file import LogFile
 from calibration.ci.execution.outcome import ContainerOutcome, End, JobOutcome
 from calibration.ci.execution.run_names import new_run
 from calibration.ci.execution.supervision import Supervisor
 from calibration.ci.workflow.streams import LogDisplay
 
-_SETTLING = GRACE + 15
+_SECONDS_TO_STOP = STOP_SECONDS + 15
 """Seconds for a stopped container to end."""
 
 
@@ -56,7 +56,7 @@ class JobRun(Supervisor[ContainerRun]):
     """Supervisor of a job, in its own thread."""
 
     def __init__(self, run: Run, job: Job, folder: Path) -> None:
-        super().__init__(job, self._clean)
+        super().__init__(job, self._redact_reason)
         self._run = run
         self._folder = folder / job.name
         self._secrets = [c.environment[name] for c in job.containers for name in c.secrets]
@@ -78,7 +78,7 @@ class JobRun(Supervisor[ContainerRun]):
         self._api = client.api
         try:
             with ExitStack() as logs:
-                self._prepare(logs)
+                self._open_logs(logs)
                 try:
                     self._to_its_end()
                 except EngineLostError as error:
@@ -87,7 +87,7 @@ class JobRun(Supervisor[ContainerRun]):
                 except CalibrationError as error:
                     self.judge.fail(str(error), error.exit_code)
                 finally:
-                    self._remove()
+                    self._remove_objects()
         finally:
             client.close()
         if self._run.stopping.is_set():
@@ -107,7 +107,7 @@ class JobRun(Supervisor[ContainerRun]):
 
     # --- from start to end
 
-    def _prepare(self, logs: ExitStack) -> None:
+    def _open_logs(self, logs: ExitStack) -> None:
         """Open the logs, in the order in which the containers start."""
         for container in start_order(self.job):
             show = None
@@ -117,7 +117,7 @@ class JobRun(Supervisor[ContainerRun]):
                 logs.callback(stream.close)
                 show = stream.line
             pattern = container.readiness.log if container.readiness else None
-            path = self._folder / LOGS / f"{container.name}.log"
+            path = self._folder / LOGS_FOLDER / f"{container.name}.log"
             log = logs.enter_context(LogFile(path, self._secrets, show, pattern))
             image = self._run.images[container.image]
             self.containers.append(ContainerRun(container, self._run.engine, image, log))
@@ -126,9 +126,9 @@ class JobRun(Supervisor[ContainerRun]):
         self._go_on()
         with engine_errors():
             self._volume = f"calibration-{self._run.name}-{new_run()}"
-            self._api.create_volume(self._volume, labels=self._labels())
+            self._api.create_volume(self._volume, labels=self._labels_of_job())
         self._network = self._choose_network()
-        self.supervise(self._folder / ARTIFACTS)
+        self.supervise(self._folder / ARTIFACTS_FOLDER)
 
     def _choose_network(self) -> Network | None:
         """Create or choose the network; None for a network that the engine already has."""
@@ -148,13 +148,13 @@ class JobRun(Supervisor[ContainerRun]):
 
     def _start(self, container: ContainerRun) -> None:
         api, run = self._api, container
-        labels = {**self._labels(), CONTAINER: run.name}
+        labels = {**self._labels_of_job(), CONTAINER_LABEL: run.name}
         binds = self._run.engine.local
         with engine_errors(f"container '{run.name}'"):
             network = self._network or self._network_mode
             settings = container_settings(api, run.container, network, str(self._volume), labels, binds)
             first = all(not other.id for other in self.containers)
-            identifier = run.create(api, self._prefix(run.name), settings)
+            identifier = run.create(api, self._container_name(run.name), settings)
             if first:
                 open_output(api, identifier)
             if not binds:
@@ -177,15 +177,15 @@ class JobRun(Supervisor[ContainerRun]):
         for thread in threads:
             thread.start()
         for thread in threads:
-            thread.join(_SETTLING)
+            thread.join(_SECONDS_TO_STOP)
         for container in self.containers:
-            container.join(_SETTLING)
+            container.join(_SECONDS_TO_STOP)
 
     def _stop_one(self, container: ContainerRun) -> None:
-        client = self._run.engine.client(_SETTLING)
+        client = self._run.engine.client(_SECONDS_TO_STOP)
         try:
             with engine_errors():
-                client.api.stop(container.id, timeout=GRACE)
+                client.api.stop(container.id, timeout=STOP_SECONDS)
         except CalibrationError:
             pass  # a lost engine is reported when the container's end is read
         finally:
@@ -197,14 +197,14 @@ class JobRun(Supervisor[ContainerRun]):
     def _opener(self, container: ContainerRun) -> Opener:
         return opener_of(self._api, container.id, container.name)
 
-    def _remove(self) -> None:
+    def _remove_objects(self) -> None:
         """Remove all objects of the job; the run retries failed removals at its end."""
         if self._lost:
             return
         with suppress(InfrastructureError):
             remove(self._api, [Leftover.of("container", c.id) for c in self.containers if c.id])
             for container in self.containers:
-                container.join(_SETTLING)
+                container.join(_SECONDS_TO_STOP)
             if self._network is not None:
                 self._run.networks.give_back(self._network)
             if self._volume is not None:
@@ -216,13 +216,13 @@ class JobRun(Supervisor[ContainerRun]):
         if self._run.stopping.is_set():
             raise Interrupted
 
-    def _clean(self, reason: str) -> str:
+    def _redact_reason(self, reason: str) -> str:
         return one_line(redact(reason, self._secrets))
 
-    def _labels(self) -> dict[str, str]:
-        return {**self._run.labels, JOB: self.job.name}
+    def _labels_of_job(self) -> dict[str, str]:
+        return {**self._run.labels, JOB_LABEL: self.job.name}
 
-    def _prefix(self, container: str) -> str:
+    def _container_name(self, container: str) -> str:
         safe = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "-" for c in self.job.name)
         return f"calibration-{self._run.name}-{safe[:60]}-{container}"
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-PREFIX = "ci.calibration."
-RUN, JOB, CONTAINER = f"{PREFIX}run", f"{PREFIX}job", f"{PREFIX}container"
-_OWNER = f"{PREFIX}owner."
+LABEL_PREFIX = "ci.calibration."
+RUN_LABEL, JOB_LABEL, CONTAINER_LABEL = f"{LABEL_PREFIX}run", f"{LABEL_PREFIX}job", f"{LABEL_PREFIX}container"
+_OWNER_PREFIX = f"{LABEL_PREFIX}owner."
 
 
 @dataclass(frozen=True)
@@ -29,18 +29,18 @@ class Owner:
     def this_process(cls) -> Self:
         """Return the identity of the current process."""
         process = os.getpid()
-        return cls(socket.gethostname(), _boot(), _namespace(), str(process), started(process))
+        return cls(socket.gethostname(), _read_boot_id(), _read_pid_namespace(), str(process), started(process))
 
     @classmethod
     def from_labels(cls, labels: Mapping[str, str]) -> Self | None:
         """Read it from labels; None if one is missing, for example in objects of another version."""
-        found = {name: labels.get(_OWNER + name, "") for name in cls.__dataclass_fields__}
+        found = {name: labels.get(_OWNER_PREFIX + name, "") for name in cls.__dataclass_fields__}
         return cls(**found) if all(found.values()) and found["process"].isdecimal() else None
 
     @property
     def labels(self) -> dict[str, str]:
         """Labels of the engine's objects that encode it."""
-        return {_OWNER + name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {_OWNER_PREFIX + name: getattr(self, name) for name in self.__dataclass_fields__}
 
     @property
     def is_dead(self) -> bool:
@@ -72,14 +72,14 @@ def started(process: int) -> str:
         return ""
 
 
-def _boot() -> str:
+def _read_boot_id() -> str:
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:
         return ""
 
 
-def _namespace() -> str:
+def _read_pid_namespace() -> str:
     try:
         return str(Path("/proc/self/ns/pid").readlink())
     except OSError:

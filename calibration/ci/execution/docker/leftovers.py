@@ -8,7 +8,7 @@ import docker.errors
 
 from calibration.base.errors import InfrastructureError
 from calibration.ci.docker.engine import connect, engine_errors, engine_message
-from calibration.ci.execution.docker.labels import CONTAINER, JOB, RUN, Owner
+from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL, RUN_LABEL, Owner
 
 if TYPE_CHECKING:
     from docker import APIClient
@@ -48,15 +48,15 @@ def find_leftovers(api: "APIClient", run: str | None = None) -> list[Leftover]:
     Raises:
         InfrastructureError: the engine does not answer.
     """
-    chosen = {"label": [RUN if run is None else f"{RUN}={run}"]}
+    chosen = {"label": [RUN_LABEL if run is None else f"{RUN_LABEL}={run}"]}
     with engine_errors():
         containers = api.containers(all=True, filters=chosen)
         networks = api.networks(filters=chosen)
         volumes = api.volumes(filters=chosen)["Volumes"] or []
     return [
-        *(_leftover("container", c["Id"], (c.get("Names") or [c["Id"][:12]])[0].lstrip("/"), c) for c in containers),
-        *(_leftover("network", n["Id"], n["Name"], n) for n in networks),
-        *(_leftover("volume", v["Name"], v["Name"], v) for v in volumes),
+        *(_leftover_of("container", c["Id"], (c.get("Names") or [c["Id"][:12]])[0].lstrip("/"), c) for c in containers),
+        *(_leftover_of("network", n["Id"], n["Name"], n) for n in networks),
+        *(_leftover_of("volume", v["Name"], v["Name"], v) for v in volumes),
     ]
 
 
@@ -73,7 +73,7 @@ def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
     for leftover in _in_order(leftovers):
         with engine_errors():
             try:
-                _remove(api, leftover)
+                _remove_leftover(api, leftover)
             except docker.errors.NotFound:
                 pass
             except docker.errors.APIError as error:
@@ -111,7 +111,7 @@ def _in_order(leftovers: Iterable[Leftover]) -> list[Leftover]:
     return sorted(leftovers, key=lambda leftover: leftover.kind)
 
 
-def _remove(api: "APIClient", leftover: Leftover) -> None:
+def _remove_leftover(api: "APIClient", leftover: Leftover) -> None:
     if leftover.kind == "container":
         api.remove_container(leftover.id, force=True, v=True)
     elif leftover.kind == "network":
@@ -120,15 +120,15 @@ def _remove(api: "APIClient", leftover: Leftover) -> None:
         api.remove_volume(leftover.id)
 
 
-def _leftover(kind: Kind, identifier: str, name: str, record: Any) -> Leftover:
+def _leftover_of(kind: Kind, identifier: str, name: str, record: Any) -> Leftover:
     labels = record.get("Labels") or {}
     return Leftover(
         kind=kind,
         id=identifier,
         name=name,
-        run=labels.get(RUN, ""),
-        job=labels.get(JOB, ""),
-        container=labels.get(CONTAINER, ""),
+        run=labels.get(RUN_LABEL, ""),
+        job=labels.get(JOB_LABEL, ""),
+        container=labels.get(CONTAINER_LABEL, ""),
         state=record.get("State", "") if kind == "container" else "",
         owner=Owner.from_labels(labels),
     )

@@ -50,7 +50,7 @@ class Networks:
         with self._lock:
             if internal not in self._shared:
                 try:
-                    self._shared[internal] = self._make(api, internal, shared=True)
+                    self._shared[internal] = self._make_network(api, internal, shared=True)
                 except EngineLostError:
                     raise
                 except CalibrationError:  # raised for kernels without br_netfilter
@@ -67,7 +67,7 @@ class Networks:
         with self._lock:
             if self._free[internal]:
                 return self._free[internal].pop()
-        return self._make(api, internal, shared=False)
+        return self._make_network(api, internal, shared=False)
 
     def give_back(self, network: Network) -> None:
         """Release a network that a job does not use any more."""
@@ -75,7 +75,7 @@ class Networks:
             with self._lock:
                 self._free[network.internal].append(network)
 
-    def _make(self, api: APIClient, internal: bool, shared: bool) -> Network:
+    def _make_network(self, api: APIClient, internal: bool, shared: bool) -> Network:
         network = Network(f"calibration-{self._run}-{new_run()}", internal, shared)
         options = _NO_TALKING if shared else {}
         with engine_errors("network"):

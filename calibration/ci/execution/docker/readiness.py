@@ -15,9 +15,9 @@ from calibration.ci.execution.docker.copying import exists
 from calibration.ci.execution.job import Readiness
 from calibration.ci.execution.job_verdict import unmet
 
-_CONNECTING = 0.5
+_CONNECT_SECONDS = 0.5
 """Seconds; local containers answer much faster."""
-_LISTENING = re.compile(r"^\s*\d+: [0-9A-F]+:([0-9A-F]{4}) [0-9A-F]+:0000 0A ", re.MULTILINE)
+_LISTENING_SOCKET = re.compile(r"^\s*\d+: [0-9A-F]+:([0-9A-F]{4}) [0-9A-F]+:0000 0A ", re.MULTILINE)
 
 
 class Probe:
@@ -51,26 +51,26 @@ class Probe:
 
     def _port_answers(self) -> bool:
         port = self._readiness.port or 0
-        address = "127.0.0.1" if self._host_network else self._address()
+        address = "127.0.0.1" if self._host_network else self._container_address()
         if self._by_address and address:
             try:
-                with socket.create_connection((address, port), _CONNECTING):
+                with socket.create_connection((address, port), _CONNECT_SECONDS):
                     return True
             except ConnectionError:
                 return False
             except OSError:
                 self._by_address = False  # unreachable from here
-        return port in self._listening()
+        return port in self._listening_ports()
 
-    def _address(self) -> str:
+    def _container_address(self) -> str:
         networks = self._api.inspect_container(self._container)["NetworkSettings"]["Networks"] or {}
         return next((str(found["IPAddress"]) for found in networks.values() if found.get("IPAddress")), "")
 
-    def _listening(self) -> set[int]:
+    def _listening_ports(self) -> set[int]:
         command = ["cat", "/proc/net/tcp", "/proc/net/tcp6"]
         started = self._api.exec_create(self._container, command, stdin=False)
         listing = self._api.exec_start(started["Id"])
-        return {int(port, 16) for port in _LISTENING.findall(listing.decode("ascii", "replace"))}
+        return {int(port, 16) for port in _LISTENING_SOCKET.findall(listing.decode("ascii", "replace"))}
 
     def _file_is_there(self) -> bool:
         return exists(self._api, self._container, str(self._readiness.file))

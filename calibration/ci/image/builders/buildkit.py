@@ -15,7 +15,7 @@ from typing import IO
 
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.temporary_folder import temporary_folder
-from calibration.ci.image.builders.build_log import LAST_LINES, BuildLog
+from calibration.ci.image.builders.build_log import MAX_LAST_LINES, BuildLog
 from calibration.ci.image.builders.failure import build_problem
 from calibration.ci.image.builders.programs import Program, docker_environment, lines_of
 from calibration.ci.image.builders.request import BuildRequest
@@ -52,9 +52,9 @@ def write_login(credentials: Credentials, folder: Path) -> dict[str, str]:
     return {"DOCKER_CONFIG": str(home)}
 
 
-_VERTEX = re.compile(r"^#(\d+) (.*)$")
-_STEP = re.compile(r"^\[(?:\S+ +)?(\d+)/(\d+)\] (.*)$")
-_OUTPUT = re.compile(r"^\d+\.\d+ ?(.*)$")
+_VERTEX_LINE = re.compile(r"^#(\d+) (.*)$")
+_STEP_NAME = re.compile(r"^\[(?:\S+ +)?(\d+)/(\d+)\] (.*)$")
+_OUTPUT_LINE = re.compile(r"^\d+\.\d+ ?(.*)$")
 _EXIT_CODE = re.compile(r"exit code: (\d+)")
 
 
@@ -67,7 +67,7 @@ def build_by_buildkit(program: Program, request: BuildRequest, reference: str, l
         InfrastructureError: the engine, its disk or the network failed.
     """
     start = ["buildx", "build", "--builder", "default", "--load"] if program.buildx else ["build"]
-    _run(program, [*start, "--tag", reference], docker_environment(os.environ), request, log)
+    _run_build(program, [*start, "--tag", reference], docker_environment(os.environ), request, log)
 
 
 def build_and_push(
@@ -81,11 +81,11 @@ def build_and_push(
     with ExitStack() as stack:
         folder = stack.enter_context(temporary_folder())
         environment = docker_environment(os.environ) | write_login(credentials, folder)
-        name = stack.enter_context(_builder(program, environment, request.name))
+        name = stack.enter_context(_temporary_builder(program, environment, request.name))
         metadata = folder / "metadata.json"
         tags = [word for reference in references for word in ("--tag", reference)]
         start = ["buildx", "build", "--builder", name, "--push", "--metadata-file", str(metadata), *tags]
-        _run(program, start, environment, request, log)
+        _run_build(program, start, environment, request, log)
         text = metadata.read_text() if metadata.exists() else ""
     digest = re.search(r'"containerimage\.digest"\s*:\s*"(sha256:[0-9a-f]{64})"', text)
     if digest is None:
@@ -93,7 +93,7 @@ def build_and_push(
     return digest[1]
 
 
-def _run(
+def _run_build(
     program: Program, start: Sequence[str], environment: Mapping[str, str], request: BuildRequest, log: BuildLog
 ) -> None:
     with ExitStack() as stack:
@@ -112,10 +112,10 @@ def _run(
             if not os.environ.get("SSH_AUTH_SOCK"):
                 raise InputError("ssh: no SSH agent runs here (SSH_AUTH_SOCK): start one and add the key to it")
             command += ["--ssh", "default"]
-        _follow([*command, "-"], archive, environment, request, log)
+        _follow_build([*command, "-"], archive, environment, request, log)
 
 
-def _follow(
+def _follow_build(
     command: Sequence[str],
     context: IO[bytes],
     environment: Mapping[str, str],
@@ -147,55 +147,55 @@ class BuildKitOutput:
         self.problem = ""
         self._log = log
         self._steps: dict[str, str] = {}
-        self._lines: defaultdict[str, deque[str]] = defaultdict(lambda: deque(maxlen=LAST_LINES))
+        self._lines: defaultdict[str, deque[str]] = defaultdict(lambda: deque(maxlen=MAX_LAST_LINES))
         self._ended = False
 
     def read(self, line: str) -> None:
         """Parse a line."""
-        found = _VERTEX.match(line)
+        found = _VERTEX_LINE.match(line)
         if found is None:
-            self._message(line)
+            self._parse_message(line)
             return
         vertex, text = found.groups()
-        if step := _STEP.match(text):
+        if step := _STEP_NAME.match(text):
             if vertex not in self._steps:
                 self._log.step(int(step[1]), int(step[2]), step[3])
                 self._steps[vertex] = self._log.step_name
         elif text.startswith("ERROR: ") and not self._ended:
             self._ended = True
             self.failed_step = self._steps.get(vertex, "")
-            self.problem = _problem(text.removeprefix("ERROR: "))
+            self.problem = _step_problem(text.removeprefix("ERROR: "))
             self._log.remember(self._lines[vertex])
-        elif (output := _OUTPUT.match(text)) and not self._ended:
+        elif (output := _OUTPUT_LINE.match(text)) and not self._ended:
             self._lines[vertex].append(output[1])
             self._log.output(output[1] + "\n")
 
-    def _message(self, line: str) -> None:
+    def _parse_message(self, line: str) -> None:
         """Parse a line outside of the steps: at the end, the reason of a failure."""
         line = line.strip()
         if not self._ended and line:
             self._log.output(line + "\n")
         if not self.problem and re.match(r"error|failed to solve|unknown flag", line, re.IGNORECASE):
-            self.problem = _problem(line)
+            self.problem = _step_problem(line)
 
 
-def _problem(text: str) -> str:
+def _step_problem(text: str) -> str:
     code = _EXIT_CODE.search(text)
     return f"exit code {code[1]}" if code else text
 
 
 @contextmanager
-def _builder(program: Program, environment: Mapping[str, str], image: str) -> Iterator[str]:
+def _temporary_builder(program: Program, environment: Mapping[str, str], image: str) -> Iterator[str]:
     """Create a temporary builder that supports several platforms."""
     name = f"calibration-{secrets.token_hex(6)}"
     try:
-        _administer(program, environment, image, "create", "--name", name, "--driver", "docker-container")
+        _run_buildx(program, environment, image, "create", "--name", name, "--driver", "docker-container")
         yield name
     finally:
-        _administer(program, environment, image, "rm", "--force", name)
+        _run_buildx(program, environment, image, "rm", "--force", name)
 
 
-def _administer(program: Program, environment: Mapping[str, str], image: str, *arguments: str) -> None:
+def _run_buildx(program: Program, environment: Mapping[str, str], image: str, *arguments: str) -> None:
     command = [program.path, "buildx", *arguments]
     try:
         subprocess.run(

@@ -24,11 +24,11 @@ from calibration.ci.image.builders.request import BuildRequest
 if TYPE_CHECKING:
     from docker import DockerClient
 
-_STEP = re.compile(r"^Step (\d+)/(\d+) : (.*)", re.DOTALL)
+_STEP_LINE = re.compile(r"^Step (\d+)/(\d+) : (.*)", re.DOTALL)
 _LAYER_GONE = "unknown parent image ID"
 """The engine's message if another process has removed a cached layer during the build."""
-_ATTEMPTS = 3
-_CONTROL = re.compile(r"^ ---> |^Removing intermediate container|^Successfully (built|tagged) ")
+_MAX_ATTEMPTS = 3
+_ENGINE_LINE = re.compile(r"^ ---> |^Removing intermediate container|^Successfully (built|tagged) ")
 
 
 class _LayerGoneError(Exception):
@@ -42,15 +42,15 @@ def build_by_engine(client: "DockerClient", request: BuildRequest, log: BuildLog
         BuildFailedError: a step failed, or the Dockerfile is wrong.
         InfrastructureError: the engine, its disk or the network failed.
     """
-    for _ in range(_ATTEMPTS):
+    for _ in range(_MAX_ATTEMPTS):
         with suppress(_LayerGoneError):
-            return _build(client, request, log)
+            return _build_once(client, request, log)
     raise InfrastructureError(
         f"image {request.name}: layers of this build were removed by another process: run it again"
     )
 
 
-def _build(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
+def _build_once(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
     """Build once; see `build_by_engine`."""
     with tempfile.TemporaryFile() as archive, _closing_answers(client):
         request.context.write_tar(archive)
@@ -72,7 +72,7 @@ def _build(client: "DockerClient", request: BuildRequest, log: BuildLog) -> str:
                 use_config_proxy=True,
             )
             for event in events:
-                image = _heed(event, request, log) or image
+                image = _show_event(event, request, log) or image
         except docker.errors.APIError as error:
             raise build_problem(request.name, "", str(error.explanation or error), log) from None
         except (requests.RequestException, urllib3.exceptions.HTTPError, OSError, ValueError):
@@ -100,14 +100,14 @@ def _closing_answers(client: "DockerClient") -> Iterator[None]:
             answer.close()
 
 
-def _heed(event: Mapping[str, Any], request: BuildRequest, log: BuildLog) -> str | None:
+def _show_event(event: Mapping[str, Any], request: BuildRequest, log: BuildLog) -> str | None:
     """Show an event; return the image's id if the event contains it."""
     if "error" in event or "errorDetail" in event:
-        raise _failure(event, request, log)
+        raise _error_of_event(event, request, log)
     text = str(event.get("stream", ""))
-    if found := _STEP.match(text):
+    if found := _STEP_LINE.match(text):
         log.step(int(found[1]), int(found[2]), found[3])
-    elif text and not _CONTROL.match(text):
+    elif text and not _ENGINE_LINE.match(text):
         log.output(text)
     elif event.get("status") and not event.get("progressDetail"):
         log.output(f"{event.get('id', '')} {event['status']}\n")
@@ -115,7 +115,7 @@ def _heed(event: Mapping[str, Any], request: BuildRequest, log: BuildLog) -> str
     return str(aux["ID"]) if isinstance(aux, Mapping) and "ID" in aux else None
 
 
-def _failure(event: Mapping[str, Any], request: BuildRequest, log: BuildLog) -> CalibrationError:
+def _error_of_event(event: Mapping[str, Any], request: BuildRequest, log: BuildLog) -> CalibrationError:
     detail = event.get("errorDetail")
     detail = detail if isinstance(detail, Mapping) else {}
     code = detail.get("code")

@@ -24,23 +24,23 @@ class BuildFailedError(CalibrationError):
         """
         self.headline = f"image {name}: {shorten(one_line(step), 200)}{': ' if step else ''}{one_line(problem)}"
         self.lines = tuple(lines)
-        super().__init__(one_line(self.headline + _said(self.lines)))
+        super().__init__(one_line(self.headline + _quote_errors(self.lines)))
 
 
-_ERROR = re.compile(r"(^|[\s:(])(error|fatal|e|err!)[:! ]|error: |^traceback ", re.IGNORECASE)
+_ERROR_LINE = re.compile(r"(^|[\s:(])(error|fatal|e|err!)[:! ]|error: |^traceback ", re.IGNORECASE)
 """A line that states an error, of compilers, CMake, make, pip, apt, npm and Python."""
 
 
-def _said(lines: Sequence[str]) -> str:
+def _quote_errors(lines: Sequence[str]) -> str:
     """Quote the last line of a step, and the first one that states an error: what follows it is often a consequence."""
     if not lines:
         return ""
-    error = next((line for line in lines if _ERROR.search(line)), lines[-1])
+    error = next((line for line in lines if _ERROR_LINE.search(line)), lines[-1])
     first = "" if error == lines[-1] else f"; its first error: {shorten(error, 200)}"
     return f"{first}; its last line: {shorten(lines[-1], 200)}"
 
 
-_WORLD = re.compile(
+_INFRASTRUCTURE = re.compile(
     r"no space left on device|failed to create endpoint|connection refused|connection reset|i/o timeout|no such host"
     r"|tls handshake|too ?many ?requests|context deadline|temporary failure|unreachable|bad gateway"
     r"|cannot connect to the docker daemon|error during connect|shutting down|service unavailable|unexpected eof",
@@ -51,7 +51,7 @@ _MISSING_BASE = re.compile(
     r"|failed to resolve source metadata .*(not found|denied|authorization failed)",
     re.IGNORECASE,
 )
-_RAN = re.compile(r"^exit code \d+$")
+_EXIT_CODE_ONLY = re.compile(r"^exit code \d+$")
 
 
 def build_problem(name: str, step: str, message: str, log: BuildLog) -> CalibrationError:
@@ -68,9 +68,9 @@ def build_problem(name: str, step: str, message: str, log: BuildLog) -> Calibrat
     """
     log.end_line()
     message = shorten(log.clean(message), 400)
-    if not _RAN.match(message):
+    if not _EXIT_CODE_ONLY.match(message):
         if _MISSING_BASE.search(message):
             return InputError(f"image {name}: a base image is missing: {message}: check its name, or log in")
-        if _WORLD.search(message):
+        if _INFRASTRUCTURE.search(message):
             return InfrastructureError(f"image {name}: the build broke off: {message}")
     return BuildFailedError(name, step, message, tuple(log.last_lines))

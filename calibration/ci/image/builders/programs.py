@@ -37,9 +37,9 @@ def lines_of(command: Sequence[str], stdin: IO[bytes], environment: Mapping[str,
     yield process.returncode
 
 
-SECONDS = 20
+VERSION_SECONDS = 20
 """Timeout of the commands that print a version."""
-_VERSION = re.compile(r"Docker version (\d+)\.(\d+)")
+_VERSION_TEXT = re.compile(r"Docker version (\d+)\.(\d+)")
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ class Program:
 def find_buildkit(search_path: str) -> Program | None:
     """Find the first program on a PATH that supports BuildKit, preferably with buildx."""
     found = None
-    for path in _programs(search_path):
-        if _answer(path, "buildx", "version") is not None:
+    for path in _find_programs(search_path):
+        if _run_quietly(path, "buildx", "version") is not None:
             return Program(path, buildx=True)
-        version = _VERSION.search(_answer(path, "--version") or "")
+        version = _VERSION_TEXT.search(_run_quietly(path, "--version") or "")
         if found is None and version and (18, 9) <= (int(version[1]), int(version[2])) < (23, 0):
             found = Program(path, buildx=False)
     return found
@@ -69,20 +69,20 @@ def docker_environment(environment: Mapping[str, str]) -> dict[str, str]:
     return {**environment, "DOCKER_BUILDKIT": "1", "BUILDX_NO_DEFAULT_ATTESTATIONS": "1", "NO_COLOR": "1"}
 
 
-def _programs(search_path: str) -> Iterator[str]:
+def _find_programs(search_path: str) -> Iterator[str]:
     folders = dict.fromkeys(filter(None, search_path.split(os.pathsep)))
     paths = (shutil.which("docker", path=folder) for folder in folders)
     return filter(None, paths)
 
 
-def _answer(*command: str) -> str | None:
+def _run_quietly(*command: str) -> str | None:
     try:
         done = subprocess.run(
             command,
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=SECONDS,
+            timeout=VERSION_SECONDS,
             check=False,
             stdin=subprocess.DEVNULL,
             env=docker_environment(os.environ),

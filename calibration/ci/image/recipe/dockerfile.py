@@ -15,13 +15,13 @@ from calibration.ci.image.recipe.repositories import Repository
 from calibration.ci.image.recipe.user_text import json_words, path_words, quoted
 from calibration.ci.image.specification import ImageSpecification, Recipe, Secret, Workspace
 
-INSTALL = "DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends -o Acquire::Retries=3"
-CLEAN = "rm -rf /var/lib/apt/lists/*"
+APT_INSTALL = "DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends -o Acquire::Retries=3"
+APT_CLEAN = "rm -rf /var/lib/apt/lists/*"
 # Debian 12 and Ubuntu 24 require a flag to let pip install into the system's Python (PEP 668); older pips ignore it.
-PIP = "PIP_BREAK_SYSTEM_PACKAGES=1 PIP_ROOT_USER_ACTION=ignore"
-SHELL = ("/bin/bash", "-eo", "pipefail", "-c")
+PIP_VARIABLES = "PIP_BREAK_SYSTEM_PACKAGES=1 PIP_ROOT_USER_ACTION=ignore"
+SHELL_WORDS = ("/bin/bash", "-eo", "pipefail", "-c")
 ENTRYPOINT_PATH = "/usr/local/bin/calibration-entrypoint"
-CLONES = "/repositories"
+CLONES_FOLDER = "/repositories"
 
 # Commands with a special meaning in RUN: by their start, by the end of a line, or by a here-document.
 _NOT_PLAIN = re.compile(r"^[\s\[#-]|<<|[\n\r\t]|\\\s*$")
@@ -55,37 +55,37 @@ def render(specification: ImageSpecification, base_digest: str | None = None) ->
     entrypoint = entrypoint_script(recipe)
     stages = [
         "# Made by `calibration build-image`: change the specification, not this file.",
-        *_repositories(base, recipe.workspace, specification.secrets, mounts, specification.ssh),
-        *_image(base, recipe, mounts),
+        *_clone_stage(base, recipe.workspace, specification.secrets, mounts, specification.ssh),
+        *_image_stage(base, recipe, mounts),
         *(f"LABEL {quoted(name)}={quoted(value)}" for name, value in sorted(specification.labels.items())),
-        *_start(recipe, has_entrypoint=entrypoint is not None),
+        *_start_instructions(recipe, has_entrypoint=entrypoint is not None),
     ]
     return Rendered("\n".join(stages) + "\n", entrypoint, needs_buildkit=bool(mounts))
 
 
-def _repositories(
+def _clone_stage(
     base: str, workspace: Workspace | None, secrets: Iterable[Secret], mounts: str, ssh: bool
 ) -> Iterator[str]:
     """Generate a separate stage for the clones, so that only their files reach the image, not secrets in its layers."""
     if workspace is None or not workspace.repositories:
         return
     yield f"FROM {base} AS repositories"
-    yield f"SHELL {json_words(*SHELL)}"
+    yield f"SHELL {json_words(*SHELL_WORDS)}"
     yield "USER root"
-    yield _apt(["ca-certificates", "git", *(["openssh-client"] if ssh else [])])
+    yield _install_packages(["ca-certificates", "git", *(["openssh-client"] if ssh else [])])
     yield "ENV GIT_TERMINAL_PROMPT=0" + (' GIT_SSH_COMMAND="ssh -o StrictHostKeyChecking=accept-new"' if ssh else "")
     for secret in secrets:
         if secret.host is not None:
             helper = f'!f() {{ echo username={secret.username}; echo "password=$(cat /run/secrets/{secret.id})"; }}; f'
             key = f"credential.https://{secret.host}.helper"
-            yield _run(f"git config --global {shlex.quote(key)} {shlex.quote(helper)}")
+            yield _run_step(f"git config --global {shlex.quote(key)} {shlex.quote(helper)}")
     for repository in workspace.repositories:
-        yield _run(*_clone(repository), mounts=mounts)
+        yield _run_step(*_clone_repository(repository), mounts=mounts)
     yield ""
 
 
-def _clone(repository: Repository) -> Iterator[str]:
-    folder = shlex.quote(f"{CLONES}/{repository.path}")
+def _clone_repository(repository: Repository) -> Iterator[str]:
+    folder = shlex.quote(f"{CLONES_FOLDER}/{repository.path}")
     yield f"git clone -- {shlex.quote(repository.url)} {folder}"
     if repository.version is not None:
         yield f"git -C {folder} checkout --quiet {shlex.quote(repository.version)} --"
@@ -93,36 +93,36 @@ def _clone(repository: Repository) -> Iterator[str]:
     yield f"find {folder} -name .git -prune -exec rm -rf {{}} +"
 
 
-def _image(base: str, recipe: Recipe, mounts: str) -> Iterator[str]:
+def _image_stage(base: str, recipe: Recipe, mounts: str) -> Iterator[str]:
     yield f"FROM {base}"
-    yield f"SHELL {json_words(*SHELL)}"
+    yield f"SHELL {json_words(*SHELL_WORDS)}"
     yield "USER root"
     for name, value in sorted(recipe.environment.items()):
         yield f"ENV {name}={quoted(value)}"
     if recipe.apt:
-        yield _apt(sorted(set(recipe.apt)))
-    yield from _pip(recipe, mounts)
+        yield _install_packages(sorted(set(recipe.apt)))
+    yield from _install_pip_packages(recipe, mounts)
     if recipe.user != "root":
         # Without a fixed uid, because some bases already have a user 1000.
         yield f"RUN id -u {recipe.user} >/dev/null 2>&1 || useradd --create-home --shell /bin/bash {recipe.user}"
     if recipe.workspace is not None:
-        yield from _dependencies(recipe, recipe.workspace)
+        yield from _install_dependencies(recipe, recipe.workspace)
     for number, file in enumerate(recipe.files):
         owner = f"--chown={file.owner} " if file.owner else ""
         slash = "/" if file.source.is_dir() else ""
         target = layout.target_of(file).rstrip("/") + slash
         yield f"COPY {owner}{path_words(layout.copied(number) + slash, target or '/')}"
     for command in recipe.commands:
-        yield _run(command.strip(), mounts=mounts)
+        yield _run_step(command.strip(), mounts=mounts)
     if recipe.workspace is not None:
-        yield from _build(recipe, recipe.workspace)
+        yield from _build_workspace(recipe, recipe.workspace)
 
 
-def _apt(packages: Iterable[str]) -> str:
-    return _run("apt-get update", " ".join([INSTALL, *packages]), CLEAN)
+def _install_packages(packages: Iterable[str]) -> str:
+    return _run_step("apt-get update", " ".join([APT_INSTALL, *packages]), APT_CLEAN)
 
 
-def _pip(recipe: Recipe, mounts: str) -> Iterator[str]:
+def _install_pip_packages(recipe: Recipe, mounts: str) -> Iterator[str]:
     if not (recipe.pip or recipe.requirements):
         return
     files = []
@@ -131,19 +131,20 @@ def _pip(recipe: Recipe, mounts: str) -> Iterator[str]:
         yield f"COPY {path_words(layout.requirements(number), files[-1])}"
     packages = [shlex.quote(package) for package in recipe.pip]
     options = [f"--requirement {file}" for file in files]
-    yield _run(
-        f"{{ python3 -m pip --version >/dev/null 2>&1 || {{ apt-get update && {INSTALL} python3-pip && {CLEAN}; }}; }}",
-        " ".join([PIP, "python3 -m pip install --no-cache-dir", *options, *packages]),
+    yield _run_step(
+        "{ python3 -m pip --version >/dev/null 2>&1 || "
+        f"{{ apt-get update && {APT_INSTALL} python3-pip && {APT_CLEAN}; }}; }}",
+        " ".join([PIP_VARIABLES, "python3 -m pip install --no-cache-dir", *options, *packages]),
         mounts=mounts,
     )
 
 
-def _dependencies(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
+def _install_dependencies(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
     """Install dependencies from the package.xml files only, so that this layer does not depend on the code."""
     path, user = workspace.path, recipe.user
     yield f"RUN install --directory --owner={user} {path} {path}/src"
     if workspace.repositories:
-        yield f"COPY --from=repositories --chown={user} {path_words(CLONES + '/', path + '/src/')}"
+        yield f"COPY --from=repositories --chown={user} {path_words(CLONES_FOLDER + '/', path + '/src/')}"
     for number, source in enumerate(workspace.sources):
         target = f"{path}/src/{layout.folder_name(source)}/"
         yield f"COPY --chown={user} {path_words(layout.manifests(number) + '/', target)}"
@@ -153,21 +154,21 @@ def _dependencies(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
         skip = f" --skip-keys {shlex.quote(' '.join(workspace.rosdep_skip))}" if workspace.rosdep_skip else ""
         steps += [
             "apt-get update",
-            f"{{ command -v rosdep >/dev/null || {INSTALL} python3-rosdep; }}",
+            f"{{ command -v rosdep >/dev/null || {APT_INSTALL} python3-rosdep; }}",
             "{ test -e /etc/ros/rosdep/sources.list.d/20-default.list || rosdep init; }",
             "export DEBIAN_FRONTEND=noninteractive",
             f"rosdep update --include-eol-distros{distro}",
-            f"{PIP} rosdep install --from-paths {path}/src --ignore-src -y{distro}{skip}",
+            f"{PIP_VARIABLES} rosdep install --from-paths {path}/src --ignore-src -y{distro}{skip}",
             "rm -rf /root/.ros",
         ]
     if workspace.tool == "colcon":
-        install = f"apt-get update && {INSTALL} python3-colcon-common-extensions"
+        install = f"apt-get update && {APT_INSTALL} python3-colcon-common-extensions"
         steps.append(f"{{ command -v colcon >/dev/null || {{ {install}; }}; }}")
     if steps:
-        yield _run(*steps, CLEAN)
+        yield _run_step(*steps, APT_CLEAN)
 
 
-def _build(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
+def _build_workspace(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
     yield f"WORKDIR {workspace.path}"
     if recipe.user != "root":
         yield f"USER {recipe.user}"
@@ -179,12 +180,12 @@ def _build(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
     command = ["colcon build"] if workspace.tool == "colcon" else ["catkin_make"]
     command += [only, *workspace.packages] if workspace.packages else []
     command += ["--cmake-args", *arguments] if arguments else []
-    yield _run(*(f"source {file}" for file in sourced(recipe, built=False)), " ".join(command))
+    yield _run_step(*(f"source {file}" for file in sourced(recipe, built=False)), " ".join(command))
 
 
-def _start(recipe: Recipe, *, has_entrypoint: bool) -> Iterator[str]:
+def _start_instructions(recipe: Recipe, *, has_entrypoint: bool) -> Iterator[str]:
     if has_entrypoint:
-        yield f"COPY {path_words(layout.ENTRYPOINT, ENTRYPOINT_PATH)}"
+        yield f"COPY {path_words(layout.ENTRYPOINT_NAME, ENTRYPOINT_PATH)}"
         yield f"ENTRYPOINT {json_words(ENTRYPOINT_PATH)}"
     if recipe.user != "root" and recipe.workspace is None:
         yield f"USER {recipe.user}"
@@ -194,8 +195,8 @@ def _start(recipe: Recipe, *, has_entrypoint: bool) -> Iterator[str]:
         yield 'CMD ["/bin/bash"]'
 
 
-def _run(*commands: str, mounts: str = "") -> str:
+def _run_step(*commands: str, mounts: str = "") -> str:
     """Format a RUN step that chains commands with &&; in shell form if that is unambiguous, else in JSON form."""
     if any(_NOT_PLAIN.search(command) for command in commands):
-        return f"RUN {mounts}{json_words(*SHELL, ' && '.join(commands))}"
+        return f"RUN {mounts}{json_words(*SHELL_WORDS, ' && '.join(commands))}"
     return f"RUN {mounts}" + " \\\n && ".join(commands)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from calibration.ci.image.specification import Recipe
 
-_RESULT = {"catkin_make": "devel/setup.bash", "colcon": "install/setup.bash"}
+_SETUP_OF_BUILDER = {"catkin_make": "devel/setup.bash", "colcon": "install/setup.bash"}
 
 
 def entrypoint_script(recipe: Recipe) -> str | None:
@@ -20,4 +20,4 @@ def sourced(recipe: Recipe, *, built: bool = True) -> Iterator[str]:
     if recipe.ros is not None:
         yield f"/opt/ros/{recipe.ros}/setup.bash"
     if recipe.workspace is not None and built:
-        yield f"{recipe.workspace.path}/{_RESULT[recipe.workspace.tool]}"
+        yield f"{recipe.workspace.path}/{_SETUP_OF_BUILDER[recipe.workspace.tool]}"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from calibration.ci.image.specification import CopiedFile
 
-DOCKERFILE = "Dockerfile"
-ENTRYPOINT = "entrypoint.sh"
+DOCKERFILE_NAME = "Dockerfile"
+ENTRYPOINT_NAME = "entrypoint.sh"
 
 
 def requirements(number: int) -> str:

@@ -14,7 +14,7 @@ from calibration.ci.image.recipe.user_text import check_line
 
 _SCP_FORM = re.compile(r"[A-Za-z0-9_.-]+@[A-Za-z0-9.-]+:(?!:).+")
 """git@github.com:team/robot.git"""
-_VERSION = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./+@-]*")
+_VERSION_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./+@-]*")
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def read_repositories(path: Path) -> tuple[Repository, ...]:
         entries = _of_rosinstall(document, path)
     else:
         raise InputError(f"{path}: found neither the key 'repositories' (.repos) nor a list (.rosinstall)")
-    repositories = tuple(_checked(*entry, where=str(path)) for entry in entries)
+    repositories = tuple(_check_repository(*entry, where=str(path)) for entry in entries)
     paths = [repository.path for repository in repositories]
     for name in paths:
         if paths.count(name) > 1:
@@ -75,11 +75,11 @@ def _of_rosinstall(entries: list[Any], path: Path) -> Iterator[tuple[object, obj
         yield entry.get("local-name"), kind, entry.get("uri"), entry.get("version")
 
 
-def _checked(name: object, kind: object, url: object, version: object, *, where: str) -> Repository:
+def _check_repository(name: object, kind: object, url: object, version: object, *, where: str) -> Repository:
     where = f"{where}: {name}"
     if kind != "git":
         raise InputError(f"{where}: found the type {kind!r}, only git is cloned: get the others with commands")
-    if not isinstance(name, str) or not _inside(name):
+    if not isinstance(name, str) or not _stays_inside(name):
         raise InputError(f"{where}: found the folder {name!r}, a path inside the workspace was expected")
     if not isinstance(url, str) or not _is_address(url):
         raise InputError(
@@ -87,13 +87,13 @@ def _checked(name: object, kind: object, url: object, version: object, *, where:
         )
     if "://" in url and urlsplit(url).password is not None:
         raise InputError(f"{where}: the address has a password in it: use secrets with a host, or ssh")
-    if version is not None and (type(version) not in (str, int) or not _VERSION.fullmatch(str(version))):
+    if version is not None and (type(version) not in (str, int) or not _VERSION_NAME.fullmatch(str(version))):
         raise InputError(f"{where}: found the version {version!r}, a commit, tag or branch was expected, as a text")
     path = str(PurePosixPath(check_line(name, where)))
     return Repository(path, check_line(url, where), None if version is None else str(version))
 
 
-def _inside(name: str) -> bool:
+def _stays_inside(name: str) -> bool:
     path = PurePosixPath(name)
     return not path.is_absolute() and ".." not in path.parts and bool(path.parts)
 

@@ -7,7 +7,7 @@ import unicodedata
 from calibration.base.errors import InputError
 from calibration.base.text import shorten
 
-_PACKAGE = re.compile(r"[a-z0-9][a-z0-9+.-]*(:[a-z0-9]+)?(=[A-Za-z0-9.+~:-]+)?(/[a-z0-9-]+)?")
+_PACKAGE_NAME = re.compile(r"[a-z0-9][a-z0-9+.-]*(:[a-z0-9]+)?(=[A-Za-z0-9.+~:-]+)?(/[a-z0-9-]+)?")
 
 
 def check_text(text: str, where: str) -> str:
@@ -40,7 +40,7 @@ def package_name(text: str, where: str) -> str:
     Raises:
         InputError: it is invalid.
     """
-    if not _PACKAGE.fullmatch(text):
+    if not _PACKAGE_NAME.fullmatch(text):
         raise InputError(
             f"{where}: found {shorten(text)!r}, the name of a Debian package was expected (name, name=1.2)"
         )

@@ -4,7 +4,7 @@ import pytest
 
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
-from calibration.ci.image.builders.build_log import LAST_LINES, LONGEST, BuildLog
+from calibration.ci.image.builders.build_log import MAX_LAST_LINES, MAX_LINE_CHARACTERS, BuildLog
 from calibration.ci.image.builders.buildkit import BuildKitOutput
 from calibration.ci.image.builders.failure import BuildFailedError, build_problem
 from calibration.ci.workflow import Runner
@@ -79,8 +79,8 @@ def test_only_the_last_lines_of_the_step_are_kept(runner: Runner) -> None:
     log.step(2, 3, "RUN  make \n all")
     assert log.step_name == "step 2 of 3, RUN make all"
     log.output("".join(f"{i}\n" for i in range(100)) + "x" * 10_000 + "\n")
-    assert list(log.last_lines)[:-1] == [str(i) for i in range(100 - LAST_LINES + 1, 100)]
-    assert len(log.last_lines[-1]) == LONGEST
+    assert list(log.last_lines)[:-1] == [str(i) for i in range(100 - MAX_LAST_LINES + 1, 100)]
+    assert len(log.last_lines[-1]) == MAX_LINE_CHARACTERS
 
 
 def test_a_line_without_end_is_not_kept_for_ever(runner: Runner) -> None:

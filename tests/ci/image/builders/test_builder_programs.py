@@ -39,7 +39,7 @@ def test_which_docker_does_buildkit(tmp_path: Path) -> None:
 
 
 def test_a_program_that_never_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(programs, "SECONDS", 0.2)
+    monkeypatch.setattr(programs, "VERSION_SECONDS", 0.2)
     assert find_buildkit(program(tmp_path / "slow", "exec sleep 60")) is None
 
 
@@ -57,7 +57,7 @@ def test_lines_and_exit_code(tmp_path: Path) -> None:
 def test_closing_the_generator_stops_the_program_and_its_children(
     tmp_path: Path, ignores: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calibration.base.programs.GRACE", 0.2)
+    monkeypatch.setattr("calibration.base.programs.STOP_SECONDS", 0.2)
     mark = f"{os.getpid()}{time.monotonic_ns() % 100_000}"
     with (tmp_path / "in").open("w+b") as stdin:
         command = ["sh", "-c", f"{ignores}sleep 3{mark[-5:]} & echo $!; wait; sleep 3600"]
