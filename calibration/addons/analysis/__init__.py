@@ -5,10 +5,9 @@ Knows nothing of calibration, and runs nothing of what it analyses.
 - ``finding``: a finding of an analyser at a line;
 - ``copies``: the tracked files, and those of an earlier commit, as folders without links;
 - ``programs``, ``analysers``: the external programs, one module each, and their output as findings;
-- ``comparison``, ``suppressions``, ``limits``: new findings, accepted findings, and limits of their number;
+- ``comparison``, ``acceptance``: new findings, accepted findings, and limits of their number;
 - ``sarif``, ``results``, ``report``: the output formats;
-- ``static_analysis``, ``process``: the command, and its process;
-- ``stage``, ``stage_result``: the stage analyse of a pipeline.
+- ``static_analysis``: the command, and what it does; ``stage``: the stage analyse of a pipeline.
 """
 
 from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyCommand, SchemaFile
@@ -30,7 +29,7 @@ ADDON = Addon(
             f"{__name__}.stage:analyse_stage",
             section="analysis",
             result=DocumentSection(
-                f"{__name__}.stage_result:Analysed", "Static analysis, where calibration.yml asks for it."
+                f"{__name__}.results:Analysed", "Static analysis, where calibration.yml asks for it."
             ),
         )
     },

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from calibration.addons.analysis.process import analysed
+from calibration.addons.analysis.results import Analysed
 from calibration.addons.analysis.settings import AnalysisSettings
-from calibration.addons.analysis.stage_result import Analysed
+from calibration.addons.analysis.static_analysis import analysed
 from calibration.ci.workflow import annotate
 from calibration.pipeline.stages.running import PipelineRun
 

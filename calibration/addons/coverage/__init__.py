@@ -2,13 +2,13 @@
 
 Independent of calibration.
 
-- ``coverage_upload``, ``upload``: the command ``coverage-upload``, and its implementation;
+- ``coverage_upload``: the command;
 - ``lines``: covered lines and branches of a file;
 - ``command``, ``tests``: the test command and its outcome; ``injection``: coverage.py in the team's own Python;
 - ``data_file``, ``formats``, ``junit``: the formats of coverage.py, other tools (Cobertura, LCOV) and pytest;
-- ``sources``, ``reading``, ``changes``: coverage of the repository's files, and of the lines of a change;
-- ``commit``, ``codacy``: the commit that the coverage belongs to, and the service that receives it;
-- ``results``, ``report``, ``badge``: the verdict and its presentation.
+- ``sources``, ``reading``: coverage of the repository's files;
+- ``commit``, ``codacy``: the commit that the coverage belongs to, its changed lines, and the service that receives it;
+- ``results``, ``report``: the verdict and its presentation.
 """
 
 from calibration.base.addons import Addon, LazyCommand, SchemaFile

@@ -1,5 +1,9 @@
-"""Commit that the coverage belongs to."""
+"""Commit that the coverage belongs to, and the coverage of the lines that it changes."""
 
+from collections.abc import Mapping
+
+from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.addons.coverage.results import Span
 from calibration.base.errors import InputError
 from calibration.base.text import one_line, shorten
 from calibration.ci.git.event import Event
@@ -33,3 +37,17 @@ def find_commit(given: str | None, event: Event, repository: Repository) -> tupl
         if sha is not None and is_commit(sha):
             return sha, source
     raise InputError("commit is not given, and there is no checkout: set commit, or check out the repository")
+
+
+def coverage_of_change(
+    changed: Mapping[str, set[int]], files: Mapping[str, FileCoverage]
+) -> tuple[Rate, tuple[Span, ...]]:
+    """Return the coverage of the changed executable lines, and the spans that no test runs."""
+    total = Rate()
+    missing: list[Span] = []
+    for path in sorted(changed.keys() & files.keys()):
+        part = {line: hits for line, hits in files[path].hits.items() if line in changed[path]}
+        coverage = FileCoverage(part)
+        total += coverage.line_rate
+        missing += [Span(path, *each) for each in files[path].ranges(coverage.missing)]
+    return total, tuple(missing)

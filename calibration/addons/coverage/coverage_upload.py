@@ -1,15 +1,37 @@
 """``coverage-upload``: run tests, check their coverage, and upload it to a service."""
 
 import os
-from typing import Any
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import click
 
-from calibration.addons.coverage.report import TITLE
-from calibration.addons.coverage.upload import Settings, upload
-from calibration.base.errors import ExitCode, InputError
+from calibration.addons.coverage.codacy import API_URL, Account, Codacy, Request, Upload, parse_account, parse_api_url
+from calibration.addons.coverage.command import parse_command
+from calibration.addons.coverage.commit import coverage_of_change, find_commit
+from calibration.addons.coverage.injection import plain, team_settings
+from calibration.addons.coverage.reading import Found, read_reports
+from calibration.addons.coverage.report import LCOV_FILE, TITLE, badge, report, what_is_left_out
+from calibration.addons.coverage.results import Change, Limit, Results, State, Uploaded
+from calibration.addons.coverage.sources import Sources, find_sources
+from calibration.addons.coverage.tests import Tests, measured_environment, measurement, run_tests
+from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base.file_patterns import matching
+from calibration.base.files import write_atomically
 from calibration.base.programs import hide
-from calibration.ci.workflow import Runner, add_mask
+from calibration.base.records import between, field, record
+from calibration.base.temporary_folder import temporary_folder
+from calibration.base.text import one_line
+from calibration.ci.execution.sizes import parse_seconds
+from calibration.ci.git.changes import changed_lines, files_without_lines, find_base
+from calibration.ci.git.event import Event
+from calibration.ci.git.repository import Repository
+from calibration.ci.report import FILES, publish, remove_results
+from calibration.ci.services import event_of
+from calibration.ci.workflow import Runner, add_mask, set_outputs
 from calibration.commands.record_options import chosen, record_options
 
 TOKEN_VARIABLES = {"project_token": "CODACY_PROJECT_TOKEN", "api_token": "CODACY_API_TOKEN"}
@@ -21,6 +43,278 @@ CODACY_VARIABLES = {
     "repository": "CODACY_PROJECT_NAME",
 }
 """Codacy's own variables, as defaults of options."""
+FOR_SERVICE = ("project_token", "api_token", "partial", "final", "dry_run")
+"""Inputs that have an effect only with a service."""
+CLOCK_TOLERANCE = 2.0
+"""Tolerance for file times, in seconds."""
+
+
+Percent = Annotated[float, between(0, 100)]
+
+
+@record
+class Settings:
+    """Inputs of ``coverage-upload``."""
+
+    run: str | None = field("Test command such as pytest -q or unittest tests, or a folder of tests.", default=None)
+    reports: tuple[str, ...] = field(
+        "Report files, existing or written by run: .coverage, Cobertura, LCOV.", default=()
+    )
+    directory: Path = field(
+        "Working directory of the tests, in the repository (the current directory).", default=Path()
+    )
+    interpreter: str | None = field("Python interpreter of the tests (the first on the PATH).", default=None)
+    source: tuple[str, ...] = field("Folders and files that count, relative to directory (all in git).", default=())
+    exclude: tuple[str, ...] | None = field(
+        "Patterns of git for files that do not count (tests, setup.py).", default=None
+    )
+    timeout: str = field("How long the tests may take, such as 10m (30m).", default="30m")
+    goal: Percent = field("Percent of its lines that every file is to have run; only shown (60).", default=60.0)
+    minimum: Percent | None = field("Percent of all lines that must be run, or the verdict is fail.", default=None)
+    minimum_change: Percent | None = field("Percent of the change's lines that must be run.", default=None)
+    base: str | None = field("Branch or commit that the change goes to (from the event).", default=None)
+    badge: Path | None = field("Write a badge of the coverage to this SVG file.", default=None)
+    service: Literal["codacy", "none"] | None = field(
+        "Service that receives the coverage: codacy or none (none).", default=None
+    )
+    project_token: str | None = field(
+        "Codacy token of this repository; locally in CODACY_PROJECT_TOKEN.", default=None, repr=False
+    )
+    api_token: str | None = field("Codacy token of an account; locally in CODACY_API_TOKEN.", default=None, repr=False)
+    provider: str | None = field(
+        "With api-token, the host of the repository: gh, ghe, gl, gle, bb or bbe.", default=None
+    )
+    organisation: str | None = field("With api-token, the organisation of the repository.", default=None)
+    repository: str | None = field("With api-token, the repository's name.", default=None)
+    api_url: str | None = field("The address of Codacy's API (https://api.codacy.com).", default=None)
+    language: str | None = field("The language of all files for Codacy (derived from their suffix).", default=None)
+    partial: bool = field("Other jobs upload coverage of this commit too; the last of them sets final.", default=False)
+    final: bool = field(
+        "This is the last upload for this commit; without run and reports, only that is sent.", default=False
+    )
+    if_token_missing: Literal["fail", "skip"] = field(
+        "fail or skip where there is no token (fail; forks are skipped).",
+        default="fail",
+    )
+    commit: str | None = field(
+        "The commit that the coverage belongs to (from the event or the checkout).", default=None
+    )
+    dry_run: bool = field("Send nothing, and show the requests.", default=False)
+    output: Path | None = field(
+        "Folder for results.json, junit.xml, summary.md, lcov.info, tests.xml and .log.", default=None
+    )
+
+
+def upload(settings: Settings, runner: Runner) -> ExitCode:
+    """Run the tests or read reports, judge, upload, and report.
+
+    Raises:
+        InputError: an input or a report is wrong or missing.
+        InfrastructureError: the tests exceed the time limit, or a result cannot be written. A result of an earlier run
+            is removed first, so that it is not mistaken for this one's.
+    """
+    if settings.output is not None:
+        uploads = [file.name for file in settings.output.glob("upload-*.json")]
+        remove_results(settings.output, (*FILES, LCOV_FILE, "tests.xml", "tests.log", *uploads))
+    _check_settings(settings)
+    settings = replace(settings, service=settings.service or "none")
+    repository = Repository.around(settings.directory)
+    event = event_of(os.environ)
+    commit, source = find_commit(settings.commit, event, repository)
+    runner.log(f"commit {commit} ({source})")
+    service, skipped = _find_service(settings, event)
+    if settings.run is None and not settings.reports:
+        return _only_final(settings, commit, service, skipped, runner)
+    with temporary_folder(prefix="calibration-coverage-") as folder:
+        results = _measure_and_judge(settings, repository, event, commit, folder, runner)
+    results = replace(results, upload=_upload_coverage(results, settings, service, skipped, runner))
+    if settings.badge is not None:
+        write_atomically(settings.badge, badge(results.lines, results.goal))
+    found = report(results, settings.directory, settings.badge)
+    publish(found, runner, settings.output)
+    return found.exit_code
+
+
+def _check_settings(settings: Settings) -> None:
+    if settings.partial and settings.final:
+        raise InputError("partial and final are both given: partial announces more uploads, final is the last one")
+    if settings.run is None and not settings.reports and not settings.final:
+        raise InputError("neither run nor reports is given: set run to the test command, or reports to existing files")
+    if settings.interpreter and settings.run is None:
+        raise InputError("interpreter is given without run: it applies only to the command in run")
+    given = [name for name in FOR_SERVICE if getattr(settings, name)]
+    if settings.service is None and given:
+        name = given[0].replace("_", "-")
+        raise InputError(f"{name} is given without a service: add service: codacy (or none, to upload nothing)")
+
+
+def _find_service(settings: Settings, event: Event) -> tuple[Codacy | None, str]:
+    """Return the client of the service, or None and the reason.
+
+    Raises:
+        InputError: a required token is missing, or an input of the service is malformed.
+    """
+    if settings.service == "none":
+        return None, ""
+    account = parse_account(
+        settings.project_token, settings.api_token, settings.provider, settings.organisation, settings.repository
+    )
+    if account is None and settings.dry_run:
+        account = Account("", settings.provider, settings.organisation, settings.repository)
+    if account is not None:
+        return Codacy(account, parse_api_url(settings.api_url or API_URL), settings.language), ""
+    if event.without_secrets is not None:
+        return None, event.without_secrets
+    if settings.if_token_missing == "skip":  # noqa: S105 (no password)
+        return None, "there is no token"
+    raise InputError(
+        "CODACY_PROJECT_TOKEN is not set, nor CODACY_API_TOKEN: put the token there (in the action: project-token), "
+        "or set service: none"
+    )
+
+
+def _measure_and_judge(
+    settings: Settings, repository: Repository, event: Event, commit: str, folder: Path, runner: Runner
+) -> Results:
+    """Run the tests if a command is given, and judge their coverage."""
+    sources = find_sources(repository, settings.directory, map(Path, settings.source), settings.exclude)
+    options = team_settings(settings.directory)
+    base, no_change = _find_base(settings, repository, event)
+    tests: Tests | None = None
+    files: list[Path] = []
+    executable = None
+    begin = time.time()
+    if settings.run is not None:
+        tests, files, executable = _run_tests(settings, sources, options, folder, runner)
+    failed = tests is not None and tests.problem is not None
+    try:
+        if settings.reports:
+            files = _find_reports(settings, None if tests is None else begin)
+        found = read_reports(files, sources, options, folder / "reading", executable)
+    except InputError as error:
+        if not failed:
+            raise
+        found = Found.nothing()  # failed tests may have written no report
+        runner.log(one_line(f"no coverage: {error}"))
+    change = None
+    if base is not None:
+        difference = repository.difference(base)
+        if unread := sorted(files_without_lines(difference) & found.files.keys()):
+            raise InputError(
+                f"{unread[0]}: its changed lines are not known, as git takes it for a binary file: take it out of the "
+                "lines with -diff or binary in .gitattributes, or exclude it"
+            )
+        change = Change(base, *coverage_of_change(changed_lines(difference), found.files))
+    results = Results(found, settings.goal, commit, tests, change, no_change)
+    if results.lines.total == 0 and not failed:
+        why = "; ".join(["the reports contain no file that counts (source, exclude)", *what_is_left_out(found)])
+        raise InputError(f"no executable line was found: {why}")
+    limits = []
+    if settings.minimum is not None:
+        limits.append(Limit("minimum", settings.minimum, results.lines))
+    if settings.minimum_change is not None and change is not None:
+        limits.append(Limit("minimum-change", settings.minimum_change, change.rate, of_change=True))
+    return replace(results, limits=tuple(limits))
+
+
+def _find_base(settings: Settings, repository: Repository, event: Event) -> tuple[str | None, str]:
+    """Return the merge base of the change; or None and the reason.
+
+    Raises:
+        InputError: it is required, and cannot be found.
+    """
+    try:
+        return find_base(repository, settings.base, event.bases), ""
+    except InputError as error:
+        if settings.base is not None or settings.minimum_change is not None:
+            raise
+        return None, str(error)
+
+
+def _find_reports(settings: Settings, begin: float | None) -> list[Path]:
+    """Return the report files.
+
+    Raises:
+        InputError: a pattern matches no file, or a file is older than the test run that should have written it.
+    """
+    files = [Path(file) for file in matching([str(settings.directory / name) for name in settings.reports])]
+    for file in files:
+        if begin is not None and file.exists() and file.stat().st_mtime < begin - CLOCK_TOLERANCE:
+            raise InputError(f"{file}: it is older than this run of the tests, which should have written it (reports)")
+    return files
+
+
+def _run_tests(
+    settings: Settings, sources: Sources, options: Mapping[str, Any], folder: Path, runner: Runner
+) -> tuple[Tests, list[Path], str | None]:
+    """Run the tests; return their outcome, the measured data files, and the Python that measured."""
+    seconds = parse_seconds(settings.timeout, "timeout")
+    output = (settings.output or folder).absolute()
+    environment = plain(os.environ)
+    called = parse_command(
+        settings.run or "", settings.directory, settings.interpreter, environment, output / "tests.xml"
+    )
+    if not settings.reports:  # otherwise the tests measure themselves
+        environment = measured_environment(os.environ, options, sources.measured(), folder / "measuring")
+    log = output / "tests.log"
+    secrets = tuple(filter(None, (settings.project_token, settings.api_token)))
+    tests = run_tests(called, settings.directory, environment, seconds, runner, log, secrets)
+    if settings.reports:
+        return tests, [], None
+    measured = measurement(folder / "measuring")
+    for problem in measured.problems:
+        runner.log(one_line(problem))
+    if not measured.files and tests.problem is None:
+        why = "; ".join(measured.problems) or (
+            "no Python was started that uses PYTHONPATH; if the tests measure themselves, set reports"
+        )
+        raise InputError(f"run: the tests passed, but no coverage was measured: {why}")
+    return tests, list(measured.files), measured.executable
+
+
+def _only_final(settings: Settings, commit: str, service: Codacy | None, skipped: str, runner: Runner) -> ExitCode:
+    """Tell the service that the uploads for the commit are complete."""
+    state: State = "none" if settings.service == "none" else "skipped"
+    if service is not None:
+        requests = service.requests(Upload(commit, {}, final=True))
+        state = _send_requests(service, requests, settings, runner)
+    set_outputs(runner, {"uploaded": state, "commit": commit})
+    runner.log(f"{state}{f': {skipped}' if skipped else ''}: no more uploads for {commit}")
+    return ExitCode.PASS
+
+
+def _upload_coverage(
+    results: Results, settings: Settings, service: Codacy | None, skipped: str, runner: Runner
+) -> Uploaded:
+    """Upload the coverage, and return the outcome."""
+    name = settings.service or "none"
+    if service is None:
+        return Uploaded(name, "none" if name == "none" else "skipped", skipped)
+    if results.lines.total == 0:
+        return Uploaded(name, "skipped", "nothing was measured")
+    upload = Upload(results.commit, results.files, settings.partial, settings.final)
+    try:
+        return Uploaded(name, _send_requests(service, service.requests(upload), settings, runner))
+    except InfrastructureError as error:
+        return Uploaded(name, "failed", str(error))
+
+
+def _send_requests(service: Codacy, requests: Sequence[Request], settings: Settings, runner: Runner) -> State:
+    """Send the requests, or only log them in a dry run.
+
+    Raises:
+        InfrastructureError: the service rejected one.
+    """
+    for request in requests:
+        verb = "would be sent" if settings.dry_run else "sent"
+        runner.log(one_line(f"{request.what}: {len(request.body)} bytes of JSON {verb} to {request.url}"))
+    if settings.dry_run:
+        for number, request in enumerate(requests, 1):
+            if settings.output is not None:
+                write_atomically(settings.output / f"upload-{number}.json", request.body)
+        return "dry-run"
+    service.send(requests)
+    return "uploaded"
 
 
 @click.command(TITLE)

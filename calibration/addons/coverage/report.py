@@ -11,6 +11,7 @@ from calibration.addons.coverage.results import Results
 from calibration.base.errors import ExitCode
 from calibration.base.text import one_line, shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, outcome_of_check, verdict_of
+from calibration.ci.report.badge import BAD, FAIR, GOOD, NONE, drawn_badge
 from calibration.ci.workflow.annotation import Annotation, Level
 
 TITLE = "coverage-upload"
@@ -189,3 +190,15 @@ def _names_text(names: Sequence[str]) -> str:
 
 def _percent_text(rate: Rate) -> str:
     return str(rate).partition(" (")[0]
+
+
+def badge(lines: Rate, goal: float) -> str:
+    """Draw a badge as SVG: green from the goal on, brown from three quarters of it, else red."""
+    text = "unknown" if lines.percent is None else f"{int(lines.percent)}%"
+    if lines.total == 0:
+        colour = NONE
+    elif lines.reaches(goal):
+        colour = GOOD
+    else:
+        colour = FAIR if lines.reaches(0.75 * goal) else BAD
+    return drawn_badge("coverage", text, colour)

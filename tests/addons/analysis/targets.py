@@ -5,15 +5,14 @@ import re
 from pathlib import Path
 
 from benchmarks.ros_defects.workspace import Workspace
-from calibration.addons.analysis.earlier_sarif import read_earlier
+from calibration.addons.analysis.acceptance import read_suppressions
 from calibration.addons.analysis.ros.check import check as check_ros
 from calibration.addons.analysis.ros.cpp_code import read_cpp
 from calibration.addons.analysis.ros.launch_markup import read_launch_xml, read_launch_yaml
 from calibration.addons.analysis.ros.launch_python import read_launch_python
 from calibration.addons.analysis.ros.python_code import read_python
 from calibration.addons.analysis.ros.tree import Tree
-from calibration.addons.analysis.sarif import FINGERPRINT
-from calibration.addons.analysis.suppressions import read_suppressions
+from calibration.addons.analysis.sarif import FINGERPRINT, read_earlier
 from tests.campaigns.target import Target
 
 SUPPRESSIONS = b"""\

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from calibration.addons.analysis.acceptance import Suppression, parse_limits, read_suppressions, sift
 from calibration.addons.analysis.finding import Finding
-from calibration.addons.analysis.limits import parse_limits
-from calibration.addons.analysis.suppressions import Suppression, read_suppressions, sift
 from calibration.base.errors import InputError
 
 TODAY = date(2030, 1, 31)

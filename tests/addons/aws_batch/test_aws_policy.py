@@ -4,8 +4,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import _execute
-from calibration.addons.aws_batch.aws_policy import command
-from calibration.addons.aws_batch.policy import policy, trust
+from calibration.addons.aws_batch.aws_policy import command, policy, trust
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.base.records import read
 from tests.addons.aws_batch.test_settings import NEEDED

@@ -229,7 +229,9 @@ def test_modules_before_the_backend_need_no_aws_packages() -> None:
     import sys
 
     heavy = "{'boto3', 'botocore', 'docker', 'requests'}"
-    modules = "calibration.addons.aws_batch.settings, calibration.addons.aws_batch.policy, calibration.commands.cleanup"
+    modules = (
+        "calibration.addons.aws_batch.settings, calibration.addons.aws_batch.aws_policy, calibration.commands.cleanup"
+    )
     code = f"import {modules}, sys; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout.replace("'", '"')) == []

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.coverage.changes import coverage_of_change
+from calibration.addons.coverage.commit import coverage_of_change
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.addons.coverage.results import Span
 from calibration.base.errors import InfrastructureError, InputError

@@ -18,7 +18,7 @@ from defusedxml.ElementTree import parse
 
 from calibration.__main__ import COMMANDS, main, run_action
 from calibration.addons import coverage
-from calibration.addons.coverage.upload import Settings
+from calibration.addons.coverage.coverage_upload import Settings
 from calibration.base.addons import LazyCommand
 from tests.addons.coverage import projects
 from tests.addons.coverage.projects import NAMING, TOKEN, robot

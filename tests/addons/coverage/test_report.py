@@ -8,11 +8,10 @@ import pytest
 from defusedxml.ElementTree import fromstring
 
 from calibration.addons import coverage
-from calibration.addons.coverage.badge import badge
 from calibration.addons.coverage.junit import Failure, Tally
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.addons.coverage.reading import Found, Mapped
-from calibration.addons.coverage.report import remarks, report
+from calibration.addons.coverage.report import badge, remarks, report
 from calibration.addons.coverage.results import Change, Limit, Results, Span, Uploaded
 from calibration.addons.coverage.tests import Tests
 from calibration.base.errors import ExitCode

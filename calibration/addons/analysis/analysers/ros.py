@@ -4,6 +4,7 @@ import json
 import re
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,6 +13,7 @@ from calibration.addons.analysis.analysers.analyser import Analyser
 from calibration.addons.analysis.copies import MAX_FILES, Copy
 from calibration.addons.analysis.finding import Finding
 from calibration.addons.analysis.programs import run_program
+from calibration.addons.analysis.results import Graph
 from calibration.base.temporary_folder import temporary_folder
 
 _CHECKED_FILES = re.compile(
@@ -64,3 +66,42 @@ def run_in_process(what: str, copy: Copy, seconds: float) -> Any:
             Ros.name, [sys.executable, "-I", "-c", _PROGRAM_OF_CHECKS, home, str(task)], copy.root, seconds, (0,)
         )
     return json.loads(result.output)
+
+
+JSON_FILE, PICTURE_FILE = "ros-graph.json", "ros-graph.svg"
+
+
+@dataclass(frozen=True)
+class RosGraph:
+    """Graph of one state of a repository."""
+
+    nodes: int
+    connections: frozenset[str]
+    """Connections of nodes, one line each: ``/scan: scanner -> follower``."""
+    unresolved: tuple[str, ...]
+    document: str
+    """The whole graph as JSON."""
+    picture: str
+    """Picture of the graph as SVG."""
+
+    def since(self, earlier: "RosGraph | None") -> Graph:
+        """Return what the graph has, and what has changed since an earlier state."""
+        before = self.connections if earlier is None else earlier.connections
+        return Graph(
+            nodes=self.nodes,
+            connections=len(self.connections),
+            connected=tuple(sorted(self.connections - before)),
+            cut=tuple(sorted(before - self.connections)),
+            unresolved=self.unresolved,
+        )
+
+
+def read_graph(copy: Copy, seconds: float) -> RosGraph:
+    """Read the graph of a copy in a process of its own.
+
+    Raises:
+        InfrastructureError: it fails, or takes too long.
+    """
+    found = run_in_process("graph", copy, seconds)
+    connections = frozenset(found["connections"])
+    return RosGraph(found["nodes"], connections, tuple(found["unresolved"]), found["document"], found["picture"])

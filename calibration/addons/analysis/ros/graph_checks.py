@@ -2,12 +2,14 @@
 
 from collections import Counter
 from collections.abc import Iterator
+from typing import Any
+
+import yaml
 
 from calibration.addons.analysis.finding import Finding
 from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.graph import CONNECTIONS, Endpoint, Graph, GraphNode, build_graphs
 from calibration.addons.analysis.ros.launch import Parameter
-from calibration.addons.analysis.ros.parameters import parameters_of, private_parameters_of
 from calibration.addons.analysis.ros.repository import Repository
 from calibration.base.text import did_you_mean
 
@@ -141,3 +143,45 @@ def _check_remappings(node: GraphNode) -> Iterator[Finding]:
         if old not in names and (hint := did_you_mean(old, names - olds)):
             message = f"{quoted(node.title)} uses no {quoted(old)}{hint}"
             yield fault("unused-remapping", node.start.path, each.line, message)
+
+
+_MAX_PARAMETERS = 5_000
+_MAX_DEPTH = 20
+
+
+def parameters_of(path: str, text: str, node: str) -> list[Parameter]:
+    """Return the parameters that a file of ROS 2 sets for a node of this full name."""
+    found: list[Parameter] = []
+    short = node.rpartition("/")[2]
+    for key, value in _entries_of_mapping(_parse_root(text)):
+        if str(key.value) in ("/**", short, node, node.lstrip("/"), f"/**/{short}"):
+            for inner, values in _entries_of_mapping(value):
+                if inner.value == "ros__parameters":
+                    found += _names_of_values(values, "", path, ".")
+    return found[:_MAX_PARAMETERS]
+
+
+def private_parameters_of(path: str, text: str) -> list[Parameter]:
+    """Return the names that a file of ROS 1 sets below where it is loaded."""
+    return list(_names_of_values(_parse_root(text), "", path, "/"))[:_MAX_PARAMETERS]
+
+
+def _parse_root(text: str) -> Any:
+    try:
+        return yaml.compose(text, Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return None
+
+
+def _entries_of_mapping(node: Any) -> list[tuple[Any, Any]]:
+    return node.value if isinstance(node, yaml.MappingNode) else []
+
+
+def _names_of_values(node: Any, prefix: str, path: str, separator: str, depth: int = 0) -> Iterator[Parameter]:
+    """Yield the names of all values, nested ones joined by the separator."""
+    for key, value in _entries_of_mapping(node) if depth < _MAX_DEPTH else ():
+        name = f"{prefix}{key.value}"
+        if isinstance(value, yaml.MappingNode):
+            yield from _names_of_values(value, f"{name}{separator}", path, separator, depth + 1)
+        else:
+            yield Parameter(name, path, key.start_mark.line + 1)
