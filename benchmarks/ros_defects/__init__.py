@@ -13,15 +13,15 @@ from pathlib import Path
 from benchmarks.ros_defects.kinds import KINDS, planted
 from benchmarks.ros_defects.workspace import Files, Workspace, write
 from benchmarks.rows import Bar, Row
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.ros.check import check
-from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.tree import Tree
 
 SEEDS = 10
 
 
-def found_in(files: Files) -> list[Finding]:
+def found_in(files: Files) -> list[CodeFinding]:
     """Return the findings in files that are written to a folder."""
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder), files)
@@ -64,7 +64,7 @@ def _real() -> Iterator[Row]:
         inside = [str(path.relative_to(folder)) for path in files if path.is_file() and not path.is_symlink()]
         links = [str(path.relative_to(folder)) for path in files if path.is_symlink()]
         tree = Tree(folder, inside, links)
-        packages += len(Repository(tree).packages)
+        packages += len(RosRepository(tree).packages)
         for each in check(tree):
             findings += 1
             print(f"  {folder.name}/{each.place}: {each.rule}: {each.message}")

@@ -33,5 +33,5 @@ ADDON = Addon(
             ),
         )
     },
-    schemas={"analysis": SchemaFile(__name__, "results.schema.json", "results:Results", "static-analysis")},
+    schemas={"analysis": SchemaFile(__name__, "results.schema.json", "results:AnalysisResults", "static-analysis")},
 )

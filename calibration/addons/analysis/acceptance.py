@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated
 
-from calibration.addons.analysis.finding import CATEGORIES, SEVERITIES, Finding
+from calibration.addons.analysis.finding import CATEGORIES, SEVERITIES, CodeFinding
 from calibration.base.errors import InputError
 from calibration.base.records import Converted, field, length, read, record
 from calibration.base.text import did_you_mean, shorten
@@ -24,20 +24,20 @@ _KINDS_OF_FINDINGS = (EVERY_FINDING, *SEVERITIES, *CATEGORIES)
 
 
 @dataclass(frozen=True)
-class Limit:
+class FindingLimit:
     """Limit of the number of findings of a kind."""
 
     kind: str
     """A severity, a category, or all."""
     most: int
 
-    def check(self, findings: Sequence[Finding], what: str) -> Check:
+    def check(self, findings: Sequence[CodeFinding], what: str) -> Check:
         """Check the number of findings; ``what`` describes them in the message: new, all."""
         return at_most(
             f"{what} findings{self._kind_in_parentheses}", sum(map(self._concerns_finding, findings)), self.most
         )
 
-    def check_files(self, findings: Sequence[Finding]) -> list[Check]:
+    def check_files(self, findings: Sequence[CodeFinding]) -> list[Check]:
         """Check the number of findings of each file: those with too many, the worst first, or else the worst one."""
         counts = Counter(finding.path for finding in findings if self._concerns_finding(finding)).most_common(
             MOST_FILES
@@ -48,7 +48,7 @@ class Limit:
             for path, count in broken or counts[:1]
         ]
 
-    def _concerns_finding(self, finding: Finding) -> bool:
+    def _concerns_finding(self, finding: CodeFinding) -> bool:
         return self.kind in (EVERY_FINDING, finding.severity, finding.category)
 
     @property
@@ -56,7 +56,7 @@ class Limit:
         return "" if self.kind == EVERY_FINDING else f" ({self.kind})"
 
 
-def parse_limits(texts: Sequence[str], option: str) -> list[Limit]:
+def parse_limits(texts: Sequence[str], option: str) -> list[FindingLimit]:
     """Parse limits from options.
 
     Raises:
@@ -73,7 +73,7 @@ def parse_limits(texts: Sequence[str], option: str) -> list[Limit]:
             raise InputError(
                 f"{option}: found {kind!r}, expected one of {known}{did_you_mean(kind, _KINDS_OF_FINDINGS)}"
             )
-        limits.append(Limit(kind, int(match[2])))
+        limits.append(FindingLimit(kind, int(match[2])))
     return limits
 
 
@@ -102,7 +102,7 @@ class Suppression:
         "The last day that it holds, YYYY-MM-DD.", default=None
     )
 
-    def covers(self, finding: Finding) -> bool:
+    def covers(self, finding: CodeFinding) -> bool:
         """Whether it applies to a finding."""
         return fnmatchcase(finding.rule, self.rule) and fnmatchcase(finding.path, self.path)
 
@@ -118,8 +118,8 @@ class SuppressionFile:
 class Sifted:
     """Findings separated into accepted and others."""
 
-    kept: tuple[Finding, ...]
-    suppressed: tuple[tuple[Finding, Suppression], ...]
+    kept: tuple[CodeFinding, ...]
+    suppressed: tuple[tuple[CodeFinding, Suppression], ...]
     remarks: tuple[str, ...]
     """Remarks on suppressions that have ended, or match nothing."""
 
@@ -138,7 +138,7 @@ def read_suppressions(path: Path) -> tuple[Suppression, ...]:
     return read(SuppressionFile, document, str(path)).suppressions
 
 
-def sift(findings: Sequence[Finding], suppressions: Sequence[Suppression], today: date) -> Sifted:
+def sift(findings: Sequence[CodeFinding], suppressions: Sequence[Suppression], today: date) -> Sifted:
     """Separate the findings that are accepted today."""
     kept, suppressed, used, ended = [], [], set(), []
     for finding in findings:

@@ -5,29 +5,29 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Finding, Located, located
+from calibration.addons.analysis.finding import CodeFinding, Located, located
 
 
 @dataclass(frozen=True)
 class Compared:
     """New, known and fixed findings of two states of a repository."""
 
-    new: tuple[Finding, ...]
-    unchanged: tuple[Finding, ...]
-    fixed: tuple[Finding, ...]
+    new: tuple[CodeFinding, ...]
+    unchanged: tuple[CodeFinding, ...]
+    fixed: tuple[CodeFinding, ...]
     """Fixed findings, at their lines in the earlier state."""
 
 
-def with_content(findings: Sequence[Finding], copy: Copy) -> list[Located]:
+def with_content(findings: Sequence[CodeFinding], copy: Copy) -> list[Located]:
     """Return findings with the content of their lines."""
     lines = {path: copy.lines(path) for path in {finding.path for finding in findings}}
     return [located(finding, lines[finding.path]) for finding in findings]
 
 
 def compare(
-    now: Sequence[Finding],
+    now: Sequence[CodeFinding],
     copy: Copy,
-    earlier: Sequence[Finding],
+    earlier: Sequence[CodeFinding],
     base: Copy,
     changed: Collection[str],
     whole: Collection[str] = (),
@@ -42,7 +42,7 @@ def compare(
     """
     touched = set(changed)
 
-    def is_open(finding: Finding) -> bool:
+    def is_open(finding: CodeFinding) -> bool:
         return finding.path in touched or finding.rule.partition("/")[0] in whole
 
     unchanged = [finding for finding in now if not is_open(finding)]
@@ -77,12 +77,12 @@ def compare(
 
 def _match_by_key(
     now: Sequence[Located], earlier: Sequence[Located], key: Callable[[Located], tuple[str, str]]
-) -> tuple[list[Located], list[Located], list[Finding]]:
+) -> tuple[list[Located], list[Located], list[CodeFinding]]:
     """Return the current and earlier findings without a partner, and the current ones with a partner.
 
     Partners in the same file are matched first, so that the remaining ones are at the expected file.
     """
-    matched: list[Finding] = []
+    matched: list[CodeFinding] = []
     for full in (lambda each: (each.finding.path, *key(each)), key):
         counts = Counter(map(full, earlier))
         rest = []

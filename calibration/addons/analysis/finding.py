@@ -25,7 +25,7 @@ _FORMATTING_CHARACTERS = re.compile(r"[\s,;()'\"\\]+")
 
 
 @result
-class Finding:
+class CodeFinding:
     """Fault at a line of a file."""
 
     path: str = field("The file, in the repository.")
@@ -45,7 +45,7 @@ class Finding:
 class Located:
     """Finding with the content of its line, to match it after the line has moved."""
 
-    finding: Finding
+    finding: CodeFinding
     content: str
     """The line, without what formatters change; the message if the line is empty."""
 
@@ -55,7 +55,7 @@ def plain_content(text: str) -> str:
     return _FORMATTING_CHARACTERS.sub("", text)
 
 
-def located(finding: Finding, lines: Sequence[str]) -> Located:
+def located(finding: CodeFinding, lines: Sequence[str]) -> Located:
     """Return a finding with the content of its line; ``lines`` are those of its file."""
     text = lines[finding.line - 1] if 1 <= finding.line <= len(lines) else ""
     return Located(finding, plain_content(text) or finding.message)

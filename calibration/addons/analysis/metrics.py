@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 from calibration.addons.analysis.analysers.analyser import arguments
 from calibration.addons.analysis.analysers.cpp import CPP_SUFFIXES
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.programs import module, run_program
 from calibration.addons.analysis.results import Metrics
 from calibration.base.errors import InfrastructureError
@@ -37,7 +37,7 @@ class CodeMetrics:
     complex_functions: int = 0
     duplicate_percent: float = 0.0
 
-    def graded(self, findings: Sequence[Finding], lines: int) -> Metrics:
+    def graded(self, findings: Sequence[CodeFinding], lines: int) -> Metrics:
         """Return the metrics with the grade of findings in so many lines that are not empty."""
         weight = 1000 * sum(_WEIGHT_OF_SEVERITY[each.severity] for each in findings) / max(lines, 1)
         complex_percent = 100 * self.complex_functions / max(self.functions, 1)

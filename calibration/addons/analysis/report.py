@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.addons.analysis.analysers.ros import JSON_FILE, PICTURE_FILE, RosGraph
-from calibration.addons.analysis.finding import CATEGORIES, SEVERITIES, Finding
+from calibration.addons.analysis.finding import CATEGORIES, SEVERITIES, CodeFinding
 from calibration.addons.analysis.metrics import BADGE_FILE, grade_badge
-from calibration.addons.analysis.results import Graph, Metrics, Results
+from calibration.addons.analysis.results import AnalysisResults, GraphSummary, Metrics
 from calibration.addons.analysis.sarif import SARIF_FILE
 from calibration.base.text import shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, count_of, outcome_of_check, verdict_of
@@ -21,7 +21,7 @@ _LEVEL_OF_SEVERITY = {"error": Level.ERROR, "warning": Level.WARNING, "note": Le
 _HEADER_OF_FINDINGS = ("place", "severity", "category", "rule", "finding")
 
 
-def report(results: Results, sarif: str, graph: RosGraph | None, root: Path, folder: Path | None) -> Report:
+def report(results: AnalysisResults, sarif: str, graph: RosGraph | None, root: Path, folder: Path | None) -> Report:
     """Return the report.
 
     Args:
@@ -96,12 +96,12 @@ def report(results: Results, sarif: str, graph: RosGraph | None, root: Path, fol
     )
 
 
-def gravest_first(findings: Sequence[Finding]) -> list[Finding]:
+def gravest_first(findings: Sequence[CodeFinding]) -> list[CodeFinding]:
     """Sort findings for a report: errors first, security before other warnings."""
     return sorted(findings, key=lambda each: (SEVERITIES.index(each.severity), each.category != "security", each.place))
 
 
-def _verdict_sentence(results: Results) -> str:
+def _verdict_sentence(results: AnalysisResults) -> str:
     parts = [*results.problems] or [count_of(len(results.findings), "finding")]
     if results.base is not None and not results.problems:
         parts = [f"{len(results.new)} new, {len(results.fixed)} fixed, {len(results.unchanged)} not new"]
@@ -110,14 +110,14 @@ def _verdict_sentence(results: Results) -> str:
     return "; ".join([*parts, f"{count_of(results.files, 'file')} analysed"])
 
 
-def _rows_of_findings(findings: Sequence[Finding]) -> tuple[tuple[str, ...], ...]:
+def _rows_of_findings(findings: Sequence[CodeFinding]) -> tuple[tuple[str, ...], ...]:
     return tuple(
         (each.place, each.severity, each.category, each.rule, shorten(each.message, 200))
         for each in gravest_first(findings)
     )
 
 
-def _files_with_most_findings(results: Results) -> tuple[tuple[str, str], ...]:
+def _files_with_most_findings(results: AnalysisResults) -> tuple[tuple[str, str], ...]:
     counts = Counter(finding.path for finding in results.findings)
     return tuple((path, str(count)) for path, count in counts.most_common(MAX_FILES_SHOWN))
 
@@ -135,7 +135,7 @@ def _metrics_table(metrics: Metrics | None) -> tuple[Table, ...]:
     return (Table(("metric", "value", ""), rows, title="Metrics"),)
 
 
-def _graph_blocks(graph: Graph | None) -> tuple[Table | Lines, ...]:
+def _graph_blocks(graph: GraphSummary | None) -> tuple[Table | Lines, ...]:
     """Return the blocks about the graph: what a change connects or cuts."""
     if graph is None:
         return ()
@@ -146,7 +146,7 @@ def _graph_blocks(graph: Graph | None) -> tuple[Table | Lines, ...]:
     return (table, Lines((f"{size}{unresolved}",)))
 
 
-def _junit_cases(results: Results) -> list[Outcome]:
+def _junit_cases(results: AnalysisResults) -> list[Outcome]:
     """Return the cases of JUnit: each limit, and each analyser, which passes where it has run."""
     limits = [replace(outcome_of_check(check, TITLE), name=f"{check.subject}") for check in results.checks]
     return [*limits, *(Outcome(name=f"{tool.name} {tool.version}".strip(), group=TITLE) for tool in results.tools)]

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
-from calibration.addons.analysis.finding import CATEGORIES, Finding
+from calibration.addons.analysis.finding import CATEGORIES, CodeFinding
 from calibration.base.records import computed, field, result
 from calibration.ci.report import Check, Verdict, count_of, verdict_of
 
@@ -22,12 +22,12 @@ class Tool:
 class Suppressed:
     """A finding that the team has accepted."""
 
-    finding: Finding
+    finding: CodeFinding
     reason: str = field("Why.")
 
 
 @result
-class Graph:
+class GraphSummary:
     """Nodes of ROS packages that launch files start, and what connects them."""
 
     nodes: int
@@ -55,7 +55,7 @@ class Metrics:
 
 
 @result
-class Results:
+class AnalysisResults:
     """Results of static-analysis."""
 
     tools: tuple[Tool, ...] = field("The analysers that had files to look at.")
@@ -65,17 +65,17 @@ class Results:
     base: str | None = field(
         "Base commit of the change, or the file of earlier findings; null if there is nothing to compare with."
     )
-    new: tuple[Finding, ...] = field("New findings of the change.")
-    unchanged: tuple[Finding, ...] = field("Findings of the base too; all findings if there is no base.")
-    fixed: tuple[Finding, ...] = field("Fixed findings, at their lines in the base.")
+    new: tuple[CodeFinding, ...] = field("New findings of the change.")
+    unchanged: tuple[CodeFinding, ...] = field("Findings of the base too; all findings if there is no base.")
+    fixed: tuple[CodeFinding, ...] = field("Fixed findings, at their lines in the base.")
     suppressed: tuple[Suppressed, ...] = field("Accepted findings.")
     remarks: tuple[str, ...] = field("Suppressions that have ended or cover nothing; why there is no base.")
     checks: tuple[Check, ...] = field("The limits.")
     metrics: Metrics | None = field("Metrics and grade; null if they are not asked for.", default=None)
-    graph: Graph | None = field("Graph of the ROS nodes; null if there is no ROS package.", default=None)
+    graph: GraphSummary | None = field("Graph of the ROS nodes; null if there is no ROS package.", default=None)
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[CodeFinding, ...]:
         """Findings that are not accepted, the new ones first."""
         return self.new + self.unchanged
 

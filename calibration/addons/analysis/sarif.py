@@ -9,7 +9,7 @@ from typing import Any, get_args
 from urllib.parse import quote, unquote
 
 from calibration.addons.analysis.comparison import Compared
-from calibration.addons.analysis.finding import Finding, Located, Severity
+from calibration.addons.analysis.finding import CodeFinding, Located, Severity
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 
@@ -34,8 +34,8 @@ def fingerprints(findings: Iterable[Located]) -> list[str]:
 def sarif(
     findings: Sequence[Located],
     versions: Mapping[str, str],
-    new: frozenset[Finding] | None = None,
-    suppressed: Mapping[Finding, str] | None = None,
+    new: frozenset[CodeFinding] | None = None,
+    suppressed: Mapping[CodeFinding, str] | None = None,
 ) -> str:
     """Write a log with one run for each analyser.
 
@@ -64,8 +64,8 @@ def _run_document(
     name: str,
     version: str,
     entries: Sequence[tuple[Located, str]],
-    new: frozenset[Finding] | None,
-    suppressed: Mapping[Finding, str],
+    new: frozenset[CodeFinding] | None,
+    suppressed: Mapping[CodeFinding, str],
 ) -> dict[str, Any]:
     rules = {each.finding.rule: each.finding for each, _ in entries}
     driver: dict[str, Any] = {"name": name, "rules": [_rule_document(rules[rule]) for rule in sorted(rules)]}
@@ -79,7 +79,7 @@ def _run_document(
     }
 
 
-def _rule_document(finding: Finding) -> dict[str, Any]:
+def _rule_document(finding: CodeFinding) -> dict[str, Any]:
     return {
         "id": finding.rule,
         "defaultConfiguration": {"level": _LEVEL_OF_SEVERITY[finding.severity]},
@@ -88,7 +88,7 @@ def _rule_document(finding: Finding) -> dict[str, Any]:
 
 
 def _result_document(
-    finding: Finding, fingerprint: str, new: frozenset[Finding] | None, suppressed: Mapping[Finding, str]
+    finding: CodeFinding, fingerprint: str, new: frozenset[CodeFinding] | None, suppressed: Mapping[CodeFinding, str]
 ) -> dict[str, Any]:
     uri = quote(finding.path.encode("utf-8", "surrogateescape"))
     entry: dict[str, Any] = {
@@ -108,7 +108,7 @@ def _result_document(
 MAX_SARIF_BYTES = 100_000_000
 
 
-def read_earlier(path: Path) -> list[tuple[str, Finding]]:
+def read_earlier(path: Path) -> list[tuple[str, CodeFinding]]:
     """Read the fingerprints and findings of a file that an earlier analysis has written.
 
     Raises:
@@ -123,18 +123,18 @@ def read_earlier(path: Path) -> list[tuple[str, Finding]]:
         ) from None
 
 
-def _read_result(result: dict[str, Any]) -> tuple[str, Finding]:
+def _read_result(result: dict[str, Any]) -> tuple[str, CodeFinding]:
     place = result["locations"][0]["physicalLocation"]
     severity = result["level"]
     line = place["region"]["startLine"]
     if severity not in get_args(Severity) or not isinstance(line, int):
         raise ValueError
     path, message = unquote(place["artifactLocation"]["uri"]), result["message"]["text"]
-    finding = Finding(str(path), line, str(result["ruleId"]), "error-prone", severity, str(message))
+    finding = CodeFinding(str(path), line, str(result["ruleId"]), "error-prone", severity, str(message))
     return str(result["partialFingerprints"][FINGERPRINT]), finding
 
 
-def compare_with_earlier(now: Sequence[Located], earlier: Sequence[tuple[str, Finding]]) -> Compared:
+def compare_with_earlier(now: Sequence[Located], earlier: Sequence[tuple[str, CodeFinding]]) -> Compared:
     """Compare findings with earlier ones by their fingerprints: rule, file, and content of the line.
 
     Code that has moved to another file is new here, as the earlier state has only its fingerprints.

@@ -13,14 +13,14 @@ import click
 
 from calibration.addons.analysis.acceptance import Suppression, parse_limits, read_suppressions, sift
 from calibration.addons.analysis.analysers import ANALYSERS, Analyser
-from calibration.addons.analysis.analysers.ros import JSON_FILE, PICTURE_FILE, Ros, RosGraph, read_graph
+from calibration.addons.analysis.analysers.ros import JSON_FILE, PICTURE_FILE, RosChecks, RosGraph, read_graph
 from calibration.addons.analysis.comparison import Compared, compare, with_content
 from calibration.addons.analysis.copies import Copy, before, chosen_files, copied
-from calibration.addons.analysis.finding import Finding, Located
+from calibration.addons.analysis.finding import CodeFinding, Located
 from calibration.addons.analysis.metrics import BADGE_FILE, CodeMetrics, measure
 from calibration.addons.analysis.programs import ProgramFailedError
 from calibration.addons.analysis.report import TITLE, report
-from calibration.addons.analysis.results import Results, Suppressed, Tool
+from calibration.addons.analysis.results import AnalysisResults, Suppressed, Tool
 from calibration.addons.analysis.sarif import SARIF_FILE, compare_with_earlier, read_earlier, sarif
 from calibration.addons.analysis.settings import SUPPRESSIONS_FILE, AnalysisSettings
 from calibration.base.errors import ExitCode, InputError
@@ -50,13 +50,13 @@ MAX_FAILED_FILES = 10
 
 
 @record
-class Settings(AnalysisSettings):
+class StaticAnalysisSettings(AnalysisSettings):
     """Inputs of ``static-analysis``."""
 
     output: Path | None = field("Folder for results.json, junit.xml, summary.md and findings.sarif.", default=None)
 
 
-def analyse(settings: Settings, runner: Runner) -> ExitCode:
+def analyse(settings: StaticAnalysisSettings, runner: Runner) -> ExitCode:
     """Analyse the repository of the working directory, and report.
 
     Raises:
@@ -68,7 +68,9 @@ def analyse(settings: Settings, runner: Runner) -> ExitCode:
     return found.exit_code
 
 
-def analysed(settings: AnalysisSettings, folder: Path, output: Path | None, runner: Runner) -> tuple[Report, Results]:
+def analysed(
+    settings: AnalysisSettings, folder: Path, output: Path | None, runner: Runner
+) -> tuple[Report, AnalysisResults]:
     """Analyse the repository around a folder, and return the report and the results.
 
     Args:
@@ -99,7 +101,7 @@ def analysed(settings: AnalysisSettings, folder: Path, output: Path | None, runn
     checks = [limit.check(new, "new") for limit in new_limits] if name is not None else []
     checks += [limit.check(sifted.kept, "all") for limit in total_limits]
     checks += [check for limit in file_limits for check in limit.check_files(sifted.kept)]
-    results = Results(
+    results = AnalysisResults(
         tools=state.tools,
         files=state.files,
         code_lines=state.code_lines,
@@ -127,16 +129,16 @@ class _State:
     code_lines: int
     left_out: Mapping[str, str]
     compared: Compared
-    contents: Mapping[Finding, str]
+    contents: Mapping[CodeFinding, str]
     metrics: CodeMetrics | None
     graph: RosGraph | None
     earlier_graph: RosGraph | None
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[CodeFinding, ...]:
         return self.compared.new + self.compared.unchanged
 
-    def sarif(self, suppressed: Mapping[Finding, str], *, compared: bool) -> str:
+    def sarif(self, suppressed: Mapping[CodeFinding, str], *, compared: bool) -> str:
         ordered = sorted(self.findings, key=lambda each: (each.path, each.line, each.rule))
         entries = [Located(each, self.contents[each]) for each in ordered]
         new = frozenset(self.compared.new) if compared else None
@@ -185,7 +187,7 @@ def _analyse_both_states(
         )
     runner.log(f"{count_of(len(looked_at), 'file')} for {', '.join(name for name, files in wanted.items() if files)}")
     findings = _run_analysers(analysers, wanted, now, seconds)
-    graph = earlier_graph = read_graph(now, seconds) if wanted.get(Ros.name) else None
+    graph = earlier_graph = read_graph(now, seconds) if wanted.get(RosChecks.name) else None
     if settings.base_sarif is not None:
         compared = compare_with_earlier(with_content(findings, now), read_earlier(settings.base_sarif))
     elif base is None:
@@ -240,7 +242,7 @@ def _requested_files(paths: Sequence[str], files: Sequence[str]) -> list[str]:
 
 def _run_analysers(
     analysers: Sequence[Analyser], wanted: Mapping[str, Sequence[str]], copy: Copy, seconds: float
-) -> list[Finding]:
+) -> list[CodeFinding]:
     """Run every analyser on its files, with as many parallel processes as there are processors.
 
     Raises:
@@ -260,7 +262,7 @@ def _run_analysers(
     return sorted((each for each in found if each.path in known), key=lambda each: (each.path, each.line, each.rule))
 
 
-def _findings_of_part(analyser: Analyser, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+def _findings_of_part(analyser: Analyser, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
     """Run an analyser on files; those on which it fails are found by halving, and named in a finding each.
 
     Raises:
@@ -268,7 +270,7 @@ def _findings_of_part(analyser: Analyser, copy: Copy, files: Sequence[str], seco
             by a signal, or where it compares files with each other.
         InfrastructureError: it is missing, or takes too long.
     """
-    found: list[Finding] = []
+    found: list[CodeFinding] = []
     failed: dict[str, ProgramFailedError] = {}
     waiting = [files]
     while waiting:
@@ -286,7 +288,7 @@ def _findings_of_part(analyser: Analyser, copy: Copy, files: Sequence[str], seco
     if by_itself is not None and len(failed) == len(files):
         raise by_itself
     rule = f"{analyser.name}/not-analysed"
-    return found + [Finding(path, 1, rule, "error-prone", "error", str(error)) for path, error in failed.items()]
+    return found + [CodeFinding(path, 1, rule, "error-prone", "error", str(error)) for path, error in failed.items()]
 
 
 def _split_files(files: Sequence[str], size: int) -> list[Sequence[str]]:
@@ -301,10 +303,10 @@ def _version_of_analyser(name: str) -> str:
 
 
 @click.command(TITLE)
-@record_options(Settings)
+@record_options(StaticAnalysisSettings)
 def command(**options: Any) -> ExitCode:
     """Check the repository's code for errors; the verdict is fail if a change adds too many.
 
     Analysers run on a copy of the files that git tracks; code of the repository is not run.
     """
-    return analyse(chosen(Settings, options), Runner.from_environment(os.environ))
+    return analyse(chosen(StaticAnalysisSettings, options), Runner.from_environment(os.environ))

@@ -139,7 +139,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Group:
+class ShapeGroup:
     """Jobs of a run with the same shape."""
 
     name: str
@@ -154,7 +154,7 @@ def shape_of(job: Job, settings: BatchSettings) -> Shape:
     return Shape(tuple(_container_shape(each, volumes, settings) for each in job.containers), volumes)
 
 
-def group_by_shape(jobs: Sequence[Job], settings: BatchSettings) -> tuple[Group, ...]:
+def group_by_shape(jobs: Sequence[Job], settings: BatchSettings) -> tuple[ShapeGroup, ...]:
     """Group the jobs of a run by shape, in the order of each group's first job.
 
     The name of a group is derived from the shape: the same jobs give the same groups.
@@ -162,7 +162,7 @@ def group_by_shape(jobs: Sequence[Job], settings: BatchSettings) -> tuple[Group,
     places: dict[Shape, list[int]] = {}
     for place, job in enumerate(jobs):
         places.setdefault(shape_of(job, settings), []).append(place)
-    return tuple(Group(shape.digest[:12], shape, tuple(found)) for shape, found in places.items())
+    return tuple(ShapeGroup(shape.digest[:12], shape, tuple(found)) for shape, found in places.items())
 
 
 def _container_shape(container: Container, volumes: Sequence[str], settings: BatchSettings) -> ContainerShape:

@@ -103,7 +103,7 @@ _IN_MEMORY = 4 * 1024**2
 """Size of a tar in bytes above which a temporary file is used."""
 
 
-class Inputs:
+class InputUploader:
     """Uploads each mounted folder once."""
 
     def __init__(self, store: Store, location: Location, memory: int) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calibration.addons.aws_batch.aws_errors import AwsLostError
 from calibration.addons.aws_batch.costs import Usage, billed, estimate, total_size
-from calibration.addons.aws_batch.definition import Group, job_definition
+from calibration.addons.aws_batch.definition import ShapeGroup, job_definition
 from calibration.addons.aws_batch.earlier import (
     Result,
     find_results,
@@ -18,7 +18,7 @@ from calibration.addons.aws_batch.earlier import (
     submitted_document,
 )
 from calibration.addons.aws_batch.following import AT_ONCE, Following, JobEnd, Poll, batches, describe
-from calibration.addons.aws_batch.inputs import Inputs, upload_jobs
+from calibration.addons.aws_batch.inputs import InputUploader, upload_jobs
 from calibration.addons.aws_batch.job_queue import Guard, likely_reasons
 from calibration.addons.aws_batch.logs import LiveLogs
 from calibration.addons.aws_batch.results import Downloader, ResultLocation, host_lost
@@ -57,7 +57,7 @@ class BatchRun:
         settings: BatchSettings,
         store: Store,
         jobs: Sequence[Job],
-        groups: Sequence[Group],
+        groups: Sequence[ShapeGroup],
         folder: Path,
         show: LogDisplay | None,
     ) -> None:
@@ -106,7 +106,7 @@ class BatchRun:
             InputError: AWS refuses a request.
             InfrastructureError: AWS cannot be reached, or a file cannot be written.
         """
-        inputs = Inputs(self._store, self._location_of_group(""), self._settings.memory)
+        inputs = InputUploader(self._store, self._location_of_group(""), self._settings.memory)
         inputs.upload(self._jobs, _DOWNLOAD_WORKERS)
         missing, earlier = self._find_missing(inputs) if resume else (self._jobs_by_shape(), {})
         for some in batches(earlier.items(), AT_ONCE):
@@ -157,7 +157,7 @@ class BatchRun:
     def _jobs_by_shape(self) -> dict[str, list[int]]:
         return {name: list(group.jobs) for name, group in self._shapes.items()}
 
-    def _find_missing(self, inputs: Inputs) -> tuple[dict[str, list[int]], dict[int, Result]]:
+    def _find_missing(self, inputs: InputUploader) -> tuple[dict[str, list[int]], dict[int, Result]]:
         """Return the jobs without a verdict, by shape; and the results of the others, by job."""
         location = self._location_of_group("")
         results = find_results(self._store, location)
@@ -181,7 +181,7 @@ class BatchRun:
         self._show_note(f"run {self._name} is resumed: {len(earlier)} of {len(self._jobs)} jobs have a verdict already")
         return missing, earlier
 
-    def _submit_jobs(self, inputs: Inputs, missing: dict[str, list[int]]) -> None:
+    def _submit_jobs(self, inputs: InputUploader, missing: dict[str, list[int]]) -> None:
         tags = run_tags(self._name)
         for shape, places in missing.items():
             group = group_name(shape, self._token)

@@ -19,5 +19,5 @@ ADDON = Addon(
             f"{__name__}.coverage_upload:command", "Run tests, check their coverage, and upload it."
         )
     },
-    schemas={"coverage": SchemaFile(__name__, "results.schema.json", "results:Results", "coverage-upload")},
+    schemas={"coverage": SchemaFile(__name__, "results.schema.json", "results:CoverageResults", "coverage-upload")},
 )

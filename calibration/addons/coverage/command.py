@@ -17,7 +17,7 @@ _JUNIT_OPTIONS = ("--junitxml", "--junit-xml")
 
 
 @dataclass(frozen=True)
-class Command:
+class CommandOfTests:
     """A program to run."""
 
     text: str
@@ -29,7 +29,7 @@ class Command:
 
 def parse_command(
     text: str, directory: Path, interpreter: str | None, environment: dict[str, str], junit: Path
-) -> Command:
+) -> CommandOfTests:
     """Parse a test command: a program, ``unittest ...``, or a folder of tests.
 
     Args:
@@ -60,7 +60,7 @@ def parse_command(
         raise InputError(
             f"run: there is no program {words[0]!r} (the command is not run by a shell: && and | have no effect)"
         )
-    return Command(text, *_with_junit(words, directory, junit))
+    return CommandOfTests(text, *_with_junit(words, directory, junit))
 
 
 def _find_python(interpreter: str | None, path: str | None) -> str | None:

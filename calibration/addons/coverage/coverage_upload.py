@@ -15,7 +15,7 @@ from calibration.addons.coverage.commit import coverage_of_change, find_commit
 from calibration.addons.coverage.injection import plain, team_settings
 from calibration.addons.coverage.reading import Found, read_reports
 from calibration.addons.coverage.report import LCOV_FILE, TITLE, badge, report, what_is_left_out
-from calibration.addons.coverage.results import Change, Limit, Results, State, Uploaded
+from calibration.addons.coverage.results import CoverageLimit, CoverageOfChange, CoverageResults, State, Uploaded
 from calibration.addons.coverage.sources import Sources, find_sources
 from calibration.addons.coverage.tests import Tests, measured_environment, measurement, run_tests
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
@@ -53,7 +53,7 @@ Percent = Annotated[float, between(0, 100)]
 
 
 @record
-class Settings:
+class CoverageSettings:
     """Inputs of ``coverage-upload``."""
 
     run: str | None = field("Test command such as pytest -q or unittest tests, or a folder of tests.", default=None)
@@ -105,7 +105,7 @@ class Settings:
     )
 
 
-def upload(settings: Settings, runner: Runner) -> ExitCode:
+def upload(settings: CoverageSettings, runner: Runner) -> ExitCode:
     """Run the tests or read reports, judge, upload, and report.
 
     Raises:
@@ -135,7 +135,7 @@ def upload(settings: Settings, runner: Runner) -> ExitCode:
     return found.exit_code
 
 
-def _check_settings(settings: Settings) -> None:
+def _check_settings(settings: CoverageSettings) -> None:
     if settings.partial and settings.final:
         raise InputError("partial and final are both given: partial announces more uploads, final is the last one")
     if settings.run is None and not settings.reports and not settings.final:
@@ -148,7 +148,7 @@ def _check_settings(settings: Settings) -> None:
         raise InputError(f"{name} is given without a service: add service: codacy (or none, to upload nothing)")
 
 
-def _find_service(settings: Settings, event: Event) -> tuple[Codacy | None, str]:
+def _find_service(settings: CoverageSettings, event: Event) -> tuple[Codacy | None, str]:
     """Return the client of the service, or None and the reason.
 
     Raises:
@@ -174,8 +174,8 @@ def _find_service(settings: Settings, event: Event) -> tuple[Codacy | None, str]
 
 
 def _measure_and_judge(
-    settings: Settings, repository: Repository, event: Event, commit: str, folder: Path, runner: Runner
-) -> Results:
+    settings: CoverageSettings, repository: Repository, event: Event, commit: str, folder: Path, runner: Runner
+) -> CoverageResults:
     """Run the tests if a command is given, and judge their coverage."""
     sources = find_sources(repository, settings.directory, map(Path, settings.source), settings.exclude)
     options = team_settings(settings.directory)
@@ -204,20 +204,20 @@ def _measure_and_judge(
                 f"{unread[0]}: its changed lines are not known, as git takes it for a binary file: take it out of the "
                 "lines with -diff or binary in .gitattributes, or exclude it"
             )
-        change = Change(base, *coverage_of_change(changed_lines(difference), found.files))
-    results = Results(found, settings.goal, commit, tests, change, no_change)
+        change = CoverageOfChange(base, *coverage_of_change(changed_lines(difference), found.files))
+    results = CoverageResults(found, settings.goal, commit, tests, change, no_change)
     if results.lines.total == 0 and not failed:
         why = "; ".join(["the reports contain no file that counts (source, exclude)", *what_is_left_out(found)])
         raise InputError(f"no executable line was found: {why}")
     limits = []
     if settings.minimum is not None:
-        limits.append(Limit("minimum", settings.minimum, results.lines))
+        limits.append(CoverageLimit("minimum", settings.minimum, results.lines))
     if settings.minimum_change is not None and change is not None:
-        limits.append(Limit("minimum-change", settings.minimum_change, change.rate, of_change=True))
+        limits.append(CoverageLimit("minimum-change", settings.minimum_change, change.rate, of_change=True))
     return replace(results, limits=tuple(limits))
 
 
-def _find_base(settings: Settings, repository: Repository, event: Event) -> tuple[str | None, str]:
+def _find_base(settings: CoverageSettings, repository: Repository, event: Event) -> tuple[str | None, str]:
     """Return the merge base of the change; or None and the reason.
 
     Raises:
@@ -231,7 +231,7 @@ def _find_base(settings: Settings, repository: Repository, event: Event) -> tupl
         return None, str(error)
 
 
-def _find_reports(settings: Settings, begin: float | None) -> list[Path]:
+def _find_reports(settings: CoverageSettings, begin: float | None) -> list[Path]:
     """Return the report files.
 
     Raises:
@@ -245,7 +245,7 @@ def _find_reports(settings: Settings, begin: float | None) -> list[Path]:
 
 
 def _run_tests(
-    settings: Settings, sources: Sources, options: Mapping[str, Any], folder: Path, runner: Runner
+    settings: CoverageSettings, sources: Sources, options: Mapping[str, Any], folder: Path, runner: Runner
 ) -> tuple[Tests, list[Path], str | None]:
     """Run the tests; return their outcome, the measured data files, and the Python that measured."""
     seconds = parse_seconds(settings.timeout, "timeout")
@@ -272,7 +272,9 @@ def _run_tests(
     return tests, list(measured.files), measured.executable
 
 
-def _only_final(settings: Settings, commit: str, service: Codacy | None, skipped: str, runner: Runner) -> ExitCode:
+def _only_final(
+    settings: CoverageSettings, commit: str, service: Codacy | None, skipped: str, runner: Runner
+) -> ExitCode:
     """Tell the service that the uploads for the commit are complete."""
     state: State = "none" if settings.service == "none" else "skipped"
     if service is not None:
@@ -284,7 +286,7 @@ def _only_final(settings: Settings, commit: str, service: Codacy | None, skipped
 
 
 def _upload_coverage(
-    results: Results, settings: Settings, service: Codacy | None, skipped: str, runner: Runner
+    results: CoverageResults, settings: CoverageSettings, service: Codacy | None, skipped: str, runner: Runner
 ) -> Uploaded:
     """Upload the coverage, and return the outcome."""
     name = settings.service or "none"
@@ -299,7 +301,7 @@ def _upload_coverage(
         return Uploaded(name, "failed", str(error))
 
 
-def _send_requests(service: Codacy, requests: Sequence[Request], settings: Settings, runner: Runner) -> State:
+def _send_requests(service: Codacy, requests: Sequence[Request], settings: CoverageSettings, runner: Runner) -> State:
     """Send the requests, or only log them in a dry run.
 
     Raises:
@@ -318,7 +320,7 @@ def _send_requests(service: Codacy, requests: Sequence[Request], settings: Setti
 
 
 @click.command(TITLE)
-@record_options(Settings)
+@record_options(CoverageSettings)
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Run tests, check their coverage, and upload it.
@@ -329,7 +331,7 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     return upload(settings_from(options, click_context, runner), runner)
 
 
-def settings_from(options: dict[str, Any], click_context: click.Context, runner: Runner) -> Settings:
+def settings_from(options: dict[str, Any], click_context: click.Context, runner: Runner) -> CoverageSettings:
     """Create the settings from the options and Codacy's variables; tokens are masked immediately.
 
     Raises:
@@ -350,4 +352,4 @@ def settings_from(options: dict[str, Any], click_context: click.Context, runner:
                 f"{name.replace('_', '-')}: found on the command line, where every process reads it: "
                 f"put it into the environment variable {variable}"
             )
-    return chosen(Settings, options)
+    return chosen(CoverageSettings, options)

@@ -15,7 +15,7 @@ from typing import Any
 from coverage import CoverageData
 from coverage.exceptions import CoverageException
 
-from calibration.addons.coverage.formats import MAX_BYTES, MAX_LINE, Report, parse_cobertura
+from calibration.addons.coverage.formats import MAX_BYTES, MAX_LINE, CoverageReport, parse_cobertura
 from calibration.addons.coverage.injection import REPORTER_FILE, bring_coverage, reporting, write_settings
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import read_bytes
@@ -70,7 +70,7 @@ def merge(files: Sequence[Path], names: Mapping[str, str], untouched: Sequence[s
     return [path for path in (folder / "jumps", folder / "lines") if path.exists()]
 
 
-def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Path, executable: str) -> Report:
+def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Path, executable: str) -> CoverageReport:
     """Convert a data file to a report that includes the executable lines.
 
     Args:
@@ -102,7 +102,7 @@ def report_of(data: Path, name: str, settings: Mapping[str, Any], directory: Pat
         last_line = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
         raise InfrastructureError(f"{name}: coverage.py cannot report on it: {shorten(one_line(last_line), 300)}")
     report = parse_cobertura(read_bytes(output, MAX_BYTES, "coverage.py's report"), name)
-    return Report(name, report.files, (str(directory),))
+    return CoverageReport(name, report.files, (str(directory),))
 
 
 def _open_data(file: Path) -> CoverageData:

@@ -22,7 +22,7 @@ MAX_HITS = 2**63 - 1
 
 
 @dataclass(frozen=True)
-class Report:
+class CoverageReport:
     """Content of one coverage report."""
 
     name: str
@@ -62,7 +62,7 @@ _WHOLE_NUMBER = re.compile(r"[0-9]{1,19}")
 _BRANCH_COVERAGE = re.compile(r"\s*[0-9.]+\s*%\s*\(([0-9]{1,9})/([0-9]{1,9})\)\s*")
 
 
-def parse_cobertura(data: bytes, name: str) -> Report:
+def parse_cobertura(data: bytes, name: str) -> CoverageReport:
     """Parse Cobertura XML; classes in one file, and entries of one line, are added up.
 
     Raises:
@@ -94,7 +94,7 @@ def parse_cobertura(data: bytes, name: str) -> Report:
         if event == "end":
             element.clear()
     found = {file: FileCoverage(lines, branches[file]) for file, lines in hits.items()}
-    return Report(name, found, tuple(folders))
+    return CoverageReport(name, found, tuple(folders))
 
 
 def _check_root(root: Element, name: str) -> None:
@@ -143,7 +143,7 @@ class _Record:
         return FileCoverage(self.hits, rates)
 
 
-def parse_lcov(data: bytes, name: str) -> Report:
+def parse_lcov(data: bytes, name: str) -> CoverageReport:
     """Parse a tracefile (LCOV); records of one file (one for each test) are added up.
 
     Raises:
@@ -169,7 +169,7 @@ def parse_lcov(data: bytes, name: str) -> Report:
         raise InputError(f"{name}: it ends in the middle of a record: end_of_record was expected")
     if not records:
         raise InputError(f"{name}: no file is named in it (SF:...), a tracefile of LCOV was expected")
-    return Report(name, {file: record.coverage() for file, record in records.items()})
+    return CoverageReport(name, {file: record.coverage() for file, record in records.items()})
 
 
 def tracefile(files: Mapping[str, FileCoverage]) -> str:

@@ -10,7 +10,7 @@ from calibration.base.text import one_line, shorten
 
 
 @dataclass(frozen=True)
-class Failure:
+class FailedTest:
     """A test that failed, or that could not run."""
 
     name: str
@@ -28,7 +28,7 @@ class Tally:
     failed: int = 0
     """Including tests that could not run."""
     skipped: int = 0
-    failures: tuple[Failure, ...] = ()
+    failures: tuple[FailedTest, ...] = ()
 
     @property
     def ran(self) -> int:
@@ -43,7 +43,7 @@ def parse_junit(data: bytes, name: str) -> Tally:
         InputError: it is not JUnit XML.
     """
     passed = skipped = 0
-    failures: list[Failure] = []
+    failures: list[FailedTest] = []
     root: Element | None = None
     for event, element in elements(data, name):
         if root is None:
@@ -67,11 +67,11 @@ def parse_junit(data: bytes, name: str) -> Tally:
     return Tally(passed, len(unique), skipped, tuple(reversed(unique.values())))
 
 
-def _read_failure(case: Element, problem: Element) -> Failure:
+def _read_failure(case: Element, problem: Element) -> FailedTest:
     line = case.get("line", "")
     number = int(line) + 1 if re.fullmatch("[0-9]{1,9}", line) else None  # pytest's line numbers start at 0
     names = [part for part in (case.get("classname"), case.get("name")) if part]
-    return Failure(
+    return FailedTest(
         shorten(one_line(".".join(names)), 200) or "(no name)",
         shorten(one_line(problem.get("message") or (problem.text or "").strip() or "failed"), 500),
         case.get("file"),

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from calibration.addons.coverage.data_file import SQLITE_MAGIC, copied, measured_names, merge, report_of
-from calibration.addons.coverage.formats import MAX_BYTES, Report, parse_cobertura, parse_lcov
+from calibration.addons.coverage.formats import MAX_BYTES, CoverageReport, parse_cobertura, parse_lcov
 from calibration.addons.coverage.lines import FileCoverage, combined
 from calibration.addons.coverage.sources import Sources, language_of
 from calibration.base.errors import InputError
@@ -96,7 +96,7 @@ class PathMap:
         return ()
 
 
-def mapped(reports: Iterable[Report], paths: PathMap, counted: Iterable[str]) -> Mapped:
+def mapped(reports: Iterable[CoverageReport], paths: PathMap, counted: Iterable[str]) -> Mapped:
     """Combine reports to the coverage of the repository's files.
 
     Args:
@@ -236,7 +236,7 @@ def read_reports(
     )
 
 
-def _separate_reports(files: Sequence[Path]) -> tuple[list[Report], list[Path]]:
+def _separate_reports(files: Sequence[Path]) -> tuple[list[CoverageReport], list[Path]]:
     """Separate reports from data files of coverage.py.
 
     Raises:

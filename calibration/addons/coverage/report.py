@@ -7,7 +7,7 @@ from pathlib import Path
 from calibration.addons.coverage.formats import tracefile
 from calibration.addons.coverage.lines import Rate
 from calibration.addons.coverage.reading import Found
-from calibration.addons.coverage.results import Results
+from calibration.addons.coverage.results import CoverageResults
 from calibration.base.errors import ExitCode
 from calibration.base.text import one_line, shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, outcome_of_check, verdict_of
@@ -23,7 +23,7 @@ MOST_NAMES = 20
 _HEADER_OF_FILES = ("file", "lines", "branches", "goal", "not run")
 
 
-def report(results: Results, directory: Path = Path(), badge: Path | None = None) -> Report:
+def report(results: CoverageResults, directory: Path = Path(), badge: Path | None = None) -> Report:
     """Return the report.
 
     Args:
@@ -65,7 +65,7 @@ def report(results: Results, directory: Path = Path(), badge: Path | None = None
     )
 
 
-def _verdict_sentence(results: Results) -> str:
+def _verdict_sentence(results: CoverageResults) -> str:
     parts = results.problems or [f"{results.lines} of the lines are run"]
     state = {
         "uploaded": f"uploaded to {results.upload.service}",
@@ -77,7 +77,7 @@ def _verdict_sentence(results: Results) -> str:
     return one_line(f"{'; '.join(parts)}{'; ' if state else ''}{state}")
 
 
-def remarks(results: Results) -> list[str]:
+def remarks(results: CoverageResults) -> list[str]:
     """Return remarks that explain the numbers, a line for each."""
     lines = []
     if results.tests is not None and results.lines.total and not results.lines.covered:
@@ -107,7 +107,7 @@ def what_is_left_out(found: Found) -> list[str]:
     return lines
 
 
-def _annotations_of(results: Results, directory: Path) -> Iterable[Annotation]:
+def _annotations_of(results: CoverageResults, directory: Path) -> Iterable[Annotation]:
     """Return an annotation of each failed test, of the upload, and of the uncovered lines of the change."""
     for failure in results.tests.tally.failures if results.tests and results.tests.tally else ():
         file = None if failure.file is None else directory / failure.file
@@ -121,7 +121,7 @@ def _annotations_of(results: Results, directory: Path) -> Iterable[Annotation]:
         yield Annotation(message, Level.WARNING, span.path, span.first, title="not covered")
 
 
-def _junit_cases(results: Results) -> Iterable[Outcome]:
+def _junit_cases(results: CoverageResults) -> Iterable[Outcome]:
     """Return the JUnit cases: the tests as a whole, each limit, and the upload."""
     if results.tests is not None:
         problem = results.tests.problem
@@ -139,7 +139,7 @@ def _junit_cases(results: Results) -> Iterable[Outcome]:
         )
 
 
-def _summary_rows(results: Results) -> list[tuple[str, str, str]]:
+def _summary_rows(results: CoverageResults) -> list[tuple[str, str, str]]:
     rates = [("lines", results.lines), ("branches", results.branches)]
     if results.change is not None:
         rates.append(("lines of the change", results.change.rate))
@@ -151,7 +151,7 @@ def _summary_rows(results: Results) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _rows_of_files(results: Results, paths: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+def _rows_of_files(results: CoverageResults, paths: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     below = set(results.below_goal)
     return tuple(
         (
@@ -165,12 +165,12 @@ def _rows_of_files(results: Results, paths: Sequence[str]) -> tuple[tuple[str, .
     )
 
 
-def _total_row(results: Results) -> tuple[str, ...]:
+def _total_row(results: CoverageResults) -> tuple[str, ...]:
     below = len(results.below_goal)
     return "total", str(results.lines), str(results.branches), f"{below} below {results.goal:g} %", ""
 
 
-def _by_rate(results: Results) -> list[str]:
+def _by_rate(results: CoverageResults) -> list[str]:
     rates = results.line_rates()
     return sorted(rates, key=lambda path: (rates[path].covered / max(rates[path].total, 1), path))
 

@@ -23,7 +23,7 @@ class Uploaded:
 
 
 @result
-class Limit:
+class CoverageLimit:
     """Lower limit of the percentage of covered lines."""
 
     name: str = field("The option: minimum, minimum-change.")
@@ -63,7 +63,7 @@ class Span:
 
 
 @result
-class Change:
+class CoverageOfChange:
     """Coverage of the lines that a change touched."""
 
     base: str = field("The commit that it is compared with.")
@@ -82,7 +82,7 @@ class FileResult:
 
 
 @result
-class LeftOut:
+class UncountedFile:
     """Content of reports that is not counted, and languages without a report."""
 
     unmatched: tuple[str, ...] = field("Names that are no tracked file.")
@@ -95,19 +95,19 @@ class LeftOut:
 
 
 @result
-class Results:
+class CoverageResults:
     """Results of coverage-upload."""
 
     found: Found
     goal: float = field("Percent of its lines that every file is to have run.")
     commit: str = field("The commit that the coverage is of.")
     tests: Tests | None = field("What came of the tests; null where only reports were read.", default=None)
-    change: Change | None = field(
+    change: CoverageOfChange | None = field(
         "Of the lines that the change touched; null where there is nothing to compare with.", default=None
     )
     no_change: str = ""
     """Reason why there is no base to compare with."""
-    limits: tuple[Limit, ...] = field("The limits that were asked for.", default=())
+    limits: tuple[CoverageLimit, ...] = field("The limits that were asked for.", default=())
     upload: Uploaded = field("What came of the upload.", default_factory=Uploaded)
 
     @property
@@ -126,11 +126,11 @@ class Results:
 
     @property
     @computed()
-    def left_out(self) -> LeftOut:
+    def left_out(self) -> UncountedFile:
         """Files and names that are not counted."""
         mapped = self.found.mapped
         left_out = (mapped.unmatched, mapped.ambiguous, mapped.ill_fitting)
-        return LeftOut(*left_out, self.found.unreadable, self.found.without_report)
+        return UncountedFile(*left_out, self.found.unreadable, self.found.without_report)
 
     @property
     @computed()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calibration.addons.coverage.command import Command
+from calibration.addons.coverage.command import CommandOfTests
 from calibration.addons.coverage.data_file import measured_names
 from calibration.addons.coverage.formats import MAX_BYTES
 from calibration.addons.coverage.injection import bring_coverage, measuring, write_settings
@@ -142,7 +142,7 @@ class Measurement:
 
 
 def run_tests(
-    command: Command,
+    command: CommandOfTests,
     directory: Path,
     environment: Mapping[str, str],
     seconds: float,

@@ -11,7 +11,7 @@ from html import escape
 import cv2
 import numpy as np
 
-from calibration.addons.recorder.preview import Preview, View
+from calibration.addons.recorder.preview import Preview, SensorPreview
 from calibration.robot.labelling.detection import Image
 
 GREEN, RED, GREY = "#2f9e44", "#e03131", "#868e96"
@@ -43,7 +43,7 @@ def _verdict_box(colour: str, word: str, lines: Sequence[str], busy: bool) -> st
     )
 
 
-def finding(sensor: str, view: View | None) -> str:
+def finding(sensor: str, view: SensorPreview | None) -> str:
     """Format a sensor's name and its detections."""
     if view is None:
         mark, text, colour = "·", "", GREY

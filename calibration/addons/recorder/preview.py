@@ -28,7 +28,7 @@ _COLOUR_OF_CORNERS, _COLOUR_OF_FIRST_CORNER = (0, 230, 60), (255, 40, 40)  # RGB
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class SensorPreview:
     """Preview of one sensor."""
 
     finding: str
@@ -46,7 +46,7 @@ class View:
 class Preview:
     """Previews of all sensors, and the verdict."""
 
-    views: Mapping[str, View]
+    views: Mapping[str, SensorPreview]
     """Views by sensor, in the order of the configuration; empty if the pose is invalid."""
     reasons: tuple[str, ...]
     """Reasons why a collection would be rejected; empty if it would be kept."""
@@ -67,7 +67,7 @@ def preview(system: System, pose: Motion) -> Preview:
     return Preview(views, reasons_to_lose(system, captured, Requirements()))
 
 
-def _view_of_sensor(system: System, captured: Capture, name: str) -> View:
+def _view_of_sensor(system: System, captured: Capture, name: str) -> SensorPreview:
     found, data = captured.found_by(name), captured.data[name]
     finding = "; ".join(
         (f"{pattern}: " if len(found) > 1 else "") + _describe_found(answer, len(system.patterns[pattern].corners))
@@ -81,10 +81,10 @@ def _view_of_sensor(system: System, captured: Capture, name: str) -> View:
         for indices in labelled:
             on_pattern[indices] = True
         returned = np.isfinite(points).all(-1)
-        return View(finding, detected, points=points[returned], on_pattern=on_pattern[returned])
+        return SensorPreview(finding, detected, points=points[returned], on_pattern=on_pattern[returned])
     if name in system.cameras:
-        return View(finding, detected, draw_corners(data, list(captured.corners(name).values())))
-    return View(finding, detected, draw_depth(data, labelled))
+        return SensorPreview(finding, detected, draw_corners(data, list(captured.corners(name).values())))
+    return SensorPreview(finding, detected, draw_depth(data, labelled))
 
 
 def _describe_found(found: Found, corners: int) -> str:

@@ -17,7 +17,7 @@ from calibration.robot.simulation.system import read_system
 
 
 @dataclass(frozen=True)
-class Inputs:
+class RecorderInputs:
     """Input files of the recorder."""
 
     system: Path
@@ -31,7 +31,7 @@ class Inputs:
 
 
 def record(
-    inputs: Inputs,
+    inputs: RecorderInputs,
     output: Path,
     host: str,
     port: int,

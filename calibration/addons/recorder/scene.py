@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import viser
 
-from calibration.addons.recorder.preview import View
+from calibration.addons.recorder.preview import SensorPreview
 from calibration.base.arrays import Array
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.geometry import rotations
@@ -85,7 +85,7 @@ class RobotScene:
         if self.gizmo is not None and T_world_handle is not None:
             _place_node(self.gizmo, T_world_handle)
 
-    def show_views(self, views: Mapping[str, View]) -> None:
+    def show_views(self, views: Mapping[str, SensorPreview]) -> None:
         """Show the sensors' previews: pictures in the cameras' frustums, points around the LiDARs."""
         for sensor, frustum in self._frusta.items():
             view = views.get(sensor)

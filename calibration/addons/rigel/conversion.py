@@ -6,14 +6,14 @@ from typing import Any
 
 from calibration.addons.rigel.batch_section import merged
 from calibration.addons.rigel.containers import Surroundings
-from calibration.addons.rigel.document import Rigelfile, RigelJob, Stage, naming
+from calibration.addons.rigel.document import Rigelfile, RigelJob, RigelStage, naming
 from calibration.addons.rigel.fields import text_at
 from calibration.addons.rigel.image import BUILD_PLUGIN, DOCKERFILE_PLUGIN, image_section
 from calibration.addons.rigel.notes import Notes
 from calibration.addons.rigel.robomaker import ROBOMAKER_PLUGIN, robomaker_job
 from calibration.addons.rigel.substitution import plain
 from calibration.addons.rigel.systems import (
-    Converted,
+    ConvertedEntry,
     collection_of,
     is_compose,
     is_introspection,
@@ -37,7 +37,7 @@ def placeholder(name: str) -> str | None:
     return None
 
 
-def noise_section(stages: Sequence[Stage], notes: Notes) -> tuple[dict[str, list[float]], list[str]]:
+def noise_section(stages: Sequence[RigelStage], notes: Notes) -> tuple[dict[str, list[float]], list[str]]:
     """Return the section ``noise``, and its source.
 
     All systems share one noise: if stages differ, the union of their values is used.
@@ -96,8 +96,8 @@ class Conversion:
     image_origin: str = ""
     noise: dict[str, list[float]] = field(default_factory=dict)
     noise_origin: str = ""
-    systems: list[Converted] = field(default_factory=list)
-    simulations: list[Converted] = field(default_factory=list)
+    systems: list[ConvertedEntry] = field(default_factory=list)
+    simulations: list[ConvertedEntry] = field(default_factory=list)
     batch: dict[str, Any] = field(default_factory=dict)
     """AWS region of the simulations."""
     batch_origin: str = ""
@@ -147,7 +147,7 @@ def _add_job(
     if job.kind == ROBOMAKER_PLUGIN:
         simulated = robomaker_job(job, around, _region_of_provider(rigelfile))
         if simulated is not None:
-            conversion.simulations.append(Converted(named_system(job.name), simulated.entry, f"job {job.name}"))
+            conversion.simulations.append(ConvertedEntry(named_system(job.name), simulated.entry, f"job {job.name}"))
             notes, section = conversion.notes, simulated.section
             conversion.batch = merged(conversion.batch, section, job.where or job.name, notes)
             conversion.batch_origin = conversion.batch_origin or f"job {job.name}"
@@ -178,7 +178,7 @@ def _placeholders_of_data(rigelfile: Rigelfile) -> dict[str, str]:
     return {name: ours for name in names if (ours := placeholder(name)) is not None}
 
 
-def _refuse_repeated(entries: list[Converted]) -> None:
+def _refuse_repeated(entries: list[ConvertedEntry]) -> None:
     names = [entry.name for entry in entries]
     for name in names:
         if names.count(name) > 1:

@@ -35,7 +35,7 @@ class RigelJob:
 
 
 @dataclass(frozen=True)
-class Stage:
+class RigelStage:
     """Jobs that run in sequence, and the matrix over which they are repeated."""
 
     jobs: tuple[RigelJob, ...]
@@ -53,7 +53,7 @@ class Rigelfile:
     """Folder of the sources, relative to the file."""
     jobs: tuple[RigelJob, ...]
     """Unique jobs; a stage that overrides fields of a job adds a job."""
-    stages: tuple[Stage, ...]
+    stages: tuple[RigelStage, ...]
     providers: Mapping[str, RigelJob]
     notes: Notes = field(default_factory=Notes)
     secrets: Mapping[str, str] = field(default_factory=dict, repr=False)
@@ -186,12 +186,12 @@ class _Reader:
         inner = self._substitution.resolved(mapping_at(fields.get("with"), f"{where}.with"), f"{where}.with")
         return RigelJob(name, plugin, inner, f"{where}.with")
 
-    def _read_sequences(self) -> list[Stage]:
-        stages: list[Stage] = []
+    def _read_sequences(self) -> list[RigelStage]:
+        stages: list[RigelStage] = []
         for name, entry in mapping_at(self._document.get("sequences"), "sequences").items():
             where = f"sequences.{name}"
             if isinstance(entry, list):  # in the older form the sequence is a list of jobs
-                stages.append(Stage(self._jobs_of_stage(entry, where), {}, where))
+                stages.append(RigelStage(self._jobs_of_stage(entry, where), {}, where))
                 continue
             sequence = mapping_at(entry, where)
             if "matrix" in sequence:
@@ -200,19 +200,21 @@ class _Reader:
             for number, stage in enumerate(list_at(sequence.get("stages"), f"{where}.stages")):
                 place = f"{where}.stages.{number}"
                 if isinstance(stage, str):
-                    stages.append(Stage(self._jobs_of_stage([stage], place), {}, place))
+                    stages.append(RigelStage(self._jobs_of_stage([stage], place), {}, place))
                 else:
                     stages += self._read_stage(mapping_at(stage, place), place, {})
         return stages
 
-    def _read_stage(self, stage: dict[str, Any], where: str, matrix: Mapping[str, Any]) -> list[Stage]:
+    def _read_stage(self, stage: dict[str, Any], where: str, matrix: Mapping[str, Any]) -> list[RigelStage]:
         self._report_unknown_keys(("jobs", "dependencies", "parallel", "matrix", "description"), stage, where)
         own = self._substitution.resolved(mapping_at(stage.get("matrix"), f"{where}.matrix"), f"{where}.matrix")
         matrix = {**matrix, **own}
         dependencies = list_at(stage.get("dependencies"), f"{where}.dependencies")
         jobs = list_at(stage.get("jobs"), f"{where}.jobs")
         found = (
-            [Stage(self._jobs_of_stage([*dependencies, *jobs], where), matrix, where)] if dependencies or jobs else []
+            [RigelStage(self._jobs_of_stage([*dependencies, *jobs], where), matrix, where)]
+            if dependencies or jobs
+            else []
         )
         for number, inner in enumerate(list_at(stage.get("parallel"), f"{where}.parallel")):
             place = f"{where}.parallel.{number}"
@@ -236,7 +238,7 @@ class _Reader:
             jobs.append(self._override_job(job, override) if override else job)
         return tuple(jobs)
 
-    def _without_unused(self, stages: list[Stage]) -> list[Stage]:
+    def _without_unused(self, stages: list[RigelStage]) -> list[RigelStage]:
         """Remove jobs that no stage uses unmodified; the first modified one takes over the name."""
         used = {job.name for stage in stages for job in stage.jobs}
         renamed = {}

@@ -7,7 +7,7 @@ import click
 
 from calibration.addons.rigel.conversion import convert
 from calibration.addons.rigel.document import read_rigelfile
-from calibration.addons.rigel.notes import Kind
+from calibration.addons.rigel.notes import NoteKind
 from calibration.addons.rigel.writing import written
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
@@ -47,15 +47,15 @@ def import_rigelfile(file: Path, output: Path, runner: Runner, *, overwrite: boo
         reasons = "; ".join(map(str, conversion.notes)) or "it has no jobs"
         raise InputError(f"{file}: nothing in it can be converted to calibration.yml: {reasons}")
     write_atomically(output, written(conversion, file.name))
-    levels = {Kind.LOST: Level.WARNING, Kind.TO_DO: Level.WARNING, Kind.CHANGED: Level.NOTICE}
+    levels = {NoteKind.LOST: Level.WARNING, NoteKind.TO_DO: Level.WARNING, NoteKind.CHANGED: Level.NOTICE}
     annotate(runner, [Annotation(f"{n.kind}: {n}", levels[n.kind], file=file) for n in conversion.notes])
-    count = {kind: sum(note.kind is kind for note in conversion.notes) for kind in Kind}
+    count = {kind: sum(note.kind is kind for note in conversion.notes) for kind in NoteKind}
     with stop_commands(runner):
         runner.log(
             f"{one_line(str(output))}: {_count_of('system', len(conversion.systems))}, "
             f"{_count_of('simulation', len(conversion.simulations))}, {'an' if conversion.image else 'no'} image; "
-            f"{count[Kind.TO_DO]} to do, "
-            f"{count[Kind.CHANGED]} work otherwise here, {count[Kind.LOST]} not carried over"
+            f"{count[NoteKind.TO_DO]} to do, "
+            f"{count[NoteKind.CHANGED]} work otherwise here, {count[NoteKind.LOST]} not carried over"
         )
         complaint = _complaint_of_reader(output)
         if complaint:

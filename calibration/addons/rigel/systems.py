@@ -87,7 +87,7 @@ _EARLIER_KEY = "columns_to_verify"
 
 
 @dataclass(frozen=True)
-class Converted:
+class ConvertedEntry:
     """An entry of ``systems`` or ``simulation``, and its source."""
 
     name: str
@@ -138,7 +138,7 @@ def ros_version(distro: str | None) -> int:
 
 def system_of(
     job: RigelJob, judges: list[RigelJob], distro: str | None, around: Surroundings, folder: str
-) -> Converted | None:
+) -> ConvertedEntry | None:
     """Return the system of a job that calibrates; None if it does not.
 
     Raises:
@@ -184,10 +184,10 @@ def system_of(
         around.notes.to_do(job.where, "no job judges its table: write rules, or only its exit code counts")
     _refuse_others(job, around.notes)
     origin = f"job {job.name}" + (f", judged by {', '.join(judge.name for judge in judges)}" if judges else "")
-    return Converted(named_system(job.name), entry, origin)
+    return ConvertedEntry(named_system(job.name), entry, origin)
 
 
-def collection_of(job: RigelJob, distro: str | None, around: Surroundings) -> Converted | None:
+def collection_of(job: RigelJob, distro: str | None, around: Surroundings) -> ConvertedEntry | None:
     """Return the simulation of a job that writes a dataset, or runs several containers; None if it does not.
 
     Raises:
@@ -219,7 +219,7 @@ def collection_of(job: RigelJob, distro: str | None, around: Surroundings) -> Co
     simulation |= _convert_timeout(job, around.notes)
     simulation["dataset"] = dataset
     _refuse_others(job, around.notes)
-    return Converted(named_system(job.name), simulation, f"job {job.name}")
+    return ConvertedEntry(named_system(job.name), simulation, f"job {job.name}")
 
 
 def named_system(name: str) -> str:

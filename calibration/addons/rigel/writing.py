@@ -7,8 +7,8 @@ from typing import Any
 import yaml
 
 from calibration.addons.rigel.conversion import Conversion
-from calibration.addons.rigel.notes import Kind
-from calibration.addons.rigel.systems import Converted
+from calibration.addons.rigel.notes import NoteKind
+from calibration.addons.rigel.systems import ConvertedEntry
 from calibration.base.text import one_line
 
 COMMENT_WIDTH = 110
@@ -18,9 +18,9 @@ LEAST_SECRET = 6
 MAX_LIST_LENGTH = 90
 """Maximum length of a list on one line, in characters."""
 _HEADING_OF_KIND = {
-    Kind.TO_DO: "To do:",
-    Kind.CHANGED: "What works otherwise here:",
-    Kind.LOST: "What was not carried over:",
+    NoteKind.TO_DO: "To do:",
+    NoteKind.CHANGED: "What works otherwise here:",
+    NoteKind.LOST: "What was not carried over:",
 }
 
 
@@ -57,7 +57,7 @@ def written(conversion: Conversion, source: str) -> str:
     """Return the text of ``calibration.yml``; ``source`` is the name of the converted file."""
     parts = [
         _comment_text(f"Made from {source} by `calibration import-rigelfile`; from now on it is yours to edit."),
-        _notes_text(conversion, Kind.TO_DO),
+        _notes_text(conversion, NoteKind.TO_DO),
     ]
     if conversion.image:
         parts.append(_comment_text(f"from the {conversion.image_origin}") + _dump_yaml({"image": conversion.image}))
@@ -71,7 +71,7 @@ def written(conversion: Conversion, source: str) -> str:
             _comment_text(f"from the {conversion.batch_origin}")
             + _dump_yaml({"aws-batch": conversion.batch}, flow=False)
         )
-    parts += [_notes_text(conversion, Kind.CHANGED), _notes_text(conversion, Kind.LOST)]
+    parts += [_notes_text(conversion, NoteKind.CHANGED), _notes_text(conversion, NoteKind.LOST)]
     return _without_secrets(conversion.secrets, "\n".join(part for part in parts if part))
 
 
@@ -83,7 +83,7 @@ def _without_secrets(secrets: Mapping[str, str], text: str) -> str:
     return text
 
 
-def _section_text(name: str, entries: list[Converted]) -> str:
+def _section_text(name: str, entries: list[ConvertedEntry]) -> str:
     if not entries:
         return ""
     blocks = [
@@ -93,7 +93,7 @@ def _section_text(name: str, entries: list[Converted]) -> str:
     return f"{name}:\n" + "\n".join(blocks)
 
 
-def _notes_text(conversion: Conversion, kind: Kind) -> str:
+def _notes_text(conversion: Conversion, kind: NoteKind) -> str:
     notes = [note for note in conversion.notes if note.kind is kind]
     return _comment_text("\n".join([_HEADING_OF_KIND[kind], *(f"- {note}" for note in notes)])) if notes else ""
 

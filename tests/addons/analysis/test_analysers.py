@@ -7,7 +7,7 @@ import pytest
 
 from calibration.addons.analysis.analysers import ANALYSERS
 from calibration.addons.analysis.copies import Copy, may_be_analysed
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.programs import module, run_program
 from calibration.base.errors import InfrastructureError
 from tests.repositories import write
@@ -22,7 +22,7 @@ jobs:
 COMPLEX = "def f(x):\n" + "".join(f"    if x == {n}:\n        return {n}\n" for n in range(20))
 
 
-def look(folder: Path, name: str, files: dict[str, str | bytes], seconds: float = 60) -> list[Finding]:
+def look(folder: Path, name: str, files: dict[str, str | bytes], seconds: float = 60) -> list[CodeFinding]:
     """Findings of an analyser in those of the files that it selects."""
     write(folder, files)
     copy = Copy(folder, tuple(files), present=tuple(files))

@@ -7,17 +7,17 @@ from hypothesis import strategies as st
 
 from calibration.addons.analysis.comparison import Compared, compare
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from tests.repositories import write
 
 MARK = "eval("
 
 
-def state(folder: Path, files: dict[str, str]) -> tuple[list[Finding], Copy]:
+def state(folder: Path, files: dict[str, str]) -> tuple[list[CodeFinding], Copy]:
     """A state of a repository in which every line with an ``eval(`` is a finding."""
     write(folder, files)
     findings = [
-        Finding(path, number, "x/eval", "security", "warning", "eval is used")
+        CodeFinding(path, number, "x/eval", "security", "warning", "eval is used")
         for path, text in files.items()
         for number, line in enumerate(text.split("\n"), 1)
         if MARK in line

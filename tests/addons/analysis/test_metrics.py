@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.metrics import CodeMetrics, grade_badge, grade_of, measure
 from tests.repositories import write
 
@@ -53,7 +53,7 @@ def test_grades(weight: float, complex_percent: float, duplicate_percent: float,
 
 def test_an_error_weighs_more_than_a_warning_and_that_more_than_a_note() -> None:
     weights = [
-        CodeMetrics().graded([Finding("a.py", 1, "x/y", "style", severity, "")], 1000).weighted_findings
+        CodeMetrics().graded([CodeFinding("a.py", 1, "x/y", "style", severity, "")], 1000).weighted_findings
         for severity in ("error", "warning", "note")
     ]
     assert weights == [5.0, 1.0, 0.2]

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 from calibration.addons.analysis.acceptance import Suppression, parse_limits, read_suppressions, sift
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.base.errors import InputError
 
 TODAY = date(2030, 1, 31)
-FINDING = Finding("scripts/run.py", 3, "ruff/S603", "security", "warning", "subprocess")
-OTHER = Finding("a.cpp", 1, "cppcheck/nullPointer", "error-prone", "error", "null")
+FINDING = CodeFinding("scripts/run.py", 3, "ruff/S603", "security", "warning", "subprocess")
+OTHER = CodeFinding("a.cpp", 1, "cppcheck/nullPointer", "error-prone", "error", "null")
 
 
 def test_what_is_covered_is_taken_out_with_its_reason() -> None:

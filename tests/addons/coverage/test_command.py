@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.coverage.command import Command, parse_command
+from calibration.addons.coverage.command import CommandOfTests, parse_command
 from calibration.base.errors import InputError
 from tests.repositories import write
 
@@ -30,7 +30,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def parse(folder: Path, text: str, interpreter: str | None = None, path: str | None = None) -> Command:
+def parse(folder: Path, text: str, interpreter: str | None = None, path: str | None = None) -> CommandOfTests:
     environment = {"PATH": str(folder / "bin") if path is None else path}
     return parse_command(text, folder, interpreter, environment, Path("/out/tests.xml"))
 

@@ -18,7 +18,7 @@ from defusedxml.ElementTree import parse
 
 from calibration.__main__ import COMMANDS, main, run_action
 from calibration.addons import coverage
-from calibration.addons.coverage.coverage_upload import Settings
+from calibration.addons.coverage.coverage_upload import CoverageSettings
 from calibration.base.addons import LazyCommand
 from tests.addons.coverage import projects
 from tests.addons.coverage.projects import NAMING, TOKEN, robot
@@ -575,4 +575,4 @@ def test_options_of_a_service_without_the_service_are_errors(
 
 
 def test_no_secret_in_the_representation_of_the_settings() -> None:
-    assert TOKEN not in repr(Settings(project_token=TOKEN, api_token=TOKEN))
+    assert TOKEN not in repr(CoverageSettings(project_token=TOKEN, api_token=TOKEN))

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.coverage.formats import Report
+from calibration.addons.coverage.formats import CoverageReport
 from calibration.addons.coverage.lines import FileCoverage
 from calibration.addons.coverage.reading import MAX_COPY, PathMap, mapped
 from calibration.ci.git.repository import Repository
@@ -93,8 +93,8 @@ def test_a_link_to_a_tracked_file(paths: PathMap, tmp_path: Path) -> None:
 
 
 def test_reports_are_held_against_the_repository(paths: PathMap) -> None:
-    one = Report("1", {"robot/naming.py": FileCoverage({1: 1, 2: 0}), "__init__.py": FileCoverage({1: 1})})
-    two = Report(
+    one = CoverageReport("1", {"robot/naming.py": FileCoverage({1: 1, 2: 0}), "__init__.py": FileCoverage({1: 1})})
+    two = CoverageReport(
         "2",
         {
             "/app/src/robot/naming.py": FileCoverage({2: 4, 3: 0}),

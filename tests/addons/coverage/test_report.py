@@ -8,11 +8,11 @@ import pytest
 from defusedxml.ElementTree import fromstring
 
 from calibration.addons import coverage
-from calibration.addons.coverage.junit import Failure, Tally
+from calibration.addons.coverage.junit import FailedTest, Tally
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.addons.coverage.reading import Found, Mapped
 from calibration.addons.coverage.report import badge, remarks, report
-from calibration.addons.coverage.results import Change, Limit, Results, Span, Uploaded
+from calibration.addons.coverage.results import CoverageLimit, CoverageOfChange, CoverageResults, Span, Uploaded
 from calibration.addons.coverage.tests import Tests
 from calibration.base.errors import ExitCode
 from calibration.ci.github.service import GITHUB
@@ -33,19 +33,24 @@ LEFT_OUT = Mapped(
     {"x.py": ("a/x.py", "b/x.py")},
     {"robot/new.py": 99},
 )
-FAILURES = (Failure("tests.test_a.test_x", "assert 1 == 2", "tests/test_a.py", 7), Failure("tests.test_b", "boom"))
-FULL = Results(
+FAILURES = (
+    FailedTest("tests.test_a.test_x", "assert 1 == 2", "tests/test_a.py", 7),
+    FailedTest("tests.test_b", "boom"),
+)
+FULL = CoverageResults(
     Found(LEFT_OUT, ("robot/broken.py",), {"cpp": 3, "shell": 1}),
     60.0,
     "a" * 40,
     Tests("pytest -q", 1, 1.5, Tally(3, 2, 1, FAILURES)),
-    Change("b" * 40, Rate(1, 4), (Span("robot/arm.py", 2, 5),)),
+    CoverageOfChange("b" * 40, Rate(1, 4), (Span("robot/arm.py", 2, 5),)),
     "",
-    (Limit("minimum", 80, Rate(6, 11)), Limit("minimum-change", 20, Rate(1, 4), of_change=True)),
+    (CoverageLimit("minimum", 80, Rate(6, 11)), CoverageLimit("minimum-change", 20, Rate(1, 4), of_change=True)),
     Uploaded("codacy", "failed", "codacy: answered 503"),
 )
-EMPTY = Results(Found.nothing(), 60.0, "a" * 40)
-GOOD = Results(Found(Mapped({"a.py": FileCoverage({1: 1})})), 60.0, "a" * 40, upload=Uploaded("codacy", "uploaded"))
+EMPTY = CoverageResults(Found.nothing(), 60.0, "a" * 40)
+GOOD = CoverageResults(
+    Found(Mapped({"a.py": FileCoverage({1: 1})})), 60.0, "a" * 40, upload=Uploaded("codacy", "uploaded")
+)
 
 
 def test_the_sentence() -> None:
@@ -67,13 +72,13 @@ def test_the_sentence() -> None:
         (FULL, ExitCode.FAIL),  # the verdict goes before the upload
         (replace(GOOD, upload=Uploaded("codacy", "failed")), ExitCode.INFRASTRUCTURE),
         (replace(GOOD, tests=Tests("x", 0, 1.0, Tally())), ExitCode.FAIL),
-        (replace(GOOD, limits=(Limit("minimum", 100, Rate(1, 1)),)), ExitCode.PASS),
-        (replace(GOOD, limits=(Limit("minimum", 0, Rate()),)), ExitCode.FAIL),  # nothing is no pass
-        (replace(GOOD, limits=(Limit("minimum-change", 100, Rate(), of_change=True),)), ExitCode.PASS),
-        (replace(GOOD, limits=(Limit("minimum-change", 50, Rate(1, 3), of_change=True),)), ExitCode.FAIL),
+        (replace(GOOD, limits=(CoverageLimit("minimum", 100, Rate(1, 1)),)), ExitCode.PASS),
+        (replace(GOOD, limits=(CoverageLimit("minimum", 0, Rate()),)), ExitCode.FAIL),  # nothing is no pass
+        (replace(GOOD, limits=(CoverageLimit("minimum-change", 100, Rate(), of_change=True),)), ExitCode.PASS),
+        (replace(GOOD, limits=(CoverageLimit("minimum-change", 50, Rate(1, 3), of_change=True),)), ExitCode.FAIL),
     ],
 )
-def test_the_exit_code(results: Results, code: ExitCode) -> None:
+def test_the_exit_code(results: CoverageResults, code: ExitCode) -> None:
     found = report(results)
     assert found.exit_code == code
     assert found.verdict == ("fail" if code is ExitCode.FAIL else "pass")
@@ -146,7 +151,9 @@ def test_annotations() -> None:
         (Level.ERROR, None, None, "lines that are run: found 54.5 % (6 of 11), expected at least 80 % (minimum)"),
     ]
     skipped = replace(
-        GOOD, upload=Uploaded("codacy", "skipped", "a fork"), change=Change("b", Rate(), (Span("a.py", 1, 1),))
+        GOOD,
+        upload=Uploaded("codacy", "skipped", "a fork"),
+        change=CoverageOfChange("b", Rate(), (Span("a.py", 1, 1),)),
     )
     assert [(a.level, a.message) for a in report(skipped).all_annotations()] == [
         (Level.NOTICE, "not uploaded: a fork"),
@@ -157,7 +164,7 @@ def test_annotations() -> None:
 def test_every_line_without_a_test_is_counted_on_github_and_ten_are_shown() -> None:
     lines = tuple(Span("a.py", line, line) for line in range(1, 400, 2))
     files = Found(Mapped({"a.py": FileCoverage({line: line % 2 ^ 1 for line in range(1, 400)})}))
-    change = replace(GOOD, found=files, change=Change("b", Rate(0, 200), lines))
+    change = replace(GOOD, found=files, change=CoverageOfChange("b", Rate(0, 200), lines))
     log = io.StringIO()
     annotate(Runner(GITHUB, stdout=log), report(change).all_annotations())
     shown = log.getvalue().splitlines()
@@ -167,7 +174,7 @@ def test_every_line_without_a_test_is_counted_on_github_and_ten_are_shown() -> N
 
 
 @pytest.mark.parametrize("results", [FULL, EMPTY, GOOD], ids=["full", "empty", "good"])
-def test_results_are_as_their_schema_says(results: Results) -> None:
+def test_results_are_as_their_schema_says(results: CoverageResults) -> None:
     document = report(results).document
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     jsonschema.validate(document, SCHEMA)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.addons.coverage.formats import parse_cobertura, parse_lcov, tracefile
-from calibration.addons.coverage.junit import Failure, Tally, parse_junit
+from calibration.addons.coverage.junit import FailedTest, Tally, parse_junit
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.base.errors import InputError
 
@@ -216,8 +216,8 @@ def test_junit() -> None:
         failed=2,
         skipped=1,
         failures=(
-            Failure("tests.test_a.test_two", "assert 1 == 2 ::error::evil", "tests/test_a.py", 9),
-            Failure("tests.test_b", "no module named x"),
+            FailedTest("tests.test_a.test_two", "assert 1 == 2 ::error::evil", "tests/test_a.py", 9),
+            FailedTest("tests.test_b", "no module named x"),
         ),
     )
 

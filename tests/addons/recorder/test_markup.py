@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.addons.recorder import markup
-from calibration.addons.recorder.preview import Preview, View
+from calibration.addons.recorder.preview import Preview, SensorPreview
 
 PICTURE = np.full((30, 40, 3), 90, np.uint8)
 texts = st.text(st.characters(exclude_categories=("Cs", "Cc", "Cn")))
@@ -20,7 +20,7 @@ def words(html: str) -> str:
 
 @given(texts)
 def test_what_comes_from_elsewhere_is_text_and_never_markup(text: str) -> None:
-    view = View(text, detected=True)
+    view = SensorPreview(text, detected=True)
     for html in (
         markup.verdict(Preview({}, (text,))),
         markup.finding(text, view),

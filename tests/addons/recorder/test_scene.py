@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calibration.addons.recorder.preview import Preview, View
+from calibration.addons.recorder.preview import Preview, SensorPreview
 from calibration.addons.recorder.scene import (
     KEPT_COLOUR,
     LOST_COLOUR,
@@ -57,8 +57,10 @@ def test_views_verdicts_and_saved_poses_are_shown_and_taken_away(systems: dict[s
     system = systems["rlbot"]
     session = Session(system)
     views = {
-        "lidar_right": View("2 points", True, points=np.ones((3, 3)), on_pattern=np.array([True, True, False])),
-        "rgb_left": View("nothing", False, picture=np.zeros((4, 6, 3), np.uint8)),
+        "lidar_right": SensorPreview(
+            "2 points", True, points=np.ones((3, 3)), on_pattern=np.array([True, True, False])
+        ),
+        "rgb_left": SensorPreview("nothing", False, picture=np.zeros((4, 6, 3), np.uint8)),
     }
     with serving("127.0.0.1", 0) as server:
         scene = RobotScene(server.scene, system, session.placement, session.handle_pose())

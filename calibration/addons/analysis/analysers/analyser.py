@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 
 
 class Analyser(ABC):
@@ -24,7 +24,7 @@ class Analyser(ABC):
         """Whether it analyses a file."""
 
     @abstractmethod
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
         """Analyse files.
 
         Args:

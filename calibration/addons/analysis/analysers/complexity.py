@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 from calibration.addons.analysis.analysers.analyser import Analyser, arguments, in_repository
 from calibration.addons.analysis.analysers.cpp import CPP_SUFFIXES
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.programs import module, run_program
 
 MAX_COMPLEXITY = 15
@@ -24,7 +24,7 @@ class Lizard(Analyser):
         """Select Python, C and C++ files by suffix."""
         return PurePosixPath(path).suffix.lower() in (*CPP_SUFFIXES, ".py")
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
         """Run lizard and parse its output."""
         result = run_program(self.name, [*module("lizard"), "--csv", *arguments(files)], copy.root, seconds, (0,))
         found = []
@@ -32,5 +32,5 @@ class Lizard(Analyser):
             if len(row) >= 10 and row[1].isdigit() and int(row[1]) > MAX_COMPLEXITY:
                 message = f"{row[7]} has a cyclomatic complexity of {row[1]}, at most {MAX_COMPLEXITY} was expected"
                 path = in_repository(row[6], copy)
-                found.append(Finding(path, int(row[9]), "lizard/complexity", "complexity", "warning", message))
+                found.append(CodeFinding(path, int(row[9]), "lizard/complexity", "complexity", "warning", message))
         return found

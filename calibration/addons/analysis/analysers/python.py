@@ -6,7 +6,7 @@ from pathlib import PurePosixPath
 
 from calibration.addons.analysis.analysers.analyser import Analyser, arguments, in_repository
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Category, Finding, Severity
+from calibration.addons.analysis.finding import Category, CodeFinding, Severity
 from calibration.addons.analysis.programs import module, run_program
 
 _SELECTED_RULES = "E,W,F,B,S,PERF,C4,ARG,UP"
@@ -38,7 +38,7 @@ class Ruff(Analyser):
             return True
         return not PurePosixPath(path).suffix and "python" in copy.first_line(path)
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
         """Run ``ruff check`` and parse its output."""
         command = [*module("ruff"), "check", "--no-cache", "--no-fix", "--exit-zero", "--force-exclude"]
         command += ["--output-format", "json"]
@@ -55,7 +55,7 @@ def _has_settings(copy: Copy) -> bool:
     return (copy.root / "pyproject.toml").is_file() and "[tool.ruff" in copy.text("pyproject.toml")
 
 
-def _finding_of_entry(entry: dict[str, object], copy: Copy) -> Finding:
+def _finding_of_entry(entry: dict[str, object], copy: Copy) -> CodeFinding:
     code = str(entry.get("code") or "invalid-syntax")
     place = entry.get("location")
     line = int(place.get("row", 1)) if isinstance(place, dict) else 1
@@ -64,7 +64,7 @@ def _finding_of_entry(entry: dict[str, object], copy: Copy) -> Finding:
     severity: Severity = (
         "error" if code.startswith(_PREFIXES_OF_ERRORS) else "note" if category == "style" else "warning"
     )
-    return Finding(path, line, f"ruff/{code}", category, severity, str(entry["message"]))
+    return CodeFinding(path, line, f"ruff/{code}", category, severity, str(entry["message"]))
 
 
 def _category_of_rule(code: str) -> Category:

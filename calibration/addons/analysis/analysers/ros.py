@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 import calibration
 from calibration.addons.analysis.analysers.analyser import Analyser
 from calibration.addons.analysis.copies import MAX_FILES, Copy
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.programs import run_program
-from calibration.addons.analysis.results import Graph
+from calibration.addons.analysis.results import GraphSummary
 from calibration.base.temporary_folder import temporary_folder
 
 _CHECKED_FILES = re.compile(
@@ -27,7 +27,7 @@ _PROGRAM_OF_CHECKS = (
 """Runs the checks from where this package is, whether it is installed or not."""
 
 
-class Ros(Analyser):
+class RosChecks(Analyser):
     """Packages, build files, interfaces, launch files and code of ROS, one against the other."""
 
     name = "ros"
@@ -40,11 +40,11 @@ class Ros(Analyser):
             each.rpartition("/")[2] == "package.xml" for each in copy.present
         )
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
         """Check all files together, and keep what is found in ``files``."""
         asked = set(files)
         entries = run_in_process("findings", copy, seconds)
-        return [finding for entry in entries if (finding := Finding(**entry)).path in asked]
+        return [finding for entry in entries if (finding := CodeFinding(**entry)).path in asked]
 
 
 def run_in_process(what: str, copy: Copy, seconds: float) -> Any:
@@ -63,7 +63,7 @@ def run_in_process(what: str, copy: Copy, seconds: float) -> Any:
         task.write_text(json.dumps([what, str(copy.root), copy.present, copy.opaque]), encoding="ascii")
         home = str(Path(calibration.__file__).parents[1])
         result = run_program(
-            Ros.name, [sys.executable, "-I", "-c", _PROGRAM_OF_CHECKS, home, str(task)], copy.root, seconds, (0,)
+            RosChecks.name, [sys.executable, "-I", "-c", _PROGRAM_OF_CHECKS, home, str(task)], copy.root, seconds, (0,)
         )
     return json.loads(result.output)
 
@@ -84,10 +84,10 @@ class RosGraph:
     picture: str
     """Picture of the graph as SVG."""
 
-    def since(self, earlier: "RosGraph | None") -> Graph:
+    def since(self, earlier: "RosGraph | None") -> GraphSummary:
         """Return what the graph has, and what has changed since an earlier state."""
         before = self.connections if earlier is None else earlier.connections
-        return Graph(
+        return GraphSummary(
             nodes=self.nodes,
             connections=len(self.connections),
             connected=tuple(sorted(self.connections - before)),

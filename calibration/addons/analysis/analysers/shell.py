@@ -6,7 +6,7 @@ from pathlib import PurePosixPath
 
 from calibration.addons.analysis.analysers.analyser import Analyser, arguments, in_repository
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Category, Finding, Severity
+from calibration.addons.analysis.finding import Category, CodeFinding, Severity
 from calibration.addons.analysis.programs import json_output, program, run_program
 
 _SHELL_IN_FIRST_LINE = re.compile(r"#!.*\b(sh|bash|dash|ksh)\b")
@@ -24,7 +24,7 @@ class Shellcheck(Analyser):
         suffix = PurePosixPath(path).suffix
         return suffix in (".sh", ".bash") or (not suffix and bool(_SHELL_IN_FIRST_LINE.match(copy.first_line(path))))
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
         """Run shellcheck; files whose first line names no shell are checked as bash."""
         named = [file for file in files if copy.first_line(file).startswith("#!")]
         found = []
@@ -36,11 +36,11 @@ class Shellcheck(Analyser):
         return found
 
 
-def _finding_of_entry(entry: dict[str, object], copy: Copy) -> Finding:
+def _finding_of_entry(entry: dict[str, object], copy: Copy) -> CodeFinding:
     level, code = str(entry["level"]), int(str(entry["code"]))
     category: Category = "unused code" if code == 2034 else "compatibility" if 3000 <= code < 4000 else "error-prone"
     if level == "style":
         category = "style"
     path, line = in_repository(str(entry["file"]), copy), int(str(entry["line"]))
     severity = _SEVERITY_OF_LEVEL.get(level, "note")
-    return Finding(path, max(line, 1), f"shellcheck/SC{code}", category, severity, str(entry["message"]))
+    return CodeFinding(path, max(line, 1), f"shellcheck/SC{code}", category, severity, str(entry["message"]))

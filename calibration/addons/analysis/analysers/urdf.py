@@ -6,7 +6,7 @@ from xml.etree.ElementTree import Element
 
 from calibration.addons.analysis.analysers.analyser import Analyser
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Finding, Severity
+from calibration.addons.analysis.finding import CodeFinding, Severity
 from calibration.addons.analysis.xml_lines import line_of, parse_xml
 from calibration.base.text import did_you_mean, shorten
 
@@ -25,7 +25,7 @@ class Urdf(Analyser):
         """Select URDF files by suffix."""
         return path.endswith(".urdf")
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
         """Check each file; invalid XML is reported by the analyser xml."""
         found = []
         for path in files:
@@ -33,7 +33,7 @@ class Urdf(Analyser):
             if root is None:
                 continue
             for element, rule, severity, message in _find_faults(root):
-                found.append(Finding(path, line_of(element), f"urdf/{rule}", "error-prone", severity, message))
+                found.append(CodeFinding(path, line_of(element), f"urdf/{rule}", "error-prone", severity, message))
         return found
 
 

@@ -9,7 +9,7 @@ import yaml
 
 from calibration.addons.analysis.analysers.analyser import Analyser, arguments, in_repository
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Finding, Severity
+from calibration.addons.analysis.finding import CodeFinding, Severity
 from calibration.addons.analysis.programs import program, run_program
 
 _WORKFLOWS_AND_ACTIONS = re.compile(r"\.github/workflows/[^/]+\.ya?ml|(.*/)?action\.ya?ml")
@@ -26,7 +26,7 @@ class Zizmor(Analyser):
         """Select workflows and actions; invalid YAML is reported by yamllint."""
         return bool(_WORKFLOWS_AND_ACTIONS.fullmatch(path)) and _is_mapping(copy.text(path))
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
         """Run zizmor and parse its output."""
         command = [program("zizmor"), "--offline", "--no-exit-codes", "--no-progress", "--quiet", "--format", "json-v1"]
         result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
@@ -43,11 +43,11 @@ def _is_mapping(text: str) -> bool:
         return False
 
 
-def _finding_of_entry(entry: dict[str, Any], copy: Copy) -> Finding:
+def _finding_of_entry(entry: dict[str, Any], copy: Copy) -> CodeFinding:
     places = entry["locations"]
     primary = next((each for each in places if each["symbolic"].get("kind") == "Primary"), places[0])
     path = in_repository(primary["symbolic"]["key"]["Local"]["verbatim_path"], copy)
     line = primary["concrete"]["location"]["start_point"]["row"] + 1
     severity = _SEVERITY_OF_LEVEL.get(entry["determinations"]["severity"], "note")
     message = f"{entry['desc']}: {primary['symbolic'].get('annotation', '')}"
-    return Finding(path, line, f"zizmor/{entry['ident']}", "security", severity, message)
+    return CodeFinding(path, line, f"zizmor/{entry['ident']}", "security", severity, message)

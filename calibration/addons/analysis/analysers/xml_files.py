@@ -7,7 +7,7 @@ from defusedxml.ElementTree import ParseError, iterparse
 
 from calibration.addons.analysis.analysers.analyser import Analyser
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.base.text import one_line, shorten
 
 _XML_SUFFIXES = (".xml", ".launch", ".urdf", ".xacro", ".sdf", ".srdf")
@@ -22,22 +22,22 @@ class XmlFiles(Analyser):
         """Select XML files by suffix."""
         return path.endswith(_XML_SUFFIXES)
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
         """Parse each file."""
         return [finding for path in files if (finding := _check_file(copy, path)) is not None]
 
 
-def _check_file(copy: Copy, path: str) -> Finding | None:
+def _check_file(copy: Copy, path: str) -> CodeFinding | None:
     try:
         for _, element in iterparse(copy.root / path, ("end",)):
             element.clear()
     except DefusedXmlException:
         message = "the XML declares entities, which a reader may expand without end"
-        return Finding(path, 1, "xml/entities", "security", "warning", message)
+        return CodeFinding(path, 1, "xml/entities", "security", "warning", message)
     except ParseError as error:
         message = f"this is not valid XML: {shorten(one_line(str(error)), 200)}"
-        return Finding(path, max(error.position[0], 1), "xml/syntax", "error-prone", "error", message)
+        return CodeFinding(path, max(error.position[0], 1), "xml/syntax", "error-prone", "error", message)
     except (ValueError, LookupError) as error:  # an unknown encoding
         message = f"this is not valid XML: {shorten(one_line(str(error)), 200)}"
-        return Finding(path, 1, "xml/syntax", "error-prone", "error", message)
+        return CodeFinding(path, 1, "xml/syntax", "error-prone", "error", message)
     return None

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from calibration.addons.analysis.analysers.analyser import Analyser, arguments, in_repository
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import Category, Finding, Severity
+from calibration.addons.analysis.finding import Category, CodeFinding, Severity
 from calibration.addons.analysis.programs import module, run_program
 
 _LINE_OF_OUTPUT = re.compile(r"(.+?):(\d+):(\d+): \[(error|warning)\] (.*?)(?: \(([a-z-]+)\))?")
@@ -24,7 +24,7 @@ class Yamllint(Analyser):
         """Select YAML files by suffix, if they are UTF-8."""
         return path.endswith((".yml", ".yaml")) and copy.is_utf8(path)
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[Finding]:
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
         """Run yamllint and parse its output."""
         own = any((copy.root / name).is_file() for name in self.settings)
         command = [
@@ -41,8 +41,8 @@ class Yamllint(Analyser):
         return [_finding_of_line(match, copy) for match in found if match]
 
 
-def _finding_of_line(match: re.Match[str], copy: Copy) -> Finding:
+def _finding_of_line(match: re.Match[str], copy: Copy) -> CodeFinding:
     rule = match[6] or "syntax"
     category: Category = "error-prone" if rule in _RULES_OF_ERRORS else "style"
     severity: Severity = "error" if rule in _RULES_OF_ERRORS else "note"
-    return Finding(in_repository(match[1], copy), int(match[2]), f"yamllint/{rule}", category, severity, match[5])
+    return CodeFinding(in_repository(match[1], copy), int(match[2]), f"yamllint/{rule}", category, severity, match[5])

@@ -8,7 +8,7 @@ from pathlib import Path
 from calibration.addons.analysis.ros.check import check
 from calibration.addons.analysis.ros.graph import build_graphs, summary_of
 from calibration.addons.analysis.ros.graph_picture import picture
-from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.tree import Tree
 
 
@@ -21,7 +21,7 @@ def main(task: Path) -> None:
 
 
 def _graph_document(tree: Tree) -> object:
-    graphs = build_graphs(Repository(tree))
+    graphs = build_graphs(RosRepository(tree))
     return {**summary_of(graphs), "picture": picture(graphs)}
 
 

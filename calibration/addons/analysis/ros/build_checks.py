@@ -4,13 +4,13 @@ import ast
 import re
 from collections.abc import Iterator
 
-from calibration.addons.analysis.finding import Finding
-from calibration.addons.analysis.ros.cmake import Argument, Command
+from calibration.addons.analysis.finding import CodeFinding
+from calibration.addons.analysis.ros.cmake import Argument, CMakeCommand
 from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.interfaces import FOLDER_OF_SUFFIX, Unreadable, lines_of
 from calibration.addons.analysis.ros.known import BUILT_IN_TYPES
 from calibration.addons.analysis.ros.package import Package
-from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.setup_script import parse_python
 from calibration.base.text import did_you_mean
 
@@ -44,7 +44,7 @@ _KIND_OF_INTERFACE_LIST = {"add_message_files": "msg", "add_service_files": "srv
 _ROS2_FIELD = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 
 
-def check_builds(repository: Repository) -> Iterator[Finding]:
+def check_builds(repository: RosRepository) -> Iterator[CodeFinding]:
     """Check every package."""
     for package in repository.packages:
         yield from _check_sources(package)
@@ -66,7 +66,7 @@ def made_words(package: Package) -> frozenset[str]:
     )
 
 
-def _check_sources(package: Package) -> Iterator[Finding]:
+def _check_sources(package: Package) -> Iterator[CodeFinding]:
     for command in package.commands("add_executable", "add_library"):
         for each in command.arguments[1:]:
             if each.text.endswith(_SOURCE_SUFFIXES):
@@ -80,7 +80,7 @@ def _check_sources(package: Package) -> Iterator[Finding]:
                     yield from _check_existence(package, command, each)
 
 
-def _check_existence(package: Package, command: Command, argument: Argument) -> Iterator[Finding]:
+def _check_existence(package: Package, command: CMakeCommand, argument: Argument) -> Iterator[CodeFinding]:
     place = command.place(argument.text)
     if place is None or package.tree.has(place):
         return
@@ -93,7 +93,7 @@ def _check_existence(package: Package, command: Command, argument: Argument) -> 
     yield fault("no-such-source", command.path, argument.line, message)
 
 
-def _check_targets(package: Package) -> Iterator[Finding]:
+def _check_targets(package: Package) -> Iterator[CodeFinding]:
     built = {each.texts[0] for each in package.cmake if each.name not in _COMMANDS_WITHOUT_TARGET and each.texts}
     made = made_words(package)
     if any("$" in each for each in built if each) or any(path.endswith(".cmake") for path in package.files):
@@ -114,7 +114,7 @@ def _check_targets(package: Package) -> Iterator[Finding]:
                 yield fault("no-such-target", command.path, each.line, message)
 
 
-def _check_found_packages(package: Package) -> Iterator[Finding]:
+def _check_found_packages(package: Package) -> Iterator[CodeFinding]:
     """Yield dependencies of targets and interfaces that CMake has not found before."""
     if not package.is_ros2 or "ament_auto_find_build_dependencies" in package.build_words:
         return
@@ -132,14 +132,14 @@ def _check_found_packages(package: Package) -> Iterator[Finding]:
             return  # what it finds is not read
 
 
-def _not_found(command: Command, names: list[Argument], found: set[str]) -> Iterator[Finding]:
+def _not_found(command: CMakeCommand, names: list[Argument], found: set[str]) -> Iterator[CodeFinding]:
     for each in names:
         if each.is_known and each.text not in found and not any("$" in name for name in found):
             message = f"{command.name} names {quoted(each.text)}, for which there is no find_package before"
             yield fault("not-found-in-cmake", command.path, each.line, message)
 
 
-def _check_interface_lists(package: Package) -> Iterator[Finding]:
+def _check_interface_lists(package: Package) -> Iterator[CodeFinding]:
     """Check lists of interfaces against the files."""
     listed: set[str] = set()
     complete = set(FOLDER_OF_SUFFIX.values())
@@ -189,7 +189,7 @@ def _has_no_other(package: Package, path: str) -> bool:
     )
 
 
-def _check_fields(package: Package, repository: Repository) -> Iterator[Finding]:
+def _check_fields(package: Package, repository: RosRepository) -> Iterator[CodeFinding]:
     interfaces = {path.rpartition("/")[2].partition(".")[0] for path in package.files if path.endswith(".msg")}
     for path in package.files:
         if not path.endswith(tuple(FOLDER_OF_SUFFIX)) or path.split("/")[-2:-1] not in (
@@ -218,7 +218,7 @@ def _check_fields(package: Package, repository: Repository) -> Iterator[Finding]
                 yield fault("interface-field", path, each.line, message)
 
 
-def _entry_points(package: Package) -> Iterator[Finding]:
+def _entry_points(package: Package) -> Iterator[CodeFinding]:
     setup = package.setup
     if setup is None:
         return

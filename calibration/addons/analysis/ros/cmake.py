@@ -39,7 +39,7 @@ class Argument:
 
 
 @dataclass(frozen=True)
-class Command:
+class CMakeCommand:
     """Command, with its arguments after the expansion of variables."""
 
     name: str
@@ -84,7 +84,7 @@ class _State:
 
     tree: Tree
     variables: dict[str, list[str]] = field(default_factory=dict)
-    commands: list[Command] = field(default_factory=list)
+    commands: list[CMakeCommand] = field(default_factory=list)
     seen: dict[str, None] = field(default_factory=dict)
     steps: int = 0
 
@@ -100,7 +100,7 @@ class _State:
         self.variables[name] = kept
 
 
-def read_cmake(tree: Tree, folder: str) -> list[Command]:
+def read_cmake(tree: Tree, folder: str) -> list[CMakeCommand]:
     """Return the commands of a folder's CMakeLists.txt and of the folders that it adds.
 
     Loops over written values are unrolled; bodies of functions and macros are left out.
@@ -115,14 +115,16 @@ def _include_folder(state: _State, folder: str) -> None:
     if path in state.seen or path not in state.tree.present or len(state.seen) > 200:
         return
     state.seen[path] = None
-    commands = [Command(name, arguments, path, line, folder) for name, arguments, line in parse(state.tree.text(path))]
+    commands = [
+        CMakeCommand(name, arguments, path, line, folder) for name, arguments, line in parse(state.tree.text(path))
+    ]
     root = next(iter(state.seen)).rpartition("/")[0]
     for name, value in (*((each, folder) for each in _FOLDER_VARIABLES), *((each, root) for each in _ROOT_VARIABLES)):
         state.variables[name] = [f"{_REPOSITORY_ROOT}/{value}"]
     _run_commands(state, commands, 0)
 
 
-def _run_commands(state: _State, commands: Sequence[Command], depth: int) -> None:
+def _run_commands(state: _State, commands: Sequence[CMakeCommand], depth: int) -> None:
     at = 0
     while at < len(commands) and state.steps < _MAX_STEPS:
         state.steps += 1
@@ -137,7 +139,7 @@ def _run_commands(state: _State, commands: Sequence[Command], depth: int) -> Non
         at += 1
 
 
-def _find_end(commands: Sequence[Command], at: int, name: str, end: str) -> int:
+def _find_end(commands: Sequence[CMakeCommand], at: int, name: str, end: str) -> int:
     depth = 0
     for index in range(at, len(commands)):
         depth += (commands[index].name == name) - (commands[index].name == end)
@@ -146,7 +148,7 @@ def _find_end(commands: Sequence[Command], at: int, name: str, end: str) -> int:
     return len(commands)
 
 
-def _unroll_loop(state: _State, command: Command, body: Sequence[Command], depth: int) -> None:
+def _unroll_loop(state: _State, command: CMakeCommand, body: Sequence[CMakeCommand], depth: int) -> None:
     """Run the body of a loop for each value; once with an unknown value if the values are not written."""
     words = [each.text for each in _expand_variables(command.arguments, state.variables)]
     if not words:
@@ -178,10 +180,10 @@ def _unroll_loop(state: _State, command: Command, body: Sequence[Command], depth
         state.variables[variable] = before
 
 
-def _run_command(state: _State, command: Command) -> None:
+def _run_command(state: _State, command: CMakeCommand) -> None:
     arguments = _expand_variables(command.arguments, state.variables)
     state.steps += len(arguments)
-    expanded = Command(command.name, tuple(arguments), command.path, command.line, command.folder)
+    expanded = CMakeCommand(command.name, tuple(arguments), command.path, command.line, command.folder)
     state.commands.append(expanded)
     words = list(expanded.texts)
     if command.name == "set" and words:

@@ -34,7 +34,7 @@ class Call:
 
 
 @dataclass(frozen=True)
-class Code:
+class ClientCode:
     """Uses of the ROS client library in one source file."""
 
     calls: tuple[Call, ...] = ()

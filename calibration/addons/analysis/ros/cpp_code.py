@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import tree_sitter_cpp
 from tree_sitter import Language, Node, Parser
 
-from calibration.addons.analysis.ros.code import Call, Code, Kind, Quality, short_type
+from calibration.addons.analysis.ros.code import Call, ClientCode, Kind, Quality, short_type
 
 _KIND_OF_CALL: dict[str, tuple[Kind, int]] = {
     "create_publisher": ("publisher", 0),
@@ -54,16 +54,16 @@ class _File:
     """Source of the initial value of each variable."""
 
 
-def read_cpp(path: str, text: str) -> Code:
+def read_cpp(path: str, text: str) -> ClientCode:
     """Return the calls of a file."""
     data = text.encode()
     if len(data) > _MOST_BYTES or ("ros" not in text and "rcl" not in text):
-        return Code()
+        return ClientCode()
     nodes = list(_walk_nodes(_CPP_PARSER.parse(data).root_node))
     file = _collect_names(path, nodes)
     calls = [call for node in nodes if node.type == "call_expression" for call in _read_call(node, file)]
     names = [name for node in nodes for name in _node_names(node)]
-    return Code(tuple(calls), tuple(names), any(each in text for each in _ANY_PARAMETER))
+    return ClientCode(tuple(calls), tuple(names), any(each in text for each in _ANY_PARAMETER))
 
 
 def _walk_nodes(root: Node) -> Iterator[Node]:

@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calibration.addons.analysis.ros.cmake import Command
+from calibration.addons.analysis.ros.cmake import CMakeCommand
 from calibration.addons.analysis.ros.package import Package
 from calibration.addons.analysis.ros.setup_script import parse_python
 from calibration.addons.analysis.ros.tree import join
@@ -91,7 +91,7 @@ def _libraries_of_targets(package: Package) -> dict[str, list[str]]:
     return whole
 
 
-def _sources_of_target(package: Package, command: Command) -> tuple[str, ...]:
+def _sources_of_target(package: Package, command: CMakeCommand) -> tuple[str, ...]:
     places = (command.place(each) for each in command.texts[1:] if each.endswith(_SOURCE_SUFFIXES))
     return tuple(each for each in places if each is not None and each in package.tree.present)
 

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from calibration.addons.analysis.finding import Category, Finding, Severity
+from calibration.addons.analysis.finding import Category, CodeFinding, Severity
 from calibration.base.text import one_line, shorten
 
 
 @dataclass(frozen=True)
-class Rule:
+class FaultRule:
     """Kind of fault."""
 
     category: Category
@@ -16,59 +16,69 @@ class Rule:
     """Description of the fault, for the documentation."""
 
 
-RULES: dict[str, Rule] = {
-    "package-xml": Rule("error-prone", "error", "package.xml lacks what the build tools need"),
-    "package-name": Rule("error-prone", "error", "the package has another name in CMakeLists.txt or setup.py"),
-    "package-twice": Rule("error-prone", "error", "two packages have one name"),
-    "dependency-twice": Rule("style", "note", "a dependency is declared twice"),
-    "undeclared-dependency": Rule(
+RULES: dict[str, FaultRule] = {
+    "package-xml": FaultRule("error-prone", "error", "package.xml lacks what the build tools need"),
+    "package-name": FaultRule("error-prone", "error", "the package has another name in CMakeLists.txt or setup.py"),
+    "package-twice": FaultRule("error-prone", "error", "two packages have one name"),
+    "dependency-twice": FaultRule("style", "note", "a dependency is declared twice"),
+    "undeclared-dependency": FaultRule(
         "error-prone", "warning", "code, CMake, interfaces or launch files use a package that package.xml does not name"
     ),
-    "unused-dependency": Rule("unused code", "note", "nothing of the package names what it declares to build with"),
-    "build-type": Rule("error-prone", "error", "the files do not fit the build type that package.xml exports"),
-    "not-found-in-cmake": Rule("error-prone", "error", "CMake links or exports a package that it has not found"),
-    "no-such-source": Rule("error-prone", "error", "CMake builds or installs a file that does not exist"),
-    "no-such-target": Rule("error-prone", "error", "CMake installs, links or exports a target that it does not build"),
-    "no-such-interface": Rule(
+    "unused-dependency": FaultRule(
+        "unused code", "note", "nothing of the package names what it declares to build with"
+    ),
+    "build-type": FaultRule("error-prone", "error", "the files do not fit the build type that package.xml exports"),
+    "not-found-in-cmake": FaultRule("error-prone", "error", "CMake links or exports a package that it has not found"),
+    "no-such-source": FaultRule("error-prone", "error", "CMake builds or installs a file that does not exist"),
+    "no-such-target": FaultRule(
+        "error-prone", "error", "CMake installs, links or exports a target that it does not build"
+    ),
+    "no-such-interface": FaultRule(
         "error-prone", "error", "CMake or code names a message, service or action that is not there"
     ),
-    "interface-not-built": Rule("error-prone", "warning", "a file of an interface that CMake does not generate"),
-    "interface-field": Rule(
+    "interface-not-built": FaultRule("error-prone", "warning", "a file of an interface that CMake does not generate"),
+    "interface-field": FaultRule(
         "error-prone", "error", "a field's type is no built-in one and no interface of its package"
     ),
-    "no-such-entry-point": Rule("error-prone", "error", "setup.py names a module or function that does not exist"),
-    "no-such-executable": Rule(
+    "no-such-entry-point": FaultRule("error-prone", "error", "setup.py names a module or function that does not exist"),
+    "no-such-executable": FaultRule(
         "error-prone", "error", "a launch file starts an executable that its package does not have"
     ),
-    "no-such-file": Rule("error-prone", "error", "a launch file or robot description names a file that does not exist"),
-    "not-installed": Rule(
+    "no-such-file": FaultRule(
+        "error-prone", "error", "a launch file or robot description names a file that does not exist"
+    ),
+    "not-installed": FaultRule(
         "error-prone", "warning", "a launch file or robot description names a file that is not installed"
     ),
-    "launch-argument": Rule("error-prone", "error", "an argument of a launch file is not declared, or not given"),
-    "launch-cycle": Rule("error-prone", "error", "a launch file includes itself"),
-    "node-name-twice": Rule("error-prone", "error", "two nodes that are started together have one name"),
-    "topic-types": Rule("error-prone", "error", "a topic, service or action is used with two types"),
-    "not-connected": Rule(
+    "launch-argument": FaultRule("error-prone", "error", "an argument of a launch file is not declared, or not given"),
+    "launch-cycle": FaultRule("error-prone", "error", "a launch file includes itself"),
+    "node-name-twice": FaultRule("error-prone", "error", "two nodes that are started together have one name"),
+    "topic-types": FaultRule("error-prone", "error", "a topic, service or action is used with two types"),
+    "not-connected": FaultRule(
         "error-prone", "warning", "nothing gives to a topic, service or action, and a similar one has no taker"
     ),
-    "quality-of-service": Rule("error-prone", "error", "a subscriber asks for more than the publisher offers"),
-    "no-such-parameter": Rule("error-prone", "warning", "a parameter is set that the code of the node does not know"),
-    "unused-remapping": Rule(
+    "quality-of-service": FaultRule("error-prone", "error", "a subscriber asks for more than the publisher offers"),
+    "no-such-parameter": FaultRule(
+        "error-prone", "warning", "a parameter is set that the code of the node does not know"
+    ),
+    "unused-remapping": FaultRule(
         "error-prone", "warning", "a name is remapped that the node does not use, but a similar one"
     ),
-    "no-such-frame": Rule(
+    "no-such-frame": FaultRule(
         "error-prone", "error", "a calibration names a frame that the robot description does not have"
     ),
-    "frame-parent": Rule("error-prone", "error", "a calibration names another parent of a frame than the description"),
-    "mesh-size": Rule("error-prone", "warning", "a mesh of a robot description is too large for metres"),
+    "frame-parent": FaultRule(
+        "error-prone", "error", "a calibration names another parent of a frame than the description"
+    ),
+    "mesh-size": FaultRule("error-prone", "warning", "a mesh of a robot description is too large for metres"),
 }
 """Rules by name."""
 
 
-def fault(rule: str, path: str, line: int, message: str) -> Finding:
+def fault(rule: str, path: str, line: int, message: str) -> CodeFinding:
     """Return a finding of a rule."""
     kind = RULES[rule]
-    return Finding(path, max(line, 1), f"ros/{rule}", kind.category, kind.severity, shorten(one_line(message), 400))
+    return CodeFinding(path, max(line, 1), f"ros/{rule}", kind.category, kind.severity, shorten(one_line(message), 400))
 
 
 def quoted(name: str) -> str:

@@ -8,10 +8,10 @@ from typing import Any
 
 import yaml
 
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.graph import build_graphs
-from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.tree import join, without_comments
 from calibration.addons.analysis.xml_lines import parse_xml
 from calibration.base.text import did_you_mean
@@ -44,7 +44,7 @@ class _Named:
     """Number of the mapping that it is in."""
 
 
-def check_frames(repository: Repository) -> Iterator[Finding]:
+def check_frames(repository: RosRepository) -> Iterator[CodeFinding]:
     """Check the configurations of calibrations, and the datasets that carry one."""
     published: frozenset[str] | None = None
     for path in repository.tree.files:
@@ -61,7 +61,7 @@ def check_frames(repository: Repository) -> Iterator[Finding]:
         yield from _check_topics(path, named, published)
 
 
-def _read_configuration(repository: Repository, path: str) -> tuple[list[_Named], str] | None:
+def _read_configuration(repository: RosRepository, path: str) -> tuple[list[_Named], str] | None:
     """Return the frames and topics of a configuration, and its description; None if a file is none."""
     name = path.rpartition("/")[2]
     if not name.endswith((".yml", ".yaml")) and name != "dataset.json":
@@ -120,7 +120,7 @@ def _of_dataset(text: str) -> tuple[list[_Named], str] | None:
     return found, description if isinstance(description, str) else ""
 
 
-def _find_description(repository: Repository, path: str, text: str) -> _Description | None:
+def _find_description(repository: RosRepository, path: str, text: str) -> _Description | None:
     """Return the description that a configuration names, of a package or beside the configuration."""
     place = repository.place(text.strip()) or join(path.rpartition("/")[0], text.strip())
     if place is None or place not in repository.tree.present:
@@ -141,7 +141,7 @@ def _find_description(repository: Repository, path: str, text: str) -> _Descript
     return _Description(place, frozenset(each.get("name", "") for each in root.iter("link")), parents, is_complete=True)
 
 
-def _static_frames(repository: Repository) -> frozenset[str]:
+def _static_frames(repository: RosRepository) -> frozenset[str]:
     """Return the arguments of all publishers of static transforms, among which are their frames."""
     starts = (start for launch in repository.launches.values() for start in launch.starts)
     return frozenset(
@@ -154,7 +154,7 @@ def _static_frames(repository: Repository) -> frozenset[str]:
 
 def _check_frames(
     path: str, named: list[_Named], description: _Description, others: frozenset[str]
-) -> Iterator[Finding]:
+) -> Iterator[CodeFinding]:
     links = description.links | others
     groups: dict[int, dict[str, _Named]] = {}
     for each in named:
@@ -177,7 +177,7 @@ def _check_frames(
             yield fault("frame-parent", path, parent.line, message)
 
 
-def _check_topics(path: str, named: list[_Named], published: frozenset[str]) -> Iterator[Finding]:
+def _check_topics(path: str, named: list[_Named], published: frozenset[str]) -> Iterator[CodeFinding]:
     for each in named:
         name = "/" + each.value.lstrip("/")
         if each.key == "topic_name" and name not in published and (hint := did_you_mean(name, published)):

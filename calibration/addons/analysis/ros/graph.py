@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 from calibration.addons.analysis.ros.code import Call, Kind
 from calibration.addons.analysis.ros.executables import with_imports
-from calibration.addons.analysis.ros.launch import Launch, Start, resolved
+from calibration.addons.analysis.ros.launch import Launch, NodeStart, resolved
 from calibration.addons.analysis.ros.package import Package
-from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.repository import RosRepository
 
 _MOST_INCLUDES = 500
 CONNECTIONS: tuple[tuple[str, Kind, Kind], ...] = (
@@ -40,7 +40,7 @@ class GraphNode:
     """Full name; None if it is not known."""
     package: str
     executable: str
-    start: Start | None
+    start: NodeStart | None
     """Its entry in a launch file; None for a node that no launch file starts."""
     calls: tuple[Call, ...] = ()
     takes_any_parameter: bool = False
@@ -72,8 +72,8 @@ class Graph:
 class _Walk:
     """Walk through a launch file and those that it includes."""
 
-    repository: Repository
-    starts: list[Start] = field(default_factory=list)
+    repository: RosRepository
+    starts: list[NodeStart] = field(default_factory=list)
     unresolved: list[str] = field(default_factory=list)
     left: int = _MOST_INCLUDES
 
@@ -86,7 +86,7 @@ class _Walk:
         for start in launch.starts:
             inner = _join_namespaces(namespace, start.namespace)
             changed = {"namespace": inner, "conditional": start.conditional or conditional}
-            self.starts.append(Start(**{**vars(start), **changed}))
+            self.starts.append(NodeStart(**{**vars(start), **changed}))
         for include in launch.includes:
             included = self.repository.included(include)
             if included is None:
@@ -103,7 +103,7 @@ def _join_namespaces(outer: str | None, inner: str | None) -> str | None:
     return inner.strip("/") if inner.startswith("/") else f"{outer}/{inner}".strip("/")
 
 
-def build_graphs(repository: Repository) -> list[Graph]:
+def build_graphs(repository: RosRepository) -> list[Graph]:
     """Return the graph of each launch file that no other one includes, or the one of all nodes if there is none.
 
     Executables that no launch file starts may be run beside any of them, so they are in every graph.
@@ -130,7 +130,7 @@ def _is_test(path: str) -> bool:
     return path.endswith(".test") or any(part in ("test", "tests") for part in path.split("/")[:-1])
 
 
-def _nodes_not_started(repository: Repository, started: set[tuple[str | None, str | None]]) -> Iterator[GraphNode]:
+def _nodes_not_started(repository: RosRepository, started: set[tuple[str | None, str | None]]) -> Iterator[GraphNode]:
     """Yield the executables that no launch file starts."""
     for package in repository.packages:
         for name, sources in repository.executables(package).files.items():
@@ -143,7 +143,7 @@ def _nodes_not_started(repository: Repository, started: set[tuple[str | None, st
                 yield GraphNode(title, package.name, name, None, calls, takes_any)
 
 
-def _node_of_start(repository: Repository, start: Start) -> GraphNode:
+def _node_of_start(repository: RosRepository, start: NodeStart) -> GraphNode:
     package = repository.by_name.get(start.package or "")
     calls: tuple[Call, ...] = ()
     names: tuple[str, ...] = ()
@@ -158,7 +158,7 @@ def _node_of_start(repository: Repository, start: Start) -> GraphNode:
 
 
 def _code_of_executable(
-    repository: Repository, package: Package, sources: tuple[str, ...]
+    repository: RosRepository, package: Package, sources: tuple[str, ...]
 ) -> tuple[tuple[Call, ...], bool, bool, tuple[str, ...]]:
     """Return the calls of an executable, whether its code is known, takes any parameter, and the names of its nodes."""
     paths = [path for each in sources for path in (with_imports(package, each) if each.endswith(".py") else (each,))]

@@ -6,11 +6,11 @@ from typing import Any
 
 import yaml
 
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.graph import CONNECTIONS, Endpoint, Graph, GraphNode, build_graphs
-from calibration.addons.analysis.ros.launch import Parameter
-from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.launch import LaunchParameter
+from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.base.text import did_you_mean
 
 _TOPICS_OF_ROS = ("/rosout", "/tf", "/tf_static", "/clock", "/parameter_events", "/robot_description")
@@ -19,7 +19,7 @@ _PARAMETERS_OF_ROS = ("use_sim_time", "qos_overrides", "start_type_description_s
 """Parameters that every node of ROS 2 takes."""
 
 
-def check_graph(repository: Repository) -> Iterator[Finding]:
+def check_graph(repository: RosRepository) -> Iterator[CodeFinding]:
     """Check the nodes of every launch file together."""
     for graph in build_graphs(repository):
         yield from _check_node_names(graph)
@@ -33,7 +33,7 @@ def check_graph(repository: Repository) -> Iterator[Finding]:
             yield from _check_remappings(node)
 
 
-def _check_node_names(graph: Graph) -> Iterator[Finding]:
+def _check_node_names(graph: Graph) -> Iterator[CodeFinding]:
     first: dict[str, GraphNode] = {}
     for node in graph.nodes:
         if node.start is None or node.start.conditional or node.name is None:
@@ -45,7 +45,7 @@ def _check_node_names(graph: Graph) -> Iterator[Finding]:
             yield fault("node-name-twice", node.start.path, node.start.line, message)
 
 
-def _check_types(title: str, gives: list[Endpoint], takes: list[Endpoint]) -> Iterator[Finding]:
+def _check_types(title: str, gives: list[Endpoint], takes: list[Endpoint]) -> Iterator[CodeFinding]:
     for name in sorted({each.name for each in (*gives, *takes)}):
         ends = [each for each in (*gives, *takes) if each.name == name and each.call.type]
         counts = Counter(each.call.type for each in ends)
@@ -61,7 +61,7 @@ def _check_types(title: str, gives: list[Endpoint], takes: list[Endpoint]) -> It
                 yield fault("topic-types", each.call.path, each.call.line, message)
 
 
-def _check_connections(title: str, gives: list[Endpoint], takes: list[Endpoint], graph: Graph) -> Iterator[Finding]:
+def _check_connections(title: str, gives: list[Endpoint], takes: list[Endpoint], graph: Graph) -> Iterator[CodeFinding]:
     """Yield what takes from a name that nothing gives to, where a similar one is given to and not taken from."""
     given, taken = {each.name for each in gives}, {each.name for each in takes}
     started = {node.title for node in graph.nodes if node.start is not None} or {node.title for node in graph.nodes}
@@ -81,7 +81,7 @@ def _may_be_same_type(one: str | None, other: str | None) -> bool:
     return one is None or other is None or one == other
 
 
-def _check_qualities(graph: Graph) -> Iterator[Finding]:
+def _check_qualities(graph: Graph) -> Iterator[CodeFinding]:
     for taker in graph.of("subscriber"):
         wanted = taker.call.quality
         for giver in graph.of("publisher"):
@@ -99,7 +99,7 @@ def _check_qualities(graph: Graph) -> Iterator[Finding]:
                 yield fault("quality-of-service", taker.call.path, taker.call.line, message)
 
 
-def _check_parameters(node: GraphNode, repository: Repository) -> Iterator[Finding]:
+def _check_parameters(node: GraphNode, repository: RosRepository) -> Iterator[CodeFinding]:
     """Yield parameters that are set for a node whose code has none of the name."""
     package = repository.by_name.get(node.package)
     calls = [each for each in node.calls if "parameter" in each.kind]
@@ -116,7 +116,7 @@ def _check_parameters(node: GraphNode, repository: Repository) -> Iterator[Findi
             yield fault("no-such-parameter", each.path, each.line, message)
 
 
-def _parameters_set(node: GraphNode, repository: Repository, is_ros2: bool) -> Iterator[Parameter]:
+def _parameters_set(node: GraphNode, repository: RosRepository, is_ros2: bool) -> Iterator[LaunchParameter]:
     if node.start is None:
         return
     yield from node.start.parameters
@@ -131,7 +131,7 @@ def _parameters_set(node: GraphNode, repository: Repository, is_ros2: bool) -> I
             yield from private_parameters_of(path, text)
 
 
-def _check_remappings(node: GraphNode) -> Iterator[Finding]:
+def _check_remappings(node: GraphNode) -> Iterator[CodeFinding]:
     """Yield remappings of names that the code does not use, where it uses a similar one that is not remapped."""
     uses = [each for each in node.calls if "parameter" not in each.kind]
     if node.start is None or not uses or any(each.name is None for each in uses):
@@ -149,9 +149,9 @@ _MAX_PARAMETERS = 5_000
 _MAX_DEPTH = 20
 
 
-def parameters_of(path: str, text: str, node: str) -> list[Parameter]:
+def parameters_of(path: str, text: str, node: str) -> list[LaunchParameter]:
     """Return the parameters that a file of ROS 2 sets for a node of this full name."""
-    found: list[Parameter] = []
+    found: list[LaunchParameter] = []
     short = node.rpartition("/")[2]
     for key, value in _entries_of_mapping(_parse_root(text)):
         if str(key.value) in ("/**", short, node, node.lstrip("/"), f"/**/{short}"):
@@ -161,7 +161,7 @@ def parameters_of(path: str, text: str, node: str) -> list[Parameter]:
     return found[:_MAX_PARAMETERS]
 
 
-def private_parameters_of(path: str, text: str) -> list[Parameter]:
+def private_parameters_of(path: str, text: str) -> list[LaunchParameter]:
     """Return the names that a file of ROS 1 sets below where it is loaded."""
     return list(_names_of_values(_parse_root(text), "", path, "/"))[:_MAX_PARAMETERS]
 
@@ -177,11 +177,11 @@ def _entries_of_mapping(node: Any) -> list[tuple[Any, Any]]:
     return node.value if isinstance(node, yaml.MappingNode) else []
 
 
-def _names_of_values(node: Any, prefix: str, path: str, separator: str, depth: int = 0) -> Iterator[Parameter]:
+def _names_of_values(node: Any, prefix: str, path: str, separator: str, depth: int = 0) -> Iterator[LaunchParameter]:
     """Yield the names of all values, nested ones joined by the separator."""
     for key, value in _entries_of_mapping(node) if depth < _MAX_DEPTH else ():
         name = f"{prefix}{key.value}"
         if isinstance(value, yaml.MappingNode):
             yield from _names_of_values(value, f"{name}{separator}", path, separator, depth + 1)
         else:
-            yield Parameter(name, path, key.start_mark.line + 1)
+            yield LaunchParameter(name, path, key.start_mark.line + 1)

@@ -21,7 +21,7 @@ class Remapping:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class LaunchParameter:
     """Parameter that a launch file or a file of parameters sets."""
 
     name: str
@@ -30,7 +30,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Start:
+class NodeStart:
     """Node that a launch file starts."""
 
     package: str | None
@@ -45,7 +45,7 @@ class Start:
     """Whether the launch file gives a name."""
     conditional: bool = False
     remappings: tuple[Remapping, ...] = ()
-    parameters: tuple[Parameter, ...] = ()
+    parameters: tuple[LaunchParameter, ...] = ()
     parameter_files: tuple[str, ...] = ()
     arguments: tuple[str, ...] = ()
 
@@ -69,7 +69,7 @@ class Launch:
     """A launch file."""
 
     path: str
-    starts: tuple[Start, ...] = ()
+    starts: tuple[NodeStart, ...] = ()
     includes: tuple[Include, ...] = ()
     arguments: Mapping[str, bool] = field(default_factory=dict)
     """Declared arguments, and whether each has a value."""
@@ -77,7 +77,7 @@ class Launch:
     """Arguments that are used, with their lines."""
     files: tuple[tuple[str, int], ...] = ()
     """Files of packages that are named, ``package://name/path``, with their lines."""
-    parameters: tuple[Parameter, ...] = ()
+    parameters: tuple[LaunchParameter, ...] = ()
     """Parameters of no node."""
     unresolved: Sequence[str] = ()
     """Messages about parts that could not be read."""

@@ -3,11 +3,11 @@
 import re
 from collections.abc import Iterator
 
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.ros.executables import is_installed
 from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.launch import Include, Launch, package_of
-from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.tree import without_comments
 from calibration.base.text import did_you_mean
 
@@ -19,7 +19,7 @@ _SUFFIXES_READ_ONLY = (
 _RESOURCE_PATH = re.compile(r"package://[\w-]+/[^\"'\s<>&]+|\$\(find[ \t]+[\w-]+\)/[^\"'\s<>&]+")
 
 
-def check_launches(repository: Repository) -> Iterator[Finding]:
+def check_launches(repository: RosRepository) -> Iterator[CodeFinding]:
     """Check every launch file and robot description."""
     for launch in repository.launches.values():
         yield from _check_executables(launch, repository)
@@ -39,7 +39,7 @@ def check_launches(repository: Repository) -> Iterator[Finding]:
                         yield from _check_file(named, path, number, repository)
 
 
-def _check_executables(launch: Launch, repository: Repository) -> Iterator[Finding]:
+def _check_executables(launch: Launch, repository: RosRepository) -> Iterator[CodeFinding]:
     for start in launch.starts:
         package = repository.by_name.get(start.package or "")
         if package is None or start.executable is None:
@@ -53,7 +53,7 @@ def _check_executables(launch: Launch, repository: Repository) -> Iterator[Findi
             yield fault("no-such-executable", start.path, start.line, message)
 
 
-def _check_file(text: str, path: str, line: int, repository: Repository) -> Iterator[Finding]:
+def _check_file(text: str, path: str, line: int, repository: RosRepository) -> Iterator[CodeFinding]:
     named = package_of(text)
     package = repository.by_name.get(named[0]) if named else None
     if named is None or package is None or not named[1].lower().endswith(_SUFFIXES_READ_ONLY) or _is_test(path):
@@ -75,7 +75,7 @@ def _check_file(text: str, path: str, line: int, repository: Repository) -> Iter
         yield fault("not-installed", path, line, message)
 
 
-def _check_include(include: Include, repository: Repository) -> Iterator[Finding]:
+def _check_include(include: Include, repository: RosRepository) -> Iterator[CodeFinding]:
     launch = repository.included(include)
     if launch is None or include.passes_all:
         return
@@ -91,7 +91,7 @@ def _check_include(include: Include, repository: Repository) -> Iterator[Finding
             yield fault("launch-argument", include.path, include.line, message)
 
 
-def _check_arguments(launch: Launch) -> Iterator[Finding]:
+def _check_arguments(launch: Launch) -> Iterator[CodeFinding]:
     for name, line in launch.used:
         if name and name not in launch.arguments and re.fullmatch(r"\w+", name):
             hint = did_you_mean(name, launch.arguments)
@@ -101,7 +101,7 @@ def _check_arguments(launch: Launch) -> Iterator[Finding]:
             yield fault("launch-argument", launch.path, line, message)
 
 
-def _check_cycles(launch: Launch, repository: Repository) -> Iterator[Finding]:
+def _check_cycles(launch: Launch, repository: RosRepository) -> Iterator[CodeFinding]:
     for include in launch.includes:
         if include.conditional:
             continue

@@ -7,7 +7,15 @@ from xml.etree.ElementTree import Element
 
 import yaml
 
-from calibration.addons.analysis.ros.launch import Include, Launch, Parameter, Remapping, Start, known, with_packages
+from calibration.addons.analysis.ros.launch import (
+    Include,
+    Launch,
+    LaunchParameter,
+    NodeStart,
+    Remapping,
+    known,
+    with_packages,
+)
 from calibration.addons.analysis.xml_lines import LINE_KEY, attributes_of, line_of, parse_xml
 
 _MOST_NODES = 20_000
@@ -24,12 +32,12 @@ class _Found:
     """Content of a launch file, collected while its elements are read."""
 
     path: str
-    starts: list[Start] = field(default_factory=list)
+    starts: list[NodeStart] = field(default_factory=list)
     includes: list[Include] = field(default_factory=list)
     arguments: dict[str, bool] = field(default_factory=dict)
     used: list[tuple[str, int]] = field(default_factory=list)
     files: list[tuple[str, int]] = field(default_factory=list)
-    parameters: list[Parameter] = field(default_factory=list)
+    parameters: list[LaunchParameter] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -148,7 +156,7 @@ def _read_children(element: Element, scope: _Scope, found: _Found) -> None:
         elif tag in _NODE_TAGS:
             found.starts.append(_read_start(child, text, inner, found.path))
         elif tag == "param" and known(text.get("name")):
-            found.parameters.append(Parameter(text["name"], found.path, line))
+            found.parameters.append(LaunchParameter(text["name"], found.path, line))
 
 
 def _read_remapping(text: dict[str, str], line: int) -> tuple[Remapping, ...]:
@@ -164,7 +172,7 @@ def _read_include(element: Element, text: dict[str, str], scope: _Scope, path: s
     )
 
 
-def _read_start(element: Element, text: dict[str, str], scope: _Scope, path: str) -> Start:
+def _read_start(element: Element, text: dict[str, str], scope: _Scope, path: str) -> NodeStart:
     namespace = text.get("ns") or text.get("namespace")
     if namespace:
         scope = scope.inside(known(namespace))
@@ -180,8 +188,8 @@ def _read_start(element: Element, text: dict[str, str], scope: _Scope, path: str
                 files.append(inner["file"])
             name = known(inner.get("name") or inner.get("param"))
             if name:
-                parameters.append(Parameter(name, path, line_of(child)))
-    return Start(
+                parameters.append(LaunchParameter(name, path, line_of(child)))
+    return NodeStart(
         package=known(text.get("pkg")),
         executable=known(text.get("type") or text.get("exec")),
         name=known(text.get("name") or text.get("test-name")),

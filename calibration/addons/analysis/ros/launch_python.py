@@ -4,7 +4,7 @@ import ast
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
-from calibration.addons.analysis.ros.launch import Include, Launch, Parameter, Remapping, Start, known
+from calibration.addons.analysis.ros.launch import Include, Launch, LaunchParameter, NodeStart, Remapping, known
 from calibration.addons.analysis.ros.setup_script import parse_python
 
 _UNKNOWN_PART = "$(?)"
@@ -139,12 +139,12 @@ def _evaluate_call(node: ast.Call, file: _File) -> str:
     return _UNKNOWN_PART
 
 
-def _read_start(node: ast.Call, file: _File) -> Start:
+def _read_start(node: ast.Call, file: _File) -> NodeStart:
     parameters, files = _read_parameters(_keyword_argument(node, "parameters"), file)
     namespace = _keyword_argument(node, "namespace")
     arguments, executable = _keyword_argument(node, "arguments"), _keyword_argument(node, "executable")
     given = arguments.elts if isinstance(arguments, ast.List) else []
-    return Start(
+    return NodeStart(
         package=known(_text_of_expression(_keyword_argument(node, "package"), file)),
         executable=known(_text_of_expression(executable, file)),
         name=known(_text_of_expression(_keyword_argument(node, "name"), file)),
@@ -173,16 +173,16 @@ def _read_remappings(node: ast.expr | None, file: _File) -> Iterator[Remapping]:
         yield Remapping(old, new, each.lineno)
 
 
-def _read_parameters(node: ast.expr | None, file: _File) -> tuple[list[Parameter], list[str]]:
+def _read_parameters(node: ast.expr | None, file: _File) -> tuple[list[LaunchParameter], list[str]]:
     if isinstance(node, ast.Name):
         node = file.values.get(node.id)
-    found: list[Parameter] = []
+    found: list[LaunchParameter] = []
     files: list[str] = []
     for each in node.elts if isinstance(node, ast.List) else ():
         value = file.values.get(each.id) if isinstance(each, ast.Name) else each
         if isinstance(value, ast.Dict):
             names = [(key, known(_text_of_expression(key, file))) for key in value.keys if key is not None]
-            found += [Parameter(name, file.path, key.lineno) for key, name in names if name]
+            found += [LaunchParameter(name, file.path, key.lineno) for key, name in names if name]
         elif (text := _text_of_expression(each, file)) is not None and text != _UNKNOWN_PART:
             files.append(text)
     return found, files

@@ -5,9 +5,9 @@ import re
 import struct
 from collections.abc import Iterator
 
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.ros.faults import fault, quoted
-from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.tree import join
 from calibration.addons.analysis.xml_lines import line_of, parse_xml
 
@@ -19,7 +19,7 @@ _HEADER_BYTES, _TRIANGLE_BYTES = 84, 50
 _MAX_TRIANGLES = 200_000
 
 
-def check_meshes(repository: Repository) -> Iterator[Finding]:
+def check_meshes(repository: RosRepository) -> Iterator[CodeFinding]:
     """Check the meshes in STL that URDF files name."""
     sizes: dict[str, float | None] = {}
     for path in repository.tree.files:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from xml.etree.ElementTree import Element
 
-from calibration.addons.analysis.ros.cmake import Command, read_cmake
-from calibration.addons.analysis.ros.setup_script import Setup, read_setup
+from calibration.addons.analysis.ros.cmake import CMakeCommand, read_cmake
+from calibration.addons.analysis.ros.setup_script import SetupScript, read_setup
 from calibration.addons.analysis.ros.tree import Tree, parents
 from calibration.addons.analysis.xml_lines import line_of, parse_xml
 
@@ -89,12 +89,12 @@ class Package:
         return self.build_type.startswith("ament")
 
     @cached_property
-    def cmake(self) -> Sequence[Command]:
+    def cmake(self) -> Sequence[CMakeCommand]:
         """The commands of CMakeLists.txt."""
         return read_cmake(self.tree, self.folder)
 
     @cached_property
-    def setup(self) -> Setup | None:
+    def setup(self) -> SetupScript | None:
         """setup.py, if there is one."""
         return read_setup(self.tree, self.folder)
 
@@ -123,7 +123,7 @@ class Package:
         found = self.xml.find(tag)
         return line_of(self.xml if found is None else found)
 
-    def commands(self, *names: str) -> list[Command]:
+    def commands(self, *names: str) -> list[CMakeCommand]:
         """Return the commands of CMakeLists.txt of these names, in lower case."""
         return [each for each in self.cmake if each.name in names]
 

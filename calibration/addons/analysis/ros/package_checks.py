@@ -3,10 +3,10 @@
 import re
 from collections.abc import Iterator
 
-from calibration.addons.analysis.finding import Finding
+from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.package import BUILD_TAGS, Package
-from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.uses import uses
 from calibration.addons.analysis.xml_lines import line_of
 
@@ -17,7 +17,7 @@ _NEW_TAGS = ("depend", "exec_depend", "build_export_depend", "buildtool_export_d
 _RUN_TAGS = ("depend", "exec_depend", "run_depend", "build_export_depend")
 
 
-def check_packages(repository: Repository) -> Iterator[Finding]:
+def check_packages(repository: RosRepository) -> Iterator[CodeFinding]:
     """Check every package.xml, alone and against the files beside it."""
     first: dict[str, Package] = {}
     for package in repository.packages:
@@ -31,7 +31,7 @@ def check_packages(repository: Repository) -> Iterator[Finding]:
         yield from _check_dependencies(package, repository)
 
 
-def _check_content(package: Package) -> Iterator[Finding]:
+def _check_content(package: Package) -> Iterator[CodeFinding]:
     for tag in _REQUIRED_TAGS:
         element = package.xml.find(tag)
         if element is None or not "".join(element.itertext()).strip():
@@ -57,7 +57,7 @@ def _check_content(package: Package) -> Iterator[Finding]:
             yield fault("package-xml", package.path, dependency.line, message)
 
 
-def _check_names(package: Package) -> Iterator[Finding]:
+def _check_names(package: Package) -> Iterator[CodeFinding]:
     projects = [each for each in package.commands("project") if each.folder == package.folder and each.arguments]
     if projects and projects[0].arguments[0].is_known:
         name = projects[0].arguments[0].text
@@ -71,7 +71,7 @@ def _check_names(package: Package) -> Iterator[Finding]:
             yield fault("package-name", package.setup.path, line, message)
 
 
-def _check_build_type(package: Package) -> Iterator[Finding]:
+def _check_build_type(package: Package) -> Iterator[CodeFinding]:
     kind, tree = package.build_type, package.tree
     at = package.line_of("export")
     build_type = package.xml.find("export/build_type")
@@ -106,7 +106,7 @@ def _line_with(package: Package, text: str) -> int:
     return next((number for number, line in enumerate(lines, 1) if text in line), 1)
 
 
-def _check_dependencies(package: Package, repository: Repository) -> Iterator[Finding]:
+def _check_dependencies(package: Package, repository: RosRepository) -> Iterator[CodeFinding]:
     seen: set[tuple[str, str]] = set()
     for each in package.dependencies:
         same = (each.name, each.tag)
@@ -120,7 +120,7 @@ def _check_dependencies(package: Package, repository: Repository) -> Iterator[Fi
         yield from _check_unused(package, repository)
 
 
-def _check_undeclared(package: Package, repository: Repository) -> Iterator[Finding]:
+def _check_undeclared(package: Package, repository: RosRepository) -> Iterator[CodeFinding]:
     reported = {package.name}
     for use in uses(package, repository.known):
         if use.name in reported or package.declared & {use.name, *use.accepted}:
@@ -130,7 +130,7 @@ def _check_undeclared(package: Package, repository: Repository) -> Iterator[Find
         yield fault("undeclared-dependency", use.path, use.line, message)
 
 
-def _check_exported(package: Package) -> Iterator[Finding]:
+def _check_exported(package: Package) -> Iterator[CodeFinding]:
     """Yield what catkin refuses: exported dependencies that are not installed with the package."""
     keywords = ("INCLUDE_DIRS", "LIBRARIES", "CATKIN_DEPENDS", "DEPENDS", "CFG_EXTRAS", "EXPORTED_TARGETS")
     running = {each.name for each in package.dependencies if each.tag in _RUN_TAGS}
@@ -141,7 +141,7 @@ def _check_exported(package: Package) -> Iterator[Finding]:
                 yield fault("undeclared-dependency", command.path, each.line, message)
 
 
-def _check_unused(package: Package, repository: Repository) -> Iterator[Finding]:
+def _check_unused(package: Package, repository: RosRepository) -> Iterator[CodeFinding]:
     wanted = [
         each
         for each in package.dependencies

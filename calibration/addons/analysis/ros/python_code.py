@@ -4,7 +4,7 @@ import ast
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from calibration.addons.analysis.ros.code import Call, Code, Kind, Quality, short_type
+from calibration.addons.analysis.ros.code import Call, ClientCode, Kind, Quality, short_type
 from calibration.addons.analysis.ros.setup_script import parse_python
 
 _KIND_OF_CALL: dict[str, tuple[Kind, int, str, int | None]] = {
@@ -43,11 +43,11 @@ class _Names:
     """The same for other values."""
 
 
-def read_python(path: str, text: str) -> Code:
+def read_python(path: str, text: str) -> ClientCode:
     """Return the calls of a file; none if it does not parse."""
     module = parse_python(text) if "ros" in text or "rcl" in text else None
     if module is None:
-        return Code()
+        return ClientCode()
     nodes = list(ast.walk(module))
     names = _collect_names(nodes)
     calls: list[Call] = []
@@ -60,7 +60,7 @@ def read_python(path: str, text: str) -> Code:
         makes_node = called[-2:] == ["rospy", "init_node"] or called[-1:] in (["create_node"], ["Node"])
         if makes_node or _is_base_init(node):
             node_names += _node_name(node, names)
-    return Code(
+    return ClientCode(
         tuple(sorted(calls, key=lambda each: each.line)),
         tuple(node_names),
         any(each in text for each in _ANY_PARAMETER),

@@ -2,7 +2,7 @@
 
 from functools import cached_property
 
-from calibration.addons.analysis.ros.code import Code
+from calibration.addons.analysis.ros.code import ClientCode
 from calibration.addons.analysis.ros.cpp_code import read_cpp
 from calibration.addons.analysis.ros.executables import Executables, find_executables
 from calibration.addons.analysis.ros.known import COMMON_PACKAGES
@@ -14,13 +14,13 @@ from calibration.addons.analysis.ros.python_code import read_python
 from calibration.addons.analysis.ros.tree import Tree, join
 
 
-class Repository:
+class RosRepository:
     """Packages of a repository, with their code, executables and launch files."""
 
     def __init__(self, tree: Tree) -> None:
         """Create it from the tracked files."""
         self.tree = tree
-        self._codes: dict[str, Code] = {}
+        self._codes: dict[str, ClientCode] = {}
         self._executables: dict[str, Executables] = {}
 
     @cached_property
@@ -76,7 +76,7 @@ class Repository:
             self._executables[package.folder] = find_executables(package)
         return self._executables[package.folder]
 
-    def code(self, path: str) -> Code:
+    def code(self, path: str) -> ClientCode:
         """Return the calls in a file of code."""
         if path not in self._codes:
             read = read_python if path.endswith(".py") else read_cpp

@@ -25,7 +25,7 @@ class EntryPoint:
 
 
 @dataclass(frozen=True)
-class Setup:
+class SetupScript:
     """setup.py and setup.cfg of a package."""
 
     path: str
@@ -50,14 +50,14 @@ def parse_python(text: str) -> ast.Module | None:
         return None
 
 
-def read_setup(tree: Tree, folder: str) -> Setup | None:
+def read_setup(tree: Tree, folder: str) -> SetupScript | None:
     """Return what a folder's setup.py says; None if there is none."""
     path = f"{folder}/setup.py" if folder else "setup.py"
     if path not in tree.present:
         return None
     module = parse_python(tree.text(path))
     if module is None:
-        return Setup(path, is_known=False)
+        return SetupScript(path, is_known=False)
     constants = {
         target.id: node.value.value
         for node in ast.walk(module)
@@ -79,7 +79,7 @@ def read_setup(tree: Tree, folder: str) -> Setup | None:
         for node in ast.walk(module)
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     )
-    return Setup(path, name, (*entries, *_entry_points_of_configuration(tree, folder)), strings, tuple(data))
+    return SetupScript(path, name, (*entries, *_entry_points_of_configuration(tree, folder)), strings, tuple(data))
 
 
 def _constant_text(node: ast.expr) -> str | None:

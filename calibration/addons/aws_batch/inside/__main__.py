@@ -86,7 +86,7 @@ class Places:
     output: Path = Path(OUTPUT)
 
 
-class Task:
+class ContainerTask:
     """Identity of the job of this task, and access to its files."""
 
     def __init__(self, variables: Mapping[str, str]) -> None:
@@ -140,7 +140,7 @@ def main(arguments: Sequence[str], variables: Mapping[str, str], places: Places 
         if len(arguments) != 1 or arguments[0] not in verbs:
             raise InputError("expected prepare or watch")
         with terminate_cleanly():
-            task = Task(variables)
+            task = ContainerTask(variables)
             verbs[arguments[0]](task, places, variables)
     except CalibrationError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
@@ -151,7 +151,7 @@ def main(arguments: Sequence[str], variables: Mapping[str, str], places: Places 
     return 0
 
 
-def _prepare_task(task: Task, places: Places, _: Mapping[str, str]) -> None:
+def _prepare_task(task: ContainerTask, places: Places, _: Mapping[str, str]) -> None:
     described = task.job()
     try:
         prepare(described, task.store, Signs(places.job), places.mounts, places.output)
@@ -164,7 +164,7 @@ def _prepare_task(task: Task, places: Places, _: Mapping[str, str]) -> None:
         raise
 
 
-def _watch_task(task: Task, places: Places, variables: Mapping[str, str]) -> None:
+def _watch_task(task: ContainerTask, places: Places, variables: Mapping[str, str]) -> None:
     neighbours = partial(ended_neighbours, variables)
     watch = Watch(task.job().job, Signs(places.job), places.output, neighbours=neighbours)
     with tempfile.TemporaryDirectory() as folder:

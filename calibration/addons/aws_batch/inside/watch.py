@@ -212,7 +212,7 @@ _SETTLING_SECONDS = GRACE_SECONDS + 15
 
 
 @dataclass(frozen=True)
-class Timeouts:
+class WatchTimeouts:
     """Time-outs for containers, seconds."""
 
     arrival: float = ARRIVAL_SECONDS
@@ -228,7 +228,7 @@ class Watch(Supervisor[WatchedContainer]):
         job: Job,
         signs: Signs,
         output: Path,
-        timeouts: Timeouts = Timeouts(),
+        timeouts: WatchTimeouts = WatchTimeouts(),
         neighbours: Callable[[], Mapping[str, int | None]] = dict,
     ) -> None:
         """Create the supervisor.

@@ -15,13 +15,13 @@ from calibration.addons.analysis.ros.cpp_code import read_cpp
 from calibration.addons.analysis.ros.graph import Graph, build_graphs
 from calibration.addons.analysis.ros.graph_checks import parameters_of, private_parameters_of
 from calibration.addons.analysis.ros.python_code import read_python
-from calibration.addons.analysis.ros.repository import Repository
+from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.tree import Tree
 
 
 def graph_of(folder: Path, files: Files) -> Graph:
     write(folder, files)
-    [graph] = build_graphs(Repository(Tree(folder, files)))
+    [graph] = build_graphs(RosRepository(Tree(folder, files)))
     return graph
 
 

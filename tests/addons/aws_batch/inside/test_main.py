@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("boto3")
 
 from calibration.addons.aws_batch.documents import Input, TaskOutcome, job_entry, jobs_document, read_outcome
-from calibration.addons.aws_batch.inside.__main__ import Places, Task, main, send_files
+from calibration.addons.aws_batch.inside.__main__ import ContainerTask, Places, main, send_files
 from calibration.addons.aws_batch.inside.script import Signs, script_of
 from calibration.addons.aws_batch.wire import Location
 from calibration.base.errors import ExitCode, InfrastructureError
@@ -185,7 +185,9 @@ def test_invalid_variables_of_a_task(
 
 
 def test_without_an_array_it_is_the_first_of_the_group() -> None:
-    task = Task({"CALIBRATION_LOCATION": LOCATION.text, "CALIBRATION_FIRST": "7", "AWS_DEFAULT_REGION": "eu-west-1"})
+    task = ContainerTask(
+        {"CALIBRATION_LOCATION": LOCATION.text, "CALIBRATION_FIRST": "7", "AWS_DEFAULT_REGION": "eu-west-1"}
+    )
     assert (task.index, task.attempt, task.aws.region) == (7, 1, "eu-west-1")
 
 
@@ -256,14 +258,14 @@ def test_an_outcome_that_cannot_be_sent(aws: "Aws", places: Places, capsys: pyte
 
 def test_a_longer_name_than_s3_takes(aws: "Aws") -> None:
     path = "/".join(["d" * 200] * 6)
-    task = Task(variables())
+    task = ContainerTask(variables())
     with pytest.raises(RefusedError, match="has a longer name than S3 allows"):
         send_files(task.store, [ArtifactFile(path, "a", 1, "")], Path("/nonexistent"), "p/files")
 
 
 def test_a_file_that_is_not_there_any_more(aws: "Aws", tmp_path: Path) -> None:
     with pytest.raises(InfrastructureError, match="cannot be read: No such file"):
-        send_files(Task(variables()).store, [ArtifactFile("gone", "a", 1, "")], tmp_path, "p/files")
+        send_files(ContainerTask(variables()).store, [ArtifactFile("gone", "a", 1, "")], tmp_path, "p/files")
 
 
 def test_stopped_it_asks_the_containers_to_end_and_leaves_no_outcome(

@@ -8,7 +8,7 @@ import pytest
 
 from calibration.addons.aws_batch.inside import watch as watching
 from calibration.addons.aws_batch.inside.script import BEAT_FILE, Signs
-from calibration.addons.aws_batch.inside.watch import METADATA_VARIABLE, Timeouts, Watch, ended_neighbours
+from calibration.addons.aws_batch.inside.watch import METADATA_VARIABLE, Watch, WatchTimeouts, ended_neighbours
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import Container, Job
 
@@ -80,7 +80,7 @@ def test_one_that_ended_before_it_could_be_started(
     signs = Signs(tmp_path)
     signs.make(job)
     (tmp_path / "state" / "a" / BEAT_FILE).touch()
-    watch = Watch(job, signs, tmp_path, Timeouts(60), lambda: {"a": 0, "b": code})
+    watch = Watch(job, signs, tmp_path, WatchTimeouts(60), lambda: {"a": 0, "b": code})
     watch.run(tmp_path / "artifacts")
     found = watch.outcome(1)
     assert found.reasons == (

@@ -12,7 +12,7 @@ import docker
 from calibration.addons.aws_batch.documents import TaskJob, TaskOutcome
 from calibration.addons.aws_batch.inside.prepare import prepare
 from calibration.addons.aws_batch.inside.script import Signs
-from calibration.addons.aws_batch.inside.watch import Timeouts, Watch
+from calibration.addons.aws_batch.inside.watch import Watch, WatchTimeouts
 from calibration.addons.aws_batch.wire import JOB_FOLDER
 from calibration.ci.execution.job import OUTPUT, Container, Job
 from tests.docker_engine import PYTHON_IMAGE, wait_until
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 NONE = "none"
 """Image of a container that cannot be started."""
-TIMEOUTS = Timeouts(arrival=60, silence=60, settling=60)
+TIMEOUTS = WatchTimeouts(arrival=60, silence=60, settling=60)
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Ran:
     logs: Mapping[str, str]
 
 
-def run_task(folder: Path, *containers: Container, timeouts: Timeouts = TIMEOUTS, **settings: Any) -> Ran:
+def run_task(folder: Path, *containers: Container, timeouts: WatchTimeouts = TIMEOUTS, **settings: Any) -> Ran:
     """Run a job of some containers, and remove them.
 
     ``network_mode`` is passed to the engine; other settings are of the job.

@@ -10,7 +10,7 @@ pytest.importorskip("docker")
 from calibration.addons.aws_batch.documents import TaskJob
 from calibration.addons.aws_batch.inside.prepare import prepare
 from calibration.addons.aws_batch.inside.script import Signs
-from calibration.addons.aws_batch.inside.watch import Timeouts, Watch
+from calibration.addons.aws_batch.inside.watch import Watch, WatchTimeouts
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import OUTPUT, Container, Job, Limits, Readiness
 from calibration.ci.execution.outcome import End
@@ -142,7 +142,7 @@ def test_one_that_is_killed_as_a_whole(tmp_path: Path) -> None:
     output.mkdir()
     prepare(TaskJob(job), None, signs, tmp_path, output)  # type: ignore[arg-type]
     with started(job, signs.folder, output) as running:
-        watch = Watch(job, signs, output, Timeouts(60, 4, 60))
+        watch = Watch(job, signs, output, WatchTimeouts(60, 4, 60))
         thread = threading.Thread(target=watch.run, args=(tmp_path / "artifacts",))
         thread.start()
         wait_until(lambda: signs.has("a", "pid"), "a runs")
@@ -157,7 +157,7 @@ def test_one_that_is_killed_as_a_whole(tmp_path: Path) -> None:
 
 def test_one_that_never_comes(tmp_path: Path) -> None:
     """For example because its image has its own entrypoint."""
-    ran = run_task(tmp_path, shell("echo ran"), shell("true", "b", image=NONE), timeouts=Timeouts(1))
+    ran = run_task(tmp_path, shell("echo ran"), shell("true", "b", image=NONE), timeouts=WatchTimeouts(1))
     assert ran.outcome.exit_code == ExitCode.BAD_INPUT
     [reason] = ran.outcome.reasons
     assert reason == (
