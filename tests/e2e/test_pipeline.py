@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.addons.coverage.projects import TOKEN, codacy
-
 from .conftest import FORK, PROJECT, Repository, commit
 from .pipeline import Caller
+
+projects = pytest.importorskip("tests.addons.coverage.projects")
+TOKEN, codacy = projects.TOKEN, projects.codacy
 
 DATASETS = PROJECT / "datasets"
 DATA = {f"data of robots/{name}": DATASETS / name for name in ("t2rgb", "riwbot")}

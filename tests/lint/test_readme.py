@@ -11,7 +11,6 @@ import yaml
 
 from benchmarks.run_picture import LINE, PICTURE, drawing, tables
 from calibration.__main__ import load_command, main
-from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.base.errors import InputError
 from calibration.base.records import flat_fields
 from calibration.engine.dataset.reading import read_dataset
@@ -158,12 +157,6 @@ def test_the_smallest_dataset_is_one(tmp_path: Path) -> None:
 def test_every_assumption_is_described() -> None:
     text = (PROJECT / "docs" / "verdict.md").read_text()
     assert [key for key in flat_fields(Assumptions) if f"`{key}`" not in text] == []
-
-
-def test_every_key_of_the_section_for_aws_is_described() -> None:
-    text = (PROJECT / "docs" / "aws-batch.md").read_text()
-    rows = "\n".join(line.split(" | ")[0] for line in text.splitlines() if line.startswith("| `"))
-    assert [key for key in flat_fields(BatchSettings) if f"`{key}`" not in rows] == []
 
 
 def test_every_field_of_a_simulation_job_has_its_place_or_a_reason() -> None:

@@ -1,4 +1,5 @@
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -164,3 +165,9 @@ def test_the_execution_role_is_missing() -> None:
 def test_no_keys_at_all(entry: object) -> None:
     with pytest.raises(InputError, match=r"expected keys: region, queue"):
         read(BatchSettings, entry, WHERE)
+
+
+def test_every_key_of_the_section_is_described() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "aws-batch.md").read_text()
+    rows = "\n".join(line.split(" | ")[0] for line in text.splitlines() if line.startswith("| `"))
+    assert [key for key in flat_fields(BatchSettings) if f"`{key}`" not in rows] == []

@@ -123,11 +123,11 @@ def test_a_browsers_answer_to_what_the_page_has_set_is_no_choice(systems: dict[s
     with serving("127.0.0.1", 0) as server:
         page = Page(server, session, output, lambda _: Preview({}, ()), lambda _: {}, overwrite=True)
         with page._lock:  # the background shows the poses anew when it has looked at them
-            page._export()
-            page._choose(event)  # type: ignore[arg-type]
+            page._export_sequence()
+            page._choose_pose(event)  # type: ignore[arg-type]
             assert page._sequence.export.label == "Replace motion.json"
             page._sequence.choice.value = page._sequence.choice.options[2]
-            page._choose(event)  # type: ignore[arg-type]
+            page._choose_pose(event)  # type: ignore[arg-type]
             assert session.selected == 2
             assert page._sequence.export.label == "Export"
         page.close()
@@ -158,7 +158,7 @@ def test_a_file_is_not_replaced_unless_the_command_line_lets_it(systems: dict[st
         for name in ("motion.json", "link.json", "dangling.json"):
             page._sequence.file.value = name
             for _ in range(3):
-                page._export()
+                page._export_sequence()
         page.close()
     assert (tmp_path / "motion.json").read_text() == "somebody else's"
     assert (tmp_path / "elsewhere").read_text() == "somebody else's"

@@ -7,9 +7,6 @@ from typing import Any
 import pytest
 import yaml
 
-from calibration.addons.aws_batch.checks import check_for_batch
-from calibration.addons.aws_batch.definition import job_definition, shape_of
-from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.rigel.conversion import Conversion, convert
 from calibration.addons.rigel.document import read_rigelfile
 from calibration.addons.rigel.robomaker import region_of
@@ -22,6 +19,9 @@ from calibration.pipeline.configuration import read_configuration
 
 from .conftest import noted
 
+checks = pytest.importorskip("calibration.addons.aws_batch.checks")
+definition = pytest.importorskip("calibration.addons.aws_batch.definition")
+BatchSettings = pytest.importorskip("calibration.addons.aws_batch.settings").BatchSettings
 Converted = Callable[[str], Conversion]
 ARN = "arn:aws:robomaker:eu-west-1:123456789012:robot-application/arm/1"
 ROLE = "arn:aws:iam::123456789012:role/robomaker"
@@ -431,13 +431,8 @@ def test_what_is_left_to_do_makes_a_job_that_aws_batch_takes(
     )
     configuration = read_configuration(tmp_path / "calibration.yml")
     [simulation] = configuration.simulations
-    assert configuration.sections.of("aws-batch") is not None
+    settings = configuration.sections.of("aws-batch")
     job = collection_job(simulation.applications.with_image("a"), "collection", "s", 1)
     check_jobs([job])
-    check_for_batch([job], configuration.sections.of("aws-batch"))
-    assert (
-        job_definition(shape_of(job, configuration.sections.of("aws-batch")), configuration.sections.of("aws-batch"))[
-            "type"
-        ]
-        == "container"
-    )
+    checks.check_for_batch([job], settings)
+    assert definition.job_definition(definition.shape_of(job, settings), settings)["type"] == "container"
