@@ -17,7 +17,7 @@ from calibration.base.yaml_file import read_yaml
 from calibration.ci.report import Check, at_most
 
 EVERY_FINDING = "all"
-MOST_FILES = 20
+MAX_FILES_NAMED = 20
 """Limit of the files that are named for a limit of each file."""
 _LIMIT_TEXT = re.compile(r"([a-z -]+)=([0-9]{1,9})")
 _KINDS_OF_FINDINGS = (EVERY_FINDING, *SEVERITIES, *CATEGORIES)
@@ -40,7 +40,7 @@ class FindingLimit:
     def check_files(self, findings: Sequence[CodeFinding]) -> list[Check]:
         """Check the number of findings of each file: those with too many, the worst first, or else the worst one."""
         counts = Counter(finding.path for finding in findings if self._concerns_finding(finding)).most_common(
-            MOST_FILES
+            MAX_FILES_NAMED
         )
         broken = [each for each in counts if each[1] > self.most]
         return [

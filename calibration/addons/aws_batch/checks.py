@@ -92,7 +92,7 @@ def _in_container(container: Container) -> Iterator[str]:
         yield "there is no Docker Engine: remove docker-socket"
 
 
-MOST_CONTAINERS = 10
+MAX_CONTAINERS = 10
 """Limit of containers of a task; two of them are ours."""
 _ON_BATCH = "on AWS Batch"
 _DEFAULT_CAPABILITIES = frozenset(
@@ -123,10 +123,10 @@ def check_for_batch(jobs: Sequence[Job], settings: BatchSettings) -> None:
 
 
 def _check_job(job: Job, settings: BatchSettings) -> None:
-    if len(job.containers) > MOST_CONTAINERS - 2:
+    if len(job.containers) > MAX_CONTAINERS - 2:
         raise InputError(
-            f"job '{job.name}': {_ON_BATCH} a task has at most {MOST_CONTAINERS} containers, of which two are ours: "
-            f"found {len(job.containers)}, expected at most {MOST_CONTAINERS - 2}"
+            f"job '{job.name}': {_ON_BATCH} a task has at most {MAX_CONTAINERS} containers, of which two are ours: "
+            f"found {len(job.containers)}, expected at most {MAX_CONTAINERS - 2}"
         )
     if job.network == "host" and settings.platform == "fargate":
         raise InputError(

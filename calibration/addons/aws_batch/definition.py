@@ -91,8 +91,8 @@ def _fargate_size(cpus: float, memory: int) -> Resources:
             return Resources(size, next(each for each in memories if each >= memory))
     largest, memories = list(_MEMORY_OF_CPUS.items())[-1]
     raise InputError(
-        f"its containers ask for {cpus:g} CPUs and {memory} MiB (ours {_OUR_COUNT * TOOLS_MEMORY} of them), but a task "
-        f"on Fargate has at most {largest:g} and {memories[-1]}: ask for less, or use platform ec2"
+        f"its containers ask for {cpus:g} CPUs and {memory} MiB (with {_OUR_COUNT * TOOLS_MEMORY} for our tools), but "
+        f"a task on Fargate has at most {largest:g} and {memories[-1]}: ask for less, or use platform ec2"
     )
 
 
@@ -186,7 +186,7 @@ DIGEST_TAG = "ci.calibration.definition"
 """Tag with the hash of the rest of the definition; it shows whether a new revision is needed."""
 LOG_PREFIX = "calibration"
 """Prefix of log streams: ``calibration/CONTAINER/TASK``."""
-MOST_BYTES = 24 * 1024
+MAX_DEFINITION_BYTES = 24 * 1024
 """AWS's size limit of a definition."""
 _START_SECONDS = 3600
 """Time-out of containers that wait for the inputs on EC2; on Fargate it is fixed at three minutes."""
@@ -230,10 +230,10 @@ def job_definition(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
     if fargate:
         request["ecsProperties"]["taskProperties"][0] |= _fargate_properties(settings)
     request["tags"] = {**settings.tags, DIGEST_TAG: _digest_of_request(request, settings.tags)}
-    if (size := len(json.dumps(request).encode())) > MOST_BYTES:
+    if (size := len(json.dumps(request).encode())) > MAX_DEFINITION_BYTES:
         raise InputError(
-            f"its job definition has {size} bytes, AWS Batch accepts {MOST_BYTES}: it has {len(shape.volumes)} mounts "
-            f"and {sum(len(container.secrets) for container in shape.containers)} secrets: join some of them"
+            f"its job definition has {size} bytes, AWS Batch accepts {MAX_DEFINITION_BYTES}: it has "
+            f"{len(shape.volumes)} mounts and {sum(len(container.secrets) for container in shape.containers)} secrets: join some of them"
         )
     return request
 

@@ -15,9 +15,9 @@ from calibration.base.text import one_line, shorten
 
 Item = TypeVar("Item")
 
-AT_ONCE = 100
+JOBS_PER_CALL = 100
 """Batch's limit of jobs in one DescribeJobs request."""
-_MOST_CALLS = 50
+_MAX_CALLS = 50
 """Limit of requests per poll to find the ended jobs of an array."""
 _MIN_POLL_SECONDS, _MAX_POLL_SECONDS = 1.0, 30.0
 """Shortest and longest interval of polls, seconds."""
@@ -144,9 +144,9 @@ class Following:
     def oldest(self) -> tuple[str, ...]:
         """Ids of the oldest jobs whose end has not been reported, at most a hundred."""
         ids = (array.id_of(child) for array in self._open.values() for child in array.open)
-        return tuple(islice(ids, AT_ONCE))
+        return tuple(islice(ids, JOBS_PER_CALL))
 
-    def poll(self, most: int = 4 * AT_ONCE) -> Poll:
+    def poll(self, most: int = 4 * JOBS_PER_CALL) -> Poll:
         """Poll Batch; report the end of each job once.
 
         Args:
@@ -196,9 +196,9 @@ class Following:
 
     def _describe_children(self, array: "_Array", most: int) -> Iterator[Description]:
         """Yield descriptions of children: running ones if there are few, otherwise until all ended ones are found."""
-        few = len(array.open) <= AT_ONCE and array.running > 0
-        calls = min(_MOST_CALLS, 2 + 2 * array.hidden // AT_ONCE) if array.hidden else int(few)
-        for number, children in enumerate(islice(batches(array.in_turn(), AT_ONCE), calls)):
+        few = len(array.open) <= JOBS_PER_CALL and array.running > 0
+        calls = min(_MAX_CALLS, 2 + 2 * array.hidden // JOBS_PER_CALL) if array.hidden else int(few)
+        for number, children in enumerate(islice(batches(array.in_turn(), JOBS_PER_CALL), calls)):
             described = describe(self._aws, map(array.id_of, children))
             array.turn(number, len(children))
             yield from described.values()
@@ -260,7 +260,7 @@ class _Array:
     def in_turn(self) -> list[int]:
         """Return the unreported children: the hundred oldest, then the others from the end of the last poll."""
         children = list(self.open)
-        oldest, others = children[:AT_ONCE], children[AT_ONCE:]
+        oldest, others = children[:JOBS_PER_CALL], children[JOBS_PER_CALL:]
         at = self._at % len(others) if others else 0
         return [*oldest, *others[at:], *others[:at]]
 
@@ -297,7 +297,7 @@ def describe(aws: Aws, ids: Iterable[str]) -> dict[str, Description]:
         AwsLostError: AWS does not answer.
     """
     found: dict[str, Description] = {}
-    for some in batches(ids, AT_ONCE):
+    for some in batches(ids, JOBS_PER_CALL):
         for record in records(aws, some):
             description = _read_description(record)
             found[description.id] = description

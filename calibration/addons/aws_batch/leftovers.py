@@ -63,7 +63,7 @@ class OldRevisions(_InAws[OldRevision]):
     header = ("job definition",)
 
     def find(self, run: str | None) -> Sequence[OldRevision]:
-        """Find those of all runs, which share job definitions."""
+        """Find old revisions; all runs share job definitions, so ``run`` is ignored."""
         return [OldRevision(arn) for arn in find_old(self._aws)]
 
     def remove(self, chosen: Sequence[OldRevision]) -> None:

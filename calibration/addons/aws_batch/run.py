@@ -17,7 +17,7 @@ from calibration.addons.aws_batch.earlier import (
     mark_of,
     submitted_document,
 )
-from calibration.addons.aws_batch.following import AT_ONCE, Following, JobEnd, Poll, batches, describe
+from calibration.addons.aws_batch.following import JOBS_PER_CALL, Following, JobEnd, Poll, batches, describe
 from calibration.addons.aws_batch.inputs import InputUploader, upload_jobs
 from calibration.addons.aws_batch.job_queue import Guard, likely_reasons
 from calibration.addons.aws_batch.logs import LiveLogs
@@ -109,7 +109,7 @@ class BatchRun:
         inputs = InputUploader(self._store, self._location_of_group(""), self._settings.memory)
         inputs.upload(self._jobs, _DOWNLOAD_WORKERS)
         missing, earlier = self._find_missing(inputs) if resume else (self._jobs_by_shape(), {})
-        for some in batches(earlier.items(), AT_ONCE):
+        for some in batches(earlier.items(), JOBS_PER_CALL):
             described = describe(self._aws, [result.id for _, result in some if result.id is not None])
             for place, result in some:
                 found = described.get(result.id or "")

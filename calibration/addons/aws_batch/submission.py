@@ -43,7 +43,7 @@ def _without_brackets(owner: Owner) -> Owner:
     return replace(owner, namespace=owner.namespace.replace("[", "").replace("]", "") or "unknown")
 
 
-MOST_CHILDREN = 10_000
+MAX_CHILDREN = 10_000
 """Batch's limit of jobs in an array."""
 AROUND_SECONDS = ARRIVAL_SECONDS + UPLOAD_SECONDS
 """Time of a task in addition to its job's. Batch's time limit is longer by this, so that our own limit ends the job
@@ -62,8 +62,8 @@ class Chunk:
 
 def chunks(count: int) -> tuple[Chunk, ...]:
     """Split the jobs of a group into arrays of Batch's maximum size."""
-    firsts = range(0, count, MOST_CHILDREN)
-    return tuple(Chunk(first, min(MOST_CHILDREN, count - first)) for first in firsts)
+    firsts = range(0, count, MAX_CHILDREN)
+    return tuple(Chunk(first, min(MAX_CHILDREN, count - first)) for first in firsts)
 
 
 def attempt_seconds(jobs: Iterable[Job]) -> int | None:

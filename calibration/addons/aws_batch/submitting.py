@@ -8,7 +8,7 @@ from typing import Any
 
 from calibration.addons.aws_batch.aws_errors import AwsLostError, aws_errors
 from calibration.addons.aws_batch.definition import DIGEST_TAG
-from calibration.addons.aws_batch.following import AT_ONCE, Submitted, batches, describe, records
+from calibration.addons.aws_batch.following import JOBS_PER_CALL, Submitted, batches, describe, records
 from calibration.addons.aws_batch.session import Aws, Backoff
 from calibration.addons.aws_batch.submission import owner_of
 from calibration.base.errors import CalibrationError, InfrastructureError
@@ -84,7 +84,7 @@ _UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9_-]+")
 _SETTLING_SECONDS = 60.0
 """Seconds until Batch's data show a requested termination."""
 _TAKING_NOTE = 0.5
-_MOST_PROBLEMS = 3
+_MAX_PROBLEMS = 3
 """Limit of failed terminations, after which the remaining ones are not tried."""
 
 
@@ -116,7 +116,7 @@ def find_in_queue(aws: Aws, queue: str, run: str | None = None) -> list[CloudLef
     """
     prefix = "calibration-" if run is None else _UNFIT_FOR_NAME.sub("-", f"calibration-{run}-")
     ids = (entry["jobId"] for entry in _jobs_of_name(aws, queue, f"{prefix}*") if entry["status"] not in _ENDED_STATES)
-    found = [_read_leftover(record) for some in batches(ids, AT_ONCE) for record in records(aws, some)]
+    found = [_read_leftover(record) for some in batches(ids, JOBS_PER_CALL) for record in records(aws, some)]
     return [each for each in found if each.run and each.status not in _ENDED_STATES and run in (None, each.run)]
 
 
@@ -145,7 +145,7 @@ def terminate(aws: Aws, ids: Sequence[str], reason: str) -> None:
                 aws.batch.terminate_job(jobId=identifier, reason=reason)
         except CalibrationError as error:
             problems.append(error)
-            if len(problems) > _MOST_PROBLEMS:
+            if len(problems) > _MAX_PROBLEMS:
                 break
     if problems:
         raise problems[0]

@@ -41,7 +41,7 @@ class Request:
 
 API_URL = "https://api.codacy.com"
 GIT_PROVIDERS = ("gh", "ghe", "gl", "gle", "bb", "bbe", "manual")
-MOST_HITS = 2**31 - 1
+MAX_HITS = 2**31 - 1
 """Largest number of hits of a line that is sent; larger ones are cut to it."""
 _NAME_IN_URL = re.compile(r"[A-Za-z0-9._~-]+")
 
@@ -134,7 +134,7 @@ def report_body(files: Mapping[str, FileCoverage]) -> bytes:
     reports = [
         {
             "filename": path,
-            "coverage": {str(line): min(hits, MOST_HITS) for line, hits in sorted(coverage.hits.items())},
+            "coverage": {str(line): min(hits, MAX_HITS) for line, hits in sorted(coverage.hits.items())},
         }
         for path, coverage in sorted(files.items())
     ]

@@ -16,9 +16,9 @@ from calibration.ci.workflow.annotation import Annotation, Level
 
 TITLE = "coverage-upload"
 LCOV_FILE = "lcov.info"
-MOST_ROWS = 200
+MAX_ROWS = 200
 """Limit of rows of a table in the log, and of files below the goal; the summary and results.json have all."""
-MOST_NAMES = 20
+MAX_NAMES = 20
 """Limit of names in a list."""
 _HEADER_OF_FILES = ("file", "lines", "branches", "goal", "not run")
 
@@ -43,10 +43,10 @@ def report(results: CoverageResults, directory: Path = Path(), badge: Path | Non
         reasons=tuple(results.problems),
         annotations=tuple(_annotations_of(results, directory)),
         blocks=(
-            Table(_HEADER_OF_FILES, (*total, *_rows_of_files(results, _by_rate(results))), MOST_ROWS, only="log"),
+            Table(_HEADER_OF_FILES, (*total, *_rows_of_files(results, _by_rate(results))), MAX_ROWS, only="log"),
             Table(("", "run", "of"), tuple(_summary_rows(results)), only="summary"),
             Lines(tuple(remarks(results))),
-            Table(_HEADER_OF_FILES, _rows_of_files(results, below), MOST_ROWS, title=not_passed, only="summary"),
+            Table(_HEADER_OF_FILES, _rows_of_files(results, below), MAX_ROWS, title=not_passed, only="summary"),
             Table(_HEADER_OF_FILES, (*total, *rows), title=f"All {len(rows)} files", only="summary", folded=True),
         ),
         suites={TITLE: list(_junit_cases(results))},
@@ -94,11 +94,11 @@ def what_is_left_out(found: Found) -> list[str]:
     lines = []
     if found.mapped.unmatched:
         lines.append(f"in reports, but no file that git tracks: {_names_text(found.mapped.unmatched)}")
-    for name, paths in list(found.mapped.ambiguous.items())[:MOST_NAMES]:
+    for name, paths in list(found.mapped.ambiguous.items())[:MAX_NAMES]:
         lines.append(
             f"left out, because it may be several files: {shorten(one_line(name), 200)} ({_names_text(paths)})"
         )
-    for path, line in list(found.mapped.ill_fitting.items())[:MOST_NAMES]:
+    for path, line in list(found.mapped.ill_fitting.items())[:MAX_NAMES]:
         lines.append(f"left out, because a report contains line {line}, which the file lacks: {one_line(path)}")
     if found.unreadable:
         lines.append(f"left out, because coverage.py cannot read or parse them: {_names_text(found.unreadable)}")
@@ -184,8 +184,8 @@ def _span_text(first: int, last: int) -> str:
 
 
 def _names_text(names: Sequence[str]) -> str:
-    shown = ", ".join(shorten(one_line(name), 200) for name in names[:MOST_NAMES])
-    return f"{shown} and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else shown
+    shown = ", ".join(shorten(one_line(name), 200) for name in names[:MAX_NAMES])
+    return f"{shown} and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else shown
 
 
 def _percent_text(rate: Rate) -> str:

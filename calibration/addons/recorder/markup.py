@@ -16,7 +16,7 @@ from calibration.robot.labelling.detection import Image
 
 GREEN, RED, GREY = "#2f9e44", "#e03131", "#868e96"
 _THUMBNAIL_WIDTH = 76  # px
-_MOST_THUMBNAILS = 16  # around the selected pose: four rows
+_MAX_THUMBNAILS = 16  # around the selected pose: four rows
 
 
 def poses(count: int) -> str:
@@ -71,8 +71,8 @@ def sequence(verdicts: Sequence[bool | None], pictures: Sequence[Image | None], 
         return '<div style="margin:0 1em;opacity:0.7">No pose is saved yet.</div>'
     lost, unknown = sum(kept is False for kept in verdicts), sum(kept is None for kept in verdicts)
     title = poses(len(verdicts)) + (f", {lost} would be lost" if lost else ", all kept" if not unknown else "")
-    first = max(0, min((selected or 0) - _MOST_THUMBNAILS // 2, len(verdicts) - _MOST_THUMBNAILS))
-    shown = range(first, min(first + _MOST_THUMBNAILS, len(verdicts)))
+    first = max(0, min((selected or 0) - _MAX_THUMBNAILS // 2, len(verdicts) - _MAX_THUMBNAILS))
+    shown = range(first, min(first + _MAX_THUMBNAILS, len(verdicts)))
     if len(shown) < len(verdicts):
         title += f" (here {shown[0] + 1} to {shown[-1] + 1})"
     cells = "".join(_thumbnail_html(i + 1, verdicts[i], pictures[i], i == selected) for i in shown)

@@ -13,7 +13,7 @@ from calibration.base.text import one_line
 
 COMMENT_WIDTH = 110
 """Line width of comments."""
-LEAST_SECRET = 6
+MIN_SECRET_LENGTH = 6
 """Minimum length of a secret in characters; a shorter one may be a word of any text."""
 MAX_LIST_LENGTH = 90
 """Maximum length of a list on one line, in characters."""
@@ -78,7 +78,7 @@ def written(conversion: Conversion, source: str) -> str:
 def _without_secrets(secrets: Mapping[str, str], text: str) -> str:
     """Remove secrets from the text that also occur where no key marks them."""
     for secret in sorted(secrets, key=len, reverse=True):
-        if len(secret) >= LEAST_SECRET:
+        if len(secret) >= MIN_SECRET_LENGTH:
             text = text.replace(secret, f"${{{secrets[secret]}}}")
     return text
 

@@ -443,7 +443,7 @@ def test_more_results_than_fit_on_their_way(
     batch_emulator: Aws, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_module, "_MAX_DOWNLOADS", 2)
-    monkeypatch.setattr(following, "AT_ONCE", 3)
+    monkeypatch.setattr(following, "JOBS_PER_CALL", 3)
     Tasks(batch_emulator)
     outcomes, _ = run_jobs(tmp_path, *jobs(12))
     assert [outcome.verdict for outcome in outcomes] == ["pass"] * 12

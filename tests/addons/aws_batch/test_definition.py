@@ -5,7 +5,13 @@ from typing import Any
 
 import pytest
 
-from calibration.addons.aws_batch.definition import DIGEST_TAG, MOST_BYTES, definition_name, job_definition, shape_of
+from calibration.addons.aws_batch.definition import (
+    DIGEST_TAG,
+    MAX_DEFINITION_BYTES,
+    definition_name,
+    job_definition,
+    shape_of,
+)
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.base.errors import InputError
 from calibration.ci.execution.job import Container, Job, Mount, Relaxations
@@ -233,7 +239,7 @@ def test_long_names_fit() -> None:
 
 def test_one_that_is_too_long(tmp_path: Path) -> None:
     mounts = tuple(Mount(tmp_path, f"/data/{'x' * 100}{i}") for i in range(200))
-    with pytest.raises(InputError, match=rf"AWS Batch accepts {MOST_BYTES}: it has 200 mounts and 0 secrets"):
+    with pytest.raises(InputError, match=rf"AWS Batch accepts {MAX_DEFINITION_BYTES}: it has 200 mounts and 0 secrets"):
         definition(job(container(mounts=mounts)))
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.addons.aws_batch import following
-from calibration.addons.aws_batch.following import AT_ONCE, Following, Submitted, batches
+from calibration.addons.aws_batch.following import JOBS_PER_CALL, Following, Submitted, batches
 from tests.addons.aws_batch.client import wait_for
 from tests.properties import at_most
 
@@ -32,7 +32,7 @@ class Batch:
 
     def describe_jobs(self, jobs: list[str]) -> dict[str, Any]:
         self.calls += 1
-        assert 0 < len(jobs) <= AT_ONCE
+        assert 0 < len(jobs) <= JOBS_PER_CALL
         assert len(set(jobs)) == len(jobs)
         return {"jobs": [self._record(job) for job in jobs if job not in self.unknown]}
 
@@ -102,7 +102,7 @@ def test_calls_are_bounded_whatever_the_order(in_order: bool) -> None:
     while found.ids:
         found.poll(1000)
         polls += 1
-    assert batch.calls <= (3 * polls + 2 * count / AT_ONCE if in_order else count)
+    assert batch.calls <= (3 * polls + 2 * count / JOBS_PER_CALL if in_order else count)
 
 
 def test_running_jobs_are_reported_if_there_are_few() -> None:

@@ -31,7 +31,7 @@ _KIND_OF_CALL: dict[str, tuple[Kind, int]] = {
 _QUALITY_ARGUMENT = {"create_publisher": 1, "create_subscription": 1}
 _ANY_PARAMETER = ("allow_undeclared_parameters", "automatically_declare_parameters_from_overrides")
 _POINTER_TYPES = ("ConstPtr", "Ptr", "SharedPtr", "ConstSharedPtr", "UniquePtr", "Request", "Response")
-_MOST_BYTES = 2_000_000
+_MAX_CODE_BYTES = 2_000_000
 """Limit of a file's size; generated code is larger."""
 _CPP_PARSER = Parser(Language(tree_sitter_cpp.language()))
 
@@ -57,7 +57,7 @@ class _File:
 def read_cpp(path: str, text: str) -> ClientCode:
     """Return the calls of a file."""
     data = text.encode()
-    if len(data) > _MOST_BYTES or ("ros" not in text and "rcl" not in text):
+    if len(data) > _MAX_CODE_BYTES or ("ros" not in text and "rcl" not in text):
         return ClientCode()
     nodes = list(_walk_nodes(_CPP_PARSER.parse(data).root_node))
     file = _collect_names(path, nodes)

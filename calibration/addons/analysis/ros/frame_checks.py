@@ -16,7 +16,7 @@ from calibration.addons.analysis.ros.tree import join, without_comments
 from calibration.addons.analysis.xml_lines import parse_xml
 from calibration.base.text import did_you_mean
 
-_MOST_BYTES = 50_000_000
+_MAX_CONFIGURATION_BYTES = 50_000_000
 _FRAME_KEYS = ("link", "parent_link", "child_link", "world_link")
 _LINK_ELEMENT = re.compile(r"<link\s[^>]*name\s*=\s*[\"']([^\"']+)[\"']")
 
@@ -67,7 +67,7 @@ def _read_configuration(repository: RosRepository, path: str) -> tuple[list[_Nam
     if not name.endswith((".yml", ".yaml")) and name != "dataset.json":
         return None
     text = repository.tree.text(path)
-    if "description_file" not in text or "sensors" not in text or len(text) > _MOST_BYTES:
+    if "description_file" not in text or "sensors" not in text or len(text) > _MAX_CONFIGURATION_BYTES:
         return None
     if name == "dataset.json":
         return _of_dataset(text)

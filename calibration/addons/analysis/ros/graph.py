@@ -10,7 +10,7 @@ from calibration.addons.analysis.ros.launch import Launch, NodeStart, resolved
 from calibration.addons.analysis.ros.package import Package
 from calibration.addons.analysis.ros.repository import RosRepository
 
-_MOST_INCLUDES = 500
+_MAX_INCLUDES = 500
 CONNECTIONS: tuple[tuple[str, Kind, Kind], ...] = (
     ("topics", "publisher", "subscriber"),
     ("services", "server", "client"),
@@ -75,7 +75,7 @@ class _Walk:
     repository: RosRepository
     starts: list[NodeStart] = field(default_factory=list)
     unresolved: list[str] = field(default_factory=list)
-    left: int = _MOST_INCLUDES
+    left: int = _MAX_INCLUDES
 
     def through(self, launch: Launch, namespace: str | None, conditional: bool, above: tuple[str, ...] = ()) -> None:
         """Add the nodes of a launch file that is included in a namespace."""
@@ -204,7 +204,7 @@ def _resolve_name(node: GraphNode, name: str) -> str | None:
 
 
 def summary_of(graphs: list[Graph]) -> Mapping[str, object]:
-    """Return the numbers and connections of all graphs together, and their document as text."""
+    """Summarise all graphs: the numbers of nodes and connections, the connections, and their document as JSON text."""
     nodes = {(each.title, each.package, each.executable) for graph in graphs for each in graph.nodes}
     unresolved = dict.fromkeys(each for graph in graphs for each in graph.unresolved)
     document = {"schema": 1, "graphs": [_document_of_graph(each) for each in graphs]}

@@ -62,7 +62,7 @@ def _check_types(title: str, gives: list[Endpoint], takes: list[Endpoint]) -> It
 
 
 def _check_connections(title: str, gives: list[Endpoint], takes: list[Endpoint], graph: Graph) -> Iterator[CodeFinding]:
-    """Yield what takes from a name that nothing gives to, where a similar one is given to and not taken from."""
+    """Yield uses of a name that nothing provides, such as a topic without a publisher, with a similar, unused one."""
     given, taken = {each.name for each in gives}, {each.name for each in takes}
     started = {node.title for node in graph.nodes if node.start is not None} or {node.title for node in graph.nodes}
     for each in takes:

@@ -18,7 +18,7 @@ from calibration.addons.analysis.ros.launch import (
 )
 from calibration.addons.analysis.xml_lines import LINE_KEY, attributes_of, line_of, parse_xml
 
-_MOST_NODES = 20_000
+_MAX_ELEMENTS = 20_000
 _MAX_DEPTH = 50
 _ARGUMENT_SUBSTITUTIONS = ("$(arg ", "$(var ")
 _NODE_TAGS = ("node", "test", "lifecycle_node")
@@ -77,7 +77,7 @@ class _Elements:
     """Elements of a document in YAML, as those of XML; aliases of aliases are cut off."""
 
     def __init__(self) -> None:
-        self._left = _MOST_NODES
+        self._left = _MAX_ELEMENTS
 
     def of(self, node: Any) -> Element:
         """Return the root, of a list of entries."""

@@ -1,4 +1,4 @@
-"""Checks of the meshes of robot descriptions: their size, by which a wrong unit shows."""
+"""Checks of the meshes of robot descriptions: implausible sizes, which suggest a wrong unit."""
 
 import math
 import re

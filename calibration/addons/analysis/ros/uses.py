@@ -127,7 +127,7 @@ def _imported_packages(package: Package, path: str, known: Collection[str]) -> I
 
 
 def _named_packages(package: Package, path: str, known: Collection[str]) -> Iterator[Use]:
-    """Yield what launch files and robot descriptions find by name, outside of comments."""
+    """Yield the packages that launch files and URDFs refer to (``$(find ...)``, ``package://``), without comments."""
     for number, line in enumerate(without_comments(package.tree.text(path)).split("\n"), 1):
         for match in _PACKAGE_REFERENCE.finditer(line):
             name = match[1] or match[2]

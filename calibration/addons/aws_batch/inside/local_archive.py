@@ -17,7 +17,7 @@ from calibration.ci.execution.job import OUTPUT
 _CHUNK_BYTES = 1024**2
 _BLOCK_BYTES = tarfile.BLOCKSIZE
 _END_OF_ARCHIVE = b"\0" * 2 * _BLOCK_BYTES
-_MOST_LINKS = 40
+_MAX_LINKS = 40
 """Linux's limit."""
 _FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 _FILE_FLAGS = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
@@ -74,7 +74,7 @@ def _without_links(folder: Path, path: str, parts: Sequence[str]) -> tuple[str, 
         to = str(here.readlink())
         links += 1
         inside = _parts_inside(posixpath.join(OUTPUT, *done, to))
-        if inside is None or links > _MOST_LINKS:
+        if inside is None or links > _MAX_LINKS:
             shown = shorten(one_line(to), 200)
             raise RefusedError(f"artifact '{path}' is behind a link to '{shown}', which leaves the folder")
         done, left = (), [*inside, *left]

@@ -27,7 +27,7 @@ BEAT_FILE, PID_FILE, READY_FILE, READY_COMMAND, LOG_FILE, PIPE_FILE, ENDED_FILE 
     "pipe",
     "ended",
 )
-_MOST_BYTES = 100
+_MAX_SIGN_BYTES = 100
 """Size limit of a sign."""
 
 
@@ -84,7 +84,7 @@ class Signs:
         if descriptor is None:
             return None
         with os.fdopen(descriptor, "rb") as file:
-            words = file.read(_MOST_BYTES).split()
+            words = file.read(_MAX_SIGN_BYTES).split()
         if len(words) != 2 or not all(word.isdigit() for word in words):
             return None  # incomplete, or invalid: then the heartbeat stops too
         return int(words[0]) & 0xFF, int(words[1]) > 0

@@ -27,7 +27,7 @@ from calibration.ci.execution.supervision import Supervised, Supervisor
 METADATA_VARIABLE = "ECS_CONTAINER_METADATA_URI_V4"
 """Environment variable with the URL of ECS's task metadata."""
 _METADATA_TIMEOUT = 2.0
-_MOST_BYTES = 4 * 1024**2
+_MAX_METADATA_BYTES = 4 * 1024**2
 
 
 def ended_neighbours(variables: Mapping[str, str]) -> dict[str, int | None]:
@@ -37,7 +37,7 @@ def ended_neighbours(variables: Mapping[str, str]) -> dict[str, int | None]:
         return {}
     try:
         with urlopen(f"{address}/task", timeout=_METADATA_TIMEOUT) as answer:  # noqa: S310 (checked above)
-            containers = json.loads(answer.read(_MOST_BYTES))["Containers"]
+            containers = json.loads(answer.read(_MAX_METADATA_BYTES))["Containers"]
         return {
             str(each["Name"]): _exit_code_of(each.get("ExitCode"))
             for each in containers
