@@ -231,9 +231,10 @@ def job_definition(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
         request["ecsProperties"]["taskProperties"][0] |= _fargate_properties(settings)
     request["tags"] = {**settings.tags, DIGEST_TAG: _digest_of_request(request, settings.tags)}
     if (size := len(json.dumps(request).encode())) > MAX_DEFINITION_BYTES:
+        secrets = sum(len(container.secrets) for container in shape.containers)
         raise InputError(
             f"its job definition has {size} bytes, AWS Batch accepts {MAX_DEFINITION_BYTES}: it has "
-            f"{len(shape.volumes)} mounts and {sum(len(container.secrets) for container in shape.containers)} secrets: join some of them"
+            f"{len(shape.volumes)} mounts and {secrets} secrets: join some of them"
         )
     return request
 
