@@ -23,7 +23,6 @@ from calibration.ci.execution.backends import (
     ExecutionTarget,
     check_backend,
 )
-from calibration.ci.execution.sizes import parse_seconds
 from calibration.ci.report import publish, show
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.ci.workflow.progress import progress
@@ -32,14 +31,13 @@ from calibration.commands.parameters import find_system, system_folder
 from calibration.commands.record_options import chosen, given, option_keys, record_options
 from calibration.commands.target import execution_target
 from calibration.pipeline.collection import report, scenario_report
-from calibration.pipeline.collection.applications import DEFAULT_SECONDS, checked_applications
+from calibration.pipeline.collection.applications import checked_applications
 from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.report import COMMAND_NAME, collection_page, pose_line
 from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,
     CollectionLimits,
     CollectionRequest,
-    ScenarioImage,
     ScenarioRequest,
     Share,
 )
@@ -100,11 +98,12 @@ def collection_request(settings: CollectionSettings, applications: Mapping[str, 
     Raises:
         InputError: the system does not exist, the description is wrong, or a container has no image.
     """
-    used: tuple[str, ...] = OF_DATASET
     if applications:
-        request, used = _request_of_applications(settings, applications), (*OF_DATASET, "truth")
+        request = _request_of_applications(settings, applications)
+        used = {*OF_DATASET, "truth"}
     else:
         request = CollectionRequest(system_folder(settings.system), scenario_set=settings.scenario_set)
+        used = {*OF_DATASET, "image", "timeout"}
     request = changed(request, {key: value for key, value in settings.keys.items() if key in used}, "options")
     checks = replace(request.checks, limits=_limits_of_truth(settings, request.checks.limits))
     stillness = None if settings.stillness_mm is None else settings.stillness_mm / 1000
@@ -161,18 +160,6 @@ def application_options(settings: CollectionSettings) -> tuple[str, ...]:
         key: value for key, value in settings.keys.items() if key in OF_APPLICATIONS
     }
     return tuple(word for name, value in given.items() if value is not None for word in (f"--{name}", str(value)))
-
-
-def scenario_image(settings: CollectionSettings, backend: str) -> ScenarioImage:
-    """Return the image of scenarios of our own simulation.
-
-    Raises:
-        InputError: the image is missing, or the time-out is invalid.
-    """
-    image, timeout = settings.keys.get("image"), settings.keys.get("timeout")
-    if image is None:
-        raise InputError(f"image: missing: {backend} runs every scenario in an image that has calibration-ci")
-    return ScenarioImage(image, DEFAULT_SECONDS if timeout is None else parse_seconds(timeout, "timeout"))
 
 
 def _limits_of_truth(settings: CollectionSettings, limits: CollectionLimits) -> CollectionLimits:
@@ -255,6 +242,8 @@ def _check_settings(settings: CollectionSettings, backend: str, applications: bo
                 f"backend: found {backend}; it runs the team's applications (applications, or image with "
                 "simulation-command and robot-command), or many scenarios (image with scenario-set and scenarios)"
             )
+        if "image" not in settings.keys:
+            raise InputError(f"image: missing: {backend} runs every scenario in an image that has calibration-ci")
         return
     for name in ("image", "timeout", "run"):
         if name in settings.keys or (name == "run" and settings.run is not None):
@@ -306,7 +295,6 @@ def _many_scenarios(
         count,
         settings.minimum_success_rate,
         application_options(settings) if applications else (),
-        None if embedded or applications else scenario_image(settings, backend),
     )
 
     def begin(system: str, scenarios: int) -> None:

@@ -25,7 +25,7 @@ from calibration.ci.execution.tasks import run_tasks
 from calibration.ci.execution.workspace import identity, workspace
 from calibration.pipeline.collection.applications import INPUT_FOLDER
 from calibration.pipeline.collection.report import report
-from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioRequest
+from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenarios import (
     SCENARIO_FILE,
@@ -175,7 +175,7 @@ class SimulatedScenarios(Scenarios):
         collection = request.collection
         if collection.scenario_set is None:
             raise InputError("scenarios and scenario need a scenario-set: a YAML file of the parameters that vary")
-        self.image = request.image
+        self.image = collection.applications.image
         self._collection = collection
         self._requirements = requirements_of(collection)
         self.stillness = self._requirements.stillness
@@ -224,7 +224,7 @@ class SimulatedScenarios(Scenarios):
 
     def job(self, number: int, inputs: Path | None) -> Job:
         """Return the job of a scenario."""
-        of, image, name = self._collection, self.image or ScenarioImage(""), self.pending[number].id
+        of, name = self._collection, self.pending[number].id
         options = {
             "--system": f"{INPUT_FOLDER}/{SYSTEM_FOLDER}/{self.system}",
             "--scenario-set": f"{INPUT_FOLDER}/{SET_FILE}",
@@ -238,7 +238,7 @@ class SimulatedScenarios(Scenarios):
             options["--stillness-mm"] = repr(1000 * of.stillness)
         container = Container(
             name=CONTAINER_NAME,
-            image=image.image,
+            image=self.image,
             command=("calibration", "collect-data-sim", *(word for option in options.items() for word in option)),
             mounts=() if inputs is None else (Mount(inputs.resolve(), INPUT_FOLDER),),
             success=(
@@ -248,7 +248,7 @@ class SimulatedScenarios(Scenarios):
             ),  # the exit codes are explained in the scenario's file
             artifacts=(Artifact(f"{OUTPUT}/{DATASET_FOLDER}", required=False),),
         )
-        return Job(name, (container,), seconds=image.seconds)
+        return Job(name, (container,), seconds=of.applications.seconds)
 
     def judge(self, number: int, outcome: JobOutcome, new: Path) -> Judged:
         """Judge a scenario by its job: its dataset is moved to ``new``, and calibrated."""

@@ -78,7 +78,7 @@ def collect_scenarios(
     else:
         scenarios = SimulatedScenarios(request)
     begin(scenarios.system, request.count)
-    if isinstance(scenarios, SimulatedScenarios) and scenarios.image is None:
+    if isinstance(scenarios, SimulatedScenarios) and not scenarios.image:
         found = scenarios.run(folder.output, jobs, done)
     else:
         found = run_in_containers(scenarios, folder, jobs, collection.target, done)

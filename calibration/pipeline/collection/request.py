@@ -7,7 +7,7 @@ from typing import Annotated
 from calibration.base.records import Converted, Place, at_least, between, field, needs, one_of, record
 from calibration.ci.execution.backends import CONTAINER_BACKENDS, BackendName, ContainerBackend, ExecutionTarget
 from calibration.engine.diagnosis.limits import Limit
-from calibration.pipeline.collection.applications import DEFAULT_SECONDS, Applications, checked_applications
+from calibration.pipeline.collection.applications import Applications, checked_applications
 from calibration.pipeline.system import Text, Truth
 from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX
 
@@ -76,7 +76,8 @@ class CollectionRequest:
     )
     """With applications optional: its sensors are expected in the dataset, and its robot is the truth."""
     applications: Applications = field(flat=True, default_factory=Applications)
-    """Without containers it is a collection by our own simulation."""
+    """Without containers it is a collection by our own simulation: in local processes, or, with an image that has this
+    package, in a container for each scenario."""
     truth: Truth | None = field(
         "What the calibrated dataset is compared with: a file, 'dataset' for the transforms in it, 'none'; by default "
         "the system's.",
@@ -148,15 +149,6 @@ class CollectionRequest:
 
 
 @dataclass(frozen=True)
-class ScenarioImage:
-    """Image with this package, for scenarios of our own simulation."""
-
-    image: str
-    seconds: float = DEFAULT_SECONDS
-    """Time limit of a scenario."""
-
-
-@dataclass(frozen=True)
 class ScenarioRequest:
     """Request of many datasets."""
 
@@ -167,5 +159,3 @@ class ScenarioRequest:
     """Minimum share of scenarios that pass."""
     applications: tuple[str, ...] = ()
     """Options of the command that describe the team's applications."""
-    image: ScenarioImage | None = None
-    """Image that runs the scenarios in containers; None to run them with our own simulation in local processes."""

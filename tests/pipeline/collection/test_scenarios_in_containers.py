@@ -18,9 +18,9 @@ from calibration.base.records.schema import schema_of
 from calibration.ci.execution.job import OUTPUT, Job
 from calibration.ci.execution.job_check import check_jobs
 from calibration.ci.execution.outcome import JobOutcome
-from calibration.pipeline.collection.applications import INPUT_FOLDER
+from calibration.pipeline.collection.applications import INPUT_FOLDER, Applications
 from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
-from calibration.pipeline.collection.request import CollectionRequest, ScenarioImage, ScenarioRequest
+from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import report
 from calibration.pipeline.collection.scenarios import SCENARIO_FILE, ScenarioDone, ScenarioFile, ScenarioFolder
@@ -118,8 +118,9 @@ def run(
     done: ScenarioDone = lambda *_: None,
     **how: bool,
 ) -> ScenarioResults:
-    collection = replace(asked.collection, target=at(backend or RunsHere()))
-    there = replace(asked, collection=collection, image=ScenarioImage("robot:1", 60))
+    applications = Applications(image="robot:1", seconds=60)
+    collection = replace(asked.collection, applications=applications, target=at(backend or RunsHere()))
+    there = replace(asked, collection=collection)
     return written(collect_scenarios(there, ScenarioFolder(output, **how), None, begin, done), output)
 
 
