@@ -71,7 +71,7 @@ def test_a_report_without_drivers() -> None:
     errors = np.random.default_rng(1).random(40).tolist()
     text = told(many(errors)).markdown()
     assert (
-        "None of the parameters that vary (1\\) stands out. The strongest is motion.sway\\_mm, rank correlation" in text
+        "None of the parameters that vary (1) stands out. The strongest is motion.sway\\_mm, rank correlation" in text
     )
 
 
