@@ -17,7 +17,7 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.finding import CONVENTION, SUSPECT
 from calibration.engine.diagnosis.limits import SMALLEST, UNSET, Limits, allowed, stated
 from calibration.engine.diagnosis.projection import projection_limit
-from calibration.engine.estimation.covariance.nominal_covariance import MOST_NOISE
+from calibration.engine.estimation.covariance.nominal_covariance import MAX_NOISE
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.chosen_lenses import with_chosen_lenses
@@ -119,7 +119,7 @@ def _reasons_of_noisy_corners(calibration: Calibration) -> Iterator[str]:
     """Yield a reason for each camera whose corners are worse than a detector's, where they place a sensor."""
     if calibration.of_cameras_alone:
         return
-    most = MOST_NOISE["pixel"]
+    most = MAX_NOISE["pixel"]
     for name, noise in noise_inside_views(calibration.solution.setup.problem, calibration.solution.values).items():
         if noise > most:
             yield (

@@ -32,7 +32,7 @@ MIN_BATCHES = 6
 """Number of batches of clusters that are alike of which the scatter is still told."""
 MIN_CONTRADICTING_FACTOR = 3.0
 """Factor above which clusters contradict each other; one that is estimated from few clusters is then corrected."""
-FEWEST_CLUSTERS = 4.0
+MIN_CLUSTERS = 4.0
 """Minimum of the clusters that a factor is taken to come from."""
 MAX_INFORMATION_WITHOUT_DECISIVE = 1e-6
 """Information left without a cluster, relative to the total, below which that cluster alone determines a direction."""
@@ -124,7 +124,7 @@ def _for_few_clusters(parts: Array, own: Array) -> float:
     """
     leverages = np.einsum("kii->k", np.linalg.solve(own, parts))
     count = float(leverages.sum() ** 2 / (leverages**2).sum())
-    return max(count, FEWEST_CLUSTERS) / (max(count, FEWEST_CLUSTERS) - 2)
+    return max(count, MIN_CLUSTERS) / (max(count, MIN_CLUSTERS) - 2)
 
 
 def scatter_of_clusters(shares: Array, pulls: Array) -> tuple[Array, Array]:

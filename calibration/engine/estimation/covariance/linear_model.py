@@ -40,7 +40,7 @@ from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.solve.normal_equations import Weighting
 
-MOST_CLUSTERS = 100
+MAX_CLUSTERS = 100
 """Limit of the number of clusters; more give no better estimate of the collections' disagreement."""
 
 
@@ -116,7 +116,7 @@ def linear_model(
         raise AssertionError("nothing is calibrated")
     ends = np.cumsum([S, *(cause.size for cause in found)]).tolist()
     places = [slice(*ends[i : i + 2]) for i in range(len(found))]
-    clusters = _at_most(np.arange(problem.collections) if clusters is None else clusters, MOST_CLUSTERS)
+    clusters = _at_most(np.arange(problem.collections) if clusters is None else clusters, MAX_CLUSTERS)
     sums = ClusterSums.zeros(clusters, ends[-1] + 1, P)
     table = table_of(problem.blocks, values)
     for seen in groups:

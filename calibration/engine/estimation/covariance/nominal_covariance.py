@@ -20,7 +20,7 @@ from calibration.engine.estimation.solve.normal_equations import Weighting
 if TYPE_CHECKING:
     from calibration.engine.estimation.covariance.result import Solution
 
-MOST_NOISE: Mapping[NoiseKind, float] = {
+MAX_NOISE: Mapping[NoiseKind, float] = {
     "pixel": 0.35,
     "range": 0.03,
     "border": 0.02,
@@ -63,7 +63,7 @@ def arm_scatter(model: LinearModel) -> Array:
 
 def _nominal_weighting(weighting: Weighting) -> Weighting:
     """Return the weighting with the noise of good labels; itself where that is what they have."""
-    scales = {kind: min(scale, MOST_NOISE[kind]) for kind, scale in weighting.scales.items()}
+    scales = {kind: min(scale, MAX_NOISE[kind]) for kind, scale in weighting.scales.items()}
     return weighting if scales == weighting.scales else Weighting(scales, None)
 
 

@@ -20,10 +20,10 @@ from calibration.engine.estimation.doubts.suspects import MIN_INFORMATION_LEFT
 
 MAX_STEP_IF_FOUND = 1e-7
 """s: step after which the lags are found."""
-MOST_STEPS = 15
-LARGEST_STEP = 0.1
+MAX_STEPS = 15
+MAX_STEP = 0.1
 """s: limit of one step."""
-WORST_SIGMA = 0.05
+MAX_SIGMA = 0.05
 """s: limit of the standard deviation of a lag that is determined; frames that stand still leave a larger one."""
 
 
@@ -47,7 +47,7 @@ def with_lags(dataset: Dataset, free: Sequence[str], calibrated: Callable[[Datas
             f"{dataset.path}: the dataset has no velocities, which a lag is told by (lag): import it from a bag of "
             f"a robot that moves while its sensors look (import.yml: bags: every), or leave 'lag' out"
         )
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         steps = _newton_steps(calibrated(dataset).solution.model, free, dataset)
         lags = {name: dataset.sensors[name].lag + step for name, step in steps.items()}
         if far := next((name for name, lag in lags.items() if abs(lag) > MAX_LAG), None):
@@ -58,7 +58,7 @@ def with_lags(dataset: Dataset, free: Sequence[str], calibrated: Callable[[Datas
         dataset = dataset.with_lags(lags)
         if max(map(abs, steps.values())) < MAX_STEP_IF_FOUND:
             return dataset
-    raise UndeterminedError(f"{dataset.path}: the lags were not found in {MOST_STEPS} steps (lag): leave it out")
+    raise UndeterminedError(f"{dataset.path}: the lags were not found in {MAX_STEPS} steps (lag): leave it out")
 
 
 def _newton_steps(model: LinearModel, free: Sequence[str], dataset: Dataset) -> Mapping[str, float]:
@@ -77,10 +77,10 @@ def _newton_steps(model: LinearModel, free: Sequence[str], dataset: Dataset) -> 
         raise _undetermined_lag(dataset, free[int(np.abs(vectors[:, 0]).argmax())])
     covariance = np.linalg.inv(left)
     sigmas = np.sqrt(np.diagonal(covariance))
-    if sigmas.max() > WORST_SIGMA:
+    if sigmas.max() > MAX_SIGMA:
         raise _undetermined_lag(dataset, free[int(sigmas.argmax())])
     steps = -covariance @ (g[own] - total[own, :S] @ moves[:, -1])
-    return dict(zip(free, np.clip(steps, -LARGEST_STEP, LARGEST_STEP).tolist(), strict=True))
+    return dict(zip(free, np.clip(steps, -MAX_STEP, MAX_STEP).tolist(), strict=True))
 
 
 def _undetermined_lag(dataset: Dataset, sensor: str) -> UndeterminedError:

@@ -34,7 +34,7 @@ from calibration.engine.estimation.covariance.linear_model import LinearModel
 from calibration.engine.estimation.covariance.nominal_covariance import arm_scatter
 from calibration.engine.estimation.covariance.significance import score_of_f, threshold
 
-FEWEST_CLUSTERS = 6
+MIN_CLUSTERS = 6
 """Minimum of independent collections to estimate their disagreement."""
 MAX_FREED_CAUSES = 4
 """Limit of the number of causes that are set free."""
@@ -168,7 +168,7 @@ def explain(model: LinearModel, fewest_moved: int = 1) -> Explanation | None:
         model: linear model at the optimum.
         fewest_moved: minimum of clusters before and after a displacement.
     """
-    if len(model.G) < FEWEST_CLUSTERS:
+    if len(model.G) < MIN_CLUSTERS:
         return None
     candidates = list(_candidates_by_size(model, fewest_moved))
     limit = threshold(sum(len(each.causes) for each in candidates))

@@ -6,7 +6,7 @@ from calibration.base.arrays import Array
 
 COLLECTIONS_TAKEN_AS_KNOWN = 3
 """Number of collections whose rotation is taken for known when branches are chosen."""
-MOST_COMPARED = 60
+MAX_COLLECTIONS_COMPARED = 60
 """Limit of the number of collections that each is compared with, spread over all of them."""
 MAX_ROUNDS = 4
 """Number of rounds in which the branches are chosen again."""
@@ -32,7 +32,7 @@ def rotations_that_agree(branches: Array, measured: Array) -> tuple[Array, float
     first = [each for each in range(min(COLLECTIONS_TAKEN_AS_KNOWN, N) * b) if there.flat[each]]
     known = np.abs((flat @ flat[first].T).reshape(N, b, -1) - wanted[:, None, [each // b for each in first]])
     chosen = np.where(there[..., None], known, np.inf).argmin(1)  # (N, starts)
-    some = np.unique(np.linspace(0, N - 1, min(N, MOST_COMPARED)).round().astype(int))
+    some = np.unique(np.linspace(0, N - 1, min(N, MAX_COLLECTIONS_COMPARED)).round().astype(int))
     every = some[:, None]
     for _ in range(MAX_ROUNDS if b > 1 else 0):
         now = flat.reshape(N, b, 9)[every, chosen[some]]  # (some, starts, 9)

@@ -10,7 +10,7 @@ from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.lens_choice import SIMPLEST_FIRST, LensChoice, choose_lens
 from calibration.engine.geometry.lenses import MODELS, Distortion
 
-WORST_RMS = 5.0
+MAX_RMS = 5.0
 """px: a lens that fits its corners worse than this does not fit."""
 
 
@@ -66,7 +66,7 @@ def fitting_lens(
         InputError: no lens model fits the corners; the message begins with ``where``.
     """
     choice = choose_lens(width, height, views, models)
-    if choice is None or not choice.chosen.rms < WORST_RMS:
+    if choice is None or not choice.chosen.rms < MAX_RMS:
         best = f" (the best, {choice.chosen.name}, leaves {choice.chosen.rms:.3g} px)" if choice else ""
         raise InputError(
             f"{where}: no lens model fits its corners{best}: are the patterns as described, with their columns, rows "

@@ -45,7 +45,7 @@ MAX_NEGLIGIBLE_SHARE = 0.25
 """Fraction of the best model's RMS by which another one may err, without being worse for it."""
 FIELDS_OF_VIEW = (20, 30, 45, 60, 75, 90, 105, 120, 140, 160, 180, 200, 220)
 """Degrees over the longer side of the image: the least squares begins with the best of them."""
-MOST_STARTS = 4
+MAX_STARTS = 4
 """Number of fields of view from which a model is fitted, until it has a minimum."""
 WIDEST_PINHOLE = 130
 """Degrees: a wider field of view is no start of a model that is a pinhole without its coefficients."""
@@ -199,7 +199,7 @@ def _from_best_start(
     model: type[Distortion], width: int, height: int, terms: Sequence[CornerTerm], held: Sequence[str] = ()
 ) -> LensFit | None:
     """Fit a model from the field of view that fits best, or else from the next ones; None without a minimum."""
-    starts = _starts_of_model(model, width, height, terms)[:MOST_STARTS]
+    starts = _starts_of_model(model, width, height, terms)[:MAX_STARTS]
     return next((fit for start in starts if (fit := _fit_lens(start, terms, held)) is not None), None)
 
 

@@ -12,7 +12,7 @@ from calibration.engine.dataset.pattern import UNMARKED, Pattern
 from calibration.engine.estimation.start.agreeing_rotations import disagreement_of_each, rotations_that_agree
 from calibration.engine.estimation.start.single_views import corner_term
 
-FEWEST_VIEWS = 4
+MIN_VIEWS = 4
 """Number of views below which none is turned."""
 MAX_MEDIAN_DISAGREEMENT, MAX_DISAGREEMENT = 0.1, 0.25
 """Limits of the differences of two rotations' traces (`agreeing_rotations`), each the median over the other views: of
@@ -20,7 +20,7 @@ the median of all views, and of each view that is turned."""
 MIN_GAIN = 0.25
 """By how much the difference of the turned views is less than it was, on average: where many are turned, the median of
 some is small even so."""
-LEAST_CORNERS = 6
+MIN_CORNERS = 6
 """Number of corners below which a view's rotation is not known."""
 HALF_A_TURN = np.diag([-1.0, -1.0, 1.0])
 LOOKS_THE_SAME = "this board looks the same turned by 180 degrees"
@@ -75,9 +75,9 @@ def _views_of_board(dataset: Dataset, pattern: Pattern, sensor: str) -> _Views |
     labels = [
         (i, label)
         for i, label in dataset.detections(pattern.name, sensor)
-        if isinstance(label, CornerLabels) and len(label.ids) >= LEAST_CORNERS
+        if isinstance(label, CornerLabels) and len(label.ids) >= MIN_CORNERS
     ]
-    if camera is None or len(labels) < FEWEST_VIEWS:
+    if camera is None or len(labels) < MIN_VIEWS:
         return None
     with np.errstate(all="ignore"):
         R = corner_term(camera, pattern, [label for _, label in labels]).linear_poses[:, :3, :3]
@@ -97,7 +97,7 @@ def _turned_views(
     dataset: Dataset, views: _Views, at: IntArray, known: Array, R: Array, after: Array | None = None
 ) -> Iterator[View]:
     """Yield the views that half a turn makes agree: R (V, 3, 3), perhaps followed by others, with known rotations."""
-    if len(R) < FEWEST_VIEWS or not np.isfinite(known).all():
+    if len(R) < MIN_VIEWS or not np.isfinite(known).all():
         return
     branches = np.stack([R, R @ HALF_A_TURN], 1) @ (np.eye(3) if after is None else after[:, None])
     chosen, _ = rotations_that_agree(branches, known)
