@@ -16,7 +16,7 @@ from calibration.addons.rigel.notes import Notes
 from calibration.addons.rigel.substitution import plain
 from calibration.base.errors import InputError
 from calibration.base.tables.rule_set import parse_rules
-from calibration.ci.introspection.rigelfile_rules import COLUMNS_KEY, translate
+from calibration.ci.introspection.rules_file import COLUMNS_KEY, translate
 
 _SOURCE_FLAG, _TARGET_FLAG = ("-ss", "--sensor_source"), ("-st", "--sensor_target")
 _RANGE_FLAG, _DEPTH_FLAG, _CAMERA_FLAG = (

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from calibration.ci.image.recipe import layout
-from calibration.ci.image.recipe.entrypoint import entrypoint_script, sourced
 from calibration.ci.image.recipe.repositories import Repository
 from calibration.ci.image.recipe.user_text import json_words, path_words, quoted
 from calibration.ci.image.specification import ImageSpecification, Recipe, Secret, Workspace
@@ -22,6 +21,7 @@ PIP_VARIABLES = "PIP_BREAK_SYSTEM_PACKAGES=1 PIP_ROOT_USER_ACTION=ignore"
 SHELL_WORDS = ("/bin/bash", "-eo", "pipefail", "-c")
 ENTRYPOINT_PATH = "/usr/local/bin/calibration-entrypoint"
 CLONES_FOLDER = "/repositories"
+_SETUP_OF_BUILDER = {"catkin_make": "devel/setup.bash", "colcon": "install/setup.bash"}
 
 # Commands with a special meaning in RUN: by their start, by the end of a line, or by a here-document.
 _NOT_PLAIN = re.compile(r"^[\s\[#-]|<<|[\n\r\t]|\\\s*$")
@@ -180,7 +180,7 @@ def _build_workspace(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
     command = ["colcon build"] if workspace.tool == "colcon" else ["catkin_make"]
     command += [only, *workspace.packages] if workspace.packages else []
     command += ["--cmake-args", *arguments] if arguments else []
-    yield _run_step(*(f"source {file}" for file in sourced(recipe, built=False)), " ".join(command))
+    yield _run_step(*(f"source {file}" for file in setup_files(recipe, built=False)), " ".join(command))
 
 
 def _start_instructions(recipe: Recipe, *, has_entrypoint: bool) -> Iterator[str]:
@@ -200,3 +200,22 @@ def _run_step(*commands: str, mounts: str = "") -> str:
     if any(_NOT_PLAIN.search(command) for command in commands):
         return f"RUN {mounts}{json_words(*SHELL_WORDS, ' && '.join(commands))}"
     return f"RUN {mounts}" + " \\\n && ".join(commands)
+
+
+def entrypoint_script(recipe: Recipe) -> str | None:
+    """Return the start script of containers, which sources ROS and the workspace and executes the command.
+
+    It has no output of its own; None if there is nothing to do before the command.
+    """
+    lines = [*(f"source {file}" for file in setup_files(recipe)), *recipe.entrypoint]
+    if not lines:
+        return None
+    return "\n".join(["#!/bin/bash", "set -e", *lines, 'exec "$@"']) + "\n"
+
+
+def setup_files(recipe: Recipe, *, built: bool = True) -> Iterator[str]:
+    """Yield the setup files to source; the workspace's only after its build."""
+    if recipe.ros is not None:
+        yield f"/opt/ros/{recipe.ros}/setup.bash"
+    if recipe.workspace is not None and built:
+        yield f"{recipe.workspace.path}/{_SETUP_OF_BUILDER[recipe.workspace.tool]}"
