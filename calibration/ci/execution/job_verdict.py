@@ -10,7 +10,7 @@ from calibration.ci.execution.job import Container, Job, Readiness
 from calibration.ci.execution.outcome import End
 from calibration.ci.execution.sizes import describe_bytes
 
-_SIGNAL_EXIT_CODES = 128
+_SIGNAL_EXIT_CODES = 128  # a shell reports the end by signal N as 128 + N
 _HINT_OF_EXIT_CODE = {126: "its command is not executable", 127: "its command was not found"}
 
 

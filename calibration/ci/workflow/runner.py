@@ -178,7 +178,7 @@ def _plain_line(annotation: Annotation) -> str:
 class Runner:
     """Runner of a step: its CI service, what its environment variables name, and its output streams."""
 
-    service: Service = field(default_factory=lambda: TERMINAL)
+    service: Service = field(default_factory=lambda: TERMINAL)  # which is made below, as its methods take a runner
     workspace: Path | None = None
     """The checkout; annotations name files relative to it."""
     output_file: Path | None = None

@@ -26,6 +26,7 @@ from calibration.ci.execution.supervision import Supervised
 STOP_SECONDS = 5
 """Seconds between SIGTERM and SIGKILL."""
 _MAX_NAME_TRIES = 5
+"""Attempts to find a free name: the engine answers 409 to one that another run has taken by chance."""
 _FRAME_HEADER = struct.Struct(">BxxxL")
 """Header of a frame of output: stream, and number of bytes."""
 _SECONDS_TO_REPORT_MEMORY = 0.25

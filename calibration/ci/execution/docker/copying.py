@@ -22,6 +22,7 @@ from calibration.ci.execution.copying_out import Archive, NothingThereError, Ope
 from calibration.ci.execution.job import OUTPUT, Mount
 
 _CHUNK_BYTES = 1024**2
+# The engine tells only here, as JSON in base64, that the path is a link: the archive then has the link, not its target.
 _STAT_HEADER = "X-Docker-Container-Path-Stat"
 _IN_MEMORY = 16 * 1024**2
 
