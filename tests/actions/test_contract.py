@@ -19,7 +19,7 @@ from calibration.robot.simulation.sensors import SimulatedCamera, SimulatedDepth
 from calibration.robot.simulation.system import Simulation
 from tests.lint.documents import made_whole, yaml_blocks
 
-from .write_inputs import COMMENT, FILES, PAGES, SHOWN, options, with_inputs, with_parts
+from .write_inputs import COMMENT, FILES, PAGES, SHOWN, described_keys, options, schema_file, with_inputs, with_parts
 
 PROJECT = Path(__file__).resolve().parents[2]
 LOCKS = {path.name: path.read_text() for path in (PROJECT / "requirements").glob("*.txt")}
@@ -58,10 +58,26 @@ def test_pages_show_every_input_and_output() -> None:
     )
 
 
-def test_pages_show_the_keys_of_every_result_and_of_the_configuration() -> None:
+def test_pages_show_every_key_of_the_configuration_and_of_an_import() -> None:
     shown = [name for page in PAGES for name in re.findall(r"<!-- keys: (\S+) -->", page.read_text())]
-    assert len(shown) == len(set(shown))
-    assert {"calibration.yml", "results", "convergence", "collection", "coverage", "introspection"} <= set(shown)
+    assert sorted(shown) == ["calibration.yml", "import.yml"]
+
+
+def test_the_page_of_results_shows_keys_that_exist() -> None:
+    sections = (PROJECT / "docs" / "results-json.md").read_text().split("\n## ")[1:]
+    assert len(sections) == 9
+    for section in sections:
+        [name] = re.findall(r"^Schema: \[`(.*)`\]", section, re.MULTILINE)
+        assert f"(../{schema_file(name).relative_to(PROJECT).as_posix()})" in section
+        shown = re.findall(r"^\| `(.*?)` \|", section, re.MULTILINE)
+        assert shown
+        assert set(shown) <= described_keys(name).keys(), name
+
+
+def test_the_example_of_results_is_one() -> None:
+    page = (PROJECT / "docs" / "results-json.md").read_text()
+    [shown] = re.findall(r"^```json\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    jsonschema.validate(json.loads(shown), json.loads(schema_file("results").read_text()))
 
 
 def test_every_input_reaches_its_option(name: str, action: dict[str, Any], step: dict[str, Any]) -> None:

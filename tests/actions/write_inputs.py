@@ -1,8 +1,8 @@
 """Writes what is declared once where it is shown: `make actions`.
 
 The inputs that the commands declare go into every action.yml and its page in docs/, the records into the JSON
-Schemas that ship and the pages of the files, the headings of a page into its contents. `test_contract.py` holds the
-files to them.
+Schemas that ship and the pages of the configuration files, the headings of a page into its contents.
+`test_contract.py` holds the files to them.
 """
 
 import json
@@ -76,11 +76,16 @@ def anchor(title: str) -> str:
 
 def keys(name: str) -> str:
     """Return a table of the keys of a document, as its JSON Schema describes them."""
-    schema = json.loads(generated(name))
     text = "| key | |\n| --- | --- |\n"
-    for path, description in dict(_described(schema, schema, "", ())).items():
+    for path, description in described_keys(name).items():
         text += f"| `{path}` | {description.replace('|', '&#124;').replace('*', '&#42;')} |\n"
     return text
+
+
+def described_keys(name: str) -> dict[str, str]:
+    """Return the descriptions of the keys of a document by their paths."""
+    schema = json.loads(generated(name))
+    return dict(_described(schema, schema, "", ()))
 
 
 def _described(schema: Any, whole: Any, path: str, opened: tuple[str, ...]) -> Iterator[tuple[str, str]]:
