@@ -19,7 +19,7 @@ from calibration.base.tables.table import read_table
 from calibration.base.tables.table_verdict import judge
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.check_data import check_data
-from calibration.engine.diagnosis.limits import TWIST, Limits, sizes
+from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, sizes
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.problem.assumptions import ALL_EXACT, Assumptions
@@ -291,7 +291,9 @@ def _where_none_is_set(stratum: Stratum, system: str, seed: int) -> Limits:
     assert found.error_bars
     expected, setup = found.error_bars.expected, found.solution.setup
     blocks = [setup.block(sensor.edge) for sensor in scene.told.sensors.values()]
-    each = [sizes(np.sqrt(np.diagonal(expected[block])), TWIST) for block in blocks if expected.get(block) is not None]
+    each = [
+        sizes(np.sqrt(np.diagonal(expected[block])), TWIST_UNITS) for block in blocks if expected.get(block) is not None
+    ]
     mm, deg = (
         max(least, *(SIGMAS * one for one in of)) for least, of in zip(LEAST, zip(*each, strict=True), strict=True)
     )

@@ -15,7 +15,7 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.finding import CONVENTION, SUSPECT
-from calibration.engine.diagnosis.limits import SMALLEST, UNSET, Limits, allowed, stated
+from calibration.engine.diagnosis.limits import DEFAULT_LIMIT_SIGMAS, MIN_DEFAULT_LIMIT, Limits, allowed, stated
 from calibration.engine.diagnosis.projection import projection_limit
 from calibration.engine.estimation.covariance.nominal_covariance import MAX_NOISE
 from calibration.engine.estimation.covariance.result import Calibration
@@ -246,7 +246,7 @@ def _default_limits(calibration: Calibration) -> tuple[Limits, dict[str, str]]:
             name = max(numbers, key=lambda one: numbers[one])
             values[key] = nice(numbers[name])
             comments[key.replace("_", "-")] = _reason_of_limit(
-                numbers[name], stated(calibration)[name][i], SMALLEST[i], UNITS_OF_LIMITS[i]
+                numbers[name], stated(calibration)[name][i], MIN_DEFAULT_LIMIT[i], UNITS_OF_LIMITS[i]
             )
     return Limits(**values), comments
 
@@ -263,9 +263,12 @@ def _limits_of_cameras(dataset: Dataset) -> tuple[Limits, dict[str, str]]:
 
 def _reason_of_limit(limit: float, sigma: float, least: float, unit: str) -> str:
     """Return the reason of a limit."""
-    what = f"{UNSET:g} standard deviations of a good robot that sees this: {limit:.2g} {unit}"
+    what = f"{DEFAULT_LIMIT_SIGMAS:g} standard deviations of a good robot that sees this: {limit:.2g} {unit}"
     if limit <= least:
-        what = f"the least that is asked for, more than {UNSET:g} standard deviations of a good robot that sees this"
+        what = (
+            f"the least that is asked for, more than {DEFAULT_LIMIT_SIGMAS:g} standard deviations of a good "
+            "robot that sees this"
+        )
     return f"{what}; this recording states {sigma:.2g} {unit} in all"
 
 

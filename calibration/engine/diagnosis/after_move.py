@@ -6,8 +6,8 @@ import numpy as np
 
 from calibration.base.errors import UndeterminedError
 from calibration.engine.diagnosis.finding import AFTER_MOVE, SUSPECT, Finding
-from calibration.engine.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
-from calibration.engine.diagnosis.too_few import BETTER, too_few
+from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, sizes, stated
+from calibration.engine.diagnosis.too_few import RECOMMENDED_COLLECTIONS, too_few
 from calibration.engine.diagnosis.what_does_not_fit import distance_text, keys_since, what_does_not_fit
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
@@ -52,7 +52,7 @@ def after_move(
     if why:
         text = (
             f"the result is not that of the robot as it stands now, of {when}, but lies between before and after: "
-            f"{why}; record {BETTER}, of the robot as it is now"
+            f"{why}; record {RECOMMENDED_COLLECTIONS}, of the robot as it is now"
         )
         return calibration, (Finding(AFTER_MOVE, "warning", text, sensors),)
     text = (
@@ -83,7 +83,7 @@ def _views_before(calibration: Calibration, moves: dict[str, tuple[int, Suspect]
         for pattern, sensor in collection.labels:
             later = [moves[name] for name in (sensor, pattern) if name in moves and cluster < moves[name][0]]
             if later:
-                yield DroppedView(sensor, pattern, collection.key, *sizes(later[0][1].value, TWIST))
+                yield DroppedView(sensor, pattern, collection.key, *sizes(later[0][1].value, TWIST_UNITS))
 
 
 def _why_not_determined(
@@ -100,7 +100,7 @@ def _why_not_determined(
     if faults := (*moved_again, *too_few(after)):
         return f"since then {faults[0].text}"
     now = stated(after)
-    of_all = {name: np.hypot(sigmas, _apart(mixed, after, name)) for name, sigmas in stated(mixed).items()}
+    of_all = {name: np.hypot(sigmas, _distance_of_sensor(mixed, after, name)) for name, sigmas in stated(mixed).items()}
     shares = {name: allowed(after, limits, name).share(*sigmas) for name, sigmas in now.items()}
     worst = max(shares, key=lambda name: shares[name])
     if shares[worst] > max(allowed(after, limits, name).share(*each.tolist()) for name, each in of_all.items()):
@@ -108,7 +108,7 @@ def _why_not_determined(
     return ""
 
 
-def _apart(one: Calibration, other: Calibration, name: str) -> tuple[float, float]:
+def _distance_of_sensor(one: Calibration, other: Calibration, name: str) -> tuple[float, float]:
     """Return how far apart two calibrations have a sensor, mm and degrees; zeros for a joint."""
     sensor = one.dataset.sensors.get(name)
     if sensor is None:

@@ -31,14 +31,14 @@ from calibration.engine.estimation.start.cost import cost_of
 from calibration.engine.evaluation.truth import PoseError, TruthError, error_against
 from calibration.engine.geometry.cameras import Camera
 
-KIND = "against-optimum"
-UNCHANGED = 1e-3
+FINDING_KIND = "against-optimum"
+MAX_UNCHANGED_DISTANCE = 1e-3
 """mm, degrees: a result closer than this to its initial guess is unchanged."""
 SAME_INTRINSICS = 1e-6
 """Relative or absolute tolerance of intrinsics: smaller differences are due to rounding."""
-RARE = 1e-3
+SIGNIFICANCE_LEVEL = 1e-3
 """Significance level: a distance from the optimum that the labels' noise exceeds less often than this is noticeable."""
-NAMED = 3
+MAX_NAMED_SENSORS = 3
 """Number of sensors that a message names."""
 
 
@@ -62,7 +62,7 @@ class OurOptimum:
         By the approximation of E. B. Wilson and M. M. Hilferty ("The distribution of chi-square", 1931).
         """
         ninth = 2 / (9 * self.parameters)
-        return float(self.parameters * (1 - ninth + score_of_tail(RARE) * np.sqrt(ninth)) ** 3)
+        return float(self.parameters * (1 - ninth + score_of_tail(SIGNIFICANCE_LEVEL) * np.sqrt(ninth)) ** 3)
 
     @cached_property
     def cost(self) -> float:
@@ -124,24 +124,26 @@ def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, limits:
     """
     excess = optimum.cost_of(found) - optimum.cost
     error = error_against(found, optimum.calibration.dataset, optimum.relative)
-    far = sorted(_far(optimum, error, limits, abs(excess) > optimum.noticeable), key=lambda each: -each[0])
+    far = sorted(
+        _distances_beyond_limits(optimum, error, limits, abs(excess) > optimum.noticeable), key=lambda each: -each[0]
+    )
     mm, deg = error.translation_mm, error.rotation_deg
     away = float(np.sqrt(max(excess, 0.0))) if np.isfinite(excess) else None
-    numbers = Finding(KIND, "note", "", value=away, unit="1", moves_mm=mm, moves_deg=deg)
-    cost = _cost(away, excess)
+    numbers = Finding(FINDING_KIND, "note", "", value=away, unit="1", moves_mm=mm, moves_deg=deg)
+    cost = _describe_cost(away, excess)
     if not far:
         distance = f"{max(mm, 0.01):.2g} mm and {max(deg, 0.001):.2g} deg"
         text = f"the software's calibration is within {distance} of our optimum on the same labels"
         return (replace(numbers, text=f"{text}; {cost}" if excess > optimum.noticeable else text),)
-    what = "; ".join(text for _, text, _ in far[:NAMED])
-    more = f"; and {len(far) - NAMED} more" if len(far) > NAMED else ""
+    what = "; ".join(text for _, text, _ in far[:MAX_NAMED_SENSORS])
+    more = f"; and {len(far) - MAX_NAMED_SENSORS} more" if len(far) > MAX_NAMED_SENSORS else ""
     names = tuple(dict.fromkeys(name for _, _, sensors in far for name in sensors))
-    hint = _hint(optimum, found, start)
+    hint = _hint_to_cause(optimum, found, start)
     text = f"the software's calibration is far from our optimum on the same labels: {what}{more}; {cost}{hint}"
     return (replace(numbers, severity="red", text=text, sensors=names),)
 
 
-def _far(
+def _distances_beyond_limits(
     optimum: OurOptimum, error: TruthError, limits: Limits, noticeable: bool
 ) -> Iterator[tuple[float, str, tuple[str, ...]]]:
     """Yield each distance beyond its limit: the ratio to the limit, a description, and the sensors.
@@ -155,12 +157,14 @@ def _far(
     )
     is_set = "" if limits.translation_mm is not None and limits.rotation_deg is not None else ", as none is set"
     for pose in error.poses:
-        times = max(_ratio(pose.translation_mm, mm) * count_mm, _ratio(pose.rotation_deg, deg) * count_deg)
+        times = max(
+            _ratio_to_limit(pose.translation_mm, mm) * count_mm, _ratio_to_limit(pose.rotation_deg, deg) * count_deg
+        )
         if not times <= 1:
-            sensors = _sensors(optimum.given, pose)
+            sensors = _sensors_of_error(optimum.given, pose)
             where = " to ".join(f"'{name}'" for name in sensors)
             limit = f"limit {mm:.3g} mm, {deg:.2g} deg{is_set}"
-            yield times, f"{where} by {_told(pose.translation_mm, pose.rotation_deg)} ({limit})", sensors
+            yield times, f"{where} by {_format_motion(pose.translation_mm, pose.rotation_deg)} ({limit})", sensors
     for joint in error.joints:
         calibrated = optimum.calibration.joints.get(joint.joint)
         length = joint.unit == "m"
@@ -172,24 +176,24 @@ def _far(
             1e3 * joint.error if length else float(np.degrees(joint.error)),
             limits.joint[not length],
         )
-        if not _ratio(off, limit_of_joint) <= 1:
+        if not _ratio_to_limit(off, limit_of_joint) <= 1:
             unit = "mm" if length else "deg"
             text = (
                 f"'{joint.parameter}' of joint '{joint.joint}' by {off:.3g} {unit} (limit {limit_of_joint:.3g} {unit})"
             )
-            yield _ratio(off, limit_of_joint), text, ()
+            yield _ratio_to_limit(off, limit_of_joint), text, ()
 
 
-def _told(mm: float, deg: float) -> str:
+def _format_motion(mm: float, deg: float) -> str:
     """Format a displacement and a rotation, rounded to the micrometre and similarly small angles."""
     return f"{round(mm, 3 if mm < 1 else 2):g} mm and {round(deg, 4 if deg < 0.1 else 2):g} deg"
 
 
-def _ratio(off: float, limit: float) -> float:
+def _ratio_to_limit(off: float, limit: float) -> float:
     return off / limit if limit > 0 else float("inf") if off > 0 else 0.0
 
 
-def _sensors(dataset: Dataset, pose: PoseError) -> tuple[str, ...]:
+def _sensors_of_error(dataset: Dataset, pose: PoseError) -> tuple[str, ...]:
     """Return the sensors of an error: one, or the two of a pair."""
     pairs = {f"{a}/{b}": (a, b) for a in dataset.sensors for b in dataset.sensors}
     return (pose.name,) if pose.name in dataset.sensors else pairs[pose.name]
@@ -209,24 +213,26 @@ def _other_cameras(found: Dataset, given: Dataset) -> dict[str, Camera]:
     return other
 
 
-def _cost(away: float | None, excess: float) -> str:
+def _describe_cost(away: float | None, excess: float) -> str:
     """Describe the cost above the optimum."""
     if away is None:
         return "no pose of the pattern fits the labels there"
     return f"{away:.3g} standard deviations of the labels' noise away (cost {max(excess, 0.0):.3g} above the optimum)"
 
 
-def _hint(optimum: OurOptimum, found: Dataset, start: Dataset) -> str:
+def _hint_to_cause(optimum: OurOptimum, found: Dataset, start: Dataset) -> str:
     """Return a hint to the cause of the distance."""
     for guess in (start, optimum.given):  # software that adds its own noise starts at the given dataset
         moved = error_against(found, guess, optimum.relative)
         joints = max(moved.joint_mm or 0.0, moved.joint_deg or 0.0)
-        if max(moved.translation_mm, moved.rotation_deg, joints) < UNCHANGED:
+        if max(moved.translation_mm, moved.rotation_deg, joints) < MAX_UNCHANGED_DISTANCE:
             return ". It has returned its start unchanged: does it write what it has calibrated?"
     if cameras := list(_other_cameras(found, optimum.given)):
-        return f". It has other intrinsics of {_listed(cameras)}, with which the labels fit no better"
+        return f". It has other intrinsics of {_list_names(cameras)}, with which the labels fit no better"
     return ". Has it stopped early, or does it minimise something else?"
 
 
-def _listed(names: list[str]) -> str:
-    return ", ".join(f"'{name}'" for name in names[:NAMED]) + (", ..." if len(names) > NAMED else "")
+def _list_names(names: list[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names[:MAX_NAMED_SENSORS]) + (
+        ", ..." if len(names) > MAX_NAMED_SENSORS else ""
+    )

@@ -13,13 +13,13 @@ from calibration.engine.estimation.residuals.median import median
 
 LEAST_CORNERS = 12
 """Minimum of corners of a view: with fewer, another layout would fit as well."""
-VIEWS = 9
+MAX_TESTED_VIEWS = 9
 """Number of views per camera that are tested, those with the most corners; their median decides."""
-MISFIT = 0.1
+MAX_MISFIT = 0.1
 """Misfit of a flat pattern, relative to the view's extent, above which the numbering is wrong."""
-BETTER = 0.2
+MAX_MISFIT_RATIO = 0.2
 """A layout is right if its misfit is below this fraction of the other's."""
-SCRAMBLED = 0.3
+MIN_SCRAMBLED_MISFIT = 0.3
 """Misfit above which no layout by rows fits; a smaller one may be due to unmodelled distortion."""
 LONGEST_ROW = 60
 """Limit of the number of corners, or of an aprilgrid's tags, in a row that is tried."""
@@ -44,19 +44,21 @@ def check_board_order(dataset: Dataset) -> None:
             continue
         mirrored = {}
         for sensor in dataset.sensors:
-            views = _views(dataset, name, sensor)
+            views = _views_with_most_corners(dataset, name, sensor)
             if views:
-                mirrored[sensor] = median(np.array([_side(pattern.corners[ids, :2], xy) for ids, xy in views])) < 0
+                mirrored[sensor] = (
+                    median(np.array([_side_of_plane(pattern.corners[ids, :2], xy) for ids, xy in views])) < 0
+                )
             misfit = _median_misfit(pattern.corners, views)
-            if misfit <= MISFIT:
+            if misfit <= MAX_MISFIT:
                 continue
             several = "" if dataset.version.startswith("2") else f"s/{name}"
             where = f"{dataset.path}: calibration_config/calibration_pattern{several}/dimension"
             each, what = (2, "tags") if pattern.kind == "aprilgrid" else (1, "corners")
             found = f"{where}: found x: {columns // each}, y: {count // columns // each}, but the labels of '{sensor}'"
-            row = _row(pattern, views)
-            if _median_misfit(_numbered(pattern, row), views) >= BETTER * misfit:
-                if misfit < SCRAMBLED:
+            row = _best_row_length(pattern, views)
+            if _median_misfit(_corners_in_rows(pattern, row), views) >= MAX_MISFIT_RATIO * misfit:
+                if misfit < MIN_SCRAMBLED_MISFIT:
                     continue
                 raise InputError(
                     f"{found} fit no view of a flat pattern with rows of 2 to {LONGEST_ROW} {what}; look at how its "
@@ -75,7 +77,7 @@ def check_board_order(dataset: Dataset) -> None:
             )
 
 
-def _side(plane: Array, image: Array) -> float:
+def _side_of_plane(plane: Array, image: Array) -> float:
     """Return a positive number if an image (K, 2) shows the front of points (K, 2), negative for back or mirrored.
 
     It is the determinant of the best affine map.
@@ -84,10 +86,10 @@ def _side(plane: Array, image: Array) -> float:
     return float(np.sign(np.linalg.det(p.T @ q)))
 
 
-def _views(dataset: Dataset, pattern: str, sensor: str) -> list[View]:
+def _views_with_most_corners(dataset: Dataset, pattern: str, sensor: str) -> list[View]:
     camera = dataset.sensors[sensor].camera
     labels = [labels for _, labels in dataset.detections(pattern, sensor) if isinstance(labels, CornerLabels)]
-    most = sorted(labels, key=lambda labels: -len(labels.ids))[:VIEWS] if camera else []
+    most = sorted(labels, key=lambda labels: -len(labels.ids))[:MAX_TESTED_VIEWS] if camera else []
     views = []
     for each in most:
         rays = camera.normalise(each.pixels) if camera else np.empty((0, 2))
@@ -97,13 +99,15 @@ def _views(dataset: Dataset, pattern: str, sensor: str) -> list[View]:
     return views
 
 
-def _row(pattern: Pattern, views: Sequence[View]) -> int:
+def _best_row_length(pattern: Pattern, views: Sequence[View]) -> int:
     """Return the length of rows that fits the views' ids best."""
     each = 2 if pattern.kind == "aprilgrid" else 1
-    return min(range(2, each * LONGEST_ROW + 1, each), key=lambda row: _median_misfit(_numbered(pattern, row), views))
+    return min(
+        range(2, each * LONGEST_ROW + 1, each), key=lambda row: _median_misfit(_corners_in_rows(pattern, row), views)
+    )
 
 
-def _numbered(pattern: Pattern, row: int) -> Array:
+def _corners_in_rows(pattern: Pattern, row: int) -> Array:
     """Return the corners (K, 3) by id, for rows of this length."""
     if pattern.kind == "aprilgrid":
         tag, gap = (abs(float(pattern.corners[i + 1, 0] - pattern.corners[i, 0])) for i in (0, 1))
@@ -114,11 +118,11 @@ def _numbered(pattern: Pattern, row: int) -> Array:
 
 def _median_misfit(corners: Array, views: Sequence[View]) -> float:
     """Return the median misfit of the views with enough corners; 0 if there are none."""
-    misfits = [_misfit(corners[ids, :2], xy) for ids, xy in views]
+    misfits = [_misfit_of_homography(corners[ids, :2], xy) for ids, xy in views]
     return median(np.array(misfits)) if misfits else 0.0
 
 
-def _misfit(plane: Array, image: Array) -> float:
+def _misfit_of_homography(plane: Array, image: Array) -> float:
     """Return the misfit of a plane's points (K, 2) and pixels (K, 2) under the best homography, by the view's extent.
 
     By the normalised DLT: R. Hartley, A. Zisserman, Multiple View Geometry, 2nd edition, 4.1 and 4.4.

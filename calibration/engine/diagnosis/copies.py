@@ -10,12 +10,12 @@ from calibration.engine.dataset.model import CornerLabels, Dataset, Labels, labe
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.geometry.transforms import distance
 
-KIND = "copies"
-STILL = 1e-6
+FINDING_KIND = "copies"
+STANDSTILL_TOLERANCE = 1e-6
 """m, rad: transforms that differ by less are of a robot at standstill."""
 STILL_PIXELS = 1.0
 """px, root mean square: corners of another camera that differ by less are of a pattern at standstill."""
-NAMED = 8
+MAX_NAMED_PAIRS = 8
 """Number of pairs that a message names."""
 
 
@@ -29,7 +29,7 @@ def check_copies(dataset: Dataset) -> None:
     Raises:
         InputError: names the equal ones.
     """
-    if pairs := _named(dataset, _copied_collections(dataset)):
+    if pairs := _name_pairs(dataset, _copied_collections(dataset)):
         raise InputError(
             f"{dataset.path}: found collections with the same labels, to the last digit: {pairs}; expected new ones in "
             f"each: leave the copies out (copies: leave-out)"
@@ -37,7 +37,7 @@ def check_copies(dataset: Dataset) -> None:
     for (pattern, sensor), copies in _copied_views(dataset):
         raise InputError(
             f"{dataset.path}: sensor '{sensor}' has the same labels of '{pattern}', to the last digit, in "
-            f"collections {_named(dataset, copies)}, although something has moved between; leave the copies out "
+            f"collections {_name_pairs(dataset, copies)}, although something has moved between; leave the copies out "
             f"(copies: leave-out), or take the labels that belong there"
         )
 
@@ -49,18 +49,18 @@ def without_copies(dataset: Dataset) -> tuple[Dataset, tuple[Finding, ...]]:
         copied = {j for _, j in copies}
         text = (
             f"{len(copied)} of {len(dataset.keys)} collections are copies, to the last digit, and were left out: "
-            f"{_named(dataset, copies)}"
+            f"{_name_pairs(dataset, copies)}"
         )
         keys = tuple(dataset.keys[j] for j in sorted(copied))
-        findings.append(Finding(KIND, "warning", text, collections=keys, value=float(len(copied))))
+        findings.append(Finding(FINDING_KIND, "warning", text, collections=keys, value=float(len(copied))))
         dataset = dataset.with_collections([i for i in range(len(dataset.keys)) if i not in copied])
     for (pattern, sensor), copies in _copied_views(dataset):
         keys = tuple(dataset.keys[j] for _, j in copies)
         text = (
             f"{sensor}: {len(keys)} views of '{pattern}' are copies, to the last digit, although something has moved "
-            f"between, and were left out: {_named(dataset, copies)}; does its driver repeat images?"
+            f"between, and were left out: {_name_pairs(dataset, copies)}; does its driver repeat images?"
         )
-        findings.append(Finding(KIND, "warning", text, (sensor,), keys, value=float(len(keys))))
+        findings.append(Finding(FINDING_KIND, "warning", text, (sensor,), keys, value=float(len(keys))))
         dataset = _without_views(dataset, (pattern, sensor), keys)
     return dataset, tuple(findings)
 
@@ -75,7 +75,7 @@ def _without_views(dataset: Dataset, view: tuple[str, str], keys: Sequence[str])
 
 def _copied_collections(dataset: Dataset) -> list[tuple[int, int]]:
     """Return the pairs of a collection and its copy, by index."""
-    prints = _prints(dataset)
+    prints = _hashes_of_views(dataset)
     whole: dict[frozenset[tuple[tuple[str, str], int]], list[int]] = {}
     for i, views in enumerate(prints):
         if views:
@@ -86,42 +86,44 @@ def _copied_collections(dataset: Dataset) -> list[tuple[int, int]]:
 def _copied_views(dataset: Dataset) -> Iterator[tuple[tuple[str, str], list[tuple[int, int]]]]:
     """Yield the pairs of collections with a view and its copy by pattern and sensor, where something has moved."""
     seen: dict[tuple[tuple[str, str], int], list[int]] = {}
-    for i, views in enumerate(_prints(dataset)):
+    for i, views in enumerate(_hashes_of_views(dataset)):
         for view in views.items():
             seen.setdefault(view, []).append(i)
     for ((pattern, sensor), _), (first, *others) in seen.items():
-        if copies := [(first, j) for j in others if _moved(dataset, pattern, sensor, first, j)]:
+        if copies := [(first, j) for j in others if _has_moved(dataset, pattern, sensor, first, j)]:
             yield (pattern, sensor), copies
 
 
-def _prints(dataset: Dataset) -> list[dict[tuple[str, str], int]]:
+def _hashes_of_views(dataset: Dataset) -> list[dict[tuple[str, str], int]]:
     """Return the hash of each view, by collection."""
-    return [{key: _print(label) for key, label in c.labels.items()} for c in dataset.collections]
+    return [{key: _hash_label(label) for key, label in c.labels.items()} for c in dataset.collections]
 
 
-def _print(label: Labels) -> int:
+def _hash_label(label: Labels) -> int:
     """Return a hash of a label's values."""
     return hash(tuple(array.tobytes() for array in label_arrays(label)))
 
 
-def _named(dataset: Dataset, pairs: Sequence[tuple[int, int]]) -> str:
+def _name_pairs(dataset: Dataset, pairs: Sequence[tuple[int, int]]) -> str:
     """Return pairs of collections as "copy = original", the first of them."""
     named = [f"{dataset.keys[j]} = {dataset.keys[i]}" for i, j in pairs]
-    return ", ".join(named[:NAMED]) + (f" and {len(named) - NAMED} more" if len(named) > NAMED else "")
+    return ", ".join(named[:MAX_NAMED_PAIRS]) + (
+        f" and {len(named) - MAX_NAMED_PAIRS} more" if len(named) > MAX_NAMED_PAIRS else ""
+    )
 
 
-def _moved(dataset: Dataset, pattern: str, sensor: str, i: int, j: int) -> bool:
+def _has_moved(dataset: Dataset, pattern: str, sensor: str, i: int, j: int) -> bool:
     """Whether a pattern has moved relative to a sensor between two collections, by transforms or by another camera."""
     board = dataset.patterns[pattern]
     if board.fixed:
         T = dataset.with_collections([i, j]).transform(dataset.sensors[sensor].frame, board.parent_link)
-        return any(float(d) > STILL for d in distance(T[0], T[1]))
+        return any(float(d) > STANDSTILL_TOLERANCE for d in distance(T[0], T[1]))
     labels = [dataset.collections[k].labels for k in (i, j)]
     others = [key for key in labels[0] if key[0] == pattern and key[1] != sensor and key in labels[1]]
-    return any(_differ(labels[0][key], labels[1][key]) for key in others)
+    return any(_corners_differ(labels[0][key], labels[1][key]) for key in others)
 
 
-def _differ(a: Labels, b: Labels) -> bool:
+def _corners_differ(a: Labels, b: Labels) -> bool:
     """Whether the corners of two views differ by more than the tolerance."""
     if not (isinstance(a, CornerLabels) and isinstance(b, CornerLabels)):
         return False

@@ -20,17 +20,17 @@ from calibration.engine.geometry.transforms import distance, inverse
 
 FAR_AWAY = "far-from-description"
 """Kind of a finding about one sensor; findings of other kinds explain the whole difference."""
-FAR = (0.25, 0.25)
+MAX_DISTANCE = (0.25, 0.25)
 """m, rad: a sensor farther than this from the description's pose is not of the robot described."""
-IDENTITY = 1e-6
+IDENTITY_TOLERANCE = 1e-6
 """m, rad: a transform closer to the identity carries no information."""
-SCALE = 0.05
+SCALE_TOLERANCE = 0.05
 """Relative tolerance of the scale: a smaller deviation from 1 may be an error of the description."""
 LEAST_SCALED = 0.01
 """m: distances that differ by less may be errors of the description too."""
 BY_CHANCE = 0.003
 """Significance level of a scale: errors in random directions would yield as good a fit in this share of cases."""
-EXCHANGED = 0.2
+MAX_EXCHANGED_RATIO = 0.2
 """Sensors are exchanged if that reduces the distance from the description to less than this fraction."""
 LEAST_EXCHANGED = (0.02, 0.05)
 """m, rad: sensors closer to each other cannot be distinguished by their poses."""
@@ -50,18 +50,18 @@ def far_from_description(calibration: Calibration, description: Dataset, options
         options: options of the calibration, and whether the description is rough.
     """
     severity: Severity = "note" if options.description == "rough" else "red"
-    described, expected = _described(description, calibration.gauge)
-    found = _relative(calibration.dataset, described)
-    explained = _exchanged(described, expected, found, severity) or _scaled(
+    described, expected = _described_poses(description, calibration.gauge)
+    found = _relative_poses(calibration.dataset, described)
+    explained = _find_exchanged_sensors(described, expected, found, severity) or _find_common_scale(
         calibration, described, expected, found, severity
     )
     if explained or severity == "note":
         return explained
-    return _far(calibration, description, described, expected, found)
+    return _find_far_sensors(calibration, description, described, expected, found)
 
 
 @lru_cache(maxsize=4)
-def _described(description: Dataset, gauge: str | None) -> tuple[tuple[Sensor, ...], RelativePoses]:
+def _described_poses(description: Dataset, gauge: str | None) -> tuple[tuple[Sensor, ...], RelativePoses]:
     """Return the sensors that the description has a pose for, including a fixed one, and its relative poses of them.
 
     They are the same for all calibrations of a dataset.
@@ -72,24 +72,24 @@ def _described(description: Dataset, gauge: str | None) -> tuple[tuple[Sensor, .
         for sensor in description.sensors.values()
         if sensor.name in held or not _is_identity(description.transform(*sensor.edge)[0])
     )
-    return sensors, _relative(description, sensors)
+    return sensors, _relative_poses(description, sensors)
 
 
 def _is_identity(T: Array) -> bool:
-    return max(float(d) for d in distance(T, np.eye(4))) < IDENTITY
+    return max(float(d) for d in distance(T, np.eye(4))) < IDENTITY_TOLERANCE
 
 
-def _relative(dataset: Dataset, sensors: tuple[Sensor, ...]) -> RelativePoses:
+def _relative_poses(dataset: Dataset, sensors: tuple[Sensor, ...]) -> RelativePoses:
     """Return ``T_a_b`` between the frames of any two sensors, both ways, that are rigidly connected."""
     found = {}
     for a, b in combinations(sensors, 2):
         T = dataset.transform(a.frame, b.frame)
-        if np.ptp(T, axis=0).max() < IDENTITY:
+        if np.ptp(T, axis=0).max() < IDENTITY_TOLERANCE:
             found[a.name, b.name], found[b.name, a.name] = T[0], inverse(T[0])
     return found
 
 
-def _misfit(expected: RelativePoses, found: RelativePoses, names: Mapping[str, str]) -> float:
+def _distance_with_names(expected: RelativePoses, found: RelativePoses, names: Mapping[str, str]) -> float:
     """Distance (root of the sum of squares, m and rad alike) between poses, with sensors renamed by ``names``."""
     apart = [
         np.hypot(*distance(expected[names.get(a, a), names.get(b, b)], T))
@@ -99,7 +99,7 @@ def _misfit(expected: RelativePoses, found: RelativePoses, names: Mapping[str, s
     return float(np.linalg.norm(apart))
 
 
-def _exchanged(
+def _find_exchanged_sensors(
     sensors: tuple[Sensor, ...], expected: RelativePoses, found: RelativePoses, severity: Severity
 ) -> tuple[Finding, ...]:
     """Find two sensors of a modality that fit the description far better when exchanged."""
@@ -110,15 +110,16 @@ def _exchanged(
     ]
     if all(_is_near(expected[pair], found[pair]) for pair in pairs):
         return ()
-    as_it_is = _misfit(expected, found, {})
-    misfits = {(a, b): _misfit(expected, found, {a: b, b: a}) for a, b in pairs}
+    as_it_is = _distance_with_names(expected, found, {})
+    misfits = {(a, b): _distance_with_names(expected, found, {a: b, b: a}) for a, b in pairs}
     a, b = min(misfits, key=lambda pair: misfits[pair])
-    if misfits[a, b] > EXCHANGED * as_it_is or _is_near(expected[a, b], found[a, b]):
+    if misfits[a, b] > MAX_EXCHANGED_RATIO * as_it_is or _is_near(expected[a, b], found[a, b]):
         return ()
-    t, r = _floats(distance(expected[a, b], found[a, b]))
-    there = _apart(*_floats(distance(expected[b, a], found[a, b])))
+    t, r = _pair_of_floats(distance(expected[a, b], found[a, b]))
+    there = _format_distance(*_pair_of_floats(distance(expected[b, a], found[a, b])))
     text = (
-        f"the labels of '{a}' and '{b}' look exchanged: '{b}' comes out {_apart(t, r)} from where the robot's "
+        f"the labels of '{a}' and '{b}' look exchanged: '{b}' comes out {_format_distance(t, r)} from where the "
+        "robot's "
         f"description puts it, but only {there} from where '{a}' should be; "
         f"look at the topics of the two sensors"
     )
@@ -127,11 +128,11 @@ def _exchanged(
 
 def _is_near(expected: Array, found: Array) -> bool:
     """Whether two relative poses are too close to each other to tell an exchange."""
-    t, r = _floats(distance(expected, found))
+    t, r = _pair_of_floats(distance(expected, found))
     return t < LEAST_EXCHANGED[0] and r < LEAST_EXCHANGED[1]
 
 
-def _scaled(
+def _find_common_scale(
     calibration: Calibration,
     sensors: tuple[Sensor, ...],
     expected: RelativePoses,
@@ -154,7 +155,7 @@ def _scaled(
     if np.linalg.norm(off) < LEAST_SCALED or not was.any():
         return ()
     scale = float(came @ was / (was @ was))
-    if abs(scale - 1) < SCALE or scale <= 0:
+    if abs(scale - 1) < SCALE_TOLERANCE or scale <= 0:
         return ()
     left = float(np.linalg.norm(came - scale * was) / np.linalg.norm(off))
     angles = np.linspace(0, np.pi / 2, 2001)
@@ -172,7 +173,7 @@ def _scaled(
     return (Finding("pattern-size", severity, text, sensors_, value=scale - 1, unit="1"),)
 
 
-def _far(
+def _find_far_sensors(
     calibration: Calibration,
     description: Dataset,
     sensors: tuple[Sensor, ...],
@@ -189,22 +190,24 @@ def _far(
             there = expected[held_at, sensor.name], found[held_at, sensor.name]
         else:
             continue
-        t, r = _floats(distance(*there))
-        if t > FAR[0] or r > FAR[1]:
+        t, r = _pair_of_floats(distance(*there))
+        if t > MAX_DISTANCE[0] or r > MAX_DISTANCE[1]:
             held = f", '{held_at}' being where it is" if held_at else ""
             text = (
-                f"'{sensor.name}' comes out {_apart(t, r)} from where the robot's description puts it{held} (limits "
-                f"{FAR[0]:g} m, {np.degrees(FAR[1]):.1f} degrees); look at the pattern's size and the labels, or, if "
+                f"'{sensor.name}' comes out {_format_distance(t, r)} from where the robot's description puts "
+                f"it{held} (limits "
+                f"{MAX_DISTANCE[0]:g} m, {np.degrees(MAX_DISTANCE[1]):.1f} degrees); look at the pattern's size "
+                "and the labels, or, if "
                 f"the description is only a rough guess, say description: rough"
             )
             findings.append(Finding(FAR_AWAY, "red", text, (sensor.name,), value=t, unit="m"))
     return tuple(findings)
 
 
-def _floats(values: tuple[Array, Array]) -> tuple[float, float]:
+def _pair_of_floats(values: tuple[Array, Array]) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def _apart(translation: float, rotation: float) -> str:
+def _format_distance(translation: float, rotation: float) -> str:
     length = f"{translation:.2f} m" if translation >= 0.1 else f"{1e3 * translation:.1f} mm"
     return f"{length} and {np.degrees(rotation):.2f} degrees"

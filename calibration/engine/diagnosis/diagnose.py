@@ -14,12 +14,12 @@ from calibration.engine.diagnosis.repeated import repeated
 from calibration.engine.diagnosis.residuals import residuals
 from calibration.engine.diagnosis.too_few import too_few
 from calibration.engine.diagnosis.turned_boards import turned_boards
-from calibration.engine.diagnosis.what_does_not_fit import NOTHING, UNTESTED, what_does_not_fit
+from calibration.engine.diagnosis.what_does_not_fit import NOTHING_SUSPICIOUS, UNTESTED, what_does_not_fit
 from calibration.engine.diagnosis.wrong_views import wrong_views
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.solve.options import Options
 
-UNEXPLAINED = (NOTHING, UNTESTED)
+KINDS_WITHOUT_SUSPECTS = (NOTHING_SUSPICIOUS, UNTESTED)
 """Findings on a calibration without suspects."""
 
 
@@ -77,7 +77,7 @@ def _of_residuals(calibration: Calibration, limits: Limits, suspected: tuple[Fin
     """Report residuals that are no noise, if nothing else explains them."""
     if calibration.of_cameras_alone:
         return of_cameras_alone(calibration, limits, residuals(calibration))
-    return residuals(calibration) if all(each.kind in UNEXPLAINED for each in suspected) else ()
+    return residuals(calibration) if all(each.kind in KINDS_WITHOUT_SUSPECTS for each in suspected) else ()
 
 
 def _not_determined(calibration: Calibration) -> tuple[Finding, ...]:

@@ -11,23 +11,23 @@ from calibration.base.records import at_least, between, field, one_of, record
 from calibration.engine.estimation.covariance.result import Calibration
 
 Limit = Annotated[float, at_least(0)]
-_LIMITS = ("rms-px", "translation-mm", "rotation-deg", "joint-mm", "joint-deg", "projection-px")
-UNSET = 3.0
+_LIMIT_NAMES = ("rms-px", "translation-mm", "rotation-deg", "joint-mm", "joint-deg", "projection-px")
+DEFAULT_LIMIT_SIGMAS = 3.0
 """Default limit, in standard deviations of a good robot of this kind (`covariance.nominal_covariance`),"""
-SMALLEST = (1.0, 0.05)
+MIN_DEFAULT_LIMIT = (1.0, 0.05)
 """but at least this, mm and degrees,"""
-LARGEST = (6.0, 0.5)
+MAX_DEFAULT_LIMIT = (6.0, 0.5)
 """and at most this: mm for each metre between sensor and pattern (and for less than one), and degrees."""
-LARGEST_OF_POSES = 10.0
+MAX_DEFAULT_LIMIT_OF_POSES = 10.0
 """The same of measured poses, mm for each metre: those of a pattern by a camera of its own are no better."""
-LARGEST_WITH_LENS = 2.0
+MAX_DEFAULT_LIMIT_WITH_LENS = 2.0
 """Degrees at most where the camera's intrinsics are calibrated too: its principal point is as good as a rotation."""
-UNITS = ("m", "rad")
-TWIST = ("m",) * 3 + ("rad",) * 3
+SENSOR_UNITS = ("m", "rad")
+TWIST_UNITS = ("m",) * 3 + ("rad",) * 3
 """Units of a transform's parameters."""
 
 
-@record(rules=(one_of(*_LIMITS, why=f"expected a limit: {', '.join(_LIMITS)}"),))
+@record(rules=(one_of(*_LIMIT_NAMES, why=f"expected a limit: {', '.join(_LIMIT_NAMES)}"),))
 class Limits:
     """Limits that every cell must meet; None for no limit."""
 
@@ -58,12 +58,16 @@ class Limits:
     @property
     def sensor(self) -> tuple[float, float]:
         """Limits of a sensor's displacement (mm) and rotation (degrees), set or default."""
-        return _or(self.translation_mm, SMALLEST[0]), _or(self.rotation_deg, SMALLEST[1])
+        return _limit_or_least(self.translation_mm, MIN_DEFAULT_LIMIT[0]), _limit_or_least(
+            self.rotation_deg, MIN_DEFAULT_LIMIT[1]
+        )
 
     @property
     def joint(self) -> tuple[float, float]:
         """Limits of a joint's length (mm) and angle (degrees), set or default."""
-        return _or(self.joint_mm, SMALLEST[0]), _or(self.joint_deg, SMALLEST[1])
+        return _limit_or_least(self.joint_mm, MIN_DEFAULT_LIMIT[0]), _limit_or_least(
+            self.joint_deg, MIN_DEFAULT_LIMIT[1]
+        )
 
     @property
     def guard(self) -> float:
@@ -71,7 +75,7 @@ class Limits:
         return 2.0 if self.guard_band is None else self.guard_band
 
 
-def _or(limit: float | None, least: float) -> float:
+def _limit_or_least(limit: float | None, least: float) -> float:
     return least if limit is None else limit
 
 
@@ -113,15 +117,15 @@ def allowed(calibration: Calibration, limits: Limits, name: str) -> Allowed:
         return Allowed(mm, degrees, True)
     joint, dataset = calibration.joints.get(name), calibration.dataset
     sigma = of_a_good_robot(calibration, name)
-    far = 1.0 if joint else max(1.0, _distance(calibration, name))
+    far = 1.0 if joint else max(1.0, _median_distance(calibration, name))
     poses = not joint and dataset.sensors[name].modality.has_poses
     most = (
-        (LARGEST_OF_POSES if poses else LARGEST[0]) * far,
-        LARGEST_WITH_LENS if name in calibration.intrinsics else LARGEST[1],
+        (MAX_DEFAULT_LIMIT_OF_POSES if poses else MAX_DEFAULT_LIMIT[0]) * far,
+        MAX_DEFAULT_LIMIT_WITH_LENS if name in calibration.intrinsics else MAX_DEFAULT_LIMIT[1],
     )
     mm, degrees = (
-        float(min(max(least, UNSET * one), greatest))
-        for one, least, greatest in zip(sigma, SMALLEST, most, strict=True)
+        float(min(max(least, DEFAULT_LIMIT_SIGMAS * one), greatest))
+        for one, least, greatest in zip(sigma, MIN_DEFAULT_LIMIT, most, strict=True)
     )
     return Allowed(mm, degrees, False)
 
@@ -137,10 +141,10 @@ def of_a_good_robot(calibration: Calibration, name: str) -> tuple[float, float]:
     block = calibration.solution.setup.block(dataset.joints[name].edge if joint else dataset.sensors[name].edge)
     if calibration.error_bars is None or (C := calibration.solution.nominal.get(block)) is None:
         return 0.0, 0.0
-    return sizes(np.sqrt(np.diagonal(C)), joint.units if joint else TWIST)
+    return sizes(np.sqrt(np.diagonal(C)), joint.units if joint else TWIST_UNITS)
 
 
-def _distance(calibration: Calibration, sensor: str) -> float:
+def _median_distance(calibration: Calibration, sensor: str) -> float:
     """Return the median distance of a sensor from what it sees, m; 0 if it sees nothing."""
     problem, values = calibration.solution.setup.problem, calibration.solution.values
     seen = [problem.poses(group, values)[:, :3, 3] for group in problem.groups if group.sensor == sensor]
@@ -151,7 +155,7 @@ def limit_in_labels(calibration: Calibration, limits: Limits, sensor: str) -> fl
     """Return how far a sensor's labels are off if it is displaced sideways by its limit, m, or px of a camera."""
     limit = 1e-3 * allowed(calibration, limits, sensor).translation_mm
     camera = calibration.dataset.sensors[sensor].camera
-    return limit * camera.fx / max(_distance(calibration, sensor), 1e-3) if camera else limit
+    return limit * camera.fx / max(_median_distance(calibration, sensor), 1e-3) if camera else limit
 
 
 def limits_of(calibration: Calibration, limits: Limits, name: str) -> tuple[float | None, float | None]:
@@ -163,7 +167,9 @@ def limits_of(calibration: Calibration, limits: Limits, name: str) -> tuple[floa
 
 def sizes(parameters: Array, units: Sequence[str]) -> tuple[float, float]:
     """Return the norms of the parameters (k,) that are lengths, mm, and that are angles, degrees."""
-    m, rad = (np.linalg.norm([v for v, each in zip(parameters, units, strict=True) if each == unit]) for unit in UNITS)
+    m, rad = (
+        np.linalg.norm([v for v, each in zip(parameters, units, strict=True) if each == unit]) for unit in SENSOR_UNITS
+    )
     return 1e3 * float(m), float(np.degrees(rad))
 
 

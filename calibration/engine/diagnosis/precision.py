@@ -7,27 +7,36 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.engine.diagnosis.finding import CONTRADICTION, SUSPECT, Finding, Severity
-from calibration.engine.diagnosis.limits import TWIST, UNSET, Limits, allowed, limits_of, of_a_good_robot, sizes, stated
+from calibration.engine.diagnosis.limits import (
+    DEFAULT_LIMIT_SIGMAS,
+    TWIST_UNITS,
+    Limits,
+    allowed,
+    limits_of,
+    of_a_good_robot,
+    sizes,
+    stated,
+)
 from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
 from calibration.engine.estimation.covariance.result import Calibration
 
-DISAGREEING = 1.4
+MIN_DISAGREEMENT = 1.4
 """Collections disagree if that widens the standard deviation by this factor: it is more than half of the variance."""
-KIND = "precision"
-LIKELY = 0.5
+FINDING_KIND = "precision"
+MIN_FAILURE_PROBABILITY = 0.5
 """Probability that a limit is broken, by the standard deviation alone, above which that is a failure."""
-NAMES = ("mm", "deg")
-ADD = "add collections with other rotations of the pattern or the robot"
-MEND = "mend first what does not fit"
-DISAGREE = (
+UNIT_NAMES = ("mm", "deg")
+ADVICE_TO_ADD = "add collections with other rotations of the pattern or the robot"
+ADVICE_TO_MEND = "mend first what does not fit"
+ADVICE_ON_CONTRADICTIONS = (
     "its collections contradict each other more than those of any good robot: look at time stamps, labels, lens and "
     "arm, and at what moved or gave way"
 )
-MARGIN = 1.1
+COLLECTIONS_MARGIN = 1.1
 """Number of collections that is advised, over the one that their noise asks for."""
-MANY = 200
+MAX_ADVISED_COLLECTIONS = 200
 """Number of collections above which better ones are advised instead."""
-HELPS = 0.03
+MIN_NAMED_SHARE = 0.03
 """Part of the variance of all that is assumed, from which on a fixed parameter is named."""
 ENOUGH_ROOM = 0.75
 """Part of the wanted variance that one contribution may take if narrowing the other alone is to help."""
@@ -55,21 +64,28 @@ def precision(calibration: Calibration, limits: Limits, suspected: Sequence[Find
         wanted = most[unit] / limits.guard if limits.guard else np.inf
         if sigmas[unit] <= wanted:
             continue
-        of_no_good_robot = max(most[unit], UNSET * of_a_good_robot(calibration, name)[unit])
-        bad = not limit.set and false_accept(sigmas[unit], of_no_good_robot) > LIKELY
-        remedy = MEND if wrong else DISAGREE if bad else _remedy(calibration, name, unit, wanted)
+        of_no_good_robot = max(most[unit], DEFAULT_LIMIT_SIGMAS * of_a_good_robot(calibration, name)[unit])
+        bad = not limit.set and false_accept(sigmas[unit], of_no_good_robot) > MIN_FAILURE_PROBABILITY
+        remedy = (
+            ADVICE_TO_MEND
+            if wrong
+            else ADVICE_ON_CONTRADICTIONS
+            if bad
+            else _advise_remedy(calibration, name, unit, wanted)
+        )
         text = (
-            f"'{name}' is not determined well enough: {sigmas[unit]:.2g} {NAMES[unit]} (standard deviation, in all), "
-            f"limit {most[unit]:.3g} {NAMES[unit]}{'' if limit.set else ', as none is set,'} with a guard band of "
+            f"'{name}' is not determined well enough: {sigmas[unit]:.2g} {UNIT_NAMES[unit]} (standard deviation, "
+            "in all), "
+            f"limit {most[unit]:.3g} {UNIT_NAMES[unit]}{'' if limit.set else ', as none is set,'} with a guard band of "
             f"{limits.guard:g} standard deviations, so that it can show {limits.guard * sigmas[unit]:.2g} "
-            f"{NAMES[unit]}; {remedy}"
+            f"{UNIT_NAMES[unit]}; {remedy}"
         )
         severity: Severity = "red" if bad else "undecided"
-        findings.append(Finding(KIND, severity, text, (name,), value=sigmas[unit], unit=NAMES[unit]))
+        findings.append(Finding(FINDING_KIND, severity, text, (name,), value=sigmas[unit], unit=UNIT_NAMES[unit]))
     return tuple(findings)
 
 
-def _remedy(calibration: Calibration, name: str, unit: int, wanted: float) -> str:
+def _advise_remedy(calibration: Calibration, name: str, unit: int, wanted: float) -> str:
     """Return what would narrow the standard deviation of a sensor or a joint to a wanted one.
 
     Args:
@@ -82,8 +98,8 @@ def _remedy(calibration: Calibration, name: str, unit: int, wanted: float) -> st
     edge = calibration.dataset.joints[name].edge if joint else calibration.dataset.sensors[name].edge
     block = setup.block(edge)
     if bars is None or block not in bars.labels:
-        return ADD
-    units, at = joint.units if joint else TWIST, setup.problem.shared_parameters[block]
+        return ADVICE_TO_ADD
+    units, at = joint.units if joint else TWIST_UNITS, setup.problem.shared_parameters[block]
     worth = {cause: sizes(np.linalg.norm(moved[at], axis=1), units)[unit] ** 2 for cause, moved in bars.held.items()}
     assumed, wanted = sum(worth.values()), wanted**2
     scatter = max(0.0, sizes(np.sqrt(np.diagonal(bars.total[block])), units)[unit] ** 2 - assumed)
@@ -91,14 +107,15 @@ def _remedy(calibration: Calibration, name: str, unit: int, wanted: float) -> st
     if assumed <= ENOUGH_ROOM * wanted:
         return _more_collections(count, scatter / (wanted - assumed))
     room = wanted - scatter if scatter <= ENOUGH_ROOM * wanted else wanted / 2
-    named = sorted((each for each in worth if worth[each] > HELPS * assumed), key=lambda each: -worth[each])
+    named = sorted((each for each in worth if worth[each] > MIN_NAMED_SHARE * assumed), key=lambda each: -worth[each])
     known = sum(worth[each] for each in named)
     better = (known / max(room - (assumed - known), 0.1 * room)) ** 0.5
     how = "state it under 'assume', or calibrate it"
     if named[0].startswith(CAMERA_INFO):
         how = "calibrate it with more views, and hand its intrinsics-covariance on"
     know = (
-        f"most of it is what is assumed of the {_listed(named)}: it has to be known {_rounded_up(better):g} times as "
+        f"most of it is what is assumed of the {_list_names(named)}: it has to be known {_rounded_up(better):g} "
+        "times as "
         f"well ({how})"
     )
     if scatter <= ENOUGH_ROOM * wanted:
@@ -108,13 +125,13 @@ def _remedy(calibration: Calibration, name: str, unit: int, wanted: float) -> st
 
 def _more_collections(count: int, factor: float) -> str:
     """Return the advice to take so many times the collections."""
-    if count * factor > MANY:
-        return f"{ADD}, from nearer"
-    needed = int(np.ceil(count * factor * MARGIN))
+    if count * factor > MAX_ADVISED_COLLECTIONS:
+        return f"{ADVICE_TO_ADD}, from nearer"
+    needed = int(np.ceil(count * factor * COLLECTIONS_MARGIN))
     return f"take about {needed} collections like these {count}, or some with other rotations"
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ", the ".join(names[:-1]) + f" and the {names[-1]}" if names[1:] else names[0]
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.covariance.result import Calibration
 
-NAMED = 8
+MAX_NAMED_COLLECTIONS = 8
 
 
 def repeated(calibration: Calibration) -> tuple[Finding, ...]:
@@ -15,7 +15,9 @@ def repeated(calibration: Calibration) -> tuple[Finding, ...]:
     if not again:
         return ()
     pairs = [f"{keys[i]} = {keys[clusters[i]]}" for i in again]
-    listed = ", ".join(pairs[:NAMED]) + (f" and {len(pairs) - NAMED} more" if pairs[NAMED:] else "")
+    listed = ", ".join(pairs[:MAX_NAMED_COLLECTIONS]) + (
+        f" and {len(pairs) - MAX_NAMED_COLLECTIONS} more" if pairs[MAX_NAMED_COLLECTIONS:] else ""
+    )
     text = (
         f"{len(again)} of {len(keys)} collections repeat the poses of others ({listed}); they tell noise, but "
         f"nothing new about the robot: {len(keys) - len(again)} count"

@@ -10,9 +10,9 @@ from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.geometry.transforms import distance
 
-PIXELS, METRES = 0.01, 1e-4
+PIXEL_TOLERANCE, METRE_TOLERANCE = 0.01, 1e-4
 """px, m: tolerance of labels and patterns for rounding."""
-NAMED = 3
+MAX_NAMED_DIFFERENCES = 3
 """Number of differences that a message names."""
 
 
@@ -26,9 +26,14 @@ def same_labels(found: Dataset, given: Dataset) -> tuple[Finding, ...]:
     differences = list(_of_frames(found, given)) or list(_of_labels(found, given))
     if not differences:
         return ()
-    more = f"; and {len(differences) - NAMED} more differences" if len(differences) > NAMED else ""
+    more = (
+        f"; and {len(differences) - MAX_NAMED_DIFFERENCES} more differences"
+        if len(differences) > MAX_NAMED_DIFFERENCES
+        else ""
+    )
     text = (
-        f"the calibrated dataset does not belong to the dataset that was given: {'; '.join(differences[:NAMED])}{more}"
+        "the calibrated dataset does not belong to the dataset that was given: "
+        f"{'; '.join(differences[:MAX_NAMED_DIFFERENCES])}{more}"
     )
     return (Finding("other-dataset", "red", text),)
 
@@ -37,7 +42,8 @@ def _of_frames(found: Dataset, given: Dataset) -> Iterator[str]:
     """Yield differing collections, sensors, patterns, joints or calibrated transforms, which exclude a comparison."""
     if found.keys != given.keys:
         other = set(found.keys) ^ set(given.keys)
-        which = f" (not in both: {', '.join(sorted(other)[:NAMED])}{', ...' if len(other) > NAMED else ''})"
+        more = ", ..." if len(other) > MAX_NAMED_DIFFERENCES else ""
+        which = f" (not in both: {', '.join(sorted(other)[:MAX_NAMED_DIFFERENCES])}{more})"
         yield f"it has {len(found.keys)} collections, expected {len(given.keys)}{which}"
     for what, names, expected in (
         ("sensors", list(found.sensors), list(given.sensors)),
@@ -59,33 +65,35 @@ def _of_labels(found: Dataset, given: Dataset) -> Iterator[str]:
         other = found.patterns[name]
         if pattern.corners.shape != other.corners.shape:
             yield f"its pattern '{name}' has {len(other.corners)} corners, expected {len(pattern.corners)}"
-        elif (off := np.abs(pattern.corners - other.corners).max()) > METRES:
+        elif (off := np.abs(pattern.corners - other.corners).max()) > METRE_TOLERANCE:
             yield f"the corners of its pattern '{name}' lie up to {1e3 * off:.3g} mm elsewhere"
     for one, two in zip(found.collections, given.collections, strict=True):
         for key in dict.fromkeys((*two.labels, *one.labels)):
             sensor = key[1]
             if key not in one.labels or key not in two.labels:
                 yield f"collection {two.key} {'lacks' if key in two.labels else 'has'} labels of '{sensor}'"
-            elif difference := _difference(one.labels[key], two.labels[key]):
+            elif difference := _describe_difference(one.labels[key], two.labels[key]):
                 yield f"collection {two.key}: the labels of '{sensor}' {difference}"
 
 
-def _difference(one: Labels, two: Labels) -> str:
+def _describe_difference(one: Labels, two: Labels) -> str:
     """Describe the difference of a view's labels; empty if they are equal."""
     if isinstance(one, CornerLabels) and isinstance(two, CornerLabels):
         a, b = np.argsort(one.ids), np.argsort(two.ids)
         if not np.array_equal(one.ids[a], two.ids[b]):
             return f"are {len(one.ids)} corners, expected the {len(two.ids)} that were given"
         off = float(np.abs(one.pixels[a] - two.pixels[b]).max(initial=0))
-        return f"differ by up to {off:.3g} px" if off > PIXELS else ""
+        return f"differ by up to {off:.3g} px" if off > PIXEL_TOLERANCE else ""
     if isinstance(one, PointLabels) and isinstance(two, PointLabels):
         if one.points.shape != two.points.shape or not np.array_equal(one.limits, two.limits):
             return f"are {len(one.points)} points, expected the {len(two.points)} that were given"
         off = float(np.abs(one.points - two.points).max(initial=0))
-        return f"differ by up to {1e3 * off:.3g} mm" if off > METRES else ""
+        return f"differ by up to {1e3 * off:.3g} mm" if off > METRE_TOLERANCE else ""
     if isinstance(one, PoseLabels) and isinstance(two, PoseLabels):
         off, turned = (float(each) for each in distance(one.T, two.T))
-        return f"differ by {1e3 * off:.3g} mm, {np.degrees(turned):.2g} deg" if max(off, turned) > METRES else ""
+        return (
+            f"differ by {1e3 * off:.3g} mm, {np.degrees(turned):.2g} deg" if max(off, turned) > METRE_TOLERANCE else ""
+        )
     return "are of another kind"
 
 
@@ -98,10 +106,10 @@ def moved_frames(found: Dataset, given: Dataset, limits: Limits) -> tuple[Findin
         limits: of the system.
     """
     most_mm, most_deg = limits.sensor
-    calibrated = _calibrated(given)
+    calibrated = _calibrated_edges(given)
     moved = []
     for edge in given.transforms.keys() & found.transforms.keys() - calibrated:
-        translation, angle = _apart(found.transforms, given.transforms, edge)
+        translation, angle = _distance_from_given(found.transforms, given.transforms, edge)
         if translation > most_mm or angle > most_deg:
             moved.append((translation, angle, edge))
     if not moved:
@@ -114,14 +122,14 @@ def moved_frames(found: Dataset, given: Dataset, limits: Limits) -> tuple[Findin
     return (Finding("moved-frame", "red", text, moves_mm=translation, moves_deg=angle),)
 
 
-def _calibrated(given: Dataset) -> set[Edge]:
+def _calibrated_edges(given: Dataset) -> set[Edge]:
     """Return the transforms that a calibration may change."""
     sensors = (sensor.edge for sensor in given.sensors.values() if sensor.name != given.anchored)
     patterns = ((pattern.parent_link, pattern.link) for pattern in given.patterns.values())
     return {*sensors, *patterns, *given.additional_transforms, *(joint.edge for joint in given.joints.values())}
 
 
-def _apart(found: Mapping[Edge, Array], given: Mapping[Edge, Array], edge: Edge) -> tuple[float, float]:
+def _distance_from_given(found: Mapping[Edge, Array], given: Mapping[Edge, Array], edge: Edge) -> tuple[float, float]:
     """Return the distance of a transform from the given one, mm and deg, in the worst collection."""
     both = np.isfinite(found[edge]).all((1, 2)) & np.isfinite(given[edge]).all((1, 2))
     translation, angle = distance(given[edge][both], found[edge][both])

@@ -11,12 +11,12 @@ from calibration.base.tables.table import Table as Csv
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.evaluation.table import AVERAGES, Table
 
-KIND = "table"
-ROW, AVERAGE = 0.1, 0.05
+FINDING_KIND = "table"
+ROW_TOLERANCE, AVERAGE_TOLERANCE = 0.1, 0.05
 """Relative tolerance of a value: of one collection, and of an average. Both tables evaluate the same transforms, but
 the pose of a pattern estimated from a view, or the border found in an image, depends slightly on the implementation.
 """
-COARSE = 0.1
+MAX_DIGIT_TOLERANCE = 0.1
 """Limit of the unit of the last digit as a tolerance, so that "0" is not taken for any value rounded to it; averages,
 which a verdict depends on, have their relative tolerance as the limit.
 """
@@ -39,53 +39,57 @@ def table_follows(theirs: Csv, made: Table) -> tuple[Finding, ...]:
         text = (
             f"the table is not verified: it has no column of the one that evaluate asks for ({', '.join(made.columns)})"
         )
-        return (Finding(KIND, "note", text),)
+        return (Finding(FINDING_KIND, "note", text),)
     keyed = KeyedTable.of(theirs, None, ())
-    of_label = {_label(label): values for label, values in zip(made.labels, _values(made), strict=True)}
+    of_label = {
+        _without_leading_zeros(label): values for label, values in zip(made.labels, _values_of_table(made), strict=True)
+    }
     of_label[AVERAGES] = made.averages
-    if not any(_label(keyed.label(row)) in of_label for row in theirs.rows):
+    if not any(_without_leading_zeros(keyed.label(row)) in of_label for row in theirs.rows):
         text = f"the table has no row of the collections of its dataset ({', '.join(made.labels[:3])}, ...)"
-        return (Finding(KIND, "red", text),)
-    wrong = list(_wrong(keyed, columns, made, of_label))
+        return (Finding(FINDING_KIND, "red", text),)
+    wrong = list(_describe_wrong_values(keyed, columns, made, of_label))
     if not wrong:
         return ()
     more = f", and {len(wrong) - 1} more values differ" if len(wrong) > 1 else ""
     text = f"{wrong[0]}{more}: the table does not follow from the calibrated dataset"
-    return (Finding(KIND, "red", text),)
+    return (Finding(FINDING_KIND, "red", text),)
 
 
-def _values(made: Table) -> Array:
+def _values_of_table(made: Table) -> Array:
     """Return the numbers of a table; NaN for empty cells."""
     return made.values if made.missing is None else np.where(made.missing, np.nan, made.values)
 
 
-def _wrong(keyed: KeyedTable, columns: list[str], made: Table, of_label: dict[str, Array]) -> Iterator[str]:
+def _describe_wrong_values(
+    keyed: KeyedTable, columns: list[str], made: Table, of_label: dict[str, Array]
+) -> Iterator[str]:
     """Describe each value that differs."""
     places = [(column, keyed.table.column(column), made.columns.index(column)) for column in columns]
     for row in keyed.table.rows:
-        label = _label(keyed.label(row))
+        label = _without_leading_zeros(keyed.label(row))
         if label not in of_label:
             continue
-        share = AVERAGE if label == AVERAGES else ROW
+        share = AVERAGE_TOLERANCE if label == AVERAGES else ROW_TOLERANCE
         for column, there, here in places:
             text, ours = row.cells[there], float(of_label[label][here])
-            if np.isfinite(ours) and not _near(text, ours, share):
+            if np.isfinite(ours) and not _is_near(text, ours, share):
                 where = "on average" if label == AVERAGES else f"for {keyed.label(row)}"
                 yield f"the table says {column} {text or 'nothing'} {where}, its dataset gives {ours:.4g}"
 
 
-def _near(text: str, ours: float, share: float) -> bool:
+def _is_near(text: str, ours: float, share: float) -> bool:
     """Whether a printed number equals ours within a relative tolerance, and a unit of its last digit if small."""
     number = parse_number(text)
     if number is None:
         return False
     mantissa, _, exponent = text.lower().partition("e")
     decimals = min(len(mantissa.partition(".")[2]) - int(exponent or 0), 300)
-    coarse = share * abs(ours) if share == AVERAGE else COARSE
+    coarse = share * abs(ours) if share == AVERAGE_TOLERANCE else MAX_DIGIT_TOLERANCE
     return abs(number - ours) <= share * abs(ours) + max(min(10.0**-decimals, coarse), 1e-4)
 
 
-def _label(label: str) -> str:
+def _without_leading_zeros(label: str) -> str:
     """Return a row's label without leading zeros: "7" and "007" are one collection, "0-1" and "000-001" one pair."""
     return "-".join(part.lstrip("0") or "0" if part.isdigit() else part for part in label.split("-"))
 
@@ -101,5 +105,5 @@ def not_evaluated(rms_px: float | None, noise_px: float) -> tuple[Finding, ...]:
         text = (
             f"the table says RMS {rms_px:.4g} px, but the noise of the labels leaves {noise_px:.4g} px at the optimum"
         )
-        return (Finding(KIND, "red", text, value=rms_px, unit="px"),)
-    return (Finding(KIND, "note", "the table is not verified: evaluate does not say which one it is"),)
+        return (Finding(FINDING_KIND, "red", text, value=rms_px, unit="px"),)
+    return (Finding(FINDING_KIND, "note", "the table is not verified: evaluate does not say which one it is"),)

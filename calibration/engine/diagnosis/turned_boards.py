@@ -5,7 +5,7 @@ from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.start.turned_boards import LOOKS_THE_SAME
 
-NAMED = 8
+MAX_NAMED_COLLECTIONS = 8
 """Number of collections that a message names."""
 
 
@@ -14,17 +14,20 @@ def turned_boards(calibration: Calibration) -> tuple[Finding, ...]:
     findings = []
     for pattern, sensor in dict.fromkeys((p, s) for p, s, _ in calibration.turned_views):
         keys = tuple(key for p, s, key in calibration.turned_views if (p, s) == (pattern, sensor))
-        listed = ", ".join(keys[:NAMED]) + (f" and {len(keys) - NAMED} more" if keys[NAMED:] else "")
+        listed = ", ".join(keys[:MAX_NAMED_COLLECTIONS]) + (
+            f" and {len(keys) - MAX_NAMED_COLLECTIONS} more" if keys[MAX_NAMED_COLLECTIONS:] else ""
+        )
         views = len(calibration.dataset.detections(pattern, sensor))
         text = (
             f"{sensor}: {len(keys)} of {views} views of '{pattern}' are numbered from its other end ({listed}), and "
-            f"were turned back: {LOOKS_THE_SAME}; take {_unique(calibration.dataset.patterns[pattern].kind)}"
+            f"were turned back: {LOOKS_THE_SAME}; take "
+            f"{_describe_unique_board(calibration.dataset.patterns[pattern].kind)}"
         )
         findings.append(Finding("turned-board", "warning", text, (sensor,), keys, value=float(len(keys))))
     return tuple(findings)
 
 
-def _unique(kind: PatternKind) -> str:
+def _describe_unique_board(kind: PatternKind) -> str:
     if kind in CIRCLES:
         return "an asymmetric grid with an odd number of rows, or a charuco board"
     return "one with an odd and an even number of squares, or a charuco board"

@@ -14,8 +14,8 @@ from calibration.engine.estimation.residuals.median import median
 from calibration.engine.geometry.joints import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import distance
 
-MM = 1000.0
-UNITS = {"millimetres": 1 / MM, "centimetres": 0.01, "inches": 0.0254}
+MM_PER_METRE = 1000.0
+METRES_PER_UNIT = {"millimetres": 1 / MM_PER_METRE, "centimetres": 0.01, "inches": 0.0254}
 LARGEST_SQUARE = 1.0
 """m: limit of the squares of a pattern, and of the border around it."""
 FARTHEST_POINT = 200.0
@@ -27,13 +27,13 @@ TOO_FAR, MOVES_TOO_FAR = 10.0, 5.0
 Transforms that separate sensors, or the poses of one, by more than this multiple are in other units; relative poses
 of sensors have a larger factor, as they may be a bad initial guess.
 """
-COLLECTIONS = 30
+MAX_CHECKED_COLLECTIONS = 30
 """Number of collections that are checked."""
 LEAST_CORNERS = 6
 """Minimum of corners: with fewer, a distance is imprecise."""
-TURNS = 4 * np.pi
+MAX_JOINT_ANGLE = 4 * np.pi
 """rad: limit of a joint's position."""
-FITS, DIFFERS = 0.02, 0.2
+MAX_AGREEING_DISTANCE, MIN_DISAGREEING_DISTANCE = 0.02, 0.2
 """m or rad: a joint agrees with its transform within the first, and disagrees beyond the second."""
 
 
@@ -56,7 +56,7 @@ def _check_pattern(dataset: Dataset, name: str, pattern: Pattern) -> None:
     where = f"{dataset.path}: pattern '{name}'"
     side = square(pattern)
     if side > LARGEST_SQUARE:
-        looks = [f"{unit}: {side * size:.3g} m" for unit, size in UNITS.items() if 0.01 <= side * size <= 0.3]
+        looks = [f"{unit}: {side * size:.3g} m" for unit, size in METRES_PER_UNIT.items() if 0.01 <= side * size <= 0.3]
         raise InputError(
             f"{where}: found squares of {side:g} m, expected {LARGEST_SQUARE:g} m at most; this looks like "
             f"{' or '.join(looks) or 'another unit'}"
@@ -66,7 +66,7 @@ def _check_pattern(dataset: Dataset, name: str, pattern: Pattern) -> None:
     if border > LARGEST_SQUARE:
         raise InputError(
             f"{where}: found a border of {border:g} m around the squares, expected {LARGEST_SQUARE:g} m at most; this "
-            f"looks like millimetres: {border / MM:g} m"
+            f"looks like millimetres: {border / MM_PER_METRE:g} m"
         )
 
 
@@ -86,7 +86,7 @@ def _check_points(dataset: Dataset) -> None:
         if ranges and (far := median(np.array(ranges))) > FARTHEST_POINT:
             raise InputError(
                 f"{dataset.path}: sensor '{sensor}': found the pattern {far:g} m away, expected {FARTHEST_POINT:g} m "
-                f"at most; this looks like millimetres: {far / MM:g} m"
+                f"at most; this looks like millimetres: {far / MM_PER_METRE:g} m"
             )
 
 
@@ -101,55 +101,56 @@ def _check_measured_poses(dataset: Dataset) -> None:
         if distances and (far := median(np.array(distances))) > FARTHEST_MEASURED:
             raise InputError(
                 f"{dataset.path}: sensor '{sensor}': found measured poses of the pattern {far:g} m away, expected "
-                f"{FARTHEST_MEASURED:g} m at most; this looks like millimetres: {far / MM:g} m (in import.yml: "
+                f"{FARTHEST_MEASURED:g} m at most; this looks like millimetres: {far / MM_PER_METRE:g} m (in "
+                "import.yml: "
                 "'units: mm' in 'samples')"
             )
 
 
 def _check_joint(dataset: Dataset, name: str, joint: Joint) -> None:
     """Refuse a joint whose transform agrees with its parameters only if they are in degrees or millimetres."""
-    if not joint.model.prismatic and (far := float(np.abs(joint.positions).max())) > TURNS:
+    if not joint.model.prismatic and (far := float(np.abs(joint.positions).max())) > MAX_JOINT_ANGLE:
         raise InputError(
             f"{dataset.path}: joint '{name}': found a position of {far:.4g} rad, expected two turns at most; this "
             f"looks like degrees"
         )
     T = dataset.transforms[joint.edge]
     T = T[~np.isnan(T[:, 0, 0])]
-    if not len(T) or _off(joint, joint.values, joint.positions, T) <= DIFFERS:
+    if not len(T) or _distance_of_joint(joint, joint.values, joint.positions, T) <= MIN_DISAGREEING_DISTANCE:
         return
     angles = np.array(
         [parameter.startswith(("origin_roll", "origin_pitch", "origin_yaw")) for parameter in JOINT_PARAMETERS]
     )
     lengths = np.array([parameter in ("origin_x", "origin_y", "origin_z") for parameter in JOINT_PARAMETERS])
-    position = (1 / MM, "millimetres") if joint.model.prismatic else (np.pi / 180, "degrees")
+    position = (1 / MM_PER_METRE, "millimetres") if joint.model.prismatic else (np.pi / 180, "degrees")
     units = (
         (np.where(angles, np.pi / 180, 1.0), 1.0),
-        (np.where(lengths, 1 / MM, 1.0), 1.0),
+        (np.where(lengths, 1 / MM_PER_METRE, 1.0), 1.0),
         (np.ones(7), position[0]),
     )
     for (scale, moved), what, unit in zip(
         units, ("origin's angles", "origin", "position"), ("degrees", "millimetres", position[1]), strict=True
     ):
-        if _off(joint, joint.values * scale, joint.positions * moved, T) < FITS:
+        if _distance_of_joint(joint, joint.values * scale, joint.positions * moved, T) < MAX_AGREEING_DISTANCE:
             raise InputError(
                 f"{dataset.path}: joint '{name}': its {what} and its transform '{'-'.join(joint.edge)}' do not go "
                 f"together; this looks like {unit}, expected {'radians' if unit == 'degrees' else 'metres'}"
             )
 
 
-def _off(joint: Joint, values: Array, positions: Array, T: Array) -> float:
+def _distance_of_joint(joint: Joint, values: Array, positions: Array, T: Array) -> float:
     """Distance of a joint's first transform from that of its parameters and positions, m or rad."""
     return max(float(d) for d in distance(T[0], joint.model.pose(values) @ joint.model.motion(positions)[0]))
 
 
 def _check_transforms(dataset: Dataset) -> None:
     """Refuse transforms by which sensors that see the same pattern are much farther apart than from the pattern."""
-    some = sorted({round(i) for i in np.linspace(0, len(dataset.collections) - 1, COLLECTIONS).tolist()})
+    some = sorted({round(i) for i in np.linspace(0, len(dataset.collections) - 1, MAX_CHECKED_COLLECTIONS).tolist()})
     dataset = dataset.with_collections(some)
-    seen = _distances(dataset)
-    for a, b, pattern, apart, near, path in _places(dataset, seen):
+    seen = _distances_of_patterns(dataset)
+    for a, b, pattern, apart, near, path in _pairs_of_poses(dataset, seen):
         if len(apart) and median(apart / near) > (MOVES_TOO_FAR if a == b else TOO_FAR):
-            edge, size, moves = _largest(dataset, path, a == b)
+            edge, size, moves = _largest_transform(dataset, path, a == b)
             far, away = f"{median(apart):.3g} m", f"{median(near) / 2:.2g} m away"
             mend = " (in import.yml: 'units: mm' in 'samples')" if moves and not dataset.joints else ""
             so = f"'{a}' moves by {far}" if a == b else f"'{a}' and '{b}' are {far} apart"
@@ -160,7 +161,7 @@ def _check_transforms(dataset: Dataset) -> None:
             )
 
 
-def _distances(dataset: Dataset) -> Mapping[tuple[str, str], Array]:
+def _distances_of_patterns(dataset: Dataset) -> Mapping[tuple[str, str], Array]:
     """Distance (N,) of each sensor from each pattern, from its own view, m; NaN without a view."""
     N = len(dataset.collections)
     found = {}
@@ -184,7 +185,7 @@ def _distances(dataset: Dataset) -> Mapping[tuple[str, str], Array]:
     return found
 
 
-def _places(
+def _pairs_of_poses(
     dataset: Dataset, seen: Mapping[tuple[str, str], Array]
 ) -> Iterator[tuple[str, str, str, Array, Array, tuple[Edge, ...]]]:
     """Yield pairs of poses that see the same pattern: sensors, pattern, distance (n,), its limit (n,), and edges."""
@@ -200,21 +201,28 @@ def _places(
                     pattern,
                     np.linalg.norm(t, axis=-1),
                     (seen[pattern, a] + seen[pattern, b])[both],
-                    _edges(dataset, *way),
+                    _edges_between(dataset, *way),
                 )
         for a, sensor in dataset.sensors.items():
             own = np.isfinite(seen[pattern, a])
             if board.fixed and own.sum() > 1:
                 way = (board.parent_link, sensor.frame)
                 t, away = dataset.transform(*way)[own, :3, 3], seen[pattern, a][own]
-                yield a, a, pattern, np.linalg.norm(t - t.mean(0), axis=-1), away + away.mean(), _edges(dataset, *way)
+                yield (
+                    a,
+                    a,
+                    pattern,
+                    np.linalg.norm(t - t.mean(0), axis=-1),
+                    away + away.mean(),
+                    _edges_between(dataset, *way),
+                )
 
 
-def _edges(dataset: Dataset, start: str, end: str) -> tuple[Edge, ...]:
+def _edges_between(dataset: Dataset, start: str, end: str) -> tuple[Edge, ...]:
     return tuple((step.parent, step.child) for step in dataset.tree.path(start, end))
 
 
-def _largest(dataset: Dataset, path: tuple[Edge, ...], moving: bool) -> tuple[Edge, float, bool]:
+def _largest_transform(dataset: Dataset, path: tuple[Edge, ...], moving: bool) -> tuple[Edge, float, bool]:
     """Return the transform with the largest motion in a chain, or the longest one; its size, m; whether it moves."""
     t = {edge: dataset.transforms[edge][:, :3, 3] for edge in path}
     moves = {edge: float(np.linalg.norm(each - each.mean(0), axis=-1).max()) for edge, each in t.items()}

@@ -7,8 +7,8 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.engine.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
-from calibration.engine.diagnosis.limits import TWIST, Limits, allowed, sizes, stated
-from calibration.engine.diagnosis.precision import LIKELY, false_accept
+from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, sizes, stated
+from calibration.engine.diagnosis.precision import MIN_FAILURE_PROBABILITY, false_accept
 from calibration.engine.diagnosis.projection import projection_limit, shifts
 from calibration.engine.estimation.covariance.fixed_inputs import (
     LAG_KIND,
@@ -31,9 +31,9 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 from calibration.engine.geometry.transforms import adjoint
 
-NOTHING = "nothing-suspicious"
+NOTHING_SUSPICIOUS = "nothing-suspicious"
 UNTESTED = "untested"
-GROSS: Mapping[str, tuple[float, str]] = {
+GROSS_DEVIATIONS: Mapping[str, tuple[float, str]] = {
     "focal length": (0.025, "camera"),
     "image scale": (0.025, "camera"),
     "principal point": (15.0, "camera"),
@@ -46,7 +46,7 @@ GROSS: Mapping[str, tuple[float, str]] = {
 }
 """Deviation (relative, px; of distortion, of the distance from the image's centre) that is a failure regardless of its
 effect: more than a good one of this kind errs, so that it belongs to another one."""
-ADVICE: Mapping[str, str] = {
+ADVICE_ON_CAUSE: Mapping[str, str] = {
     "focal length": "calibrate the intrinsics, or take the camera_info that belongs to this lens and resolution",
     LENS_KIND: "calibrate the intrinsics (add it to 'intrinsics'), or take the camera_info that belongs to this lens",
     "aspect": "calibrate the intrinsics; were the images scaled?",
@@ -80,9 +80,9 @@ ADVICE: Mapping[str, str] = {
     PLACE_KIND: "something was knocked; collect anew, or calibrate the collections before and after apart",
 }
 AT_STANDSTILL = "take all images of a collection at one moment, board and robot standing still"
-NAMED = 4
+MAX_NAMED_COLLECTIONS = 4
 """Number of contradicting collections that are named, each at least half as bad as the worst one."""
-_UNITS = {"1": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "px": (1.0, "px")}
+_UNIT_FOR_USER = {"1": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "px": (1.0, "px")}
 
 
 def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
@@ -98,12 +98,12 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
         text = f"{count} collections are too few to test fixed parameters (intrinsics, pattern, arm): take 8 or more"
         return (Finding(UNTESTED, "note", text),)
     suspects = [_worst_alternative(calibration, limits, suspect) for suspect in explanation.suspects]
-    found = [(_finding(calibration, limits, suspect), suspect) for suspect in suspects]
+    found = [(_finding_on_suspect(calibration, limits, suspect), suspect) for suspect in suspects]
     found.sort(key=lambda each: _limits_moved(calibration, limits, *each), reverse=True)
     findings = [finding for finding, _ in found]
-    findings = [*_together(calibration, limits, suspects, findings), *findings]
-    findings += _contradictions(calibration, limits, explanation.disagreement)
-    return tuple(findings) or (_nothing(calibration),)
+    findings = [*_find_failure_together(calibration, limits, suspects, findings), *findings]
+    findings += _find_contradictions(calibration, limits, explanation.disagreement)
+    return tuple(findings) or (_note_without_suspects(calibration),)
 
 
 def _limits_moved(calibration: Calibration, limits: Limits, finding: Finding, suspect: Suspect) -> float:
@@ -125,7 +125,7 @@ def _worst_alternative(calibration: Calibration, limits: Limits, suspect: Suspec
         return suspect
 
     def harm(each: Suspect) -> float:
-        moves = _moved(calibration, each.moves), _moved(calibration, _moves_after(calibration, each))
+        moves = _largest_moves(calibration, each.moves), _largest_moves(calibration, _moves_after(calibration, each))
         return max(
             (allowed(calibration, limits, name).share(*size) for moved in moves for name, size in moved.items()),
             default=0.0,
@@ -135,12 +135,15 @@ def _worst_alternative(calibration: Calibration, limits: Limits, suspect: Suspec
     return replace(worst, rivals=tuple(each for each in every if each is not worst))
 
 
-def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
+def _finding_on_suspect(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
     if calibration.of_cameras_alone:
         return _finding_on_cameras(calibration, limits, suspect)
     cause = suspect.cause
-    before, after = _moved(calibration, suspect.moves), _moved(calibration, _moves_after(calibration, suspect))
-    moved = {name: _larger(before[name], after[name]) for name in before}
+    before, after = (
+        _largest_moves(calibration, suspect.moves),
+        _largest_moves(calibration, _moves_after(calibration, suspect)),
+    )
+    moved = {name: _larger_of_each(before[name], after[name]) for name in before}
     unsure = _unsure_of_few_views(calibration, suspect, limits)
     limit_of = {name: allowed(calibration, limits, name) for name in moved}
     over = [name for name, size in moved.items() if limit_of[name].exceeded(*size)]
@@ -153,7 +156,7 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
         ]
     sensor = max(over or moved, key=lambda name: moved[name][0], default="")
     mm, degrees = moved.get(sensor, (0.0, 0.0))
-    names = " or ".join(dict.fromkeys(_name(each.cause) for each in (suspect, *suspect.rivals)))
+    names = " or ".join(dict.fromkeys(_name_cause(each.cause) for each in (suspect, *suspect.rivals)))
     since = ""
     collections: tuple[str, ...] = ()
     if suspect.since is not None:
@@ -161,18 +164,18 @@ def _finding(calibration: Calibration, limits: Limits, suspect: Suspect) -> Find
         since, collections = f" from collection {keys[0]} on", keys
     verb = "has moved" if cause.kind == PLACE_KIND else "does not fit"
     either = ", the data cannot tell which" if suspect.rivals else ""
-    gross = _gross(calibration, suspect)
+    gross = _is_gross(calibration, suspect)
     harm = f"it moves {sensor} by {distance_text(mm, degrees)}" if sensor else "it moves no sensor"
     if cause.kind == PLACE_KIND and sensor:
         was, now = distance_text(*before[sensor]), distance_text(*after[sensor])
         harm = f"one pose for all of them is {was} from where {sensor} was before, {now} from where it is now"
         if any(unsure[sensor]):
             harm += f", known to {distance_text(*unsure[sensor])} as few views tell"
-    text = f"{names} {verb}{since}{either}: {_size(cause, suspect.value, suspect.sigma)}"
+    text = f"{names} {verb}{since}{either}: {_describe_size(cause, suspect.value, suspect.sigma)}"
     if over:
-        text += f"; {harm} (limit {limit_of[sensor]}): {ADVICE[cause.kind]}"
+        text += f"; {harm} (limit {limit_of[sensor]}): {ADVICE_ON_CAUSE[cause.kind]}"
     elif gross:
-        text += f", more than any {GROSS[cause.kind][1]} errs: {ADVICE[cause.kind]}"
+        text += f", more than any {GROSS_DEVIATIONS[cause.kind][1]} errs: {ADVICE_ON_CAUSE[cause.kind]}"
     elif not sensor or limits.any_set:
         text += f"; harmless: {harm}"
     else:
@@ -199,12 +202,13 @@ def _finding_on_cameras(calibration: Calibration, limits: Limits, suspect: Suspe
     model = calibration.dataset.sensors[camera].camera
     limit = projection_limit(model, limits) if model else 0.0
     red = moved[camera] > limit
-    names = " or ".join(dict.fromkeys(_name(each.cause) for each in (suspect, *suspect.rivals)))
+    names = " or ".join(dict.fromkeys(_name_cause(each.cause) for each in (suspect, *suspect.rivals)))
     text = (
-        f"{names} does not fit: {_size(suspect.cause, suspect.value, suspect.sigma)}; it shifts the projection of "
+        f"{names} does not fit: {_describe_size(suspect.cause, suspect.value, suspect.sigma)}; it shifts the "
+        "projection of "
         f"{camera} by {moved[camera]:.2g} px (limit {limit:.3g} px)"
     )
-    text += f": {ADVICE.get(suspect.cause.kind, 'look at it')}" if red else ""
+    text += f": {ADVICE_ON_CAUSE.get(suspect.cause.kind, 'look at it')}" if red else ""
     return Finding(SUSPECT, "red" if red else "note", text, (camera,), value=round(moved[camera], 4), unit="px")
 
 
@@ -221,29 +225,30 @@ def _unsure_of_few_views(calibration: Calibration, suspect: Suspect, limits: Lim
     K, before, after = len(calibration.solution.model.G), suspect.moved_by, _moved_after(calibration, suspect)
     few = suspect.since is not None and min(suspect.since, K - suspect.since) < MIN_CLUSTERS_ON_A_SIDE
     each = [
-        _moved(calibration, limits.guard * few * np.linalg.norm(by @ suspect.errors, axis=1)) for by in (before, after)
+        _largest_moves(calibration, limits.guard * few * np.linalg.norm(by @ suspect.errors, axis=1))
+        for by in (before, after)
     ]
-    return {name: _larger(each[0][name], each[1][name]) for name in each[0]}
+    return {name: _larger_of_each(each[0][name], each[1][name]) for name in each[0]}
 
 
-def _larger(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+def _larger_of_each(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
     return max(one[0], other[0]), max(one[1], other[1])
 
 
-def _gross(calibration: Calibration, suspect: Suspect) -> bool:
+def _is_gross(calibration: Calibration, suspect: Suspect) -> bool:
     """Whether a cause is off by more than any camera, board or arm errs."""
     kind, value = suspect.cause.kind, suspect.value
-    if kind not in GROSS:
+    if kind not in GROSS_DEVIATIONS:
         return False
     if kind in (RADIAL_KIND, PROJECTION_KIND):
         camera = calibration.dataset.sensors[suspect.cause.subject.split(" and ")[0]].camera
         if camera is None:
             return False
-        value = _stretched(camera, value)
-    return float(np.abs(value).max()) > GROSS[kind][0]
+        value = _radial_stretch(camera, value)
+    return float(np.abs(value).max()) > GROSS_DEVIATIONS[kind][0]
 
 
-def _stretched(camera: Camera, changes: Array) -> Array:
+def _radial_stretch(camera: Camera, changes: Array) -> Array:
     """Return by what part of itself the distance from the image's centre changes with the radial coefficients.
 
     From the centre to the image's nearer border; NaN where the lens has no ray.
@@ -282,7 +287,7 @@ def _moved_after(calibration: Calibration, suspect: Suspect) -> Array:
     return moved_by
 
 
-def _together(
+def _find_failure_together(
     calibration: Calibration, limits: Limits, suspects: Sequence[Suspect], findings: Sequence[Finding]
 ) -> list[Finding]:
     """Report a failure if no suspect exceeds the limits by itself, but all of them together do.
@@ -291,24 +296,24 @@ def _together(
     """
     if len(suspects) < 2 or any(each.severity == "red" for each in findings):
         return []
-    moved = _moved(calibration, np.sum([each.moves for each in suspects], axis=0))
+    moved = _largest_moves(calibration, np.sum([each.moves for each in suspects], axis=0))
     for name, (mm, degrees) in moved.items():
         limit = allowed(calibration, limits, name)
         if limit.exceeded(mm, degrees):
-            causes = ", ".join(_name(each.cause) for each in suspects)
+            causes = ", ".join(_name_cause(each.cause) for each in suspects)
             text = (
                 f"{causes} do not fit: together they move {name} by {mm:.3g} mm and {degrees:.2g} deg (limit {limit}): "
             )
-            text += ADVICE[suspects[0].cause.kind]
+            text += ADVICE_ON_CAUSE[suspects[0].cause.kind]
             return [Finding(SUSPECT, "red", text, (name,), moves_mm=round(mm, 4), moves_deg=round(degrees, 5))]
     return []
 
 
-def _name(cause: Cause) -> str:
+def _name_cause(cause: Cause) -> str:
     return cause.subject if cause.kind == PLACE_KIND else f"{cause.subject}'s {cause.kind}"
 
 
-def _size(cause: Cause, value: Array, sigma: Array) -> str:
+def _describe_size(cause: Cause, value: Array, sigma: Array) -> str:
     """Describe the deviation of a cause, with its standard deviation, in the user's units."""
     if cause.size == 6:  # a twist: translation and rotation
         return (
@@ -319,7 +324,7 @@ def _size(cause: Cause, value: Array, sigma: Array) -> str:
         return f"{value[0]:+.3g} +- {sigma[0]:.1g} of the way to the next collection"
     if cause.kind == LENS_KIND:
         return "off in several parameters at once"
-    factor, unit = _UNITS.get(cause.unit, (1.0, cause.unit))
+    factor, unit = _UNIT_FOR_USER.get(cause.unit, (1.0, cause.unit))
     if cause.unit == "1":  # a relative change of d is extrapolated with an error of its square
         sigma = np.hypot(sigma, value**2 / 2)
     if "distortion" in cause.kind or cause.kind in ("lens model", PROJECTION_KIND):
@@ -328,12 +333,12 @@ def _size(cause: Cause, value: Array, sigma: Array) -> str:
     return f"off by {numbers} {unit}".rstrip()
 
 
-def _moved(calibration: Calibration, moves: Array) -> dict[str, tuple[float, float]]:
+def _largest_moves(calibration: Calibration, moves: Array) -> dict[str, tuple[float, float]]:
     """Return the displacements of each calibrated sensor and joint, mm and degrees."""
     setup = calibration.solution.setup
     at = setup.problem.shared_parameters
     sensors = {sensor.name: setup.block(sensor.edge) for sensor in setup.dataset.sensors.values()}
-    moved = {name: sizes(moves[at[block]], TWIST) for name, block in sensors.items() if block in at}
+    moved = {name: sizes(moves[at[block]], TWIST_UNITS) for name, block in sensors.items() if block in at}
     for name, joint in calibration.joints.items():
         moved[name] = sizes(moves[at[setup.block(setup.dataset.joints[name].edge)]], joint.units)
     return moved
@@ -347,7 +352,7 @@ def keys_since(calibration: Calibration, since: int) -> tuple[str, ...]:
     )
 
 
-def _contradictions(calibration: Calibration, limits: Limits, found: Disagreement) -> list[Finding]:
+def _find_contradictions(calibration: Calibration, limits: Limits, found: Disagreement) -> list[Finding]:
     """Report sensors whose views contradict each other by more than noise and all that is assumed explain.
 
     Each is tested by itself, so that good ones do not hide a bad one: red if it is more likely than not off by more
@@ -366,13 +371,16 @@ def _contradictions(calibration: Calibration, limits: Limits, found: Disagreemen
             len(beyond)
         ):
             continue
-        subject, keys = _worst(calibration, found, (name, *calibration.dataset.patterns))
+        subject, keys = _worst_subject(calibration, found, (name, *calibration.dataset.patterns))
         mm, degrees = stated(calibration)[name]
         limit = allowed(calibration, limits, name)
-        harmful = max(false_accept(mm, limit.translation_mm), false_accept(degrees, limit.rotation_deg)) > LIKELY
+        harmful = (
+            max(false_accept(mm, limit.translation_mm), false_accept(degrees, limit.rotation_deg))
+            > MIN_FAILURE_PROBABILITY
+        )
         text = (
             f"the views of {name} contradict each other: they scatter {ratio**0.5:.2g} times as far as noise and all "
-            f"that is assumed explain, most {subject} in {_collections(keys)}, and leave it uncertain by "
+            f"that is assumed explain, most {subject} in {_list_collections(keys)}, and leave it uncertain by "
             f"{distance_text(mm, degrees)} (limit {limit}); no fixed parameter "
             f"explains it: time stamps, or something that moved or gave way{f': {AT_STANDSTILL}' if harmful else ''}"
         )
@@ -380,16 +388,16 @@ def _contradictions(calibration: Calibration, limits: Limits, found: Disagreemen
     return findings
 
 
-def _worst(calibration: Calibration, found: Disagreement, names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
-    """Return the sensor or pattern of these that disagrees most, and its worst collections, at most `NAMED`."""
+def _worst_subject(calibration: Calibration, found: Disagreement, names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    """Return the sensor or pattern that disagrees most, and its worst collections (`MAX_NAMED_COLLECTIONS`)."""
     of = {name: found.sizes[name] for name in names if name in found.sizes}
     subject = max(of, key=lambda name: of[name].max())
     sizes = of[subject]
-    worst = [i for i in np.argsort(-sizes)[:NAMED].tolist() if sizes[i] >= sizes.max() / 2]
+    worst = [i for i in np.argsort(-sizes)[:MAX_NAMED_COLLECTIONS].tolist() if sizes[i] >= sizes.max() / 2]
     return subject, tuple(keys_since(calibration, i)[0] for i in worst)
 
 
-def _collections(keys: Sequence[str]) -> str:
+def _list_collections(keys: Sequence[str]) -> str:
     return f"collection{'s' * (len(keys) > 1)} {', '.join(keys)}"
 
 
@@ -398,16 +406,17 @@ def _contradiction_of_cameras(calibration: Calibration, found: Disagreement) -> 
     level = calibration.noise_levels.pixel
     if not found.contradicts or not level:
         return []
-    subject, keys = _worst(calibration, found, tuple(found.sizes))
+    subject, keys = _worst_subject(calibration, found, tuple(found.sizes))
     text = (
         f"the views contradict each other by {found.excess * level:.2g} px where {level:.2g} px is the noise, most "
-        f"{subject} in {_collections(keys)}, and no fixed parameter explains it: a board that bends, motion in the "
+        f"{subject} in {_list_collections(keys)}, and no fixed parameter explains it: a board that bends, motion "
+        "in the "
         f"images, or a lens with more than its model"
     )
     return [Finding(CONTRADICTION, "note", text, (subject,), keys, value=found.ratio)]
 
 
-def _nothing(calibration: Calibration) -> Finding:
+def _note_without_suspects(calibration: Calibration) -> Finding:
     """Return the note for a calibration without suspects: the contributions to its standard deviations."""
     text = "nothing suspicious"
     bars = calibration.error_bars
@@ -417,4 +426,4 @@ def _nothing(calibration: Calibration) -> Finding:
         text += (
             f"; the result hangs most on the {most}: the usual uncertainty of it is worth {1e3 * worth[most]:.2g} mm"
         )
-    return Finding(NOTHING, "note", text)
+    return Finding(NOTHING_SUSPICIOUS, "note", text)

@@ -6,11 +6,11 @@ from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.diagnosis.limits import Limits, allowed
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
 
-RED = 0.05
+MIN_RED_SHARE = 0.05
 """Share of a sensor's views that is a failure: the majority is no longer reliable."""
-WHY = "image and pose of different moments?"
+USUAL_CAUSE = "image and pose of different moments?"
 """Most frequent cause of a view that contradicts the others."""
-NAMED = 20
+MAX_NAMED_COLLECTIONS = 20
 """Number of collections that a message names."""
 
 
@@ -33,7 +33,7 @@ def wrong_views(calibration: Calibration, limits: Limits | None = None) -> tuple
     for dropped in by_collection.values():
         alike[tuple(sorted({view.sensor for view in dropped}))] += dropped
     return tuple(
-        _finding(sensors, dropped, views, _at_an_end(calibration, limits, dropped) if limits else "")
+        _finding_on_views(sensors, dropped, views, _at_an_end(calibration, limits, dropped) if limits else "")
         for sensors, dropped in alike.items()
     )
 
@@ -53,23 +53,23 @@ def _at_an_end(calibration: Calibration, limits: Limits, dropped: list[DroppedVi
     return ""
 
 
-def _finding(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counter[str], moved: str) -> Finding:
+def _finding_on_views(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counter[str], moved: str) -> Finding:
     collections = tuple(dict.fromkeys(view.collection for view in dropped))
     share = max(len({v.collection for v in dropped if v.sensor == sensor}) / views[sensor] for sensor in sensors)
     mm, degrees = (max(getattr(view, unit) for view in dropped) for unit in ("mm", "degrees"))
     several = len(collections) > 1
-    more = f" and {len(collections) - NAMED} more" if collections[NAMED:] else ""
-    where = f"collection{'s' * several} {', '.join(collections[:NAMED])}{more}"
+    more = f" and {len(collections) - MAX_NAMED_COLLECTIONS} more" if collections[MAX_NAMED_COLLECTIONS:] else ""
+    where = f"collection{'s' * several} {', '.join(collections[:MAX_NAMED_COLLECTIONS])}{more}"
     if len(sensors) > 1:
         what = f"{', '.join(sensors[:-1])} and {sensors[-1]} contradict each other in {where}"
     else:
         what = (
             f"{sensors[0]}: {'views' if several else 'the view'} of {where} contradict{'s' * (not several)} the others"
         )
-    either = f"either image and pose are of different moments, or {moved}." if moved else WHY
+    either = f"either image and pose are of different moments, or {moved}." if moved else USUAL_CAUSE
     text = (
         f"{what}, by up to {mm:.4g} mm and {degrees:.3g} deg, left out: {either} "
         f"Record these collections again, at standstill"
     )
-    severity: Severity = "red" if share > RED or moved else "warning"
+    severity: Severity = "red" if share > MIN_RED_SHARE or moved else "warning"
     return Finding("wrong-views", severity, text, sensors, collections, share, unit="1")

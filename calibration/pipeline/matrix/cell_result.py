@@ -11,14 +11,14 @@ from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineChange
 from calibration.engine.baseline.verdict import UNMOVED
 from calibration.engine.diagnosis.finding import Finding
-from calibration.engine.diagnosis.what_does_not_fit import NOTHING
+from calibration.engine.diagnosis.what_does_not_fit import NOTHING_SUSPICIOUS
 from calibration.engine.estimation.covariance.result import DroppedView, RejectedLabel
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels
 from calibration.pipeline.matrix.cell import Cell, Comparison, noise_text
 from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 
 OUR_METHOD = "calibration-ci"
-REASSURING_KINDS = (NOTHING, UNMOVED)
+REASSURING_KINDS = (NOTHING_SUSPICIOUS, UNMOVED)
 """Kinds of findings that say that all is well."""
 
 

@@ -22,7 +22,7 @@ from calibration.engine.baseline.verdict import against_baseline, nothing_accept
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import write_dataset
-from calibration.engine.diagnosis.against_optimum import KIND as AGAINST_OPTIMUM
+from calibration.engine.diagnosis.against_optimum import FINDING_KIND as AGAINST_OPTIMUM
 from calibration.engine.diagnosis.against_optimum import against_optimum, optimum_for
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.same_labels import moved_frames, same_labels

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.diagnosis.limits import LARGEST, SMALLEST, Allowed, Limits, allowed
+from calibration.engine.diagnosis.limits import MAX_DEFAULT_LIMIT, MIN_DEFAULT_LIMIT, Allowed, Limits, allowed
 from calibration.engine.estimation.calibrate import Options, calibrate
 from tests.engine.estimation import systems
 
@@ -28,8 +28,8 @@ def test_a_default_does_not_grow_with_what_is_wrong() -> None:
     for bad in (default_of(arm(error=0.03)), default_of(arm(pixel_noise=8.0))):
         assert bad.translation_mm < 1.3 * default_of(arm(pixel_noise=0.35)).translation_mm
         assert bad.rotation_deg < 1.3 * default_of(arm(pixel_noise=0.35)).rotation_deg
-    assert SMALLEST[0] <= good.translation_mm <= LARGEST[0] * 3
-    assert SMALLEST[1] <= good.rotation_deg <= LARGEST[1]
+    assert MIN_DEFAULT_LIMIT[0] <= good.translation_mm <= MAX_DEFAULT_LIMIT[0] * 3
+    assert MIN_DEFAULT_LIMIT[1] <= good.rotation_deg <= MAX_DEFAULT_LIMIT[1]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.engine.diagnosis.limits import UNSET, Limits, allowed, of_a_good_robot
+from calibration.engine.diagnosis.limits import DEFAULT_LIMIT_SIGMAS, Limits, allowed, of_a_good_robot
 from calibration.engine.diagnosis.precision import false_accept, precision, worst_false_accept
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.problem.assumptions import ALL_EXACT
@@ -32,7 +32,7 @@ def test_where_no_limit_is_set_it_is_red_if_it_is_rather_broken_than_not(
     calibration = calibrate(systems.stereo(8, pixel_noise=0.3).dataset())
     name = next(name for name in ("left", "right") if name != calibration.gauge)
     limit = allowed(calibration, Limits(), name)
-    least = max(limit.translation_mm, UNSET * of_a_good_robot(calibration, name)[0])
+    least = max(limit.translation_mm, DEFAULT_LIMIT_SIGMAS * of_a_good_robot(calibration, name)[0])
     monkeypatch.setattr("calibration.engine.diagnosis.precision.stated", lambda _: {name: (share * least, 0.0)})
     assert [each.severity for each in precision(calibration, Limits())] == [severity]
 

@@ -26,20 +26,20 @@ from calibration.engine.geometry.transforms import distance, inverse, transform
 
 FEWEST_POSES = 4
 """Number of poses below which rotations are not read again: any reading would fit."""
-COMPARED = 12
+MAX_COMPARED_COLLECTIONS = 12
 """Number of collections by whose rotations other readings are compared."""
-AGREES = 0.1
+MAX_TRACE_DIFFERENCE = 0.1
 """Difference of the rotations' traces below which they agree."""
 MOST_READINGS = 6
 """Number of other readings of rotations that are tried."""
-UNITS = {0.001: "mm", 0.01: "cm", 0.0254: "inches"}
+NAME_OF_UNIT = {0.001: "mm", 0.01: "cm", 0.0254: "inches"}
 UNIT_OFF = 0.1
 """Relative tolerance of a unit."""
 LEAST_OFF, MOST_OFF = 0.01, 0.5
 """Relative deviations of a size from the right one between which it is tried."""
-ROUNDS = 5
+REWEIGHTING_ROUNDS = 5
 """Number of times that a scale is solved again with less weight on views that do not fit."""
-QUARTER = np.pi / 2
+QUARTER_TURN = np.pi / 2
 ALONG_AXES = 0.02
 """Tolerance of the elements of a rotation that maps axes to axes."""
 
@@ -59,13 +59,13 @@ def robot_poses(recording: Recording) -> Iterator[Hypothesis]:
     )
 
 
-def _section(whose: str) -> str:
+def _section_of_poses(whose: str) -> str:
     """Return where import.yml says how poses are written."""
     return "'samples'" if whose == "robot's" else "'samples: pattern'"
 
 
 def _inverted_in_import(whose: str, direction: str) -> str:
-    where = f"{_section(whose)} of import.yml"
+    where = f"{_section_of_poses(whose)} of import.yml"
     return f"write 'inverse: true' into {where}, or take it out where it is, so that they are {direction}"
 
 
@@ -150,7 +150,7 @@ def _read_again(
         again = every[written, read]
         poses = transform(rotations_that_agree(again.branches, known[:, :3, :3])[0], t)
         name = f"the rotations of the {whose} poses as {written}"
-        remedy = f"they were read as {read}: write '{again.keys}' into {_section(whose)} of import.yml"
+        remedy = f"they were read as {read}: write '{again.keys}' into {_section_of_poses(whose)} of import.yml"
         if inverted:
             name, poses = f"{name}, and the poses inverted", inverse(poses)
             remedy = f"{remedy}, and 'inverse: true', or take it out where it is"
@@ -166,7 +166,7 @@ def _that_agree(T: Array, known: Array, in_hand: bool) -> list[tuple[Rereading, 
     Returns:
         The readings, and whether the poses are inverse then.
     """
-    some = np.unique(np.linspace(0, len(T) - 1, COMPARED).round().astype(int))
+    some = np.unique(np.linspace(0, len(T) - 1, MAX_COMPARED_COLLECTIONS).round().astype(int))
     A, t = known[some], T[some, :3, 3]
     tried: list[tuple[float, int, int, Rereading]] = []
     known_misses: dict[bytes, tuple[float, float] | None] = {}
@@ -184,18 +184,18 @@ def _that_agree(T: Array, known: Array, in_hand: bool) -> list[tuple[Rereading, 
 def _misses_of_reading(branches: Array, A: Array, t: Array, in_hand: bool) -> tuple[float, float] | None:
     """Return how far poses with rotations of these branches miss known ones, as they are and inverse; None if far."""
     chosen, apart = rotations_that_agree(branches, A[:, :3, :3])
-    if apart > AGREES:
+    if apart > MAX_TRACE_DIFFERENCE:
         return None
-    agreeing = disagreement_of_each(chosen, A[:, :3, :3]) < AGREES
+    agreeing = disagreement_of_each(chosen, A[:, :3, :3]) < MAX_TRACE_DIFFERENCE
     poses = transform(chosen, t)
     as_they_are, inverted = (inverse(poses), poses) if in_hand else (poses, inverse(poses))
     first, second = (
-        round(_misses(A, B, solve_robot_world(A[agreeing], B[agreeing])), 3) for B in (as_they_are, inverted)
+        round(_median_distances(A, B, solve_robot_world(A[agreeing], B[agreeing])), 3) for B in (as_they_are, inverted)
     )
     return first, second
 
 
-def _misses(A: Array, B: Array, found: RobotWorld) -> float:
+def _median_distances(A: Array, B: Array, found: RobotWorld) -> float:
     """Return the median distance of poses A (V, 4, 4) from ``X B Y``: rad, and relative to the size of A."""
     translation, rotation = distance(A, found.X @ B @ found.Y)
     return float(np.median(translation / np.median(np.linalg.norm(A[:, :3, 3], axis=-1)) + rotation))
@@ -206,10 +206,10 @@ def scales(recording: Recording) -> Iterator[Hypothesis]:
     view, dataset = recording.view, recording.dataset
     if view is None or not recording.moving or len(view.collections) < FEWEST_POSES:
         return
-    scale = _scale(recording, view)
+    scale = _scale_of_view(recording, view)
     if scale is None:
         return
-    for size, unit in UNITS.items():
+    for size, unit in NAME_OF_UNIT.items():
         if recording.arm and abs(scale / size - 1) < UNIT_OFF:
             poses = scaled_translations(dataset.transforms[recording.arm], size)
             yield Hypothesis(
@@ -238,10 +238,10 @@ def scales(recording: Recording) -> Iterator[Hypothesis]:
 
 def _units_in_import(whose: str, unit: str) -> str:
     key = {"inches": "in"}.get(unit, unit)
-    return f"write 'units: {key}' into {_section(whose)} of import.yml, or metres into the file of poses"
+    return f"write 'units: {key}' into {_section_of_poses(whose)} of import.yml, or metres into the file of poses"
 
 
-def _scale(recording: Recording, view: SeenPoses) -> float | None:
+def _scale_of_view(recording: Recording, view: SeenPoses) -> float | None:
     """Return the scale of what a sensor sees, relative to the arm's lengths; None if their rotations do not agree.
 
     In ``t_A = s R_X t_B + t_X + R_A R_Y^T t_Y`` (`start.robot_world`) by least squares, with less
@@ -251,7 +251,7 @@ def _scale(recording: Recording, view: SeenPoses) -> float | None:
     frame = recording.dataset.sensors[view.sensor].frame
     B = recording.dataset.transform(frame, pattern.parent_link, view.collections)
     A = view.seen
-    if rotations_that_agree(B[:, None, :3, :3], A[:, :3, :3])[1] > AGREES:
+    if rotations_that_agree(B[:, None, :3, :3], A[:, :3, :3])[1] > MAX_TRACE_DIFFERENCE:
         return None
     size = float(np.median(np.linalg.norm(A[:, :3, 3], axis=-1)))
     found = solve_robot_world_robustly(scaled_translations(A, 1e-3), scaled_translations(B, 1e-3))
@@ -266,7 +266,7 @@ def _scale(recording: Recording, view: SeenPoses) -> float | None:
     )
     miss: Array = np.full(len(A), size)
     scale = 0.0
-    for _ in range(ROUNDS):
+    for _ in range(REWEIGHTING_ROUNDS):
         weight = 1 / np.maximum(miss, 0.5 * float(np.median(miss)) + 1e-9 * size)[:, None]
         rows, right = (system * weight[..., None]).reshape(-1, 7), (A[:, :3, 3] * weight).ravel()
         solution = np.linalg.lstsq(rows, right, rcond=None)[0]
@@ -343,5 +343,5 @@ def _the_other_way(T: Array) -> Iterator[Array]:
     beyond = rotations.log(np.round(origins[nearest]).T @ origins[nearest]) @ axis
     zero = float(back[nearest] + beyond)
     for quarter in range(4):
-        position = zero + quarter * QUARTER
+        position = zero + quarter * QUARTER_TURN
         yield T[:1] @ transform(rotations.exp((-2 * position - along)[:, None] * axis), np.zeros(3))

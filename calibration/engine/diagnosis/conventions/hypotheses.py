@@ -15,7 +15,7 @@ from calibration.engine.diagnosis.conventions.sensor_hypotheses import (
 
 Hypotheses = Callable[[Recording], Iterator[Hypothesis]]
 
-TABLE: tuple[Hypotheses, ...] = (
+HYPOTHESES_BY_PRIORITY: tuple[Hypotheses, ...] = (
     robot_poses,
     shifted,
     exchanged,
@@ -26,5 +26,5 @@ TABLE: tuple[Hypotheses, ...] = (
     joints,
 )
 """In the order in which equally good ones are named."""
-SLOW: tuple[Hypotheses, ...] = (other_rotations,)
+SLOW_HYPOTHESES: tuple[Hypotheses, ...] = (other_rotations,)
 """Tried where none of the others fits."""

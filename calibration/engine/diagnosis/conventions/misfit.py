@@ -19,7 +19,7 @@ from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import Setup
 from calibration.engine.estimation.start.guesses import linear_problem
 
-MOST = 0.8
+SHARE_OF_VIEWS = 0.8
 """Share of a sensor's views that a misfit is of: of the others each may be wrong."""
 A_FEW_STEPS = Termination(decrease=0.1, iterations=15)
 
@@ -43,7 +43,7 @@ class Misfit:
         return bool(np.isfinite(self.noticed))
 
 
-NONE = Misfit(np.inf, "no result")
+NO_RESULT = Misfit(np.inf, "no result")
 
 
 def misfit(dataset: Dataset, options: Options, steps: bool = True) -> Misfit:
@@ -53,9 +53,9 @@ def misfit(dataset: Dataset, options: Options, steps: bool = True) -> Misfit:
             setup, start = linear_problem(dataset, options)
             values = start.values
             at_start = misfit_at(setup, values)
-            return misfit_at(setup, _nearer(setup, values)) if steps else at_start
+            return misfit_at(setup, _values_nearer_to_optimum(setup, values)) if steps else at_start
         except (CalibrationError, np.linalg.LinAlgError):
-            return NONE
+            return NO_RESULT
 
 
 def improved(found: Misfit) -> Misfit:
@@ -64,12 +64,12 @@ def improved(found: Misfit) -> Misfit:
         return found
     with np.errstate(all="ignore"):
         try:
-            return misfit_at(found.setup, _nearer(found.setup, found.values))
+            return misfit_at(found.setup, _values_nearer_to_optimum(found.setup, found.values))
         except (CalibrationError, np.linalg.LinAlgError):
             return found
 
 
-def _nearer(setup: Setup, values: Values) -> Values:
+def _values_nearer_to_optimum(setup: Setup, values: Values) -> Values:
     """Return values nearer to the optimum, by the corners, the points on the plane, and where patterns are."""
     groups = tuple(replace(group, terms=group.terms[:1]) for group in setup.problem.groups)
     nearby = replace(setup.problem, groups=groups)
@@ -83,7 +83,7 @@ def misfit_at(setup: Setup, values: Values) -> Misfit:
     for group in setup.problem.groups:
         kind = group.terms[0].kind
         miss = np.sort(median_residuals(setup.problem, group, values))
-        size = float(miss[int(np.ceil(MOST * len(miss))) - 1])
+        size = float(miss[int(np.ceil(SHARE_OF_VIEWS * len(miss))) - 1])
         noise = noise_in_own_fits(group)
         above_noise = max(above_noise, size / noise if noise > 0 else np.inf)
         if not size / MIN_NOTICEABLE_RESIDUAL[kind] <= noticed:

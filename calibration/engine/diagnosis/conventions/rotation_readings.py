@@ -18,11 +18,11 @@ TURNED_TWICE = np.pi + 1e-6
 """rad: limit of an angle that a file holds."""
 MOST_DEGREES = 180.0
 """Limit of the length of a rotation vector in degrees."""
-DEGREE = np.pi / 180
+RADIANS_PER_DEGREE = np.pi / 180
 Axes = tuple[int, int, int]
 """0, 1, 2: x, y, z, in the order of the angles."""
 
-QUATERNIONS = (("wxyz", "xyzw"), ("xyzw", "wxyz"))
+QUATERNION_ORDERS = (("wxyz", "xyzw"), ("xyzw", "wxyz"))
 """Orders as they may be written, and as they are read then."""
 
 
@@ -56,7 +56,7 @@ class Rereading:
 def rereadings(R: Array) -> Iterator[Rereading]:
     """Yield what rotations (N, 3, 3) may have been before they were read wrongly; the usual mistakes first."""
     x, y, z, w = np.moveaxis(rotations.to_quaternion(R), -1, 0)
-    for (written, read), q in zip(QUATERNIONS, ((y, z, w, x), (w, x, y, z)), strict=True):
+    for (written, read), q in zip(QUATERNION_ORDERS, ((y, z, w, x), (w, x, y, z)), strict=True):
         branches = rotations.from_quaternion(np.stack(q, -1))[:, None]
         yield Rereading(f"quaternions {written}", f"quaternions {read}", f"rotation: quaternion-{written}", branches)
     vector = rotations.log(R)
@@ -64,21 +64,21 @@ def rereadings(R: Array) -> Iterator[Rereading]:
     turns = np.arange(-int(MOST_DEGREES // (2 * np.pi)) - 1, int(MOST_DEGREES // (2 * np.pi)) + 1)
     degrees = length + 2 * np.pi * turns
     direction = vector / np.maximum(length, 1e-12)
-    meant = rotations.exp(direction[:, None] * (DEGREE * degrees)[..., None])
-    meant = _only(meant, abs(degrees) <= MOST_DEGREES)
+    meant = rotations.exp(direction[:, None] * (RADIANS_PER_DEGREE * degrees)[..., None])
+    meant = _keep_branches(meant, abs(degrees) <= MOST_DEGREES)
     yield Rereading("rotation vectors in degrees", "radians", "rotation: rotvec, degrees: true", meant)
-    small = READINGS if bool((length < np.sqrt(3) * np.pi * DEGREE).all()) else ()
+    small = THREE_NUMBER_READINGS if bool((length < np.sqrt(3) * np.pi * RADIANS_PER_DEGREE).all()) else ()
     for one in small:
         keys = f"rotation: {one.key}, degrees: false"
-        yield Rereading(f"{one.name} in radians", "degrees", keys, one.rotation(one.numbers(R) / DEGREE))
-    for one in READINGS:
+        yield Rereading(f"{one.name} in radians", "degrees", keys, one.rotation(one.numbers(R) / RADIANS_PER_DEGREE))
+    for one in THREE_NUMBER_READINGS:
         numbers = one.numbers(R)
-        for other in READINGS:
+        for other in THREE_NUMBER_READINGS:
             if other is not one:
                 yield Rereading(other.name, one.name, f"rotation: {other.key}", other.rotation(numbers))
 
 
-def _only(branches: Array, there: Array) -> Array:
+def _keep_branches(branches: Array, there: Array) -> Array:
     return np.where(there[..., None, None], branches, np.nan)
 
 
@@ -137,5 +137,5 @@ def _euler_readings() -> Iterator[Reading]:
         yield Reading(f"Euler angles about the moving axes {named}", f"{key}-intrinsic", *moving)
 
 
-READINGS = (Reading("rotation vectors", "rotvec", rotations.exp, _numbers_of_vector), *_euler_readings())
+THREE_NUMBER_READINGS = (Reading("rotation vectors", "rotvec", rotations.exp, _numbers_of_vector), *_euler_readings())
 """Conventions of three numbers, the usual ones first."""

@@ -23,11 +23,11 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import distance, inverse
 
-LATER = (1, -1, 2, -2)
+COLLECTION_SHIFTS = (1, -1, 2, -2)
 """Collections by which images and poses may be shifted."""
-RESOLUTIONS = (2.0, 0.5, 1.5, 2 / 3, 4 / 3, 0.75, 4.0, 0.25)
+RELATIVE_IMAGE_SIZES = (2.0, 0.5, 1.5, 2 / 3, 4 / 3, 0.75, 4.0, 0.25)
 """Sizes of images relative to those that intrinsics are of."""
-NAMED = 4
+MAX_NAMED_COLLECTIONS = 4
 """Number of collections that a message names."""
 MOST_SENSORS = 4
 """Number of sensors, or of pairs of them, of which each is tried."""
@@ -39,7 +39,7 @@ def shifted(recording: Recording) -> Iterator[Hypothesis]:
     every = tuple(dataset.sensors)
     groups: list[tuple[str, ...]] = [every] if recording.moving or len(every) == 1 else []
     groups += [(name,) for name in every[:MOST_SENSORS]] if len(every) > 1 else []
-    for by in LATER:
+    for by in COLLECTION_SHIFTS:
         for sensors in groups:
             what = f"the views of '{sensors[0]}'" if len(sensors) < len(every) else "the views"
             than = "the robot's poses" if recording.moving else "those of the others"
@@ -68,9 +68,10 @@ def exchanged(recording: Recording) -> Iterator[Hypothesis]:
             (a, b),
         )
         if keys := _exchanged_in_some(recording, a, b):
-            more = f" and {len(keys) - NAMED} more" if keys[NAMED:] else ""
+            more = f" and {len(keys) - MAX_NAMED_COLLECTIONS} more" if keys[MAX_NAMED_COLLECTIONS:] else ""
             yield Hypothesis(
-                f"the labels of '{a}' and '{b}' exchanged in collections {', '.join(keys[:NAMED])}{more}",
+                f"the labels of '{a}' and '{b}' exchanged in collections "
+                f"{', '.join(keys[:MAX_NAMED_COLLECTIONS])}{more}",
                 "look at what names their files, or the order of the two cameras, in these",
                 partial(with_exchanged_labels, dataset, a, b, keys),
                 (a, b),
@@ -87,7 +88,7 @@ def _exchanged_in_some(recording: Recording, a: str, b: str) -> tuple[str, ...]:
         both, i, j = np.intersect1d(one.collections, other.collections, return_indices=True)
         T_a_b = one.seen[i] @ inverse(other.seen[j])
         far = np.median(np.linalg.norm(one.seen[i, :3, 3], axis=-1))
-        as_it_is, exchanged_ = (_apart(T_a_b, each, far) for each in (T_a_b, inverse(T_a_b)))
+        as_it_is, exchanged_ = (_pairwise_distances(T_a_b, each, far) for each in (T_a_b, inverse(T_a_b)))
         like = np.argmin(np.median(np.minimum(as_it_is, exchanged_), axis=1))  # the collection that is most like others
         in_these = exchanged_[like] < as_it_is[like]
         in_these = in_these if 2 * in_these.sum() <= len(both) else ~in_these
@@ -96,7 +97,7 @@ def _exchanged_in_some(recording: Recording, a: str, b: str) -> tuple[str, ...]:
     return ()
 
 
-def _apart(T: Array, others: Array, far: float) -> Array:
+def _pairwise_distances(T: Array, others: Array, far: float) -> Array:
     """Return how far apart poses (n, 4, 4) are from others (m, 4, 4), (n, m), m; angles at a distance."""
     metres, radians = distance(T[:, None], others[None])
     apart: Array = metres + far * radians
@@ -119,11 +120,11 @@ def _other_lenses(recording: Recording, cameras: Mapping[str, Camera]) -> Iterat
     def hypothesis(name: str, remedy: str, changed: Mapping[str, Camera]) -> Hypothesis:
         return Hypothesis(name, remedy, partial(recording.dataset.with_cameras, changed), tuple(cameras))
 
-    for by in RESOLUTIONS:
+    for by in RELATIVE_IMAGE_SIZES:
         yield hypothesis(
             f"the camera_info of {of} for images {by:.3g} times as large",
             "take the intrinsics of the resolution that was recorded",
-            {name: _resized(camera, by) for name, camera in cameras.items()},
+            {name: _resized_camera(camera, by) for name, camera in cameras.items()},
         )
     undistorted = {name: replace(camera, distortion=type(camera.distortion)()) for name, camera in cameras.items()}
     if undistorted == cameras:
@@ -141,7 +142,7 @@ def _other_lenses(recording: Recording, cameras: Mapping[str, Camera]) -> Iterat
     )
 
 
-def _resized(camera: Camera, by: float) -> Camera:
+def _resized_camera(camera: Camera, by: float) -> Camera:
     return replace(camera, fx=by * camera.fx, fy=by * camera.fy, cx=by * camera.cx, cy=by * camera.cy)
 
 

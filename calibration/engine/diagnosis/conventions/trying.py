@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.diagnosis.conventions.hypotheses import SLOW, TABLE, Hypotheses
+from calibration.engine.diagnosis.conventions.hypotheses import HYPOTHESES_BY_PRIORITY, SLOW_HYPOTHESES, Hypotheses
 from calibration.engine.diagnosis.conventions.hypothesis import Hypothesis
 from calibration.engine.diagnosis.conventions.misfit import Misfit, improved, misfit, misfit_at
 from calibration.engine.diagnosis.conventions.recording import Recording
@@ -13,24 +13,24 @@ from calibration.engine.estimation.solve.options import Options
 
 WORTH_TRYING = 0.15
 """Misfit below which nothing is tried, in multiples of what is noticeable (1 px, 1 cm)."""
-FITS = 3.0
+MAX_FITTING_MISFIT = 3.0
 """Misfit above which nothing fits, likewise."""
-BETTER, BETTER_POSES = 0.1, 0.2
+MAX_MISFIT_RATIO, MAX_MISFIT_RATIO_OF_POSES = 0.1, 0.2
 """Misfit of a convention that is named, relative to that of the recording as it is; of measured poses, whose own errors
 no view tells."""
 BETTER_IN_NOISE, IN_NOISE = 0.5, 1.5
 """The same for a misfit that is as small, up to this factor, as that of each view's own fit."""
-ALIKE = 2.0
+MAX_RATIO_TO_BEST = 2.0
 """Misfit of other conventions that are named with it, relative to the best."""
 LEFT_OUT = 0.05
 """Share of views that a calibration may have left out to be a measure of the recording."""
-REFINED = 16
+MAX_REFINED_CONVENTIONS = 16
 """Number of conventions that are compared after a few steps from their linear start: those with the best of these."""
-DOUBTED = (CONTRADICTION,)
+KINDS_THAT_CAST_DOUBT = (CONTRADICTION,)
 """Findings, red or not, on which other conventions are tried;"""
-SOUND = ("precision", "too-few")
+KINDS_WITHOUT_DOUBT = ("precision", "too-few")
 """and red ones on which they are not: all may fit."""
-NAMED = 3
+MAX_NAMED_CONVENTIONS = 3
 """Number of conventions that fit alike that a message names."""
 
 
@@ -46,11 +46,13 @@ def conventions(calibration: Calibration | None, description: Dataset, options: 
     if now.noticed < WORTH_TRYING:
         return ()
     recording = Recording(description)
-    fitting = _fitting(recording, TABLE, options, now) or _fitting(recording, SLOW, options, now)
+    fitting = _fitting_hypotheses(recording, HYPOTHESES_BY_PRIORITY, options, now) or _fitting_hypotheses(
+        recording, SLOW_HYPOTHESES, options, now
+    )
     if not fitting:
         return ()
     best = min(found.noticed for _, found in fitting)
-    alike = [each for each in fitting if each[1].noticed <= ALIKE * best]
+    alike = [each for each in fitting if each[1].noticed <= MAX_RATIO_TO_BEST * best]
     told = [h.told_apart(found) if h.told_apart else (h.name, h.remedy) for h, found in alike]
     sensors = tuple(dict.fromkeys(name for h, _ in alike for name in h.sensors))
     names = ", or ".join(dict.fromkeys(name for name, _ in told))
@@ -61,8 +63,10 @@ def conventions(calibration: Calibration | None, description: Dataset, options: 
 
 def doubts(calibration: Calibration, found: tuple[Finding, ...]) -> bool:
     """Whether a result is bad enough to try other conventions, by what was found and by the residuals."""
-    bad = any(f.kind in DOUBTED or (f.severity == "red" and f.kind not in SOUND) for f in found)
-    return bad or not calibration.converged or _reached(calibration).noticed > 1
+    bad = any(
+        f.kind in KINDS_THAT_CAST_DOUBT or (f.severity == "red" and f.kind not in KINDS_WITHOUT_DOUBT) for f in found
+    )
+    return bad or not calibration.converged or _misfit_of_calibration(calibration).noticed > 1
 
 
 def _as_it_is(calibration: Calibration | None, description: Dataset, options: Options) -> Misfit:
@@ -70,27 +74,31 @@ def _as_it_is(calibration: Calibration | None, description: Dataset, options: Op
     found = misfit(description, options)
     if calibration is None or not calibration.converged:
         return found
-    reached = _reached(calibration)
+    reached = _misfit_of_calibration(calibration)
     views = sum(len(collection.labels) for collection in description.collections)
     most_are_used = len(calibration.dropped_views) <= LEFT_OUT * views
     return reached if most_are_used and reached.noticed < found.noticed else found
 
 
-def _reached(calibration: Calibration) -> Misfit:
+def _misfit_of_calibration(calibration: Calibration) -> Misfit:
     return misfit_at(calibration.solution.setup, calibration.solution.values)
 
 
-def _fitting(
+def _fitting_hypotheses(
     recording: Recording, table: Sequence[Hypotheses], options: Options, now: Misfit
 ) -> list[tuple[Hypothesis, Misfit]]:
     """Return the hypotheses of a table by which a recording fits, in its order."""
     tried = [
         (each, misfit(each.dataset(), options, steps=False)) for hypotheses in table for each in hypotheses(recording)
     ]
-    nearest = sorted(found.noticed for _, found in tried if found.exists)[:REFINED]
+    nearest = sorted(found.noticed for _, found in tried if found.exists)[:MAX_REFINED_CONVENTIONS]
     refined = ((each, improved(found)) for each, found in tried if found.exists and found.noticed <= nearest[-1])
-    better = BETTER_POSES if recording.has_measured_poses else BETTER
-    return [(each, found) for each, found in refined if found.noticed < FITS and _is_better(found, now, better)]
+    better = MAX_MISFIT_RATIO_OF_POSES if recording.has_measured_poses else MAX_MISFIT_RATIO
+    return [
+        (each, found)
+        for each, found in refined
+        if found.noticed < MAX_FITTING_MISFIT and _is_better(found, now, better)
+    ]
 
 
 def _is_better(found: Misfit, now: Misfit, better: float) -> bool:

@@ -4,11 +4,16 @@ import numpy as np
 import pytest
 
 from calibration.base.arrays import Array
-from calibration.engine.diagnosis.conventions.rotation_readings import QUATERNIONS, READINGS, Reading, rereadings
+from calibration.engine.diagnosis.conventions.rotation_readings import (
+    QUATERNION_ORDERS,
+    THREE_NUMBER_READINGS,
+    Reading,
+    rereadings,
+)
 from calibration.engine.estimation.start.agreeing_rotations import rotations_that_agree
 from calibration.engine.geometry import rotations
 
-BY_NAME = {each.name: each for each in READINGS}
+BY_NAME = {each.name: each for each in THREE_NUMBER_READINGS}
 FIXED, MOVING = "Euler angles about the fixed axes ", "Euler angles about the moving axes "
 
 
@@ -23,7 +28,7 @@ def meant(name: str, read_as: str, R: Array, known: Array) -> Array:
     return chosen
 
 
-@pytest.mark.parametrize("reading", READINGS, ids=lambda each: each.name)
+@pytest.mark.parametrize("reading", THREE_NUMBER_READINGS, ids=lambda each: each.name)
 def test_numbers_are_of_the_rotation_in_every_branch(reading: Reading) -> None:
     R = some()
     numbers = reading.numbers(R)
@@ -58,7 +63,7 @@ def test_radians_taken_for_degrees_are_had_back() -> None:
     assert np.abs(meant(f"{FIXED}x, y, z in radians", "degrees", wrong, true) - true).max() < 1e-7
 
 
-@pytest.mark.parametrize("names", QUATERNIONS, ids=lambda names: names[0])
+@pytest.mark.parametrize("names", QUATERNION_ORDERS, ids=lambda names: names[0])
 def test_quaternions_in_the_other_order_are_had_back(names: tuple[str, str]) -> None:
     true = some()
     x, y, z, w = np.moveaxis(rotations.to_quaternion(true), -1, 0)
