@@ -221,7 +221,7 @@ def test_what_cannot_be_removed_is_named_and_the_run_goes_on(
     assert capfd.readouterr().out == "of a killed run: cannot be removed: volume v\n"
 
 
-@pytest.mark.parametrize("name", ["_sweep", "_stop"])
+@pytest.mark.parametrize("name", ["_remove_objects", "_stop_jobs"])
 def test_interrupted_while_it_removes(
     tmp_path: Path, engine: "DockerClient", monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
