@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.rows import HEADER, Bar, Row
 from calibration.base.arrays import Array
-from calibration.engine.dataset.configuration import TAGS, PatternConfiguration
+from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
@@ -30,7 +30,7 @@ from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera
 
 GRID = PatternConfiguration(
-    "grid", "aprilgrid", "grid", "world", False, (6, 6), 0.088, None, (0.03, 0.03), TAGS, spacing=0.3
+    "grid", "aprilgrid", "grid", "world", False, (6, 6), 0.088, None, (0.03, 0.03), APRILGRID_TAGS, spacing=0.3
 )
 CAMERA = Camera(900.0, 900.0, 639.5, 359.5, 1280, 720, PlumbBob(-0.25, 0.08, 0.0008, -0.0005, 0.0))
 T_WORLD_CAMERA = from_xyz_rpy([0.3, -0.2, 1.2], [-np.pi / 2, 0, -np.pi / 2])

@@ -17,7 +17,7 @@ from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.document import read_baseline
-from calibration.engine.baseline.settings import FILE
+from calibration.engine.baseline.settings import BASELINE_FILE
 from calibration.engine.geometry.transforms import local
 
 MODULES = (
@@ -89,13 +89,13 @@ def _verdict(base: Path, temporary: Path, mutant: tuple[str, str, str]) -> tuple
         (folder / "calibration" / "engine" / module).write_text(text)
         if _run(folder, "run") != 0 or _run(folder, "accept") != 0:
             return what, None
-        before, now = read_baseline(base / FILE), read_baseline(folder / FILE)
+        before, now = read_baseline(base / BASELINE_FILE), read_baseline(folder / BASELINE_FILE)
         assert before
         assert now
         change = max(_change_of_results(before.systems[name], now.systems[name]) for name in before.systems)
         if change < NOTHING:
             return what, None
-        shutil.copy(base / FILE, folder / FILE)
+        shutil.copy(base / BASELINE_FILE, folder / BASELINE_FILE)
         return f"{what} ({change:.2g})", _run(folder, "run") == 1
 
 

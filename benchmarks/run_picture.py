@@ -9,7 +9,7 @@ import tempfile
 from html import escape
 from pathlib import Path
 
-from calibration.engine.baseline.settings import FILE
+from calibration.engine.baseline.settings import BASELINE_FILE
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "run.svg"
@@ -52,7 +52,7 @@ def run(folder: Path) -> str:
     """
     for name in ("calibration.yml", "datasets"):
         (folder / name).symlink_to(ROOT / name)
-    shutil.copy(ROOT / FILE, folder)
+    shutil.copy(ROOT / BASELINE_FILE, folder)
     environment = {name: value for name, value in os.environ.items() if not name.startswith("GITHUB_")}
     done = subprocess.run(
         [sys.executable, "-m", "calibration", "run"],

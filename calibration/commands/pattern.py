@@ -10,7 +10,7 @@ from calibration.base.errors import ExitCode
 from calibration.base.files import write_atomically
 from calibration.base.records import read
 from calibration.commands.parameters import count, number, path
-from calibration.engine.dataset.pattern import CIRCLES, PatternKind
+from calibration.engine.dataset.pattern import CIRCLE_KINDS, PatternKind
 from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.printed_sheet import PAPER_SIZES_MM, board_sheet, pdf, svg
@@ -50,9 +50,9 @@ def command(kind: PatternKind, paper: str, output: Path, **given: Any) -> ExitCo
         keys.setdefault("dictionary", DEFAULT_DICTIONARY)
     if kind == "aprilgrid":
         keys.setdefault("spacing", DEFAULT_SPACING)
-    if kind in CIRCLES and "spacing" in keys:
+    if kind in CIRCLE_KINDS and "spacing" in keys:
         keys.setdefault("diameter", DEFAULT_DIAMETER * keys["spacing"])
-    lengths = ("square", "marker", "tag", "diameter", *(("spacing",) if kind in CIRCLES else ()))
+    lengths = ("square", "marker", "tag", "diameter", *(("spacing",) if kind in CIRCLE_KINDS else ()))
     if kind == "tags":
         keys.setdefault("dictionary", DEFAULT_DICTIONARY)
         side = {"size": round(keys.pop("tag") / 1000, 9)} if "tag" in keys else {}

@@ -10,15 +10,15 @@ from calibration.base.tables.selection import KeyedTable, LabelledRow
 from calibration.base.tables.table import read_table
 from calibration.base.text import did_you_mean, shorten
 from calibration.engine.baseline.calibration_document import CalibrationDocument
-from calibration.engine.baseline.document import VERSION, Baseline
-from calibration.engine.baseline.quality import QUALITY
-from calibration.engine.baseline.verdict import MOVED, NO_BASELINE
-from calibration.engine.evaluation.table import AVERAGES
+from calibration.engine.baseline.document import BASELINE_VERSION, Baseline
+from calibration.engine.baseline.quality import QUALITY_KIND
+from calibration.engine.baseline.verdict import MOVED_KIND, NO_BASELINE
+from calibration.engine.evaluation.table import AVERAGES_ROW
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.software_cell import start_of
 from calibration.pipeline.results import PipelineResults, own_details
 
-ABOUT_THE_BASELINE = (MOVED, QUALITY, NO_BASELINE)
+ABOUT_THE_BASELINE = (MOVED_KIND, QUALITY_KIND, NO_BASELINE)
 """Kinds of findings that are resolved by accepting."""
 
 
@@ -50,7 +50,7 @@ def accept(
     if not accepted:
         raise InputError(f"{output}: there is no calibrated system to accept: run the calibration first")
     systems = {**(before.systems if before else {}), **accepted}
-    return Baseline(VERSION, dict(sorted(systems.items()))), tuple(accepted)
+    return Baseline(BASELINE_VERSION, dict(sorted(systems.items()))), tuple(accepted)
 
 
 def _accepted_snapshot(
@@ -95,6 +95,6 @@ def _table_averages(path: Path) -> dict[str, float]:
     """Return the row of averages of a table, by column; empty if there is none."""
     table = read_table(path)
     keyed = KeyedTable.of(table, None, ())
-    row = keyed.row(LabelledRow(AVERAGES)) if AVERAGES in keyed.labels else None
+    row = keyed.row(LabelledRow(AVERAGES_ROW)) if AVERAGES_ROW in keyed.labels else None
     numbers = {} if row is None else {column: parse_number(row.cells[table.column(column)]) for column in table.header}
     return {column: number for column, number in numbers.items() if number is not None}

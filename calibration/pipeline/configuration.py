@@ -27,7 +27,7 @@ from calibration.ci.execution.backends import (
     Sections,
 )
 from calibration.ci.image.specification import ImageDocument, ImageSpecification, parse_image_specification
-from calibration.engine.baseline.settings import FILE, BaselineSettings
+from calibration.engine.baseline.settings import BASELINE_FILE, BaselineSettings
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.solve.options import Options
 from calibration.pipeline.collection.request import CollectionRequest
@@ -51,7 +51,7 @@ def _image_from(document: object, place: Place) -> ImageSpecification:
 def _baseline_from(found: Literal["required"] | BaselineSettings, place: Place) -> BaselineSettings:
     if isinstance(found, BaselineSettings):
         return found
-    return BaselineSettings(file=place.folder / FILE, required=True)
+    return BaselineSettings(file=place.folder / BASELINE_FILE, required=True)
 
 
 @record(
@@ -120,8 +120,8 @@ def read_configuration(path: Path, environment: Mapping[str, str] | None = None)
     place = Place(str(path), ("simulation",), path.parent)
     simulations = (each.checked(found.backend, place.below(each.name)) for each in found.simulations)
     baseline = found.baseline
-    if baseline.file == Path(FILE):  # by default beside the configuration
-        baseline = replace(baseline, file=path.parent / FILE)
+    if baseline.file == Path(BASELINE_FILE):  # by default beside the configuration
+        baseline = replace(baseline, file=path.parent / BASELINE_FILE)
     configuration = replace(found, simulations=tuple(simulations), baseline=baseline)
     _check_references(configuration, path)
     return configuration

@@ -24,7 +24,7 @@ from calibration.engine.estimation.start.chosen_lenses import with_chosen_lenses
 from calibration.engine.estimation.start.lens_choice import LensChoice
 from calibration.engine.estimation.start.single_views import noise_inside_views
 from calibration.engine.estimation.start.starting_noise import StartingNoise
-from calibration.engine.evaluation.specification import KINDS, Suggestion
+from calibration.engine.evaluation.specification import TABLE_KINDS, Suggestion
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import load
@@ -187,7 +187,7 @@ def _calibrate_system(system: System) -> tuple[CellResult, Calibration | None]:
 
 def _choose_table(dataset: Dataset) -> tuple[str | None, str]:
     """Return the table that covers most of the dataset, a description; None if no sensors see a pattern together."""
-    suggested = [(name, kind.suggestion) for name, kind in KINDS.items() if kind.suggestion is not None]
+    suggested = [(name, kind.suggestion) for name, kind in TABLE_KINDS.items() if kind.suggestion is not None]
     for name, suggestion in sorted(suggested, key=lambda entry: -len(entry[1].families)):  # of two sensors first
         if (chosen := _names_for(suggestion, dataset)) is not None:
             names, counted = chosen

@@ -22,7 +22,7 @@ from calibration.ci.git.repository import Commit, Repository
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
 from calibration.engine.baseline.change_points import change_points, creeps, noise_of
 from calibration.engine.baseline.comparison import covariance_of_difference
-from calibration.engine.baseline.document import LARGEST, VERSION, parse_baseline
+from calibration.engine.baseline.document import BASELINE_VERSION, MAX_BASELINE_BYTES, parse_baseline
 from calibration.engine.geometry.transforms import local
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def read_history(repository: Repository, path: str, commits: Sequence[Commit]) -
     unreadable: list[str] = []
     known: dict[str, tuple[Any, CalibrationDocument]] = {}
     by_hash = {each.hash: each for each in commits}
-    for commit, content in repository.contents([each.hash for each in commits], path, LARGEST):
+    for commit, content in repository.contents([each.hash for each in commits], path, MAX_BASELINE_BYTES):
         if content is None:
             continue
         try:
@@ -124,7 +124,7 @@ def _read_systems(
     """Parse the systems of a file; unchanged ones are taken from the previous revision."""
     try:
         document = parse_json(content)
-        entries = document["systems"] if document["version"] == VERSION else {}
+        entries = document["systems"] if document["version"] == BASELINE_VERSION else {}
         stayed = {name: known[name][1] for name, entry in entries.items() if name in known and known[name][0] == entry}
         new = {name: entry for name, entry in entries.items() if name not in stayed}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):

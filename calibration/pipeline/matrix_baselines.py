@@ -8,7 +8,7 @@ from calibration.base.errors import CalibrationError
 from calibration.ci.git.event import Event
 from calibration.ci.git.repository import Repository
 from calibration.ci.services import event_of
-from calibration.engine.baseline.document import LARGEST, Baseline, parse_baseline, read_baseline
+from calibration.engine.baseline.document import MAX_BASELINE_BYTES, Baseline, parse_baseline, read_baseline
 from calibration.engine.baseline.settings import BaselineSettings
 from calibration.engine.baseline.update import BaselineUpdate, updates
 from calibration.engine.baseline.verdict import Accepted
@@ -64,7 +64,7 @@ def _against_base(
         if path is None or commit is None:
             return found
         found = replace(found, base=commit)
-        content = repository.content(commit, path, LARGEST)
+        content = repository.content(commit, path, MAX_BASELINE_BYTES)
         before = None if content is None else parse_baseline(content, f"{commit[:12]}:{path}")
     except CalibrationError as error:
         problem = f"the base branch's baseline cannot be compared with: {error}"

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from calibration.base.records import flat_fields
-from calibration.engine.evaluation.specification import KINDS
+from calibration.engine.evaluation.specification import TABLE_KINDS
 from calibration.pipeline.system import System
 
 from .yaml_lines import PROJECT
@@ -40,7 +40,7 @@ def test_dotted_names_lead_to_what_is_defined() -> None:
 
 def test_every_table_is_in_the_help_and_on_the_page() -> None:
     texts = [flat_fields(System)["evaluate"].help, (PROJECT / "docs" / "calibration-yml.md").read_text()]
-    for name, kind in KINDS.items():
+    for name, kind in TABLE_KINDS.items():
         form = ":".join((name, *kind.needs))
         assert name.startswith("inter-collection-") or all(form in text for text in texts), form
 
@@ -69,3 +69,14 @@ def names(text: str) -> set[str]:
         elif isinstance(node, ast.alias):
             found.add(node.asname or node.name)
     return found
+
+
+def test_contributing_names_what_exists() -> None:
+    text = (PROJECT / "CONTRIBUTING.md").read_text()
+    code = "\n".join(file.read_text() for root in ("calibration", "tests") for file in (PROJECT / root).rglob("*.py"))
+    constants = set(re.findall(r"`([A-Z][A-Z_]{3,})`", text))
+    paths = set(re.findall(r"`((?:[a-z_]+/)+[a-z_]*(?:\.\w+)?)`", text))
+    assert len(constants) > 10
+    assert len(paths) > 30
+    assert [name for name in constants if not re.search(rf"^ *{name}\b", code, re.MULTILINE)] == []
+    assert [path for path in paths if not any((root / path).exists() for root in (PROJECT, PACKAGE))] == []

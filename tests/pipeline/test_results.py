@@ -12,7 +12,7 @@ from defusedxml.ElementTree import fromstring
 from calibration.base.errors import ExitCode, InputError
 from calibration.ci.report import Report
 from calibration.ci.workflow.annotation import Level
-from calibration.engine.baseline.verdict import UNMOVED
+from calibration.engine.baseline.verdict import UNMOVED_KIND
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.what_does_not_fit import NOTHING_SUSPICIOUS
 from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, ParameterResult
@@ -319,7 +319,10 @@ def test_an_undecided_limit_is_a_reason_and_a_warning_after_what_is_red(tmp_path
 
 
 def test_a_failed_cell_does_not_say_that_all_is_well() -> None:
-    notes = (Finding(NOTHING_SUSPICIOUS, "note", "nothing suspicious"), Finding(UNMOVED, "note", "nothing has moved"))
+    notes = (
+        Finding(NOTHING_SUSPICIOUS, "note", "nothing suspicious"),
+        Finding(UNMOVED_KIND, "note", "nothing has moved"),
+    )
     well = CELL.found((*notes, Finding("rejected-labels", "note", "3 of 90 labels"), notes[0]))
 
     assert findings_of(PipelineResults((well,)), "note") == (

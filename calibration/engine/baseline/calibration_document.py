@@ -27,13 +27,13 @@ Sigmas = Annotated[tuple[Positive, ...], length(3, 3)]
 Six = Annotated[tuple[Number, ...], length(6, 6)]
 Count = Annotated[int, at_least(0)]
 Name = Annotated[str, length(1, 500)]
-CELLS = 4
+COVERAGE_CELLS = 4
 """The coverage of the image is counted in a grid of this number of cells per side."""
-NEGLIGIBLE = 1e-3
+MAX_NEGLIGIBLE_SHARE = 1e-3
 """Fraction of a variance below which a contribution is not stored separately."""
-POSITIONS = "the robot's moving transforms"
+POSITIONS_INPUT = "the robot's moving transforms"
 """Name of the input that differs between any two recordings."""
-DEFINITE = -1e-4
+MIN_EIGENVALUE = -1e-4
 """Lower limit of the smallest eigenvalue of correlations; a more negative one is not rounding error."""
 
 
@@ -87,7 +87,7 @@ class CalibratedPose:
         if self.correlations is not None:
             if len(self.correlations) != 15:
                 raise Misfit(f"found {len(self.correlations)} numbers, expected 15", "correlations")
-            if np.linalg.eigvalsh(self._correlation)[0] < DEFINITE:
+            if np.linalg.eigvalsh(self._correlation)[0] < MIN_EIGENVALUE:
                 raise Misfit("these are no correlations: a variance would be negative", "correlations")
 
     @property
@@ -124,13 +124,19 @@ class CalibratedPose:
     @computed("sigma-mm")
     def sigma_mm(self) -> tuple[float, ...] | None:
         """Standard deviations of the translation, mm, in total."""
-        return None if self.covariance is None else _digits(1e3 * np.sqrt(np.diagonal(self.covariance)[:3]), 4)
+        return (
+            None if self.covariance is None else _significant_values(1e3 * np.sqrt(np.diagonal(self.covariance)[:3]), 4)
+        )
 
     @property
     @computed("sigma-deg")
     def sigma_deg(self) -> tuple[float, ...] | None:
         """Standard deviations of the rotation, degrees, in total."""
-        return None if self.covariance is None else _digits(np.degrees(np.sqrt(np.diagonal(self.covariance)[3:])), 4)
+        return (
+            None
+            if self.covariance is None
+            else _significant_values(np.degrees(np.sqrt(np.diagonal(self.covariance)[3:])), 4)
+        )
 
     @property
     def norm_mm(self) -> float:
@@ -210,7 +216,8 @@ class CalibrationDocument:
     iterations: Count = field("Of the solver.")
     views: Mapping[str, Count] = field("Views of a pattern, by sensor.")
     covered: Mapping[str, Annotated[float, between(0, 1)]] = field(
-        f"Part of each camera's image, of {CELLS * CELLS} cells, in which there are corners.", default_factory=dict
+        f"Part of each camera's image, of {COVERAGE_CELLS * COVERAGE_CELLS} cells, in which there are corners.",
+        default_factory=dict,
     )
     extents: Mapping[str, Positive] = field(
         "Median extent of the pattern in each camera's image, px; its distance from a LiDAR or a depth camera, m.",
@@ -273,14 +280,14 @@ class CalibrationDocuments:
             collections=len(self._given.collections),
             engine=__version__,
             poses=tuple(
-                _pose(calibration, edge, T, sensors.get(edge))
+                _calibrated_pose(calibration, edge, T, sensors.get(edge))
                 for edge, T in sorted(_at_description(calibration, self._given))
             ),
-            parameters=tuple(_parameters(calibration)),
+            parameters=tuple(_calibrated_parameters(calibration)),
             lens_correlations={name: _lens_correlations(each) for name, each in calibration.intrinsics.items()},
-            rms_px=_known(rms_px, 6),
-            noise=NoiseLevels(**{k: _significant(v, 4) for k, v in noise.items()}),
-            effective_collections=_significant(bars.effective_collections, 3) if bars else None,
+            rms_px=_significant_or_none(rms_px, 6),
+            noise=NoiseLevels(**{k: _significant_value(v, 4) for k, v in noise.items()}),
+            effective_collections=_significant_value(bars.effective_collections, 3) if bars else None,
             rejected_labels=len(calibration.rejected),
             labels=self._count,
             iterations=calibration.iterations,
@@ -334,20 +341,20 @@ def hashes_of_inputs(given: Dataset, calibrated: Collection[Edge], options: Opti
     for name, sensor in sorted(given.sensors.items()):
         if (camera := sensor.camera) is not None:
             model = f"{camera.distortion.ros_name} {camera.width} {camera.height}"
-            found[f"camera_info of {name}"] = _hash(model, camera.intrinsics)
+            found[f"camera_info of {name}"] = _hash_numbers(model, camera.intrinsics)
     for name, pattern in sorted(given.patterns.items()):
-        found[f"pattern {name}"] = _hash("", pattern.corners, pattern.outline)
+        found[f"pattern {name}"] = _hash_numbers("", pattern.corners, pattern.outline)
     held = {edge: np.nan_to_num(T) for edge, T in sorted(given.transforms.items()) if edge not in calibrated}
     fixed = {edge: T[:1] for edge, T in held.items() if np.abs(T - T[0]).max() < RIGID_TOLERANCE}
     moving = {edge: T for edge, T in held.items() if edge not in fixed}
-    found["the robot's fixed transforms"] = _hash(repr(list(fixed)), *fixed.values())
-    found[POSITIONS] = _hash(repr(list(moving)), *moving.values())
+    found["the robot's fixed transforms"] = _hash_numbers(repr(list(fixed)), *fixed.values())
+    found[POSITIONS_INPUT] = _hash_numbers(repr(list(moving)), *moving.values())
     asked = {key: value for key, value in document_of(options).items() if key != "start"}  # not of the optimum
-    found["options"] = _hash(json.dumps(asked, sort_keys=True, default=str))
+    found["options"] = _hash_numbers(json.dumps(asked, sort_keys=True, default=str))
     return found
 
 
-def _hash(text: str, *arrays: Array) -> str:
+def _hash_numbers(text: str, *arrays: Array) -> str:
     """Hash numbers rounded to 1e-9: the last bits of a result may differ between processors."""
     found = hashlib.sha256(text.encode())
     for array in arrays:
@@ -383,13 +390,13 @@ def _at_description(calibration: Calibration, given: Dataset) -> Iterator[tuple[
         yield edge, to_held[0] @ moved @ inverse(to_held[0]) @ T if rigid else T
 
 
-def _pose(calibration: Calibration, edge: Edge, T: Array, sensor: str | None) -> CalibratedPose:
+def _calibrated_pose(calibration: Calibration, edge: Edge, T: Array, sensor: str | None) -> CalibratedPose:
     C = calibration.covariances.get(edge)
-    xyz, rpy = _rounded(1e3 * T[:3, 3], 6), _rounded(np.degrees(to_rpy(T[:3, :3])), 9)
+    xyz, rpy = _round_values(1e3 * T[:3, 3], 6), _round_values(np.degrees(to_rpy(T[:3, :3])), 9)
     if C is None:
         return CalibratedPose(*edge, xyz, rpy, sensor)
     moved = _moved_by_held(calibration, edge)
-    held = {name: rows for name, moves in moved.items() if (rows := _relevant(moves, C))}
+    held = {name: rows for name, moves in moved.items() if (rows := _relevant_moves(moves, C))}
     own = C - sum((moves @ moves.T for name, moves in moved.items() if name in held), 0 * C)
     sigmas = np.sqrt(np.maximum(np.diagonal(own), 1e-30))
     correlation = own / np.outer(sigmas, sigmas)
@@ -398,12 +405,12 @@ def _pose(calibration: Calibration, edge: Edge, T: Array, sensor: str | None) ->
         xyz,
         rpy,
         sensor,
-        _digits(1e3 * sigmas[:3], 4),
-        _digits(np.degrees(sigmas[3:]), 4),
-        _rounded(np.clip(correlation[np.tril_indices(6, -1)], -1, 1), 5),
+        _significant_values(1e3 * sigmas[:3], 4),
+        _significant_values(np.degrees(sigmas[3:]), 4),
+        _round_values(np.clip(correlation[np.tril_indices(6, -1)], -1, 1), 5),
         held,
-        _significant(calibration.label_sigma_mm(edge), 4),
-        _significant(float(np.degrees(1e-3 * calibration.label_sigma_mrad(edge))), 4),
+        _significant_value(calibration.label_sigma_mm(edge), 4),
+        _significant_value(float(np.degrees(1e-3 * calibration.label_sigma_mrad(edge))), 4),
     )
 
 
@@ -419,31 +426,33 @@ def _moved_by_held(calibration: Calibration, edge: Edge) -> dict[str, Array]:
     return {name: to_frame @ moves[at] for name, moves in bars.held.items()} if bars else {}
 
 
-def _relevant(moves: Array, C: Array) -> tuple[tuple[float, ...], ...]:
+def _relevant_moves(moves: Array, C: Array) -> tuple[tuple[float, ...], ...]:
     """Effects of fixed inputs in the file's form; empty if they are a negligible part of the covariance."""
-    if (np.square(moves) < NEGLIGIBLE * np.diagonal(C)[:, None]).all():
+    if (np.square(moves) < MAX_NEGLIGIBLE_SHARE * np.diagonal(C)[:, None]).all():
         return ()
-    return tuple(_digits(row, 4) for row in (moves * np.array([1e3] * 3 + [180 / np.pi] * 3)[:, None]).T)
+    return tuple(_significant_values(row, 4) for row in (moves * np.array([1e3] * 3 + [180 / np.pi] * 3)[:, None]).T)
 
 
-def _parameters(calibration: Calibration) -> Iterator[CalibratedParameter]:
+def _calibrated_parameters(calibration: Calibration) -> Iterator[CalibratedParameter]:
     for name, joint in calibration.joints.items():
-        yield from _each(name, joint, tuple(_significant(v, 4) for v in joint.label_sigmas))
+        yield from _parameters_of(name, joint, tuple(_significant_value(v, 4) for v in joint.label_sigmas))
     for name, camera in calibration.intrinsics.items():
-        yield from _each(name, camera, (None,) * len(camera.parameters))
+        yield from _parameters_of(name, camera, (None,) * len(camera.parameters))
 
 
-def _each(
+def _parameters_of(
     name: str, found: CalibratedJoint | CalibratedIntrinsics, of_labels: tuple[float | None, ...]
 ) -> Iterator[CalibratedParameter]:
     rows = zip(found.parameters, found.values.tolist(), found.units, found.sigmas.tolist(), of_labels, strict=True)
     for parameter, value, unit, sigma, own in rows:
-        yield CalibratedParameter(name, parameter, _significant(value, 12), unit, _significant(sigma, 4), own)
+        yield CalibratedParameter(
+            name, parameter, _significant_value(value, 12), unit, _significant_value(sigma, 4), own
+        )
 
 
 def _lens_correlations(found: CalibratedIntrinsics) -> tuple[float, ...]:
     correlations = found.covariance / np.outer(found.sigmas, found.sigmas)
-    return _rounded(np.clip(correlations[np.tril_indices(len(correlations), -1)], -1, 1), 6)
+    return _round_values(np.clip(correlations[np.tril_indices(len(correlations), -1)], -1, 1), 6)
 
 
 def _views(dataset: Dataset) -> dict[str, int]:
@@ -461,8 +470,12 @@ def _covered(dataset: Dataset) -> dict[str, float]:
         cells: set[tuple[int, ...]] = set()
         for (_, _, of), label in _labels(dataset):
             if of == name and isinstance(label, CornerLabels):
-                cells.update(map(tuple, np.clip(label.pixels * CELLS / size, 0, CELLS - 1).astype(int).tolist()))
-        found[name] = round(len(cells) / CELLS**2, 4)
+                cells.update(
+                    map(
+                        tuple, np.clip(label.pixels * COVERAGE_CELLS / size, 0, COVERAGE_CELLS - 1).astype(int).tolist()
+                    )
+                )
+        found[name] = round(len(cells) / COVERAGE_CELLS**2, 4)
     return found
 
 
@@ -474,21 +487,21 @@ def _median_extents(dataset: Dataset) -> dict[str, float]:
             found.setdefault(sensor, []).append(float(np.linalg.norm(np.ptp(label.pixels, axis=0))))
         elif isinstance(label, PointLabels) and len(label.points):
             found.setdefault(sensor, []).append(float(np.linalg.norm(np.median(label.points, axis=0))))
-    return {name: _significant(float(np.median(values)), 4) for name, values in sorted(found.items())}
+    return {name: _significant_value(float(np.median(values)), 4) for name, values in sorted(found.items())}
 
 
-def _rounded(values: Array, digits: int) -> tuple[float, ...]:
+def _round_values(values: Array, digits: int) -> tuple[float, ...]:
     return tuple(round(float(v), digits) + 0.0 for v in values)
 
 
-def _digits(values: Array, digits: int) -> tuple[float, ...]:
+def _significant_values(values: Array, digits: int) -> tuple[float, ...]:
     """Round to a number of significant digits, and to 1e-9."""
-    return tuple(round(_significant(float(v), digits), 9) + 0.0 for v in values)
+    return tuple(round(_significant_value(float(v), digits), 9) + 0.0 for v in values)
 
 
-def _significant(value: float, digits: int) -> float:
+def _significant_value(value: float, digits: int) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def _known(value: float | None, digits: int) -> float | None:
-    return None if value is None else _significant(value, digits)
+def _significant_or_none(value: float | None, digits: int) -> float | None:
+    return None if value is None else _significant_value(value, digits)

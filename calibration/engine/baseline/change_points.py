@@ -14,13 +14,13 @@ from calibration.base.arrays import Array, IntArray
 from calibration.engine.baseline.comparison import chi_squared_quantile
 from calibration.engine.estimation.covariance.significance import FAMILY_WISE
 
-NORMAL = 1.4826
+MAD_TO_SIGMA = 1.4826
 """Ratio of standard deviation to median absolute deviation of a normal distribution."""
-FEWEST = 4
+MIN_VALUES = 4
 """Minimum number of values for a trend."""
-MANY = 12
+MIN_VALUES_FOR_NOISE = 12
 """Least number of values for which the noise is estimated from their differences."""
-LEAST = 0.02
+MIN_NOISE_SHARE = 0.02
 """Lower limit of the noise, as a fraction of the stated one."""
 
 
@@ -33,12 +33,12 @@ def noise_of(values: Array, stated: Array) -> Array:
         values: (n, d).
         stated: (d,), positive.
     """
-    if len(values) < MANY:
+    if len(values) < MIN_VALUES_FOR_NOISE:
         return stated
     steps = np.diff(values, axis=0)
     halves = np.array_split(steps, 2)
     deviations = [np.median(np.abs(half - np.median(half, axis=0)), axis=0) for half in halves]
-    noise: Array = np.maximum(NORMAL * np.max(deviations, axis=0) / math.sqrt(2), LEAST * stated)
+    noise: Array = np.maximum(MAD_TO_SIGMA * np.max(deviations, axis=0) / math.sqrt(2), MIN_NOISE_SHARE * stated)
     return noise
 
 
@@ -81,7 +81,7 @@ def creeps(values: Array, noise: Array, changes: Sequence[int]) -> bool:
         changes: the indices from `change_points`.
     """
     n = len(values)
-    if n < FEWEST:
+    if n < MIN_VALUES:
         return False
     white = values / noise
     penalty = chi_squared_quantile(FAMILY_WISE / n)

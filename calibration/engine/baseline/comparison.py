@@ -18,7 +18,7 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.base.records import field, result
 from calibration.engine.baseline.calibration_document import (
-    POSITIONS,
+    POSITIONS_INPUT,
     CalibratedParameter,
     CalibratedPose,
     CalibrationDocument,
@@ -29,7 +29,7 @@ from calibration.engine.geometry.transforms import local
 Kind = Literal["pose", "parameter", "lens", "added", "removed"]
 MOST_FREEDOM = 1e6
 """Upper limit of the degrees of freedom; beyond it the distribution is practically chi-squared."""
-LEAST = 1e-9
+MIN_VARIANCE_RATIO = 1e-9
 """Relative to the largest: a smaller variance is rounding error."""
 
 
@@ -79,7 +79,7 @@ class BaselineComparison:
         before, now = self.before.inputs, self.now.inputs
         changed = [name for name in now if before.get(name, now[name]) != now[name]]
         if not self.same_data:
-            changed = [name for name in changed if name != POSITIONS]
+            changed = [name for name in changed if name != POSITIONS_INPUT]
         engines = [f"the engine ({self.before.engine} to {self.now.engine})"]
         return (*changed, *(engines if self.before.engine != self.now.engine else []))
 
@@ -98,25 +98,25 @@ def compare(before: CalibrationDocument, now: CalibrationDocument) -> BaselineCo
     new_values = {each.name: each for each in now.parameters}
     lenses = [] if same else sorted(before.lens_correlations.keys() & now.lens_correlations.keys())
     count = len(earlier.keys() & later.keys()) + len(values.keys() & new_values.keys()) + len(lenses)
-    freedom = _freedom(before, now)
+    freedom = _degrees_of_freedom(before, now)
     threshold = t_squared_quantile(FAMILY_WISE / max(1, count), freedom)
     changes = [_pose_change(earlier[edge], later[edge], same, threshold, freedom) for edge in earlier if edge in later]
     changes += [
         _parameter_change(values[name], new_values[name], same, freedom) for name in values if name in new_values
     ]
     changes += [each for name in lenses if (each := _lens_change(before, now, name, freedom))]
-    changes += _unmatched({each.name for each in earlier.values()}, {each.name for each in later.values()})
-    changes += _unmatched(values.keys(), new_values.keys())
+    changes += _unmatched_changes({each.name for each in earlier.values()}, {each.name for each in later.values()})
+    changes += _unmatched_changes(values.keys(), new_values.keys())
     return BaselineComparison(before, now, tuple(changes))
 
 
-def _freedom(before: CalibrationDocument, now: CalibrationDocument) -> float:
+def _degrees_of_freedom(before: CalibrationDocument, now: CalibrationDocument) -> float:
     """Degrees of freedom of the covariance of a difference; infinite if unknown."""
     known = [each.effective_collections for each in (before, now)]
     return sum(each - 1 if each is not None else math.inf for each in known)
 
 
-def _unmatched(before: Set[str], now: Set[str]) -> Iterator[BaselineChange]:
+def _unmatched_changes(before: Set[str], now: Set[str]) -> Iterator[BaselineChange]:
     for name in sorted(before - now):
         yield BaselineChange(name=name, kind="removed")
     for name in sorted(now - before):
@@ -129,20 +129,20 @@ def _pose_change(
     d = local(before.matrix, now.matrix)
     C = _label_covariance(before) if same else covariance_of_difference(before, now)
     chi_squared, worst = (0.0, 0.0) if C is None else _chi_squared(d, C)
-    sizes = (0.0, 0.0) if C is None else _norms(np.sqrt(np.diagonal(C)))
+    sizes = (0.0, 0.0) if C is None else _twist_norms(np.sqrt(np.diagonal(C)))
     if C is None and np.abs(d).max() > 0:
         chi_squared = math.inf  # fixed in both: no standard deviation, and no noise
-    mm, deg = _norms(d)
+    mm, deg = _twist_norms(d)
     return BaselineChange(
         name=now.name,
         kind="pose",
-        translation_mm=_digits(1e3 * d[:3]),
-        rotation_deg=_digits(np.degrees(d[3:])),
+        translation_mm=_round_values(1e3 * d[:3]),
+        rotation_deg=_round_values(np.degrees(d[3:])),
         mm=round(mm, 6),
         deg=round(deg, 8),
         sigma_mm=round(sizes[0], 6),
         sigma_deg=round(sizes[1], 8),
-        sigmas=_finite(math.sqrt(chi_squared)),
+        sigmas=_finite_number(math.sqrt(chi_squared)),
         p=t_squared_tail(chi_squared, 6, freedom),
         unseen_mm=round(min(1e3 * math.sqrt(threshold) * worst, 1e9), 4),
     )
@@ -167,7 +167,7 @@ def _parameter_change(
         sigma=sigma,
         sigma_mm=1e3 * sigma if now.unit == "m" else 0.0,
         sigma_deg=math.degrees(sigma) if now.unit == "rad" else 0.0,
-        sigmas=_finite(sigmas),
+        sigmas=_finite_number(sigmas),
         p=t_squared_tail(sigmas**2, 1, freedom),
     )
 
@@ -183,12 +183,12 @@ def _lens_change(
     earlier, later = before.lens(camera), now.lens(camera)
     if earlier is None or later is None or earlier[0] != later[0]:
         return None
-    chi_squared, k = _mahalanobis(later[1] - earlier[1], earlier[2] + later[2]), len(earlier[0])
+    chi_squared, k = _squared_mahalanobis(later[1] - earlier[1], earlier[2] + later[2]), len(earlier[0])
     score = float(score_of_f(chi_squared / k, k, k * min(max(freedom, 1.0), MOST_FREEDOM)))
     return BaselineChange(
         name=f"{camera}'s lens",
         kind="lens",
-        sigmas=_finite(math.sqrt(chi_squared)),
+        sigmas=_finite_number(math.sqrt(chi_squared)),
         p=0.5 * math.erfc(score / math.sqrt(2)),
     )
 
@@ -199,7 +199,7 @@ def _label_covariance(pose: CalibratedPose) -> Array | None:
     if C is None or pose.label_sigma_mm is None or pose.label_sigma_deg is None:
         return C
     scale = np.repeat([pose.label_sigma_mm, pose.label_sigma_deg], 3)
-    scale = scale / np.repeat(np.maximum(_norms(np.sqrt(np.diagonal(C))), 1e-300), 3)
+    scale = scale / np.repeat(np.maximum(_twist_norms(np.sqrt(np.diagonal(C))), 1e-300), 3)
     return C * np.outer(scale, scale)
 
 
@@ -215,28 +215,28 @@ def covariance_of_difference(before: CalibratedPose, now: CalibratedPose) -> Arr
 
 def _chi_squared(d: Array, C: Array) -> tuple[float, float]:
     """Return ``d^T C^-1 d``, and the largest standard deviation of a translation in any direction, m."""
-    return _mahalanobis(d, C), float(np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1]))
+    return _squared_mahalanobis(d, C), float(np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1]))
 
 
-def _mahalanobis(d: Array, C: Array) -> float:
+def _squared_mahalanobis(d: Array, C: Array) -> float:
     """Return ``d^T C^-1 d``."""
     scale = np.sqrt(np.maximum(np.diagonal(C), 1e-300))
     values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
-    values = np.maximum(values, LEAST * values[-1])
+    values = np.maximum(values, MIN_VARIANCE_RATIO * values[-1])
     white = vectors.T @ (d / scale) / np.sqrt(values)
     return float(white @ white)
 
 
-def _norms(d: Array) -> tuple[float, float]:
+def _twist_norms(d: Array) -> tuple[float, float]:
     """Return the norms of a twist (6,) in m and rad, as mm and degrees."""
     return 1e3 * float(np.linalg.norm(d[:3])), float(np.degrees(np.linalg.norm(d[3:])))
 
 
-def _digits(values: Array) -> tuple[float, ...]:
+def _round_values(values: Array) -> tuple[float, ...]:
     return tuple(round(float(v), 8) + 0.0 for v in values)
 
 
-def _finite(value: float) -> float:
+def _finite_number(value: float) -> float:
     return round(min(value, 1e9), 4)
 
 
@@ -256,12 +256,12 @@ def t_squared_tail(x: float, k: int, freedom: float) -> float:
 
 def t_squared_quantile(p: float, freedom: float) -> float:
     """Value that Hotelling's T^2 of 6 parameters exceeds with probability p; infinite if ``freedom`` is too small."""
-    return _exceeded(lambda x: t_squared_tail(x, 6, freedom), p)
+    return _solve_tail(lambda x: t_squared_tail(x, 6, freedom), p)
 
 
 def chi_squared_quantile(p: float) -> float:
     """Quantile that chi-squared with 6 degrees of freedom exceeds with probability p."""
-    return _exceeded(chi_squared_tail, p)
+    return _solve_tail(chi_squared_tail, p)
 
 
 def chi_squared_tail(x: float) -> float:
@@ -272,7 +272,7 @@ def chi_squared_tail(x: float) -> float:
     return math.exp(-x / 2) * (1 + x / 2 + x * x / 8) if x < 1400 else 0.0
 
 
-def _exceeded(tail: Callable[[float], float], p: float) -> float:
+def _solve_tail(tail: Callable[[float], float], p: float) -> float:
     """Solve ``tail(x) = p`` for a decreasing function; infinite if there is no solution below the search limit."""
     low, high = 0.0, 1e6
     if tail(high) > p:

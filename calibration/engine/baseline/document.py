@@ -11,11 +11,11 @@ from calibration.base.json_file import parse_json
 from calibration.base.records import document_of, field, length, read, record
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 
-VERSION: Literal[1] = 1
-LARGEST = 32_000_000
+BASELINE_VERSION: Literal[1] = 1
+MAX_BASELINE_BYTES = 32_000_000
 """Limit of a baseline's size in bytes: a thousand systems of many sensors."""
-CONFLICT = b"<<<<<<<"
-WIDTH = 100
+CONFLICT_MARKER = b"<<<<<<<"
+MAX_LINE_LENGTH = 100
 """Maximum line length for short lists and mappings."""
 
 
@@ -37,7 +37,7 @@ def read_baseline(path: Path) -> Baseline | None:
         raise InputError(f"{path}: found a symbolic link, expected the baseline itself")
     if not path.exists():
         return None
-    return parse_baseline(read_bytes(path, LARGEST, "a baseline"), str(path))
+    return parse_baseline(read_bytes(path, MAX_BASELINE_BYTES, "a baseline"), str(path))
 
 
 def parse_baseline(content: bytes, where: str) -> Baseline:
@@ -46,9 +46,9 @@ def parse_baseline(content: bytes, where: str) -> Baseline:
     Raises:
         InputError: it is not valid; the message begins with ``where``.
     """
-    if len(content) > LARGEST:
-        raise InputError(f"{where}: found {len(content)} bytes, a baseline has at most {LARGEST}")
-    if CONFLICT in content:
+    if len(content) > MAX_BASELINE_BYTES:
+        raise InputError(f"{where}: found {len(content)} bytes, a baseline has at most {MAX_BASELINE_BYTES}")
+    if CONFLICT_MARKER in content:
         raise InputError(
             f"{where}: git left a merge conflict in it: take either side whole (git checkout --ours or --theirs), run "
             f"the calibration, and accept its result (calibration accept)"
@@ -58,9 +58,10 @@ def parse_baseline(content: bytes, where: str) -> Baseline:
     except (ValueError, RecursionError) as error:
         raise InputError(f"{where}: this is not a baseline: {error}") from None
     version = document.get("version") if isinstance(document, dict) else None
-    if isinstance(version, int) and version > VERSION:
+    if isinstance(version, int) and version > BASELINE_VERSION:
         raise InputError(
-            f"{where}: version: found {version}, this program knows {VERSION}: a newer one has written it; update"
+            f"{where}: version: found {version}, this program knows {BASELINE_VERSION}: a newer one has written it; "
+            "update"
         )
     return read(Baseline, document, where)
 
@@ -81,23 +82,27 @@ def baseline_text(baseline: Baseline) -> str:
     """Format a baseline: systems sorted by name, short values on one line."""
     document = document_of(baseline)
     document["systems"] = {name: document["systems"][name] for name in sorted(document["systems"])}
-    return _text(document, "") + "\n"
+    return _indented_text(document, "") + "\n"
 
 
-def _text(value: Any, indent: str) -> str:
+def _indented_text(value: Any, indent: str) -> str:
     line = json.dumps(value, ensure_ascii=False, allow_nan=False)
-    if not value or not isinstance(value, dict | list) or _fits(value, line):
+    if not value or not isinstance(value, dict | list) or _fits_on_line(value, line):
         return line
     inner = indent + "  "
     if isinstance(value, dict):
-        lines = [f"{json.dumps(key, ensure_ascii=False)}: {_text(each, inner)}" for key, each in value.items()]
+        lines = [f"{json.dumps(key, ensure_ascii=False)}: {_indented_text(each, inner)}" for key, each in value.items()]
         return "{\n" + ",\n".join(inner + each for each in lines) + f"\n{indent}}}"
-    return "[\n" + ",\n".join(inner + _text(each, inner) for each in value) + f"\n{indent}]"
+    return "[\n" + ",\n".join(inner + _indented_text(each, inner) for each in value) + f"\n{indent}]"
 
 
-def _fits(value: Any, line: str) -> bool:
+def _fits_on_line(value: Any, line: str) -> bool:
     """Whether a value is written on one line: flat lists of any length, nested lists and mappings if short."""
     children = list(value.values()) if isinstance(value, dict) else value
     if not any(isinstance(each, dict | list) for each in children):
-        return isinstance(value, list) or len(line) <= WIDTH
-    return isinstance(value, list) and len(line) <= WIDTH and not any(isinstance(each, dict) for each in children)
+        return isinstance(value, list) or len(line) <= MAX_LINE_LENGTH
+    return (
+        isinstance(value, list)
+        and len(line) <= MAX_LINE_LENGTH
+        and not any(isinstance(each, dict) for each in children)
+    )

@@ -25,8 +25,8 @@ from calibration.engine.baseline.settings import BaselineSettings
 from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.estimation.covariance.significance import score_of_f, threshold
 
-QUALITY = "baseline-quality"
-ACCEPT = "accept it: calibration accept"
+QUALITY_KIND = "baseline-quality"
+HOW_TO_ACCEPT = "accept it: calibration accept"
 MAX_RATIO_OF_EXTENTS = 1.25
 """Noise and RMS in px are compared if the pattern is as large in the images but for this factor. A board at twice the
 distance has half the pixels along each edge, and its corners scatter more."""
@@ -50,7 +50,7 @@ def quality(comparison: BaselineComparison, settings: BaselineSettings) -> Itera
     severity: Severity = "red" if comparison.same_data else "warning"
     if comparison.same_data:
         yield from _error_bars_on_same_data(comparison, settings)
-    for each in _measures(comparison, settings):
+    for each in _compared_measures(comparison, settings):
         if each.before is None or not each.significant:
             continue
         check = at_most(each.what, each.now, each.allowance.above(each.before), each.unit)
@@ -58,7 +58,7 @@ def quality(comparison: BaselineComparison, settings: BaselineSettings) -> Itera
             advice = (
                 "" if comparison.same_data else "; the limits decide whether it matters: look at light, focus, distance"
             )
-            yield Finding(QUALITY, severity, f"{worse_than_baseline(check, each.before)}{advice}", value=each.now)
+            yield Finding(QUALITY_KIND, severity, f"{worse_than_baseline(check, each.before)}{advice}", value=each.now)
 
 
 def worse_than_baseline(check: Check, before: float) -> str:
@@ -75,7 +75,7 @@ def largest_standard_deviations(before: CalibrationDocument, now: CalibrationDoc
     return first, second
 
 
-def _measures(comparison: BaselineComparison, settings: BaselineSettings) -> list[_Measure]:
+def _compared_measures(comparison: BaselineComparison, settings: BaselineSettings) -> list[_Measure]:
     before, now, most = comparison.before, comparison.now, settings.max_increase
     levels = now.noise.given()
     pairs = [("RMS", before.rms_px, now.rms_px, most.rms, "px")]
@@ -149,5 +149,7 @@ def _error_bars_on_same_data(comparison: BaselineComparison, settings: BaselineS
     ]
     for what, old, value in rows:
         if abs(value - old) > share * max(old, value):
-            text = f"{what} differs on the same data: {value:.4g}, accepted was {old:.4g}: {ACCEPT}, if it is meant"
-            yield Finding(QUALITY, "red", text, value=value)
+            text = (
+                f"{what} differs on the same data: {value:.4g}, accepted was {old:.4g}: {HOW_TO_ACCEPT}, if it is meant"
+            )
+            yield Finding(QUALITY_KIND, "red", text, value=value)

@@ -7,18 +7,18 @@ from calibration.base.errors import InputError
 from calibration.base.records import Converted, Place, at_least, field, length, record
 from calibration.base.tables.allowance import Allowance, parse_allowance
 
-FILE = "calibration-baseline.json"
+BASELINE_FILE = "calibration-baseline.json"
 Least = Annotated[float, at_least(0)]
 
 
-def _allowance(text: str, place: Place) -> Allowance:
+def _parse_allowance_at(text: str, place: Place) -> Allowance:
     try:
         return parse_allowance(text)
     except InputError as error:
         raise place.fault(str(error)) from None
 
 
-Increase = Annotated[Allowance, Converted(Annotated[str, length(1, 30)], _allowance)]
+Increase = Annotated[Allowance, Converted(Annotated[str, length(1, 30)], _parse_allowance_at)]
 
 
 @record
@@ -46,7 +46,7 @@ class BaselineSettings:
     """The accepted calibration that every cell is compared with."""
 
     file: Annotated[Path, Converted(Annotated[str, length(1)], lambda text, place: place.folder / text)] = field(
-        f"The reviewed file, relative to this one ({FILE}).", default=Path(FILE)
+        f"The reviewed file, relative to this one ({BASELINE_FILE}).", default=Path(BASELINE_FILE)
     )
     required: bool = field("Whether a system without an accepted calibration fails (false).", default=False)
     translation_mm: Least = field("Allowed displacement of a sensor on other data (0).", default=0.0, unit="mm")

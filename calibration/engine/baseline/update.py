@@ -40,16 +40,16 @@ def updates(before: Baseline | None, now: Baseline | None) -> tuple[Update, ...]
     found: list[Update] = []
     for name in sorted(old.keys() | new.keys()):
         if name not in old:
-            found.append(Update(system=name, now=_count(new[name]), although=new[name].although))
+            found.append(Update(system=name, now=_count_of_transforms(new[name]), although=new[name].although))
         elif name not in new:
-            found.append(Update(system=name, before=_count(old[name])))
+            found.append(Update(system=name, before=_count_of_transforms(old[name])))
         elif old[name] != new[name]:
-            found += _updates(name, old[name], new[name])
+            found += _updates_of_system(name, old[name], new[name])
     return tuple(found)
 
 
-def _updates(name: str, before: CalibrationDocument, now: CalibrationDocument) -> Iterator[Update]:
-    old, new = _texts(before), _texts(now)
+def _updates_of_system(name: str, before: CalibrationDocument, now: CalibrationDocument) -> Iterator[Update]:
+    old, new = _texts_by_name(before), _texts_by_name(now)
     for change in compare(before, now).changes:
         if change.mm or change.deg or change.value or change.kind in ("added", "removed"):
             was, is_now = old.get(change.name, ""), new.get(change.name, "")
@@ -59,18 +59,21 @@ def _updates(name: str, before: CalibrationDocument, now: CalibrationDocument) -
         yield Update(system=name, before=was, now=is_now, although=now.although)
 
 
-def _count(snapshot: CalibrationDocument) -> str:
+def _count_of_transforms(snapshot: CalibrationDocument) -> str:
     return f"{len(snapshot.poses)} transforms of {snapshot.collections} collections"
 
 
-def _texts(snapshot: CalibrationDocument) -> dict[str, str]:
+def _texts_by_name(snapshot: CalibrationDocument) -> dict[str, str]:
     """Return the calibrated values as text, by name."""
-    poses = {each.name: f"{_numbers(each.xyz_mm, 2)} mm, {_numbers(each.rpy_deg, 3)} deg" for each in snapshot.poses}
+    poses = {
+        each.name: f"{_joined_numbers(each.xyz_mm, 2)} mm, {_joined_numbers(each.rpy_deg, 3)} deg"
+        for each in snapshot.poses
+    }
     values = {
         each.name: f"{each.value:.6g}{'' if each.unit == '1' else f' {each.unit}'}" for each in snapshot.parameters
     }
     return poses | values
 
 
-def _numbers(values: tuple[float, ...], digits: int) -> str:
+def _joined_numbers(values: tuple[float, ...], digits: int) -> str:
     return ", ".join(f"{round(value, digits) + 0.0:.{digits}f}" for value in values)

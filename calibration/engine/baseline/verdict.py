@@ -9,8 +9,8 @@ from calibration.base.check import at_most
 from calibration.engine.baseline.calibration_document import CalibrationDocument, SoftwareStart
 from calibration.engine.baseline.comparison import BaselineChange, BaselineComparison, compare
 from calibration.engine.baseline.quality import (
-    ACCEPT,
-    QUALITY,
+    HOW_TO_ACCEPT,
+    QUALITY_KIND,
     largest_standard_deviations,
     quality,
     worse_than_baseline,
@@ -18,13 +18,13 @@ from calibration.engine.baseline.quality import (
 from calibration.engine.baseline.settings import BaselineSettings, SameData
 from calibration.engine.diagnosis.finding import Finding
 
-MOVED = "baseline"
-UNMOVED = "baseline-unmoved"
+MOVED_KIND = "baseline"
+UNMOVED_KIND = "baseline-unmoved"
 NO_BASELINE = "no-baseline"
-ALONG = 0.9
+MIN_AXIS_COMPONENT = 0.9
 """A direction with at least this component along an axis is named by the axis."""
 LEAST_P = 1e-9
-NEGLIGIBLE = 0.1
+MAX_NEGLIGIBLE_SIGMAS = 0.1
 """Tolerance for the distance of other software from the optimum, as a fraction of the standard deviation."""
 
 
@@ -51,9 +51,9 @@ def against_baseline(
         return None, nothing_accepted(accepted)
     comparison = compare(accepted.snapshot, now)
     since, settings = accepted.since, accepted.settings
-    found = [each for change in comparison.changes if (each := _finding(change, comparison, settings, since))]
+    found = [each for change in comparison.changes if (each := _finding_of_change(change, comparison, settings, since))]
     found += quality(comparison, settings)
-    if not any(each.kind == MOVED and each.severity == "red" for each in found) and not comparison.same_data:
+    if not any(each.kind == MOVED_KIND and each.severity == "red" for each in found) and not comparison.same_data:
         found += _nothing_moved(comparison, since)
     return comparison, tuple(found)
 
@@ -66,14 +66,14 @@ def nothing_accepted(accepted: Accepted) -> tuple[Finding, ...]:
     return (Finding(NO_BASELINE, "red", text),)
 
 
-def _finding(
+def _finding_of_change(
     change: BaselineChange, comparison: BaselineComparison, settings: BaselineSettings, since: str
 ) -> Finding | None:
     if change.kind == "added":
-        return Finding(MOVED, "note", f"{change.name} is calibrated, and not in {since}: {ACCEPT}")
+        return Finding(MOVED_KIND, "note", f"{change.name} is calibrated, and not in {since}: {HOW_TO_ACCEPT}")
     if change.kind == "removed":
-        text = f"{change.name} is in {since}, and calibrated no more: was it renamed, or left out? Else {ACCEPT}"
-        return Finding(MOVED, "red", text)
+        text = f"{change.name} is in {since}, and calibrated no more: was it renamed, or left out? Else {HOW_TO_ACCEPT}"
+        return Finding(MOVED_KIND, "red", text)
     if comparison.same_data:
         return _on_the_same_data(change, comparison, settings, since)
     return _on_other_data(change, comparison, settings, since)
@@ -85,10 +85,11 @@ def _on_the_same_data(
     if not exceeds(change, settings.same_data):
         return None
     text = (
-        f"{change.name} differs from {since} on the same data: {size_of_change(change)}, {_sigmas(change.sigmas)}; "
-        f"{_why(comparison)}, or {ACCEPT}"
+        f"{change.name} differs from {since} on the same data: {size_of_change(change)}, "
+        f"{_sigmas_text(change.sigmas)}; "
+        f"{_possible_causes(comparison)}, or {HOW_TO_ACCEPT}"
     )
-    return _found("red", change, text)
+    return _moved_finding("red", change, text)
 
 
 def exceeds(change: BaselineChange, least: SameData) -> bool:
@@ -105,18 +106,17 @@ def _on_other_data(
     if change.p >= comparison.significance:
         return None
     moved = "has moved" if change.kind == "pose" else "has changed"
-    text = (
-        f"{change.name} {moved} since {since}: {size_of_change(change)}; p {_probability(change.p)} that this is chance"
-    )
+    chance = f"p {_probability_text(change.p)} that this is chance"
+    text = f"{change.name} {moved} since {since}: {size_of_change(change)}; {chance}"
     harmless = change.kind == "pose" and change.mm <= settings.translation_mm and change.deg <= settings.rotation_deg
     if harmless:
         allowed = f"{settings.translation_mm:g} mm, {settings.rotation_deg:g} deg"
-        return _found("note", change, f"{text}; allowed {allowed}")
+        return _moved_finding("note", change, f"{text}; allowed {allowed}")
     others = f", and at {', '.join(comparison.other_inputs)}, which changed too" if comparison.other_inputs else ""
-    return _found("red", change, f"{text}: look at {_suspected(change)}{others}, or {ACCEPT}")
+    return _moved_finding("red", change, f"{text}: look at {_suspected_part(change)}{others}, or {HOW_TO_ACCEPT}")
 
 
-def _suspected(change: BaselineChange) -> str:
+def _suspected_part(change: BaselineChange) -> str:
     """Return what is likely to have changed on the robot."""
     if change.kind == "pose":
         return "its mount"
@@ -125,7 +125,7 @@ def _suspected(change: BaselineChange) -> str:
     return "the joint" if change.unit in ("m", "rad") else "the lens"
 
 
-def _why(comparison: BaselineComparison) -> str:
+def _possible_causes(comparison: BaselineComparison) -> str:
     """Return possible causes of a different result on the same data."""
     if comparison.other_inputs:
         return f"what changed beside: {', '.join(comparison.other_inputs)}: look there"
@@ -134,9 +134,9 @@ def _why(comparison: BaselineComparison) -> str:
     return "look at what this change does to the description, the options or the engine"
 
 
-def _found(severity: str, change: BaselineChange, text: str) -> Finding:
+def _moved_finding(severity: str, change: BaselineChange, text: str) -> Finding:
     return Finding(
-        MOVED,
+        MOVED_KIND,
         "red" if severity == "red" else "note",
         text,
         sensors=(change.name,),
@@ -152,19 +152,19 @@ def _nothing_moved(comparison: BaselineComparison, since: str) -> list[Finding]:
         return []
     worst = max(poses, key=lambda each: each.unseen_mm)
     text = f"nothing has moved since {since}; a move of {worst.name} by up to {worst.unseen_mm:.2g} mm would go unseen"
-    return [Finding(UNMOVED, "note", text, (worst.name,))]
+    return [Finding(UNMOVED_KIND, "note", text, (worst.name,))]
 
 
 def size_of_change(change: BaselineChange) -> str:
     """Describe a change's size and direction: "4.9 +- 0.3 mm along its x, 0.5 +- 0.02 deg about its z"."""
     if change.kind == "lens":
-        return f"its parameters together by {_sigmas(change.sigmas)}"
+        return f"its parameters together by {_sigmas_text(change.sigmas)}"
     if change.kind == "parameter":
         sigma = "" if change.sigma is None else f" +- {change.sigma:.2g}"
         unit = "" if change.unit in (None, "1") else f" {change.unit}"
         return f"by {change.value:+.3g}{sigma}{unit}"
     parts = [
-        f"{size:.3g} +- {sigma:.2g} {unit}{_direction(vector, word) if size > sigma else ''}"
+        f"{size:.3g} +- {sigma:.2g} {unit}{_direction_text(vector, word) if size > sigma else ''}"
         for size, sigma, unit, vector, word in (
             (change.mm, change.sigma_mm, "mm", change.translation_mm, "along"),
             (change.deg, change.sigma_deg, "deg", change.rotation_deg, "about"),
@@ -174,20 +174,20 @@ def size_of_change(change: BaselineChange) -> str:
     return ", ".join(parts) or "by less than its digits"
 
 
-def _direction(vector: tuple[float, ...], word: str) -> str:
+def _direction_text(vector: tuple[float, ...], word: str) -> str:
     norm = math.hypot(*vector)
     parts = np.array(vector) / (norm or 1.0)
     axis = int(np.abs(parts).argmax())
-    if abs(parts[axis]) >= ALONG:
+    if abs(parts[axis]) >= MIN_AXIS_COMPONENT:
         return f" {word} its {'-' if parts[axis] < 0 else ''}{'xyz'[axis]}"
     return f" {word} its ({', '.join(f'{part:.2f}' for part in parts)})"
 
 
-def _sigmas(sigmas: float) -> str:
+def _sigmas_text(sigmas: float) -> str:
     return f"{sigmas:.2g} standard deviations" if sigmas < 1e6 else "with no error bar"
 
 
-def _probability(p: float) -> str:
+def _probability_text(p: float) -> str:
     return f"< {LEAST_P:.0e}" if p < LEAST_P else f"= {p:.1g}"
 
 
@@ -212,12 +212,12 @@ def software_against_baseline(accepted: Accepted, now: SoftwareStart, data: str)
             "distance from our optimum",
             earlier.distance_mm,
             now.distance_mm,
-            NEGLIGIBLE * largest_standard_deviations(before, before)[0],
+            MAX_NEGLIGIBLE_SIGMAS * largest_standard_deviations(before, before)[0],
             "mm",
         ),
     ]
     return tuple(
-        Finding(QUALITY, "red", worse_than_baseline(check, old), value=new)
+        Finding(QUALITY_KIND, "red", worse_than_baseline(check, old), value=new)
         for what, old, new, extra, unit in rows
         if old is not None and not (check := at_most(what, new, most.above(old) + extra, unit)).passed
     )

@@ -70,12 +70,12 @@ def _why_not_pattern(dataset: Dataset, sensor: Sensor, pattern: Pattern) -> str 
     path = dataset.tree.path(sensor.calibration_parent, pattern.parent_link)
     if sensor.edge in ((step.parent, step.child) for step in path):
         return f"it needs an arm between camera and pattern, and '{pattern.name}' is carried by '{sensor.name}'"
-    if not _moves(dataset.transform(sensor.calibration_parent, pattern.parent_link)):
+    if not _does_move(dataset.transform(sensor.calibration_parent, pattern.parent_link)):
         return f"it needs an arm, and nothing moves between '{sensor.calibration_parent}' and '{pattern.parent_link}'"
     return None
 
 
-def _moves(T: Array) -> bool:
+def _does_move(T: Array) -> bool:
     return len(T) < 2 or any(float(values.max()) > 1e-6 for values in distance(T[:1], T))
 
 
@@ -90,12 +90,12 @@ def calibrate_arm(dataset: Dataset, solve: Solver) -> Dataset:
     for used in used_views(dataset):
         X, Y = solve(used.arm, used.seen)
         transforms[used.sensor.edge] = X
-        transforms.setdefault(_edge(used.pattern), inverse(Y))
+        transforms.setdefault(_edge_of_pattern(used.pattern), inverse(Y))
     for sensor in dataset.sensors.values():
         for views in _all_views(dataset, sensor):
-            if len(views.arm) and _edge(views.pattern) not in transforms:
+            if len(views.arm) and _edge_of_pattern(views.pattern) not in transforms:
                 Y = inverse_pattern(transforms[sensor.edge], views.arm, views.seen)
-                transforms[_edge(views.pattern)] = inverse(Y)
+                transforms[_edge_of_pattern(views.pattern)] = inverse(Y)
     return dataset.with_transforms(transforms)
 
 
@@ -136,10 +136,10 @@ def _too_little(views: ArmViews) -> str:
 def _all_views(dataset: Dataset, sensor: Sensor) -> list[ArmViews]:
     """Return the views of each pattern on the other side of the arm."""
     patterns = [p for p in dataset.patterns.values() if _why_not_pattern(dataset, sensor, p) is None]
-    return [_views(dataset, sensor, pattern) for pattern in patterns]
+    return [_arm_views(dataset, sensor, pattern) for pattern in patterns]
 
 
-def _views(dataset: Dataset, sensor: Sensor, pattern: Pattern) -> ArmViews:
+def _arm_views(dataset: Dataset, sensor: Sensor, pattern: Pattern) -> ArmViews:
     views = (measured_views if sensor.modality.has_poses else corner_views)(dataset, sensor.name, pattern)
     seen_in = dataset.with_collections(views.collections.tolist())
     arm = seen_in.transform(sensor.calibration_parent, pattern.parent_link)
@@ -147,5 +147,5 @@ def _views(dataset: Dataset, sensor: Sensor, pattern: Pattern) -> ArmViews:
     return ArmViews(sensor, pattern, arm, seen)
 
 
-def _edge(pattern: Pattern) -> Edge:
+def _edge_of_pattern(pattern: Pattern) -> Edge:
     return (pattern.parent_link, pattern.link)

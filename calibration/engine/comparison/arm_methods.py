@@ -30,12 +30,12 @@ HAND_EYE: Mapping[str, Callable[[Array, Array], Array]] = {
 
 def by_arm(method: str, dataset: Dataset) -> Dataset:
     """Calibrate cameras and patterns by one of the methods and return the new dataset; errors as `calibrate_arm`."""
-    return calibrate_arm(dataset, _solver(method))
+    return calibrate_arm(dataset, _solver_of_method(method))
 
 
 def described(method: str, dataset: Dataset) -> str:
     """Return the implementation used, and with several patterns the one that each camera is calibrated with."""
-    cv2 = opencv_arm.opencv_with(_function(method))
+    cv2 = opencv_arm.opencv_with(_opencv_function(method))
     whose = f"OpenCV {cv2.__version__}" if cv2 else "built in"
     if len(dataset.patterns) == 1:
         return whose
@@ -43,12 +43,12 @@ def described(method: str, dataset: Dataset) -> str:
     return f"{whose}; {', '.join(chosen)}"
 
 
-def _function(method: str) -> str:
+def _opencv_function(method: str) -> str:
     return opencv_arm.ROBOT_WORLD if method in ROBOT_WORLD else opencv_arm.HAND_EYE
 
 
-def _solver(method: str) -> Solver:
-    cv2 = opencv_arm.opencv_with(_function(method))
+def _solver_of_method(method: str) -> Solver:
+    cv2 = opencv_arm.opencv_with(_opencv_function(method))
 
     def together(arm: Array, seen: Array) -> tuple[Array, Array]:
         if cv2:

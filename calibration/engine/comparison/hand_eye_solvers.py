@@ -36,17 +36,17 @@ def relative_motions(hand: Array, eye: Array) -> tuple[Array, Array]:
 
 def solve_tsai(A: Array, B: Array) -> Array:
     """Solve for X (4, 4), the rotation linearly as a modified Rodrigues vector (R. Tsai and R. Lenz, 1989)."""
-    a, b = _rodrigues(A), _rodrigues(B)
+    a, b = _sine_vectors(A), _sine_vectors(B)
     p = np.linalg.lstsq(hat(a + b).reshape(-1, 3), (b - a).ravel(), rcond=None)[0]
     R = rotations.from_quaternion(np.append(p, 1.0))  # p = tan(angle / 2) axis
-    return transform(R, _translation(A, B, R))
+    return transform(R, _solve_translation(A, B, R))
 
 
 def solve_park(A: Array, B: Array) -> Array:
     """Solve for X (4, 4) by aligning the rotation vectors of the motions (F. Park and B. Martin, 1994)."""
     a, b = (rotations.log(T[:, :3, :3]) for T in (A, B))
     R = rotations.nearest(a.T @ b)
-    return transform(R, _translation(A, B, R))
+    return transform(R, _solve_translation(A, B, R))
 
 
 def solve_horaud(A: Array, B: Array) -> Array:
@@ -54,7 +54,7 @@ def solve_horaud(A: Array, B: Array) -> Array:
     a, b = (rotations.to_quaternion(T[:, :3, :3]) for T in (A, B))
     difference = (_from_left(a) - _from_right(b)).reshape(-1, 4)
     R = rotations.from_quaternion(np.linalg.eigh(difference.T @ difference)[1][:, 0])
-    return transform(R, _translation(A, B, R))
+    return transform(R, _solve_translation(A, B, R))
 
 
 def solve_andreff(A: Array, B: Array) -> Array:
@@ -89,20 +89,20 @@ def solve_daniilidis(A: Array, B: Array) -> Array:
     root = np.sqrt(max(0.0, linear * linear - 4 * square * constant))
     candidates = [(-linear + sign * root) / (2 * square) if square else 0.0 for sign in (1, -1)]
     s = max(candidates, key=lambda s: float(((u1 + s * v1) ** 2).sum() / (1 + s * s)))
-    q, q_dual = _xyzw(u1 + s * v1), _xyzw(u2 + s * v2)
+    q, q_dual = _as_xyzw(u1 + s * v1), _as_xyzw(u2 + s * v2)
     conjugate: Array = np.append(-q[:3], q[3])
     t = (_from_right(conjugate) @ q_dual)[:3] * (2 / float(q @ q))
     return transform(rotations.from_quaternion(q), t)
 
 
-def _translation(A: Array, B: Array, R: Array) -> Array:
+def _solve_translation(A: Array, B: Array, R: Array) -> Array:
     """Solve ``(R_A - I) t = R t_B - t_A`` for t by least squares."""
     system = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     right = (B[:, :3, 3] @ R.T - A[:, :3, 3]).ravel()
     return np.asarray(np.linalg.lstsq(system, right, rcond=None)[0], float)
 
 
-def _rodrigues(T: Array) -> Array:
+def _sine_vectors(T: Array) -> Array:
     """Return ``2 sin(angle / 2) axis`` of the rotations (n, 3)."""
     vector: Array = 2 * rotations.to_quaternion(T[:, :3, :3])[:, :3]
     return vector
@@ -110,15 +110,15 @@ def _rodrigues(T: Array) -> Array:
 
 def _from_left(q: Array) -> Array:
     """Return the matrices (..., 4, 4) with ``_from_left(q) @ p == q p``, quaternions as [x, y, z, w]."""
-    return _product(q, 1)
+    return _product_matrix(q, 1)
 
 
 def _from_right(q: Array) -> Array:
     """Return the matrices (..., 4, 4) with ``_from_right(q) @ p == p q``."""
-    return _product(q, -1)
+    return _product_matrix(q, -1)
 
 
-def _product(q: Array, side: int) -> Array:
+def _product_matrix(q: Array, side: int) -> Array:
     M = np.zeros((*q.shape, 4))
     M[..., :3, :3] = side * hat(q[..., :3])
     M[..., :3, 3], M[..., 3, :3] = q[..., :3], -q[..., :3]
@@ -133,7 +133,7 @@ def _dual_quaternion(T: Array) -> tuple[Array, Array]:
     return q, 0.5 * np.einsum("nij,nj->ni", _from_left(t), q)
 
 
-def _xyzw(q: Array) -> Array:
+def _as_xyzw(q: Array) -> Array:
     """Convert from [w, x, y, z], the order in the equations of Daniilidis."""
     rolled: Array = np.roll(q, -1)
     return rolled

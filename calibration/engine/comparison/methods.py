@@ -15,7 +15,7 @@ from calibration.engine.comparison.opencv_stereo import (
     opencv_version,
     why_not_stereo,
 )
-from calibration.engine.comparison.sensor_pair import CAMERAS, RANGE_SENSORS, only_pair
+from calibration.engine.comparison.sensor_pair import CAMERA_MODALITIES, RANGE_SENSORS, only_pair
 from calibration.engine.dataset.model import Dataset
 
 
@@ -50,28 +50,28 @@ class Method:
             return self.run(dataset)
 
 
-def _stereo(name: str, title: str, run: Callable[[Dataset], Dataset]) -> Method:
-    return Method(name, title, why_not_stereo, run, opencv_version, partial(only_pair, modalities=CAMERAS))
+def _stereo_method(name: str, title: str, run: Callable[[Dataset], Dataset]) -> Method:
+    return Method(name, title, why_not_stereo, run, opencv_version, partial(only_pair, modalities=CAMERA_MODALITIES))
 
 
-def _arm(name: str) -> Method:
+def _arm_method(name: str) -> Method:
     return Method(name, name.capitalize(), why_not_arm, partial(by_arm, name), partial(described, name))
 
 
-def _icp(name: str, title: str, run: Callable[[Dataset], Dataset]) -> Method:
+def _icp_method(name: str, title: str, run: Callable[[Dataset], Dataset]) -> Method:
     part = partial(only_pair, modalities=RANGE_SENSORS)
     return Method(name, title, why_not_icp, run, lambda _: "built in", part, from_start=True)
 
 
-METHODS: Mapping[str, Method] = {
+COMPARISON_METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
-        _stereo("opencv-stereo", "OpenCV stereo", opencv_stereo),
-        _stereo("opencv-stereo-fixed", "OpenCV stereo, intrinsics fixed", opencv_stereo_fixed),
-        *map(_arm, (*ROBOT_WORLD, *HAND_EYE)),
-        _icp("icp", "ICP, all collections at once", icp),
-        _icp("icp-average", "ICP, average of the collections", icp_average),
-        _icp("icp-best", "ICP, best collection", icp_best),
+        _stereo_method("opencv-stereo", "OpenCV stereo", opencv_stereo),
+        _stereo_method("opencv-stereo-fixed", "OpenCV stereo, intrinsics fixed", opencv_stereo_fixed),
+        *map(_arm_method, (*ROBOT_WORLD, *HAND_EYE)),
+        _icp_method("icp", "ICP, all collections at once", icp),
+        _icp_method("icp-average", "ICP, average of the collections", icp_average),
+        _icp_method("icp-best", "ICP, best collection", icp_best),
     )
 }
 """All comparison methods, by name."""
@@ -83,11 +83,16 @@ def method_of(name: str) -> Method:
     Raises:
         InputError: there is no such method.
     """
-    if name not in METHODS:
-        raise InputError(f"there is no method '{name}'{did_you_mean(name, METHODS)} (known: {', '.join(METHODS)})")
-    return METHODS[name]
+    if name not in COMPARISON_METHODS:
+        raise InputError(
+            f"there is no method '{name}'{did_you_mean(name, COMPARISON_METHODS)} (known: "
+            f"{', '.join(COMPARISON_METHODS)})"
+        )
+    return COMPARISON_METHODS[name]
 
 
 def applicable(dataset: Dataset) -> list[Method]:
     """Return the methods that apply to a dataset."""
-    return [] if dataset.joints else [method for method in METHODS.values() if method.why_not(dataset) is None]
+    return (
+        [] if dataset.joints else [method for method in COMPARISON_METHODS.values() if method.why_not(dataset) is None]
+    )

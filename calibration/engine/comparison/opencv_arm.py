@@ -33,7 +33,7 @@ def solve_hand_eye(cv2: Any, method: str, arm: Array, seen: Array) -> Array:
     Raises:
         UndeterminedError: OpenCV finds no solution.
     """
-    X = transform(*_asked(cv2, HAND_EYE, f"CALIB_HAND_EYE_{method.upper()}", inverse(arm), seen))
+    X = transform(*_ask_opencv(cv2, HAND_EYE, f"CALIB_HAND_EYE_{method.upper()}", inverse(arm), seen))
     if np.array_equal(X, np.eye(4)):  # OpenCV's result if it rejects all motions as too small
         raise UndeterminedError(f"OpenCV's {HAND_EYE}: {method.capitalize()} needs larger rotations")
     return X
@@ -44,11 +44,11 @@ def solve_robot_world(cv2: Any, method: str, arm: Array, seen: Array) -> tuple[A
 
     OpenCV solves ``A X' = Z' B``: A is ``arm``, B is ``seen``, Z' our X, X' the inverse of our Y.
     """
-    R, t, R_X, t_X = _asked(cv2, ROBOT_WORLD, f"CALIB_ROBOT_WORLD_HAND_EYE_{method.upper()}", arm, seen)
+    R, t, R_X, t_X = _ask_opencv(cv2, ROBOT_WORLD, f"CALIB_ROBOT_WORLD_HAND_EYE_{method.upper()}", arm, seen)
     return transform(R_X, t_X), inverse(transform(R, t))
 
 
-def _asked(cv2: Any, function: str, method: str, first: Array, second: Array) -> list[Array]:
+def _ask_opencv(cv2: Any, function: str, method: str, first: Array, second: Array) -> list[Array]:
     """Call OpenCV, and return each translation as (3,)."""
     poses = [list(part) for T in (first, second) for part in (T[:, :3, :3], T[:, :3, 3])]
     log = cv2.utils.logging  # silences OpenCV's log: the failure is reported by our own error

@@ -15,12 +15,12 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError, UndeterminedError
 from calibration.base.optional import optional
-from calibration.engine.comparison.sensor_pair import CAMERAS, pair_of, why_not_pair, with_pair
+from calibration.engine.comparison.sensor_pair import CAMERA_MODALITIES, pair_of, why_not_pair, with_pair
 from calibration.engine.dataset.model import CornerLabels, Dataset, Sensor
 from calibration.engine.geometry.lenses import PlumbBob, Rational
 from calibration.engine.geometry.transforms import inverse, transform
 
-USER = "OpenCV's stereo calibration"
+USER_NAME = "OpenCV's stereo calibration"
 MINIMUM_CORNERS = 6
 """Minimum of corners of a view. OpenCV starts from a homography, which four corners determine without redundancy."""
 MINIMUM_VIEWS = 3
@@ -38,29 +38,29 @@ def opencv_stereo(dataset: Dataset) -> Dataset:
         UndeterminedError: OpenCV finds no solution.
         InfrastructureError: OpenCV is not installed.
     """
-    return _stereo(dataset, fixed=False)
+    return _calibrate_stereo(dataset, fixed=False)
 
 
 def opencv_stereo_fixed(dataset: Dataset) -> Dataset:
     """Calibrate like `opencv_stereo`, with the intrinsics fixed to those of the dataset."""
-    return _stereo(dataset, fixed=True)
+    return _calibrate_stereo(dataset, fixed=True)
 
 
 def opencv_version(_: Dataset) -> str:
     """Return the implementation used."""
-    return f"OpenCV {optional('cv2', USER).__version__}"
+    return f"OpenCV {optional('cv2', USER_NAME).__version__}"
 
 
 def why_not_stereo(dataset: Dataset) -> str | None:
     """Return the reason why the method does not apply to a dataset, in one line; None if it does."""
-    reason = why_not_pair(dataset, CAMERAS, "cameras")
+    reason = why_not_pair(dataset, CAMERA_MODALITIES, "cameras")
     if reason:
         return reason
-    first, second = pair_of(dataset, CAMERAS)
+    first, second = pair_of(dataset, CAMERA_MODALITIES)
     for sensor in (first, second):
         if sensor.camera is not None and not isinstance(sensor.camera.distortion, (PlumbBob, Rational)):
             return f"it knows no lens {sensor.camera.distortion.ros_name} as that of '{sensor.name}'"
-    views = len(_views(dataset, first, second))
+    views = len(_common_views(dataset, first, second))
     if views < MINIMUM_VIEWS:
         return (
             f"it needs {MINIMUM_VIEWS} views of {MINIMUM_CORNERS} corners seen by both cameras, and there are {views}"
@@ -72,7 +72,7 @@ View = tuple[Array, Array, Array]
 """Corners (K, 3) in the pattern's frame, their pixels (K, 2) in the first camera and in the second; float32."""
 
 
-def _views(dataset: Dataset, first: Sensor, second: Sensor) -> list[View]:
+def _common_views(dataset: Dataset, first: Sensor, second: Sensor) -> list[View]:
     """Return the common views of both cameras: whole patterns if there are enough, else their common corners."""
     views: list[tuple[bool, View]] = []
     for collection in dataset.collections:
@@ -88,19 +88,19 @@ def _views(dataset: Dataset, first: Sensor, second: Sensor) -> list[View]:
     return complete if len(complete) >= MINIMUM_VIEWS else [view for _, view in views]
 
 
-def _stereo(dataset: Dataset, *, fixed: bool) -> Dataset:
+def _calibrate_stereo(dataset: Dataset, *, fixed: bool) -> Dataset:
     reason = why_not_stereo(dataset)
     if reason:
         raise InputError(f"{dataset.path}: OpenCV's stereo calibration does not apply: {reason}")
-    first, second = pair_of(dataset, CAMERAS)
-    return with_pair(dataset, CAMERAS, inverse(_relative_pose(dataset, first, second, fixed=fixed)))
+    first, second = pair_of(dataset, CAMERA_MODALITIES)
+    return with_pair(dataset, CAMERA_MODALITIES, inverse(_relative_pose(dataset, first, second, fixed=fixed)))
 
 
 def _relative_pose(dataset: Dataset, first: Sensor, second: Sensor, *, fixed: bool) -> Array:
     """Estimate ``T_second_first`` (4, 4) by OpenCV."""
-    cv2 = optional("cv2", USER)
+    cv2 = optional("cv2", USER_NAME)
     corners, *pixels = (
-        [np.float32(array) for array in arrays] for arrays in zip(*_views(dataset, first, second), strict=True)
+        [np.float32(array) for array in arrays] for arrays in zip(*_common_views(dataset, first, second), strict=True)
     )
     intrinsics = [part for s in (first, second) if s.camera for part in (s.camera.K, s.camera.distortion.coefficients)]
     size = (first.camera.width, first.camera.height) if first.camera is not None else None

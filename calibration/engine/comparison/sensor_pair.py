@@ -8,7 +8,7 @@ from calibration.engine.dataset.model import Dataset, Sensor
 from calibration.engine.geometry.transforms import distance, inverse
 
 Modalities = tuple[Modality, ...]
-CAMERAS: Modalities = tuple(each for each in MODALITIES.values() if each.has_corners)
+CAMERA_MODALITIES: Modalities = tuple(each for each in MODALITIES.values() if each.has_corners)
 RANGE_SENSORS: Modalities = tuple(each for each in MODALITIES.values() if not each.has_corners and not each.is_planar)
 """Modalities whose views of a pattern are surface points."""
 

@@ -20,10 +20,10 @@ from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 from calibration.engine.dataset.document import MAX_BYTES, Node, parse_document
 from calibration.engine.dataset.edges import read_transform
-from calibration.engine.dataset.lens_uncertainty import KEY as UNCERTAINTY
-from calibration.engine.dataset.sensors import LAG
+from calibration.engine.dataset.lens_uncertainty import UNCERTAINTY_KEY
+from calibration.engine.dataset.sensors import LAG_KEY
 
-KEY = "changes"
+CHANGES_KEY = "changes"
 _REMEDY = "or calibrate with datasets: full"
 
 
@@ -35,23 +35,23 @@ def reference_to(path: Path) -> dict[str, str]:
     """
     file, here = path.resolve(), Path.cwd().resolve()
     of = file.relative_to(here).as_posix() if file.is_relative_to(here) else str(file)
-    return {"of": of, "sha256": hashlib.sha256(_bytes(file)).hexdigest()}
+    return {"of": of, "sha256": hashlib.sha256(_json_bytes(file)).hexdigest()}
 
 
 def changed_document(changes: Node, given: Path | None) -> Node:
     """Return the document of the dataset that was calibrated, with the changes.
 
     Args:
-        changes: the value of `KEY`.
+        changes: the value of `CHANGES_KEY`.
         given: the file of the dataset that was calibrated; None to look for it below the working folder.
 
     Raises:
         InputError: it is not there, or is another one; or something in the changes is missing or wrong.
     """
-    root = _calibrated(changes, given)
+    root = _read_calibrated_dataset(changes, given)
     document, collections = dict(root.value), dict(root["collections"].mapping())
-    common = _transforms(changes["transforms"])
-    own = {key: _transforms(node["transforms"]) for key, node in changes["collections"].items()}
+    common = _transform_entries(changes["transforms"])
+    own = {key: _transform_entries(node["transforms"]) for key, node in changes["collections"].items()}
     joints = {name: node.mapping() for name, node in changes["joints"].items()}
     if other := own.keys() - collections.keys():
         raise changes["collections"].fault(f"found collection '{min(other)}', which {root.file} does not have")
@@ -70,11 +70,15 @@ def changed_document(changes: Node, given: Path | None) -> Node:
     sensors = {
         name: {
             **root["sensors"][name].mapping(),
-            **({LAG: lag.value} if (lag := node.get(LAG)) else {}),
+            **({LAG_KEY: lag.value} if (lag := node.get(LAG_KEY)) else {}),
             **(
                 {
                     "camera_info": {
-                        **{k: v for k, v in root["sensors"][name]["camera_info"].mapping().items() if k != UNCERTAINTY},
+                        **{
+                            k: v
+                            for k, v in root["sensors"][name]["camera_info"].mapping().items()
+                            if k != UNCERTAINTY_KEY
+                        },
                         **info.mapping(),
                     }
                 }
@@ -88,7 +92,7 @@ def changed_document(changes: Node, given: Path | None) -> Node:
     return Node(root.file, (), document)
 
 
-def _calibrated(changes: Node, given: Path | None) -> Node:
+def _read_calibrated_dataset(changes: Node, given: Path | None) -> Node:
     """Read the dataset that was calibrated."""
     of, expected = changes["of"], changes["sha256"].text()
     here = Path.cwd().resolve()
@@ -102,22 +106,22 @@ def _calibrated(changes: Node, given: Path | None) -> Node:
         raise of.fault(f"the dataset that was calibrated is not below {here}: run this in a folder above it, {_REMEDY}")
     if not there:
         raise of.fault(f"there is no {file}, the dataset that was calibrated: bring it there, {_REMEDY}")
-    data = _bytes(file)
+    data = _json_bytes(file)
     if hashlib.sha256(data).hexdigest() != expected:
         raise changes["sha256"].fault(
             f"{file} is not the dataset that was calibrated, or has changed since: bring that one, {_REMEDY}"
         )
     root = parse_document(data, file)
-    if KEY in root.value:
+    if CHANGES_KEY in root.value:
         raise of.fault(f"{file} holds only changes itself, expected a whole dataset")
     return root
 
 
-def _bytes(file: Path) -> bytes:
+def _json_bytes(file: Path) -> bytes:
     return read_bytes(file, MAX_BYTES, "a JSON document")
 
 
-def _transforms(node: Node) -> Mapping[str, Any]:
+def _transform_entries(node: Node) -> Mapping[str, Any]:
     """Return the entries of transforms by their keys; None where a collection has none."""
     for key, entry in node.items():
         if entry.value is not None and "-".join(read_transform(entry)[0]) != key:

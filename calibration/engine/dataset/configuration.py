@@ -17,7 +17,7 @@ from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.modalities import MODALITIES
 from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.pattern import (
-    CIRCLES,
+    CIRCLE_KINDS,
     MAX_MARKER,
     MAX_SIZE,
     MIN_SIZE,
@@ -34,7 +34,7 @@ from calibration.engine.dataset.pattern import (
 
 MAX_CORNERS = 1000
 """Limit of the number of corners along one side of a pattern."""
-TAGS, TAG_COUNT = "DICT_APRILTAG_36h11", 587
+APRILGRID_TAGS, TAG_COUNT = "DICT_APRILTAG_36h11", 587
 """ArUco dictionary of an aprilgrid's tags, and the number of tags in it."""
 MIN_SPACING, MAX_SPACING = 0.01, 1.0
 """Limits of the gap between two tags, in sides of a tag."""
@@ -79,7 +79,7 @@ class PatternConfiguration:
     border_size: tuple[float, float] = (0.0, 0.0)
     """Margin of the physical board around the print, along x and y."""
     dictionary: str | None = None
-    """The ArUco dictionary of a charuco board; `TAGS` for an aprilgrid."""
+    """The ArUco dictionary of a charuco board; `APRILGRID_TAGS` for an aprilgrid."""
     mesh_file: str = ""
     spacing: float = 0.0
     """Aprilgrid only: the gap between two tags, in sides of a tag (Kalibr's ``tagSpacing``)."""
@@ -197,13 +197,13 @@ def parse_configuration(node: Node) -> Configuration:
     Raises:
         InputError: something in it is missing or wrong.
     """
-    sensors = {name: _sensor(name, entry) for name, entry in node["sensors"].items()}
+    sensors = {name: _sensor_configuration(name, entry) for name, entry in node["sensors"].items()}
     if not sensors:
         raise node["sensors"].unexpected("at least one sensor")
     if node.get("calibration_pattern") and not node.get("calibration_patterns"):
-        patterns = {FIRST_PATTERN: _pattern(FIRST_PATTERN, node["calibration_pattern"])}
+        patterns = {FIRST_PATTERN: _pattern_configuration(FIRST_PATTERN, node["calibration_pattern"])}
     else:
-        patterns = {name: _pattern(name, entry) for name, entry in node["calibration_patterns"].items()}
+        patterns = {name: _pattern_configuration(name, entry) for name, entry in node["calibration_patterns"].items()}
         if not patterns:
             raise node["calibration_patterns"].unexpected("at least one pattern")
     anchored = node.get("anchored_sensor")
@@ -215,30 +215,30 @@ def parse_configuration(node: Node) -> Configuration:
         sensors=sensors,
         patterns=patterns,
         anchored_sensor=(anchored and anchored.value) or None,
-        additional_tfs={name: _edge(entry) for name, entry in additional.items()} if additional else {},
-        joints={name: _parameters(entry) for name, entry in joints.items()} if joints else {},
-        description_file=_text(node, "description_file"),
-        bag_file=_text(node, "bag_file"),
-        package_name=_text(node, "package_name"),
+        additional_tfs={name: _edge_of_links(entry) for name, entry in additional.items()} if additional else {},
+        joints={name: _calibrated_parameters(entry) for name, entry in joints.items()} if joints else {},
+        description_file=_text_or_empty(node, "description_file"),
+        bag_file=_text_or_empty(node, "bag_file"),
+        package_name=_text_or_empty(node, "package_name"),
         max_duration_between_msgs=limit.number() if (limit := node.get("max_duration_between_msgs")) else 1000.0,
     )
 
 
-def _sensor(name: str, node: Node) -> SensorConfiguration:
+def _sensor_configuration(name: str, node: Node) -> SensorConfiguration:
     throttle = node.get("throttle")
-    parent, child = _edge(node)
+    parent, child = _edge_of_links(node)
     return SensorConfiguration(
         name=name,
         modality=node["modality"].text(),
         link=node["link"].name(),
         parent_link=parent,
         child_link=child,
-        topic_name=_text(node, "topic_name"),
+        topic_name=_text_or_empty(node, "topic_name"),
         throttle=throttle.number() if throttle else None,
     )
 
 
-def _pattern(name: str, node: Node) -> PatternConfiguration:
+def _pattern_configuration(name: str, node: Node) -> PatternConfiguration:
     kind = node["pattern_type"]
     if kind.text() not in get_args(PatternKind):
         raise kind.unexpected(f"one of {', '.join(get_args(PatternKind))}")
@@ -246,7 +246,7 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
         return _tag_list(name, node)
     dimension = node["dimension"]
     size = node["size"].within(MIN_SIZE, MAX_SIZE)
-    circles = kind.value in CIRCLES
+    circles = kind.value in CIRCLE_KINDS
     inner = node["inner_size"] if circles else node.get("inner_size")
     if inner and kind.value == "chessboard" and inner.number() == 0:  # ATOM's value for a pattern without markers
         inner = None
@@ -257,8 +257,8 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
     first = marker.whole(0, MAX_MARKER) if (marker := node.get("first_marker")) else 0
     if tags:
         check_tags(columns, rows, dimension, first)
-        if (dictionary := node.get("dictionary")) and dictionary.text() not in ("", TAGS):
-            raise dictionary.unexpected(f"{TAGS}, that of an aprilgrid")
+        if (dictionary := node.get("dictionary")) and dictionary.text() not in ("", APRILGRID_TAGS):
+            raise dictionary.unexpected(f"{APRILGRID_TAGS}, that of an aprilgrid")
     return PatternConfiguration(
         name=name,
         kind=kind.value,
@@ -268,9 +268,9 @@ def _pattern(name: str, node: Node) -> PatternConfiguration:
         dimension=(columns, rows),
         size=size,
         inner_size=inner.number() if inner and not tags else None,
-        border_size=_border(node.get("border_size")),
-        dictionary=TAGS if tags else _text(node, "dictionary") or None,
-        mesh_file=_text(node, "mesh_file"),
+        border_size=_border_widths(node.get("border_size")),
+        dictionary=APRILGRID_TAGS if tags else _text_or_empty(node, "dictionary") or None,
+        mesh_file=_text_or_empty(node, "mesh_file"),
         spacing=node["spacing"].within(MIN_SPACING, MAX_SPACING) if tags else 0.0,
         first_marker=first,
         inverted=inverted.flag() if (inverted := node.get("inverted")) else False,
@@ -294,9 +294,9 @@ def _tag_list(name: str, node: Node) -> PatternConfiguration:
         fixed=node["fixed"].flag(),
         dimension=(len(tags), 1),
         size=tags[0].size,
-        border_size=_border(node.get("border_size")),
+        border_size=_border_widths(node.get("border_size")),
         dictionary=node["dictionary"].name(),
-        mesh_file=_text(node, "mesh_file"),
+        mesh_file=_text_or_empty(node, "mesh_file"),
         inverted=inverted.flag() if (inverted := node.get("inverted")) else False,
         known_pose=known.flag() if (known := node.get("known_pose")) else False,
         tags=tags,
@@ -311,10 +311,12 @@ def check_tags(columns: int, rows: int, where: Node, first: int = 0) -> None:
     """
     if first + columns * rows > TAG_COUNT:
         begin = f" from id {first}" if first else ""
-        raise where.fault(f"found {columns} x {rows} tags{begin}, expected {TAG_COUNT} at most, as {TAGS} has")
+        raise where.fault(
+            f"found {columns} x {rows} tags{begin}, expected {TAG_COUNT} at most, as {APRILGRID_TAGS} has"
+        )
 
 
-def _border(node: Node | None) -> tuple[float, float]:
+def _border_widths(node: Node | None) -> tuple[float, float]:
     """Return the border's widths; one number is for all sides, else {x, y}; absent means 0."""
     if node is None:
         return (0.0, 0.0)
@@ -322,14 +324,14 @@ def _border(node: Node | None) -> tuple[float, float]:
     return (x.within(0.0, MAX_SIZE), y.within(0.0, MAX_SIZE))
 
 
-def _edge(node: Node) -> Edge:
+def _edge_of_links(node: Node) -> Edge:
     return (node["parent_link"].name(), node["child_link"].name())
 
 
-def _parameters(node: Node) -> tuple[str, ...]:
+def _calibrated_parameters(node: Node) -> tuple[str, ...]:
     return tuple(element.name() for element in node["params_to_calibrate"].elements())
 
 
-def _text(node: Node, key: str) -> str:
+def _text_or_empty(node: Node, key: str) -> str:
     value = node.get(key)
     return value.text() if value else ""

@@ -9,7 +9,7 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.engine.dataset.document import Node, NotNumbersError, finite
 
-KEYS = ("id", "x", "y")
+CORNER_KEYS = ("id", "x", "y")
 
 
 def read_corners(lists: Iterable[Node]) -> tuple[Array, Array]:
@@ -21,8 +21,8 @@ def read_corners(lists: Iterable[Node]) -> tuple[Array, Array]:
     nodes = list(lists)
     corners = list(chain.from_iterable(node.sequence() for node in nodes))
     try:
-        columns = finite(list(chain.from_iterable(map(itemgetter(key), corners) for key in KEYS))).reshape(3, -1)
+        columns = finite(list(chain.from_iterable(map(itemgetter(key), corners) for key in CORNER_KEYS))).reshape(3, -1)
     except (NotNumbersError, KeyError, TypeError):  # check one by one, to report the first invalid one
         elements = chain.from_iterable(node.elements() for node in nodes)
-        columns = np.array([[element[key].number() for key in KEYS] for element in elements]).T
+        columns = np.array([[element[key].number() for key in CORNER_KEYS] for element in elements]).T
     return columns[0], np.ascontiguousarray(columns[1:].T)

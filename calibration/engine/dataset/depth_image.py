@@ -14,14 +14,14 @@ from calibration.base.optional import optional
 from calibration.engine.dataset.document import shown
 from calibration.engine.geometry.cameras import Camera
 
-UNIT = 1e-4
+DEPTH_UNIT_M = 1e-4
 """m: the unit of a depth image."""
 NO_RETURN = 65535
 """Value of a pixel without a measurement, as is 0; the largest depth is 6.5534 m."""
 MAX_AREA = 1 << 26
 """Limit of the number of pixels of a decoded image."""
 _MAX_BYTES = 4 * MAX_AREA
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _FIRST_CHUNK = b"\0\0\0\rIHDR"  # its length and its name
 _HEADER_BYTES = 26  # up to bit depth and colour type
 
@@ -31,7 +31,7 @@ class DepthImage:
     """Depth image of a camera."""
 
     depth: NDArray[np.uint16]
-    """(H, W): in units of `UNIT`; `NO_RETURN` or 0 for no measurement."""
+    """(H, W): in units of `DEPTH_UNIT_M`; `NO_RETURN` or 0 for no measurement."""
     camera: Camera
 
     def __len__(self) -> int:
@@ -44,7 +44,7 @@ class DepthImage:
             IndexError: an index is not below the number of pixels.
         """
         counted = self.depth.ravel()[index]
-        z = np.where((counted == NO_RETURN) | (counted == 0), np.nan, counted * UNIT)
+        z = np.where((counted == NO_RETURN) | (counted == 0), np.nan, counted * DEPTH_UNIT_M)
         v, u = np.divmod(index, self.depth.shape[1])
         xy = self.camera.normalise(np.stack([u, v], -1).astype(float))
         return np.concatenate([xy, np.ones((len(index), 1))], -1) * z[:, None]
@@ -81,12 +81,12 @@ def decode_png(data: bytes, camera: Camera | None = None) -> NDArray[np.uint16]:
     """
     width, height = _checked_size(data, camera)
     _check_chunks(data)
-    return _decode(data, (height, width))
+    return _decode_png(data, (height, width))
 
 
 def _checked_size(data: bytes, camera: Camera | None) -> tuple[int, int]:
     """Width and height in the first chunk of a PNG file (https://www.w3.org/TR/png-3/#11IHDR), if it is supported."""
-    if len(data) < _HEADER_BYTES or not data.startswith(_SIGNATURE + _FIRST_CHUNK):
+    if len(data) < _HEADER_BYTES or not data.startswith(_PNG_SIGNATURE + _FIRST_CHUNK):
         raise InputError(f"found {shown(data[:4].decode('latin-1'))} at its begin, expected a PNG file")
     width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     bits, colour = data[24], data[25]
@@ -106,7 +106,7 @@ def _checked_size(data: bytes, camera: Camera | None) -> tuple[int, int]:
 
 def _check_chunks(data: bytes) -> None:
     """Refuse a truncated or damaged file: a decoder may return a partial image, or trust any length field."""
-    at, view = len(_SIGNATURE), memoryview(data)
+    at, view = len(_PNG_SIGNATURE), memoryview(data)
     while at + 12 <= len(data):  # length, name, content, checksum of name and content
         end = at + 8 + int.from_bytes(view[at : at + 4], "big")
         if zlib.crc32(view[at + 4 : end]) != int.from_bytes(view[end : end + 4], "big") or end + 4 > len(data):
@@ -117,7 +117,7 @@ def _check_chunks(data: bytes) -> None:
     raise InputError(f"the PNG file is damaged from byte {at} on; is it truncated?")
 
 
-def _decode(data: bytes, shape: tuple[int, int]) -> NDArray[np.uint16]:
+def _decode_png(data: bytes, shape: tuple[int, int]) -> NDArray[np.uint16]:
     cv2 = optional("cv2", "reading depth images")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)

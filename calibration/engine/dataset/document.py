@@ -128,7 +128,7 @@ class Node:
 
     def fault(self, message: str) -> InputError:
         """Return a one-line error with the location of this value and a message."""
-        where = "/".join(_shortened(str(key)) for key in self.keys)  # keys of YAML may be numbers
+        where = "/".join(_shorten_value(str(key)) for key in self.keys)  # keys of YAML may be numbers
         return InputError(f"{self.file}: {where}: {message}" if where else f"{self.file}: {message}")
 
 
@@ -153,7 +153,7 @@ def finite(flat: list[Any]) -> Array:
     Raises:
         NotNumbersError: a value is not a finite number.
     """
-    values: Array = np.frombuffer(_packed("d", flat), np.float64)
+    values: Array = np.frombuffer(_pack_numbers("d", flat), np.float64)
     if not np.isfinite(values).all():
         raise NotNumbersError
     return _refuse_flags(values, flat)
@@ -165,7 +165,7 @@ def integers(flat: list[Any]) -> IntArray:
     Raises:
         NotNumbersError: a value is not an integer of 64 bits.
     """
-    values: IntArray = np.frombuffer(_packed("q", flat), np.int64)
+    values: IntArray = np.frombuffer(_pack_numbers("q", flat), np.int64)
     return _refuse_flags(values, flat)
 
 
@@ -181,7 +181,7 @@ def finite_rows(rows: list[Any], width: int) -> Array:
     return finite(list(chain.from_iterable(rows))).reshape(-1, width)
 
 
-def _packed(code: str, flat: list[Any]) -> bytes:
+def _pack_numbers(code: str, flat: list[Any]) -> bytes:
     """Pack numbers into bytes: several times faster than `numpy.array`, and it does not parse text."""
     try:
         return struct.pack(f"{len(flat)}{code}", *flat)
@@ -230,7 +230,7 @@ def parse_document(data: bytes, path: Path) -> Node:
     return root
 
 
-_WORDS = ("true", "false", "null", "NaN", "Infinity", "-Infinity", ".", "e+", "e-", "E+", "E-")
+_JSON_WORDS = ("true", "false", "null", "NaN", "Infinity", "-Infinity", ".", "e+", "e-", "E+", "E-")
 """Words of JSON other than strings, digits and brackets."""
 
 
@@ -239,7 +239,7 @@ def _refuse_json(root: Node, error: json.JSONDecodeError) -> NoReturn:
         raise root.fault("found an empty file, expected JSON") from None
     place = f"line {error.lineno}, column {error.colno}"
     rest = error.doc[error.pos :].rstrip()
-    if error.msg.startswith("Unterminated string") or any(word.startswith(rest) for word in _WORDS):
+    if error.msg.startswith("Unterminated string") or any(word.startswith(rest) for word in _JSON_WORDS):
         raise root.fault(f"{place}: the file ends in the middle of its JSON; is it truncated?") from None
     raise root.fault(f"{place}: not JSON: {error.msg}") from None
 
@@ -256,9 +256,9 @@ def shown(value: Any) -> str:
         case int() if abs(value) > 10**20:
             return "a huge integer"
         case str():
-            return f"'{_shortened(value)}'"
-    return _shortened(str(value))
+            return f"'{_shorten_value(value)}'"
+    return _shorten_value(str(value))
 
 
-def _shortened(text: str) -> str:
+def _shorten_value(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."

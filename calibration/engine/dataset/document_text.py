@@ -12,10 +12,10 @@ from itertools import chain
 from json.encoder import encode_basestring_ascii
 from typing import Any
 
-CONTAINERS = frozenset({dict, list, tuple})
+CONTAINER_TYPES = frozenset({dict, list, tuple})
 MAX_KEPT_CHARACTERS = 64 * 1024**2
 """Limit of the texts that `SharedTexts` keeps."""
-INDENT = "  "
+INDENT_TEXT = "  "
 
 
 class SharedTexts:
@@ -23,7 +23,7 @@ class SharedTexts:
 
     def __init__(self, objects: Iterable[Any]) -> None:
         # The objects are kept too, so that no other one gets the id of one that is gone.
-        self._objects = {id(value): value for value in objects if type(value) in CONTAINERS}
+        self._objects = {id(value): value for value in objects if type(value) in CONTAINER_TYPES}
         self._texts: dict[tuple[int, str], str] = {}
         self._room = MAX_KEPT_CHARACTERS
 
@@ -53,8 +53,8 @@ def document_text(document: Mapping[str, Any], shared: SharedTexts | None = None
 
 def _format_value(value: Any, line_start: str, shared: SharedTexts) -> str:
     """Format a value; its lines begin with ``line_start``, a line end and the indent."""
-    if not value or type(value) not in CONTAINERS:
-        return _encoder(", ").encode(value)
+    if not value or type(value) not in CONTAINER_TYPES:
+        return _sorted_encoder(", ").encode(value)
     if not shared.has(value):
         return _format_container(value, line_start, shared)
     text = shared.find(value, line_start)
@@ -66,7 +66,7 @@ def _format_value(value: Any, line_start: str, shared: SharedTexts) -> str:
 
 def _format_container(value: Any, line_start: str, shared: SharedTexts) -> str:
     """Format a container that is not empty."""
-    inner = line_start + INDENT
+    inner = line_start + INDENT_TEXT
     children = value.values() if isinstance(value, dict) else value
     if _are_flat(children):
         text = _encode_flat(value, inner)
@@ -76,20 +76,20 @@ def _format_container(value: Any, line_start: str, shared: SharedTexts) -> str:
         return f"{{{inner}{f',{inner}'.join(lines)}{line_start}}}"
     if all(value) and set(map(type, value)) == {dict} and _are_flat(chain.from_iterable(map(dict.values, value))):
         # JSON strings contain no line ends, so only the end of an object can match.
-        deep = inner + INDENT
+        deep = inner + INDENT_TEXT
         text = _encode_flat(value, deep)[2:-2].replace(f"}},{deep}{{", f"{inner}}},{inner}{{{deep}")
         return f"[{inner}{{{deep}{text}{inner}}}{line_start}]"
     return f"[{inner}{f',{inner}'.join([_format_value(child, inner, shared) for child in value])}{line_start}]"
 
 
 def _encode_flat(value: Any, line_start: str) -> str:
-    return _encoder(f",{line_start}").encode(value)
+    return _sorted_encoder(f",{line_start}").encode(value)
 
 
 def _are_flat(values: Any) -> bool:
-    return CONTAINERS.isdisjoint(map(type, values))
+    return CONTAINER_TYPES.isdisjoint(map(type, values))
 
 
 @lru_cache(maxsize=64)
-def _encoder(separator: str) -> json.JSONEncoder:
+def _sorted_encoder(separator: str) -> json.JSONEncoder:
     return json.JSONEncoder(sort_keys=True, check_circular=False, separators=(separator, ": "))

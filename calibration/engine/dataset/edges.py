@@ -15,7 +15,7 @@ from calibration.engine.geometry import rotations, transforms
 
 QUATERNION_TOLERANCE = 1e-3
 """Tolerance of a quaternion's norm, which should be 1; quaternions are normalised."""
-FAR = 1e9
+MAX_FRAME_DISTANCE_M = 1e9
 """m: limit of the distance of a frame from its parent."""
 
 _frames_of = itemgetter("parent", "child")
@@ -32,7 +32,7 @@ def read_transforms(collections: Sequence[Node]) -> dict[Edge, Array]:
     entries = [collection["transforms"].mapping() for collection in collections]
     slots: dict[Edge, int] = {}
     try:
-        slot_of = _slots(entries, slots)
+        slot_of = _number_edges(entries, slots)
         translations = finite_rows([t for each in entries for t in map(_translation_of, each.values())], 3)
         quaternions = finite_rows([q for each in entries for q in map(_quaternion_of, each.values())], 4)
     except (NotNumbersError, KeyError, TypeError):
@@ -42,10 +42,10 @@ def read_transforms(collections: Sequence[Node]) -> dict[Edge, Array]:
     wrong = ~(abs(lengths - 1) <= QUATERNION_TOLERANCE)
     if wrong.any():
         row = int(wrong.argmax())
-        raise _wrong_length(_entry(collections, row)["quat"], float(lengths[row]))
-    far = (abs(translations) > FAR).any(-1)
+        raise _wrong_length(_entry_of_row(collections, row)["quat"], float(lengths[row]))
+    far = (abs(translations) > MAX_FRAME_DISTANCE_M).any(-1)
     if far.any():
-        raise _too_far(_entry(collections, int(far.argmax()))["trans"])
+        raise _too_far(_entry_of_row(collections, int(far.argmax()))["trans"])
     if len(slots) * len(entries) > 16 * len(slot_of) + 1_000_000:
         raise collections[0].fault(
             f"the {len(entries)} collections have {len(slots)} different transforms but only {len(slot_of)} in all; "
@@ -69,7 +69,7 @@ def read_transform(node: Node) -> tuple[Edge, Array]:
     length = math.hypot(*quaternion)
     if not abs(length - 1) <= QUATERNION_TOLERANCE:
         raise _wrong_length(node["quat"], length)
-    if max(map(abs, translation)) > FAR:
+    if max(map(abs, translation)) > MAX_FRAME_DISTANCE_M:
         raise _too_far(node["trans"])
     return edge, transforms.from_quaternion(translation, quaternion)
 
@@ -112,7 +112,7 @@ def is_constant(T: Array) -> bool:
     return bool((abs(present - present[:1]) <= 1e-9).all())
 
 
-def _slots(entries: Sequence[dict[str, dict[str, object]]], slots: dict[Edge, int]) -> list[int]:
+def _number_edges(entries: Sequence[dict[str, dict[str, object]]], slots: dict[Edge, int]) -> list[int]:
     """Number the edges in ``slots``, in order of appearance, and return the number of each transform's edge.
 
     Raises:
@@ -148,7 +148,7 @@ def _one_by_one(collections: Sequence[Node], slots: dict[Edge, int]) -> tuple[li
     return slot_of, np.array(translations).reshape(-1, 3), np.array(quaternions).reshape(-1, 4)
 
 
-def _entry(collections: Sequence[Node], row: int) -> Node:
+def _entry_of_row(collections: Sequence[Node], row: int) -> Node:
     """Return the document entry of a transform by its index over all collections."""
     for collection in collections:
         keys = list(collection["transforms"].mapping())
@@ -159,7 +159,7 @@ def _entry(collections: Sequence[Node], row: int) -> Node:
 
 
 def _too_far(translation: Node) -> InputError:
-    return translation.fault(f"found a frame that is more than {FAR:g} m away, expected m")
+    return translation.fault(f"found a frame that is more than {MAX_FRAME_DISTANCE_M:g} m away, expected m")
 
 
 def _wrong_length(quaternion: Node, length: float) -> InputError:

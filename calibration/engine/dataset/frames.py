@@ -26,12 +26,12 @@ def check_frames(dataset: Dataset, root: Node, collections: Sequence[Node]) -> N
     _check_tree(dataset, collections)
     config = root["calibration_config"]
     world = config["world_link"]
-    _known(dataset.tree, world)
+    _check_is_known(dataset.tree, world)
     needed = {
         **_sensor_chains(dataset, root["sensors"], world),
         **_pattern_chains(dataset, config, world),
-        **_additional(dataset, config),
-        **_joints(dataset, config),
+        **_additional_edges(dataset, config),
+        **_joint_edges(dataset, config),
     }
     _check_motions(dataset, collections)
     for (parent, child), reason in needed.items():
@@ -50,14 +50,14 @@ def _check_tree(dataset: Dataset, collections: Sequence[Node]) -> None:
         low, high = 0, len(edges) - 1
         while low < high:  # bisection for the smallest number of edges that are not a tree
             middle = (low + high) // 2
-            low, high = (low, middle) if _fault(edges[: middle + 1]) else (middle + 1, high)
+            low, high = (low, middle) if _why_no_tree(edges[: middle + 1]) else (middle + 1, high)
         parent, child = edges[high]
         present = ~np.isnan(dataset.transforms[parent, child][:, 0, 0])
         transforms = collections[int(present.argmax())]["transforms"]
-        raise transforms[f"{parent}-{child}"].fault(_fault(edges[: high + 1])) from None
+        raise transforms[f"{parent}-{child}"].fault(_why_no_tree(edges[: high + 1])) from None
 
 
-def _fault(edges: Iterable[Edge]) -> str:
+def _why_no_tree(edges: Iterable[Edge]) -> str:
     """Return the reason why edges are not a tree; empty if they are."""
     try:
         FrameTree(edges)
@@ -71,8 +71,8 @@ def _sensor_chains(dataset: Dataset, sensors: Node, world: Node) -> dict[Edge, s
     needed = {}
     for name, sensor in dataset.sensors.items():
         for key in ("calibration_parent", "calibration_child"):
-            _known(dataset.tree, sensors[name][key])
-        steps = _path(dataset.tree, world, sensors[name]["parent"])
+            _check_is_known(dataset.tree, sensors[name][key])
+        steps = _path_between(dataset.tree, world, sensors[name]["parent"])
         edges = [(step.parent, step.child) for step in steps]
         if sensor.edge not in edges:
             way = ", ".join("-".join(edge) for edge in edges)
@@ -92,17 +92,17 @@ def _pattern_chains(dataset: Dataset, config: Node, world: Node) -> dict[Edge, s
     for name, pattern in dataset.patterns.items():
         several = config.get("calibration_patterns")
         node = several[name] if several else config["calibration_pattern"]
-        steps = _path(dataset.tree, world, node["parent_link"])
+        steps = _path_between(dataset.tree, world, node["parent_link"])
         needed.update(dict.fromkeys(((step.parent, step.child) for step in steps), f"pattern '{name}'"))
         if pattern.link in links:
             raise node["link"].unexpected("a frame that no other pattern has")
-        if reason := _fault([*edges, (pattern.parent_link, pattern.link)]):
+        if reason := _why_no_tree([*edges, (pattern.parent_link, pattern.link)]):
             raise node["link"].fault(f"a pattern cannot be here: {reason}")
         links.add(pattern.link)
     return needed
 
 
-def _additional(dataset: Dataset, config: Node) -> dict[Edge, str]:
+def _additional_edges(dataset: Dataset, config: Node) -> dict[Edge, str]:
     """Return the additional transforms to calibrate, each with the entry that needs it."""
     if not (node := config.get("additional_tfs")):
         return {}
@@ -112,7 +112,7 @@ def _additional(dataset: Dataset, config: Node) -> dict[Edge, str]:
     return dict.fromkeys(dataset.additional_transforms, "additional_tfs")
 
 
-def _joints(dataset: Dataset, config: Node) -> dict[Edge, str]:
+def _joint_edges(dataset: Dataset, config: Node) -> dict[Edge, str]:
     """Return the edges of the joints to calibrate, each with the joint that needs it."""
     taken = {sensor.edge: f"sensor '{sensor.name}'" for sensor in dataset.sensors.values()}
     taken |= dict.fromkeys(dataset.additional_transforms, "additional_tfs")
@@ -135,7 +135,7 @@ def _check_motions(dataset: Dataset, collections: Sequence[Node]) -> None:
     for name, joint in dataset.joints.items():
         T = dataset.transforms[joint.edge]
         moved, since = inverse(T[0]) @ T, joint.positions - joint.positions[0]
-        off = _off(moved, joint, since)
+        off = _difference_from_joint(moved, joint, since)
         if (off > MOTION_TOLERANCE).any():
             i = int(np.nanargmax(off))
             unit, other, scale = (
@@ -143,7 +143,7 @@ def _check_motions(dataset: Dataset, collections: Sequence[Node]) -> None:
             )
             looks = (
                 f", not in {other} as these look"
-                if np.nanmax(_off(moved, joint, scale * since)) < MOTION_TOLERANCE
+                if np.nanmax(_difference_from_joint(moved, joint, scale * since)) < MOTION_TOLERANCE
                 else ""
             )
             raise collections[i]["joints"][name]["position"].fault(
@@ -153,21 +153,21 @@ def _check_motions(dataset: Dataset, collections: Sequence[Node]) -> None:
             )
 
 
-def _off(moved: Array, joint: Joint, since: Array) -> Array:
+def _difference_from_joint(moved: Array, joint: Joint, since: Array) -> Array:
     """Difference (N,) of a joint's motions (N, 4, 4) from those by the changes of its position (N,), m or rad."""
     with np.errstate(invalid="ignore"):
         off: Array = np.max(distance(moved, joint.model.motion(since)), axis=0)
     return off
 
 
-def _known(tree: FrameTree, node: Node) -> None:
+def _check_is_known(tree: FrameTree, node: Node) -> None:
     if node.value not in tree:
         frames = ", ".join(tree.frames[:30])
         raise node.fault(f"frame '{node.value}' is not in the tree of the collections' transforms (frames: {frames})")
 
 
-def _path(tree: FrameTree, start: Node, end: Node) -> tuple[Step, ...]:
-    _known(tree, end)
+def _path_between(tree: FrameTree, start: Node, end: Node) -> tuple[Step, ...]:
+    _check_is_known(tree, end)
     try:
         return tree.path(start.value, end.value)
     except InputError as error:

@@ -10,10 +10,10 @@ from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.model import Edge, Joint
 from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
 
-_KINDS = {"revolute": False, "continuous": False, "prismatic": True}
-FAR = 1e6
+_IS_PRISMATIC = {"revolute": False, "continuous": False, "prismatic": True}
+MAX_JOINT_VALUE = 1e6
 """m or rad: limit of a joint's origin."""
-_SAME = 1e-9
+_MAX_ORIGIN_DIFFERENCE = 1e-9
 """Tolerance (m, rad) of a joint's origin between collections."""
 
 
@@ -34,7 +34,7 @@ def read_joints(config: Node, collections: Sequence[Node]) -> dict[str, Joint]:
                 f"collection {collections[0].keys[-1]} has no joint of this name "
                 f"(there are: {', '.join(there) or 'none'})"
             )
-    return {name: _joint(name, node, collections) for name, node in asked.items()}
+    return {name: _read_joint(name, node, collections) for name, node in asked.items()}
 
 
 def joint_values(joint: Joint) -> dict[str, float]:
@@ -50,11 +50,15 @@ def joint_document(joint: Joint, read: Mapping[str, Any], i: int) -> dict[str, A
     return {**document, "position_bias": bias} if bias or "position_bias" in read else document
 
 
-def _joint(name: str, asked: Node, collections: Sequence[Node]) -> Joint:
+def _read_joint(name: str, asked: Node, collections: Sequence[Node]) -> Joint:
     entries = [collection["joints"][name] for collection in collections]
-    model, edge, values = _model(entries[0]), _edge(entries[0]), _values(entries[0])
+    model, edge, values = _read_model(entries[0]), _edge_of_links(entries[0]), _read_values(entries[0])
     for entry in entries[1:]:
-        if _edge(entry) != edge or _model(entry) != model or np.abs(_values(entry) - values).max() > _SAME:
+        if (
+            _edge_of_links(entry) != edge
+            or _read_model(entry) != model
+            or np.abs(_read_values(entry) - values).max() > _MAX_ORIGIN_DIFFERENCE
+        ):
             raise entry.fault(
                 f"differs from collection {collections[0].keys[-1]}; only the position of a joint changes"
             )
@@ -62,13 +66,13 @@ def _joint(name: str, asked: Node, collections: Sequence[Node]) -> Joint:
         name=name,
         edge=edge,
         model=model,
-        parameters=_parameters(asked),
+        parameters=_calibrated_parameters(asked),
         values=values,
-        positions=np.array([entry["position"].within(-FAR, FAR) for entry in entries]),
+        positions=np.array([entry["position"].within(-MAX_JOINT_VALUE, MAX_JOINT_VALUE) for entry in entries]),
     )
 
 
-def _parameters(asked: Node) -> tuple[JointParameter, ...]:
+def _calibrated_parameters(asked: Node) -> tuple[JointParameter, ...]:
     chosen = {element.name(): element for element in asked["params_to_calibrate"].elements()}
     for name, element in chosen.items():
         if name not in JOINT_PARAMETERS:
@@ -78,23 +82,23 @@ def _parameters(asked: Node) -> tuple[JointParameter, ...]:
     return tuple(parameter for parameter in JOINT_PARAMETERS if parameter in chosen)
 
 
-def _model(entry: Node) -> JointModel:
+def _read_model(entry: Node) -> JointModel:
     kind = entry["joint_type"]
-    if kind.text() not in _KINDS:
-        raise kind.unexpected("a joint that moves: " + " or ".join(_KINDS))
+    if kind.text() not in _IS_PRISMATIC:
+        raise kind.unexpected("a joint that moves: " + " or ".join(_IS_PRISMATIC))
     axis = np.array([entry[f"axis_{c}"].number() for c in "xyz"])
     length = float(np.linalg.norm(axis))
     if not 1e-6 < length < 1e6:
         raise entry["axis_x"].fault(f"found the axis ({axis[0]:g}, {axis[1]:g}, {axis[2]:g}), expected a direction")
     x, y, z = (axis / length).tolist()
-    return JointModel(_KINDS[kind.value], (x, y, z))
+    return JointModel(_IS_PRISMATIC[kind.value], (x, y, z))
 
 
-def _edge(entry: Node) -> Edge:
+def _edge_of_links(entry: Node) -> Edge:
     return (entry["parent_link"].name(), entry["child_link"].name())
 
 
-def _values(entry: Node) -> Array:
+def _read_values(entry: Node) -> Array:
     bias = entry.get("position_bias")
-    origin = [entry[parameter].within(-FAR, FAR) for parameter in JOINT_PARAMETERS[:6]]
-    return np.array([*origin, bias.within(-FAR, FAR) if bias else 0.0])
+    origin = [entry[parameter].within(-MAX_JOINT_VALUE, MAX_JOINT_VALUE) for parameter in JOINT_PARAMETERS[:6]]
+    return np.array([*origin, bias.within(-MAX_JOINT_VALUE, MAX_JOINT_VALUE) if bias else 0.0])

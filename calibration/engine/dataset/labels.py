@@ -18,7 +18,7 @@ from calibration.engine.dataset.payload import MissingFileError
 
 MAX_POINTS = 1 << 40
 """Limit of the number of points of a cloud, scan or depth image."""
-FARTHEST = 1e4
+MAX_RANGE_M = 1e4
 """m: limit of a sensor's range."""
 OUTSIDE_SHARE = 0.1
 """Limit of the share of a camera's corners outside of its image: a few are errors of a detector."""
@@ -106,13 +106,13 @@ def _read_corners(
     known = [len(patterns[detection.pattern].corners) for detection in detections]
     if (wrong := batch.outside(numbers, known)) is not None:
         i, position = wrong
-        raise _element(detections[i].idxs, position)["id"].unexpected(
+        raise _element_at(detections[i].idxs, position)["id"].unexpected(
             f"the id of a corner of pattern '{detections[i].pattern}', 0 to {known[i] - 1}"
         )
     ids = numbers.astype(np.int64)
     if (again := batch.repeated(ids)) is not None:
         i, position = again
-        raise _element(detections[i].idxs, position)["id"].unexpected("every id once")
+        raise _element_at(detections[i].idxs, position)["id"].unexpected("every id once")
     _check_pixels(detections, batch, pixels, sensors)
     ids.flags.writeable = pixels.flags.writeable = False
     for part in batch.parts:
@@ -129,7 +129,7 @@ def _check_pixels(
         i, position = far
         x, y = pixels[batch.parts[i]][position]
         width, height = sizes[batch.parts[i]][position]
-        raise _element(detections[i].idxs, position).fault(
+        raise _element_at(detections[i].idxs, position).fault(
             f"found a corner at ({x:g}, {y:g}) px, expected one in the image of {width:g} x {height:g} px of sensor "
             f"'{detections[i].sensor}' (camera_info)"
         )
@@ -140,7 +140,7 @@ def _check_pixels(
             i, position = batch.place(int((outside & of_camera).argmax()))
             x, y = pixels[batch.parts[i]][position]
             width, height = sizes[batch.parts[i]][position]
-            raise _element(detections[i].idxs, position).fault(
+            raise _element_at(detections[i].idxs, position).fault(
                 f"found a corner at ({x:g}, {y:g}) px, one of {(outside & of_camera).sum()} of {of_camera.sum()} that "
                 f"sensor '{name}' has outside of its image of {width:g} x {height:g} px; does its camera_info have the "
                 "size of the images?"
@@ -150,7 +150,7 @@ def _check_pixels(
 def _read_pose(idxs: Node) -> PoseLabels:
     if len(idxs.sequence()) != 1:
         raise idxs.fault(f"found {len(idxs.sequence())} poses, expected one")
-    return PoseLabels(read_pose(_element(idxs, 0), FARTHEST))
+    return PoseLabels(read_pose(_element_at(idxs, 0), MAX_RANGE_M))
 
 
 def _read_points(
@@ -161,12 +161,12 @@ def _read_points(
         return
     batch, index = _read_indices([detection.idxs for detection in detections])
     data_of = [sensors[detection.sensor].modality.point_data for detection in detections]
-    limit_lists = [_limits(each.label, data) for each, data in zip(detections, data_of, strict=True)]
+    limit_lists = [_limit_points(each.label, data) for each, data in zip(detections, data_of, strict=True)]
     limit_batch, limits = _read_indices(limit_lists)
     positions, missing = batch.find(index, limit_batch, limits)
     if missing is not None:
         i, position = missing
-        raise _element(limit_lists[i], position).unexpected("one of 'idxs'")
+        raise _element_at(limit_lists[i], position).unexpected("one of 'idxs'")
     points = np.zeros((len(index), 3))
     clouds: dict[str, IndexedPoints | MissingFileError] = {}  # of one collection, to limit memory
     not_there: dict[int, MissingFileError] = {}
@@ -187,17 +187,17 @@ def _read_points(
             with np.errstate(invalid="ignore"):  # signalling NaNs; they are refused below
                 points[part] = cloud.take(index[part])
         except IndexError:
-            wrong = _element(detection.idxs, int((index[part] >= len(cloud)).argmax()))
+            wrong = _element_at(detection.idxs, int((index[part] >= len(cloud)).argmax()))
             raise wrong.unexpected(f"the index of one of the {data.count.format(len(cloud))}") from None
     if not np.isfinite(points).all():
         i, position = batch.place(int(np.isfinite(points).all(-1).argmin()))
         nothing = data_of[i].nothing.format(index[batch.parts[i]][position])
-        raise _element(detections[i].idxs, position).fault(nothing)
-    if (far := batch.first(np.any(abs(points) > FARTHEST, axis=-1))) is not None:
+        raise _element_at(detections[i].idxs, position).fault(nothing)
+    if (far := batch.first(np.any(abs(points) > MAX_RANGE_M, axis=-1))) is not None:
         i, position = far
-        raise _element(detections[i].idxs, position).fault(
+        raise _element_at(detections[i].idxs, position).fault(
             f"found point {index[batch.parts[i]][position]} of sensor '{detections[i].sensor}' "
-            f"{abs(points[batch.parts[i]][position]).max():g} m away, expected {FARTHEST:g} m at most"
+            f"{abs(points[batch.parts[i]][position]).max():g} m away, expected {MAX_RANGE_M:g} m at most"
         )
     points.flags.writeable = positions.flags.writeable = False
     for i, (part, limit_part) in enumerate(zip(batch.parts, limit_batch.parts, strict=True)):
@@ -211,7 +211,7 @@ def _read_cloud(data: PointData, message: Node, sensor: Sensor) -> IndexedPoints
         return error
 
 
-def _limits(label: Node, data: PointData) -> Node:
+def _limit_points(label: Node, data: PointData) -> Node:
     """Return the limit points, from the first of their possible keys that is present."""
     *others, last = data.limits
     if node := next((node for key in others if (node := label.get(key))), None) or label.get(last):
@@ -231,11 +231,11 @@ def _read_indices(lists: Sequence[Node]) -> "tuple[_Batch, IntArray]":
     batch = _Batch([len(node.value) for node in lists])
     if len(index) and not (index.min() >= 0 and index.max() < MAX_POINTS):
         i, position = batch.place(int(((index < 0) | (index >= MAX_POINTS)).argmax()))
-        raise _element(lists[i], position).unexpected("the index of a point of the cloud, or a pixel of the image")
+        raise _element_at(lists[i], position).unexpected("the index of a point of the cloud, or a pixel of the image")
     return batch, index
 
 
-def _element(indices: Node, position: int) -> Node:
+def _element_at(indices: Node, position: int) -> Node:
     return list(indices.elements())[position]
 
 

@@ -9,7 +9,7 @@ from calibration.engine.dataset.document import Node
 
 MAX_RAYS = 1 << 20
 """Limit of the number of rays of a scan."""
-_REVOLUTION = 2 * math.pi * 1.02
+_MAX_SCAN_ANGLE = 2 * math.pi * 1.02
 """Limit of a scan's angle: the last rays of a rotating LiDAR may overlap the first."""
 
 
@@ -22,22 +22,22 @@ def read_scan(message: Node) -> Array:
     Raises:
         InputError: something in the message is missing or wrong.
     """
-    ranges = _ranges(message["ranges"])
+    ranges = _read_ranges(message["ranges"])
     start, step = message["angle_min"].within(-10, 10), message["angle_increment"].within(-1, 1)
     if step == 0:
         raise message["angle_increment"].unexpected("the angle between two rays, rad")
-    if abs(step) * (len(ranges) - 1) > _REVOLUTION:
+    if abs(step) * (len(ranges) - 1) > _MAX_SCAN_ANGLE:
         raise message["angle_increment"].fault(
             f"{len(ranges)} rays of {step:g} rad make more than one revolution; are the angles in degrees?"
         )
-    least, most = _bound(message, "range_min", 0.0), _bound(message, "range_max", math.inf)
+    least, most = _read_range_limit(message, "range_min", 0.0), _read_range_limit(message, "range_max", math.inf)
     with np.errstate(invalid="ignore"):
         returned = np.isfinite(ranges) & (ranges > 0) & (ranges >= least) & (ranges <= most)
     r, angle = np.where(returned, ranges, np.nan), start + step * np.arange(len(ranges))
     return np.stack([r * np.cos(angle), r * np.sin(angle), np.where(returned, 0.0, np.nan)], -1)
 
 
-def _ranges(node: Node) -> Array:
+def _read_ranges(node: Node) -> Array:
     """Return the ranges (N,), NaN for null."""
     values = node.sequence()
     if len(values) > MAX_RAYS:
@@ -55,7 +55,7 @@ def _is_range(value: object) -> bool:
     return value is None or type(value) is float or (type(value) is int and abs(value) < 10**300)
 
 
-def _bound(message: Node, key: str, otherwise: float) -> float:
+def _read_range_limit(message: Node, key: str, otherwise: float) -> float:
     """Return a limit of the ranges; some drivers set the upper one to infinity."""
     node = message.get(key)
     return otherwise if node is None or node.value == math.inf else node.number()

@@ -12,12 +12,12 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.engine.dataset.document import Node
 
-KEY = "uncertainty"
-SYMMETRIC = 1e-6
+UNCERTAINTY_KEY = "uncertainty"
+MAX_ASYMMETRY = 1e-6
 """Tolerance of the symmetry of correlations: files are rounded."""
-TINY = 1e-200
+MIN_VARIANCE = 1e-200
 """Lower limit of a variance."""
-DEFINITE = 1e-13
+MIN_EIGENVALUE = 1e-13
 """Lower limit of the correlations' smallest eigenvalue, due to rounding."""
 
 
@@ -34,7 +34,7 @@ class LensUncertainty:
 
 
 def read_uncertainty(node: Node, known: tuple[str, ...]) -> LensUncertainty:
-    """Parse the value of `KEY`.
+    """Parse the value of `UNCERTAINTY_KEY`.
 
     Args:
         node: the value.
@@ -53,7 +53,7 @@ def read_uncertainty(node: Node, known: tuple[str, ...]) -> LensUncertainty:
 
 
 def uncertainty_document(uncertainty: LensUncertainty) -> dict[str, Any]:
-    """Return the value of `KEY`."""
+    """Return the value of `UNCERTAINTY_KEY`."""
     document: dict[str, Any] = {"parameters": list(uncertainty.parameters)}
     if uncertainty.covariance is not None:
         return {**document, "covariance": uncertainty.covariance.tolist()}
@@ -86,17 +86,17 @@ def read_covariance(node: Node, count: int) -> Array:
         raise node.unexpected(f"{count} rows, one for each parameter")
     C = np.array([row.numbers(count) for row in node.elements()])
     variances = np.diagonal(C)
-    if (variances < TINY).any():
-        k = int((variances < TINY).argmax())
+    if (variances < MIN_VARIANCE).any():
+        k = int((variances < MIN_VARIANCE).argmax())
         raise node.fault(f"found the variance {variances[k]:g} in row {k}, expected one above 0")
     sigma = np.sqrt(variances)
     with np.errstate(over="ignore", invalid="ignore"):
         correlation = C / sigma[:, None] / sigma
-        symmetric = np.abs(correlation - correlation.T).max() <= SYMMETRIC
+        symmetric = np.abs(correlation - correlation.T).max() <= MAX_ASYMMETRY
     if not symmetric:
         raise node.fault("found a matrix that is not symmetric, expected a covariance")
     correlation = 0.5 * (correlation + correlation.T)
-    if not np.linalg.eigvalsh(correlation)[0] > DEFINITE:
+    if not np.linalg.eigvalsh(correlation)[0] > MIN_EIGENVALUE:
         raise node.fault("found a matrix that is not positive definite, expected a covariance")
     covariance: Array = correlation * sigma[:, None] * sigma
     return covariance

@@ -193,7 +193,9 @@ DEPTH = Modality(
 POSE = Modality("pose", "tracker", "PoseStamped", has_poses=True)
 MODALITIES = {modality.name: modality for modality in (RGB, LIDAR3D, LIDAR2D, DEPTH, POSE)}
 """All modalities by name."""
-BORDERS: frozenset[NoiseKind] = frozenset(each.points.noise[1] for each in MODALITIES.values() if each.points)
+BORDER_NOISE_KINDS: frozenset[NoiseKind] = frozenset(
+    each.points.noise[1] for each in MODALITIES.values() if each.points
+)
 """Kinds of noise of border points, an angle, in rad."""
 
 

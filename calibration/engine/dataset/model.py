@@ -22,7 +22,7 @@ from calibration.engine.geometry.frames import FrameTree
 from calibration.engine.geometry.joints import JointModel, JointParameter
 from calibration.engine.geometry.transforms import inverse, retract
 
-ESTIMATED = "estimated_intrinsics"
+ESTIMATED_KEY = "estimated_intrinsics"
 """Key of ``_metadata``: the cameras whose intrinsics are an initial guess from the corners."""
 CHOSEN_MODELS = "chosen_lens_models"
 """Key of ``_metadata``: those of them whose lens model was chosen, and is that of the guess."""
@@ -209,7 +209,7 @@ class Dataset:
     @cached_property
     def guessed_cameras(self) -> tuple[str, ...]:
         """Cameras whose intrinsics are only an initial guess from the corners, as an import has made it."""
-        return self._named_in_metadata(ESTIMATED)
+        return self._named_in_metadata(ESTIMATED_KEY)
 
     @cached_property
     def cameras_of_unknown_model(self) -> tuple[str, ...]:
@@ -260,15 +260,15 @@ class Dataset:
         lag = self.sensors[sensor].lag
         if edge not in self.velocities or not lag:
             return T
-        change = self._change(edge, lag / 2, lag**2 / 6)
+        change = self._velocity_change(edge, lag / 2, lag**2 / 6)
         return retract(T, lag * (self.velocities[edge] + change))
 
     def velocities_seen_by(self, sensor: str) -> Mapping[Edge, Array]:
         """Return the velocities (N, 6) as they were when a sensor with a lag saw the frames."""
         lag = self.sensors[sensor].lag
-        return {edge: each + self._change(edge, lag, lag**2 / 2) for edge, each in self.velocities.items()}
+        return {edge: each + self._velocity_change(edge, lag, lag**2 / 2) for edge, each in self.velocities.items()}
 
-    def _change(self, edge: Edge, *factors: float) -> Array:
+    def _velocity_change(self, edge: Edge, *factors: float) -> Array:
         """Return the change (N, 6) of a velocity: its acceleration and its jerk, each by a factor."""
         own = self.accelerations.get(edge)
         return np.zeros(6) if own is None else np.asarray(factors @ own)

@@ -21,9 +21,9 @@ MIN_SIZE, MAX_SIZE = 1e-6, 1e3
 MAX_MARKER = 10_000
 """Limit of the lowest id of a board's markers."""
 PatternKind = Literal["charuco", "chessboard", "aprilgrid", "circles", "asymmetric-circles", "tags"]
-CIRCLES: tuple[PatternKind, ...] = ("circles", "asymmetric-circles")
+CIRCLE_KINDS: tuple[PatternKind, ...] = ("circles", "asymmetric-circles")
 """Kinds of grids of circles."""
-UNMARKED: tuple[PatternKind, ...] = ("chessboard", *CIRCLES)
+UNMARKED_KINDS: tuple[PatternKind, ...] = ("chessboard", *CIRCLE_KINDS)
 """Kinds without markers: found whole or not at all, and some look the same turned."""
 
 
@@ -152,10 +152,10 @@ def corner_origin(kind: PatternKind, version: str, square: float) -> tuple[float
     return (square, square) if kind == "charuco" and not version.startswith("2") else (0.0, 0.0)
 
 
-CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
-SIDES = {"top": (0, 1), "bottom": (3, 2), "left": (0, 3), "right": (1, 2)}
-"""Sides of the border, each from one of `CORNERS` to another."""
-SPACING = 0.02
+BORDER_CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
+BORDER_SIDES = {"top": (0, 1), "bottom": (3, 2), "left": (0, 3), "right": (1, 2)}
+"""Sides of the border, each from one of `BORDER_CORNERS` to another."""
+SAMPLE_SPACING_M = 0.02
 """m: distance of ATOM's samples of the sides of the border."""
 MAX_SAMPLES = 10_000
 """Limit of the number of samples of one side."""
@@ -171,17 +171,19 @@ def with_explicit_geometry(pattern: Pattern, node: Node) -> Pattern:
     """
     corners, frame = node.get("corners"), node.get("frame")
     if corners and corners.sequence():
-        pattern = replace(pattern, corners=_corners(corners))
+        pattern = replace(pattern, corners=_corners_by_id(corners))
     if frame and (border := frame.get("corners")):
-        pattern = replace(pattern, outline=np.array([[_coordinate(border[c][axis]) for axis in "xy"] for c in CORNERS]))
+        pattern = replace(
+            pattern, outline=np.array([[_bounded_coordinate(border[c][axis]) for axis in "xy"] for c in BORDER_CORNERS])
+        )
     return pattern
 
 
-def _coordinate(node: Node) -> float:
+def _bounded_coordinate(node: Node) -> float:
     return node.within(-MAX_COORDINATE, MAX_COORDINATE)
 
 
-def _corners(node: Node) -> Array:
+def _corners_by_id(node: Node) -> Array:
     """Parse corners (K, 3) by id; the ids must be 0 to K - 1, in any order."""
     ids, places = read_corners([node])
     order = np.argsort(ids, kind="stable")
@@ -200,9 +202,10 @@ def pattern_document(pattern: Pattern, transforms_initial: Mapping[str, Any]) ->
     return {
         "corners": [{"id": i, "x": x, "y": y} for i, (x, y, _) in enumerate(pattern.corners.tolist())],
         "frame": {
-            "corners": {name: {"x": x, "y": y} for name, (x, y) in zip(CORNERS, ends, strict=True)},
+            "corners": {name: {"x": x, "y": y} for name, (x, y) in zip(BORDER_CORNERS, ends, strict=True)},
             "lines_sampled": {
-                side: _sampled(pattern.outline[start], pattern.outline[end]) for side, (start, end) in SIDES.items()
+                side: _sample_side(pattern.outline[start], pattern.outline[end])
+                for side, (start, end) in BORDER_SIDES.items()
             },
         },
         "transitions": {"horizontal": [], "vertical": []},
@@ -210,6 +213,6 @@ def pattern_document(pattern: Pattern, transforms_initial: Mapping[str, Any]) ->
     }
 
 
-def _sampled(start: Array, end: Array) -> list[dict[str, float]]:
-    count = min(max(2, round(float(np.linalg.norm(end - start)) / SPACING)), MAX_SAMPLES)
+def _sample_side(start: Array, end: Array) -> list[dict[str, float]]:
+    count = min(max(2, round(float(np.linalg.norm(end - start)) / SAMPLE_SPACING_M)), MAX_SAMPLES)
     return [{"x": x, "y": y} for x, y in np.linspace(start, end, count).tolist()]

@@ -23,7 +23,7 @@ LZF_RATIO = 100
 """Limit of what LZF saves: three bytes are 264 at most."""
 HEADER_BYTES = 1 << 16
 """Limit of the size of a PCD file's header."""
-_DATA = re.compile(rb"^DATA[ \t]+(\S+)[ \t]*\r?\n", re.MULTILINE)
+_DATA_LINE = re.compile(rb"^DATA[ \t]+(\S+)[ \t]*\r?\n", re.MULTILINE)
 
 
 def read_points(path: Path | str) -> Cloud:
@@ -63,7 +63,7 @@ def decode_pcd(data: bytes) -> Cloud:
     Raises:
         InputError: it is not a supported PCD file; the message does not name the file.
     """
-    end = _DATA.search(data, 0, HEADER_BYTES)
+    end = _DATA_LINE.search(data, 0, HEADER_BYTES)
     if end is None:
         raise InputError("found no line 'DATA ...', expected the header of a PCD file")
     lines = data[: end.start()].decode("ascii", "replace").replace("\t", " ").splitlines()
@@ -78,12 +78,12 @@ def decode_pcd(data: bytes) -> Cloud:
     if kind == b"ascii":
         return _decode_ascii(data[end.end() :], count, layout)
     if kind == b"binary_compressed":
-        return layout.columns(_decompressed(data[end.end() :], count * layout.step), count)
+        return layout.columns(_decompress_lzf(data[end.end() :], count * layout.step), count)
     found = shown(kind.decode("ascii", "replace"))
     raise InputError(f"found DATA {found}, expected 'binary', 'binary_compressed' or 'ascii'")
 
 
-def _decompressed(data: bytes, expected: int) -> bytes:
+def _decompress_lzf(data: bytes, expected: int) -> bytes:
     """Decompress the points of ``binary_compressed``: two sizes (uint32), and LZF (liblzf, lzf_d.c)."""
     if len(data) < 8:
         raise InputError("found no compressed points; is it truncated?")
@@ -161,8 +161,8 @@ class _Layout:
 @lru_cache(maxsize=16)
 def _pcd_layout(fields: str, size: str, type_: str, count: str) -> _Layout:
     names, types = fields.split(), type_.split()
-    sizes = [_whole("SIZE", each) for each in size.split()]
-    counts = [_whole("COUNT", each) for each in count.split()] or [1] * len(names)
+    sizes = [_whole_number("SIZE", each) for each in size.split()]
+    counts = [_whole_number("COUNT", each) for each in count.split()] or [1] * len(names)
     for key, values in (("SIZE", sizes), ("TYPE", types), ("COUNT", counts)):
         if len(values) != len(names):
             raise InputError(f"found {len(values)} values of {key} for {len(names)} FIELDS")
@@ -187,7 +187,7 @@ def _pcd_layout(fields: str, size: str, type_: str, count: str) -> _Layout:
 def _pcd_count(header: dict[str, str]) -> int:
     """Return the number of points in the header."""
     points, width, height = (
-        _whole(key, header[key].strip()) if key in header else None for key in ("POINTS", "WIDTH", "HEIGHT")
+        _whole_number(key, header[key].strip()) if key in header else None for key in ("POINTS", "WIDTH", "HEIGHT")
     )
     area = points if width is None else width * (1 if height is None else height)
     if area is None:
@@ -197,7 +197,7 @@ def _pcd_count(header: dict[str, str]) -> int:
     return area
 
 
-def _whole(key: str, text: str) -> int:
+def _whole_number(key: str, text: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) <= 12):
         raise InputError(f"found {key} {shown(text)}, expected a number")
     return int(text)

@@ -7,7 +7,7 @@ from pathlib import Path
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.base.garbage_collector import no_collector
-from calibration.engine.dataset.changes import KEY, changed_document
+from calibration.engine.dataset.changes import CHANGES_KEY, changed_document
 from calibration.engine.dataset.configuration import Configuration, parse_configuration
 from calibration.engine.dataset.document import Node, read_json, shown
 from calibration.engine.dataset.edges import is_constant, read_transforms
@@ -47,26 +47,26 @@ def read_dataset(path: Path | str, data: Path | None = None, given: Path | None 
             names the file, the keys that lead there, what was found and what was expected.
     """
     with no_collector():
-        return _read(_file(Path(path)), data, given and _file(given))
+        return _read_document(_dataset_file(Path(path)), data, given and _dataset_file(given))
 
 
-def _file(path: Path) -> Path:
+def _dataset_file(path: Path) -> Path:
     inside = os.path.isdir(path)  # noqa: PTH112 (Path.is_dir raises where a folder may not be looked into)
     return path / FILE_NAME if inside else path
 
 
-def _read(path: Path, data: Path | None, given: Path | None) -> Dataset:
+def _read_document(path: Path, data: Path | None, given: Path | None) -> Dataset:
     root = read_json(path, what="a dataset")
-    if KEY in root.value:
-        root = changed_document(root[KEY], given)
+    if CHANGES_KEY in root.value:
+        root = changed_document(root[CHANGES_KEY], given)
         path = root.file
-    version = _version(root["_metadata"]["version"])
+    version = _major_version(root["_metadata"]["version"])
     configuration = parse_configuration(root["calibration_config"])
     sensors = read_sensors(root["sensors"], configuration.sensors)
     if described := root.get("transforms"):
         described.mapping()
-    patterns = _patterns(root, configuration, version)
-    collections = _collections(root["collections"])
+    patterns = _read_patterns(root, configuration, version)
+    collections = _ordered_collections(root["collections"])
     transforms = read_transforms(collections)
     read, missing = read_labels(collections, sensors, patterns, version, data)
     labelled = {sensor for collection in read for _, sensor in collection.labels}
@@ -84,7 +84,7 @@ def _read(path: Path, data: Path | None, given: Path | None) -> Dataset:
         transforms=transforms,
         collections=read,
         document=root.value,
-        moving_transforms=frozenset(edge for edge in additional if _moves(edge, transforms, described)),
+        moving_transforms=frozenset(edge for edge in additional if _is_moving(edge, transforms, described)),
         joints=read_joints(root["calibration_config"], collections),
         velocities=velocities,
         accelerations=accelerations,
@@ -111,7 +111,7 @@ def _check_image_sizes(dataset: Dataset, collections: Sequence[Node]) -> None:
                         raise found.unexpected(f"{size} as in sensors/{name}/camera_info")
 
 
-def _moves(edge: Edge, transforms: Mapping[Edge, Array], described: Node | None) -> bool:
+def _is_moving(edge: Edge, transforms: Mapping[Edge, Array], described: Node | None) -> bool:
     """Whether an additional transform differs between collections: as the file states, else by its values."""
     entry = described.get("-".join(edge)) if described else None
     if kind := entry and entry.get("type"):
@@ -121,14 +121,14 @@ def _moves(edge: Edge, transforms: Mapping[Edge, Array], described: Node | None)
     return edge in transforms and not is_constant(transforms[edge])
 
 
-def _version(node: Node) -> str:
+def _major_version(node: Node) -> str:
     major = str(node.value).partition(".")[0]
     if type(node.value) not in (str, int, float) or major not in ("2", "3"):
         raise node.unexpected("version 2.0 or 3.0")
     return f"{major}.0"
 
 
-def _patterns(root: Node, configuration: Configuration, version: str) -> dict[str, Pattern]:
+def _read_patterns(root: Node, configuration: Configuration, version: str) -> dict[str, Pattern]:
     if version == "2.0" and len(configuration.patterns) != 1:
         raise root["calibration_config"]["calibration_patterns"].unexpected("one pattern in a dataset of version 2.0")
     explicit = root.get("patterns")
@@ -140,7 +140,7 @@ def _patterns(root: Node, configuration: Configuration, version: str) -> dict[st
     return patterns
 
 
-def _collections(node: Node) -> list[Node]:
+def _ordered_collections(node: Node) -> list[Node]:
     """Return the collections in the order of their numbers."""
     numbered: dict[int, Node] = {}
     for key, collection in node.items():

@@ -7,8 +7,7 @@ from typing import Any
 from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import SensorConfiguration
 from calibration.engine.dataset.document import Node
-from calibration.engine.dataset.lens_uncertainty import KEY as UNCERTAINTY
-from calibration.engine.dataset.lens_uncertainty import LensUncertainty, read_uncertainty
+from calibration.engine.dataset.lens_uncertainty import UNCERTAINTY_KEY, LensUncertainty, read_uncertainty
 from calibration.engine.dataset.modalities import MODALITIES
 from calibration.engine.dataset.model import Sensor
 from calibration.engine.geometry.cameras import Camera
@@ -22,13 +21,13 @@ MAX_SKEW_PX = 0.05
 """px: a skew that moves pixels by less does not matter, and is left out."""
 MAX_SKEWED_HEIGHT = 10_000
 """px: height of the image where a file does not say it."""
-LAG = "lag"
+LAG_KEY = "lag"
 """Key of a sensor: its lag, s."""
 MAX_LAG = 1.0
 """s: limit of a lag; the velocity at a moment says nothing of what is farther away."""
-BINNING = ("binning_x", "binning_y")
+BINNING_KEYS = ("binning_x", "binning_y")
 MAX_BINNING = 64
-_TWINS = {
+_CONFIGURATION_KEY_OF = {
     "modality": "modality",
     "parent": "link",
     "calibration_parent": "parent_link",
@@ -53,7 +52,7 @@ def read_sensors(node: Node, configuration: Mapping[str, SensorConfiguration]) -
         modality = MODALITIES.get(entry["modality"].text())
         if modality is None:
             raise entry["modality"].unexpected(f"a known modality of sensor '{name}': {', '.join(MODALITIES)}")
-        for key, twin in _TWINS.items():
+        for key, twin in _CONFIGURATION_KEY_OF.items():
             if entry[key].name() != (expected := getattr(configuration[name], twin)):
                 raise entry[key].unexpected(f"'{expected}' as in calibration_config/sensors/{name}/{twin}")
         sensors[name] = Sensor(
@@ -64,13 +63,13 @@ def read_sensors(node: Node, configuration: Mapping[str, SensorConfiguration]) -
             calibration_child=entry["calibration_child"].value,
             camera=(camera := read_camera(entry["camera_info"]) if modality.has_intrinsics else None),
             uncertainty=_read_uncertainty(entry["camera_info"], camera) if camera else None,
-            lag=lag.within(-MAX_LAG, MAX_LAG) if (lag := entry.get(LAG)) else 0.0,
+            lag=lag.within(-MAX_LAG, MAX_LAG) if (lag := entry.get(LAG_KEY)) else 0.0,
         )
     return sensors
 
 
 def _read_uncertainty(info: Node, camera: Camera) -> LensUncertainty | None:
-    found = info.get(UNCERTAINTY)
+    found = info.get(UNCERTAINTY_KEY)
     return None if found is None else read_uncertainty(found, camera.parameters)
 
 
@@ -101,9 +100,9 @@ def read_camera(info: Node) -> Camera:
 
 def _of_image(camera: Camera, info: Node) -> Camera:
     """Return the camera of the part of the image sensor that is read, with the pixels that are added up (REP 104)."""
-    x, width = _extent(info, "x_offset", "width", camera.width)
-    y, height = _extent(info, "y_offset", "height", camera.height)
-    columns, rows = (max(1, each.whole(0, MAX_BINNING)) if (each := info.get(key)) else 1 for key in BINNING)
+    x, width = _axis_extent(info, "x_offset", "width", camera.width)
+    y, height = _axis_extent(info, "y_offset", "height", camera.height)
+    columns, rows = (max(1, each.whole(0, MAX_BINNING)) if (each := info.get(key)) else 1 for key in BINNING_KEYS)
     return replace(
         camera,
         fx=camera.fx / columns,
@@ -115,7 +114,7 @@ def _of_image(camera: Camera, info: Node) -> Camera:
     )
 
 
-def _extent(info: Node, offset: str, length: str, whole: int) -> tuple[int, int]:
+def _axis_extent(info: Node, offset: str, length: str, whole: int) -> tuple[int, int]:
     """Return the offset and the length of an image along one axis of the sensor; a length of 0 is the whole."""
     roi = info.get("roi")
     begin = each.whole(0, whole - 1) if roi and (each := roi.get(offset)) else 0

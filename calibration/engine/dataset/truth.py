@@ -15,7 +15,7 @@ from calibration.engine.dataset.writing import write_document
 from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
 
 FILE_NAME = "ground_truth.json"
-_KEYS = ("sensors", "pattern", "patterns", "transforms", "joints")
+_TRUTH_KEYS = ("sensors", "pattern", "patterns", "transforms", "joints")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +64,14 @@ def read_truth(path: Path | str) -> Truth:
         sensors={name: edge for name, (edge, _) in sensors.items()},
         transforms=constant,
         patterns=patterns,
-        notes={k: v for k, v in root.value.items() if k not in _KEYS},
-        joints={name: _parameters(node) for name, node in joints.items()} if (joints := root.get("joints")) else {},
+        notes={k: v for k, v in root.value.items() if k not in _TRUTH_KEYS},
+        joints={name: _joint_parameters(node) for name, node in joints.items()}
+        if (joints := root.get("joints"))
+        else {},
     )
 
 
-def _parameters(node: Node) -> dict[JointParameter, float]:
+def _joint_parameters(node: Node) -> dict[JointParameter, float]:
     values = {name: value.number() for name, value in node.items()}
     for name in values:
         if name not in JOINT_PARAMETERS:

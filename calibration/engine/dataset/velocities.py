@@ -15,12 +15,12 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.model import Edge
 
-KEY = "velocities"
-FASTEST = 1e3
+VELOCITIES_KEY = "velocities"
+MAX_VELOCITY = 1e3
 """m/s and rad/s: limit of a velocity."""
 
 
-ACCELERATIONS = ("acceleration", "jerk")
+ACCELERATION_KEYS = ("acceleration", "jerk")
 FASTEST_CHANGE = 1e6
 """m/s^2, rad/s^2, m/s^3 and rad/s^3: limit of an acceleration and of a jerk."""
 
@@ -34,23 +34,23 @@ def read_velocities(collections: Sequence[Node]) -> tuple[dict[Edge, Array], dic
     velocities: dict[Edge, Array] = {}
     accelerations: dict[Edge, Array] = {}
     for number, collection in enumerate(collections):
-        node = collection.get(KEY)
+        node = collection.get(VELOCITIES_KEY)
         for key, entry in node.items() if node else ():
             edge = (entry["parent"].name(), entry["child"].name())
             if key != "-".join(edge):
                 raise entry.fault(f"found parent '{edge[0]}' and child '{edge[1]}', expected those of the key")
-            own = _six(entry["twist"], FASTEST, "m/s and rad/s")
+            own = _six_numbers(entry["twist"], MAX_VELOCITY, "m/s and rad/s")
             velocities.setdefault(edge, np.zeros((len(collections), 6)))[number] = own
-            for order, name in enumerate(ACCELERATIONS):
+            for order, name in enumerate(ACCELERATION_KEYS):
                 if change := entry.get(name):
-                    own = _six(change, FASTEST_CHANGE, "in m, rad and s,")
+                    own = _six_numbers(change, FASTEST_CHANGE, "in m, rad and s,")
                     accelerations.setdefault(edge, np.zeros((len(collections), 2, 6)))[number, order] = own
     for each in (*velocities.values(), *accelerations.values()):
         each.flags.writeable = False
     return velocities, accelerations
 
 
-def _six(node: Node, limit: float, units: str) -> list[float]:
+def _six_numbers(node: Node, limit: float, units: str) -> list[float]:
     numbers = [each.within(-limit, limit) for each in node.elements()]
     if len(numbers) != 6:
         raise node.unexpected(f"6 numbers: {units} in the child's frame")
@@ -66,12 +66,12 @@ def velocity_documents(
             "parent": edge[0],
             "child": edge[1],
             "twist": velocity[number].tolist(),
-            **_named(accelerations.get(edge), number),
+            **_named_accelerations(accelerations.get(edge), number),
         }
         for edge, velocity in velocities.items()
         if velocity[number].any()
     }
 
 
-def _named(accelerations: Array | None, number: int) -> dict[str, list[float]]:
-    return {} if accelerations is None else dict(zip(ACCELERATIONS, accelerations[number].tolist(), strict=True))
+def _named_accelerations(accelerations: Array | None, number: int) -> dict[str, list[float]]:
+    return {} if accelerations is None else dict(zip(ACCELERATION_KEYS, accelerations[number].tolist(), strict=True))

@@ -11,18 +11,18 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.base.files import link_or_copy, write_atomically
-from calibration.engine.dataset.changes import KEY, reference_to
+from calibration.engine.dataset.changes import CHANGES_KEY, reference_to
 from calibration.engine.dataset.configuration import FIRST_PATTERN
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.document_text import SharedTexts, document_text
 from calibration.engine.dataset.edges import is_constant, read_transforms, transform_documents
 from calibration.engine.dataset.joints import joint_document, joint_values
-from calibration.engine.dataset.lens_uncertainty import KEY as UNCERTAINTY
+from calibration.engine.dataset.lens_uncertainty import UNCERTAINTY_KEY
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.dataset.pattern import Pattern, pattern_document
 from calibration.engine.dataset.payload import locate
 from calibration.engine.dataset.reading import FILE_NAME
-from calibration.engine.dataset.sensors import LAG, camera_document, read_camera
+from calibration.engine.dataset.sensors import LAG_KEY, camera_document, read_camera
 
 
 def write_document(document: Mapping[str, Any], path: Path | str, shared: SharedTexts | None = None) -> None:
@@ -177,12 +177,12 @@ class DatasetWriter:
             "collections": own,
             "joints": {name: joint_values(joint) for name, joint in dataset.joints.items()},
             "sensors": {
-                name: {key: document[key] for key in ("camera_info", LAG) if key in document}
+                name: {key: document[key] for key in ("camera_info", LAG_KEY) if key in document}
                 for name, document in sensors.items()
                 if document is not dataset.document["sensors"][name]
             },
         }
-        return _text({KEY: changes}, dataset.path, None)
+        return _text({CHANGES_KEY: changes}, dataset.path, None)
 
     @cached_property
     def reference(self) -> dict[str, str]:
@@ -271,15 +271,15 @@ def _configuration(dataset: Dataset) -> dict[str, Any]:
 def _sensor(dataset: Dataset, name: str) -> Mapping[str, Any]:
     """Return the document of a sensor, with its current intrinsics and lag if they have changed."""
     read: Mapping[str, Any] = dataset.document["sensors"][name]
-    if name in dataset.sensors and dataset.sensors[name].lag != read.get(LAG, 0.0):
-        read = {**read, LAG: dataset.sensors[name].lag}
+    if name in dataset.sensors and dataset.sensors[name].lag != read.get(LAG_KEY, 0.0):
+        read = {**read, LAG_KEY: dataset.sensors[name].lag}
     camera = dataset.sensors[name].camera if name in dataset.sensors else None
     if camera is None or camera == read_camera(
         Node(dataset.path, ("sensors", name, "camera_info"), read["camera_info"])
     ):
         return read
     # its uncertainty was that of the intrinsics that were read
-    info = {key: value for key, value in read["camera_info"].items() if key != UNCERTAINTY}
+    info = {key: value for key, value in read["camera_info"].items() if key != UNCERTAINTY_KEY}
     return {**read, "camera_info": {**info, **camera_document(camera)}}
 
 

@@ -9,7 +9,7 @@ from calibration.base.tables.numbers import parse_number
 from calibration.base.tables.selection import KeyedTable
 from calibration.base.tables.table import Table as Csv
 from calibration.engine.diagnosis.finding import Finding
-from calibration.engine.evaluation.table import AVERAGES, Table
+from calibration.engine.evaluation.table import AVERAGES_ROW, Table
 
 FINDING_KIND = "table"
 ROW_TOLERANCE, AVERAGE_TOLERANCE = 0.1, 0.05
@@ -44,7 +44,7 @@ def table_follows(theirs: Csv, made: Table) -> tuple[Finding, ...]:
     of_label = {
         _without_leading_zeros(label): values for label, values in zip(made.labels, _values_of_table(made), strict=True)
     }
-    of_label[AVERAGES] = made.averages
+    of_label[AVERAGES_ROW] = made.averages
     if not any(_without_leading_zeros(keyed.label(row)) in of_label for row in theirs.rows):
         text = f"the table has no row of the collections of its dataset ({', '.join(made.labels[:3])}, ...)"
         return (Finding(FINDING_KIND, "red", text),)
@@ -70,11 +70,11 @@ def _describe_wrong_values(
         label = _without_leading_zeros(keyed.label(row))
         if label not in of_label:
             continue
-        share = AVERAGE_TOLERANCE if label == AVERAGES else ROW_TOLERANCE
+        share = AVERAGE_TOLERANCE if label == AVERAGES_ROW else ROW_TOLERANCE
         for column, there, here in places:
             text, ours = row.cells[there], float(of_label[label][here])
             if np.isfinite(ours) and not _is_near(text, ours, share):
-                where = "on average" if label == AVERAGES else f"for {keyed.label(row)}"
+                where = "on average" if label == AVERAGES_ROW else f"for {keyed.label(row)}"
                 yield f"the table says {column} {text or 'nothing'} {where}, its dataset gives {ours:.4g}"
 
 

@@ -1,6 +1,6 @@
 """Report of views of a board that were numbered from its other end."""
 
-from calibration.engine.dataset.pattern import CIRCLES, PatternKind
+from calibration.engine.dataset.pattern import CIRCLE_KINDS, PatternKind
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.start.turned_boards import LOOKS_THE_SAME
@@ -28,6 +28,6 @@ def turned_boards(calibration: Calibration) -> tuple[Finding, ...]:
 
 
 def _describe_unique_board(kind: PatternKind) -> str:
-    if kind in CIRCLES:
+    if kind in CIRCLE_KINDS:
         return "an asymmetric grid with an odd number of rows, or a charuco board"
     return "one with an odd and an even number of squares, or a charuco board"

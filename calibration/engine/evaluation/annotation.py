@@ -21,8 +21,8 @@ from calibration.engine.geometry.transforms import apply
 Annotation = Mapping[str, Array]
 """Line segments (S, 2, 2) by the key of a collection, each from pixel (x, y) to pixel (x, y)."""
 
-_SIDES = ("top", "right", "bottom", "left")
-_PIECES = 32  # per side, because distortion bends it
+_SIDE_NAMES = ("top", "right", "bottom", "left")
+_SEGMENTS_PER_PIECE = 32  # per side, because distortion bends it
 
 
 def read_annotation(path: Path | str) -> Annotation:
@@ -34,10 +34,10 @@ def read_annotation(path: Path | str) -> Annotation:
         InputError: the file cannot be read or does not have this form.
     """
     root = read_json(Path(path))
-    return {key: np.concatenate([_polyline(node[side]) for side in _SIDES]) for key, node in root.items()}
+    return {key: np.concatenate([_segments_of_side(node[side]) for side in _SIDE_NAMES]) for key, node in root.items()}
 
 
-def _polyline(side: Node) -> Array:
+def _segments_of_side(side: Node) -> Array:
     """Return the segments of a polyline; none for fewer than two points."""
     xs, ys = ("ixs", "iys") if side.get("ixs") is not None else ("xs", "ys")
     count = len(side[xs].sequence())
@@ -59,7 +59,7 @@ def annotate(dataset: Dataset, camera: str, pattern: Pattern, T_camera_pattern: 
     """
     _, intrinsics = camera_of(dataset, camera)
     corners = np.column_stack([pattern.outline, np.zeros(4)])
-    share = np.linspace(0, 1, _PIECES + 1)[:, None]
+    share = np.linspace(0, 1, _SEGMENTS_PER_PIECE + 1)[:, None]
     sides = [(1 - share) * a + share * b for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)]
     starts, ends = (np.concatenate([side[part] for side in sides]) for part in (slice(None, -1), slice(1, None)))
     annotation = {}

@@ -13,12 +13,12 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.dataset.truth import Truth
 from calibration.engine.evaluation.selection import sensor_of
-from calibration.engine.evaluation.table import COLLECTION, Table
+from calibration.engine.evaluation.table import COLLECTION_HEADER, Table
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import inverse
 
-COLUMNS = ("Trans (m)", "Rot (rad)", "X (m)", "Y (m)", "Z (m)", "Roll (rad)", "Pitch (rad)", "Yaw (rad)")
-TRANSFORMATION = "Transformation #"
+GROUND_TRUTH_COLUMNS = ("Trans (m)", "Rot (rad)", "X (m)", "Y (m)", "Z (m)", "Roll (rad)", "Pitch (rad)", "Yaw (rad)")
+TRANSFORMATION_HEADER = "Transformation #"
 
 
 def ground_truth_transform(dataset: Dataset, truth: Truth | None, parent: str, child: str) -> Table:
@@ -35,7 +35,7 @@ def ground_truth_transform(dataset: Dataset, truth: Truth | None, parent: str, c
     Raises:
         InputError: there is no truth, or none on the path; a frame is unknown or not connected.
     """
-    return Table(COLLECTION, COLUMNS, dataset.keys, _errors(dataset, truth, parent, child))
+    return Table(COLLECTION_HEADER, GROUND_TRUTH_COLUMNS, dataset.keys, _error_columns(dataset, truth, parent, child))
 
 
 def ground_truth_frame(dataset: Dataset, truth: Truth | None, frame: str, sensor: str | None = None) -> Table:
@@ -51,14 +51,14 @@ def ground_truth_frame(dataset: Dataset, truth: Truth | None, frame: str, sensor
         return ground_truth_transform(dataset, truth, frame, sensor_of(dataset, sensor).calibration_child)
     children = {name: s.calibration_child for name, s in dataset.sensors.items() if name != dataset.anchored}
     children |= {"-".join(edge): edge[1] for edge in dataset.additional_transforms}
-    rows = {name: _errors(dataset, truth, frame, child) for name, child in children.items()}
+    rows = {name: _error_columns(dataset, truth, frame, child) for name, child in children.items()}
     if not rows:
         raise InputError(f"{dataset.path}: nothing is calibrated")
     values = np.stack([np.abs(errors).mean(0) for errors in rows.values()])
-    return Table(TRANSFORMATION, COLUMNS, tuple(rows), values)
+    return Table(TRANSFORMATION_HEADER, GROUND_TRUTH_COLUMNS, tuple(rows), values)
 
 
-def _errors(dataset: Dataset, truth: Truth | None, parent: str, child: str) -> Array:
+def _error_columns(dataset: Dataset, truth: Truth | None, parent: str, child: str) -> Array:
     """Return the columns (N, 8)."""
     if truth is None:
         raise InputError(f"{dataset.path}: there is no truth to compare with (ground_truth.json beside it, or 'truth')")

@@ -5,11 +5,11 @@ import numpy as np
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.evaluation.selection import pattern_of, tracker_of
-from calibration.engine.evaluation.table import COLLECTION, Table
+from calibration.engine.evaluation.table import COLLECTION_HEADER, Table
 from calibration.engine.evaluation.views import measured_views
 from calibration.engine.geometry.transforms import distance
 
-COLUMNS = ("Translation (mm)", "Rotation (deg)")
+MEASURED_POSE_COLUMNS = ("Translation (mm)", "Rotation (deg)")
 
 
 def measured_poses(dataset: Dataset, sensor: str, pattern: str | None = None) -> Table:
@@ -29,4 +29,4 @@ def measured_poses(dataset: Dataset, sensor: str, pattern: str | None = None) ->
         raise InputError(f"{dataset.path}: '{sensor}' measures no pose of '{board.name}'")
     seen = dataset.seen_by(sensor).with_collections(views.collections.tolist())
     off, turned = distance(seen.transform(found.frame, board.link), views.T_camera_pattern)
-    return Table(COLLECTION, COLUMNS, seen.keys, np.stack([1e3 * off, np.degrees(turned)], -1))
+    return Table(COLLECTION_HEADER, MEASURED_POSE_COLUMNS, seen.keys, np.stack([1e3 * off, np.degrees(turned)], -1))

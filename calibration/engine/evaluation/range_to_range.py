@@ -17,14 +17,14 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset, PointLabels, Sensor
 from calibration.engine.evaluation.pairing import Pairs, between_collections, same_collection
 from calibration.engine.evaluation.selection import depth_of, lidar3d_of, lidar_of, pattern_of
-from calibration.engine.evaluation.table import COLLECTION, COLLECTION_PAIR, Table
+from calibration.engine.evaluation.table import COLLECTION_HEADER, COLLECTION_PAIR, Table
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.nearest import nearest
 from calibration.engine.geometry.transforms import apply
 
-COLUMNS = ("RMS", "X err", "Y err", "X StDev", "Y StDev")
+RANGE_COLUMNS = ("RMS", "X err", "Y err", "X StDev", "Y StDev")
 """Column headers, with the unit."""
-MARGIN = 0.025
+IMAGE_MARGIN = 0.025
 """Margin as a fraction of the image size: points in it are ignored, the pattern may exceed the image."""
 
 Errors = Callable[[PointLabels, PointLabels, Array], Array]
@@ -51,7 +51,7 @@ def lidar_to_lidar(
             pattern moves between the compared collections.
     """
     sensors = lidar3d_of(dataset, source), lidar_of(dataset, target)
-    return _table(dataset, sensors, pattern, _in_space, "m", between=COLLECTION_PAIR if between else None)
+    return _range_table(dataset, sensors, pattern, _in_space, "m", between=COLLECTION_PAIR if between else None)
 
 
 def lidar_to_depth(
@@ -60,7 +60,9 @@ def lidar_to_depth(
     """Return the errors of a LiDAR's border points in a depth image (px); arguments and errors as `lidar_to_lidar`."""
     depth, camera = depth_of(dataset, target)
     sensors = lidar_of(dataset, source), depth
-    return _table(dataset, sensors, pattern, _in_image(camera), "pix", between=COLLECTION if between else None)
+    return _range_table(
+        dataset, sensors, pattern, _in_image(camera), "pix", between=COLLECTION_HEADER if between else None
+    )
 
 
 def depth_to_depth(
@@ -69,7 +71,9 @@ def depth_to_depth(
     """Return the errors of a depth camera's border points in the image of another, as `lidar_to_depth`."""
     depth, camera = depth_of(dataset, target)
     sensors = depth_of(dataset, source)[0], depth
-    return _table(dataset, sensors, pattern, _in_image(camera), "pix", between=COLLECTION if between else None)
+    return _range_table(
+        dataset, sensors, pattern, _in_image(camera), "pix", between=COLLECTION_HEADER if between else None
+    )
 
 
 def _in_space(source: PointLabels, target: PointLabels, T_target_source: Array) -> Array:
@@ -79,8 +83,8 @@ def _in_space(source: PointLabels, target: PointLabels, T_target_source: Array) 
 
 
 def _in_image(camera: Camera) -> Errors:
-    low = np.array([camera.width, camera.height]) * MARGIN
-    high = np.array([camera.width, camera.height]) * (1 - MARGIN)
+    low = np.array([camera.width, camera.height]) * IMAGE_MARGIN
+    high = np.array([camera.width, camera.height]) * (1 - IMAGE_MARGIN)
 
     def errors(source: PointLabels, target: PointLabels, T_target_source: Array) -> Array:
         if not len(target.limits):
@@ -95,7 +99,7 @@ def _in_image(camera: Camera) -> Errors:
     return errors
 
 
-def _table(
+def _range_table(
     dataset: Dataset,
     sensors: tuple[Sensor, Sensor],
     pattern: str | None,
@@ -105,13 +109,13 @@ def _table(
     between: str | None,
 ) -> Table:
     """Return the table within each collection, or for all pairs of collections with `between` as the labels' header."""
-    source, target = (_views(dataset, sensor, pattern) for sensor in sensors)
+    source, target = (_point_views(dataset, sensor, pattern) for sensor in sensors)
     if between:
         pairs = between_collections(dataset, sensors, pattern_of(dataset, pattern), (list(source), list(target)))
     else:
         pairs = same_collection(dataset, *sensors, [i for i in source if i in target])
     labels, rows, left_out = [], [], []
-    for i, j, T, name in _named(dataset, pairs, paired=bool(between)):
+    for i, j, T, name in _named_pairs(dataset, pairs, paired=bool(between)):
         difference = errors(source[i], target[j], T)
         if len(difference):
             labels.append(name)
@@ -125,11 +129,11 @@ def _table(
     if not rows:
         counts = ", ".join(f"'{s.name}' has {len(v)} views" for s, v in zip(sensors, (source, target), strict=True))
         raise InputError(f"{dataset.path}: nothing seen by both: {counts}" + "".join(f"; {s}" for s in left_out[:3]))
-    columns = tuple(f"{column} ({unit})" for column in COLUMNS)
-    return Table(between or COLLECTION, columns, tuple(labels), np.array(rows), tuple(left_out))
+    columns = tuple(f"{column} ({unit})" for column in RANGE_COLUMNS)
+    return Table(between or COLLECTION_HEADER, columns, tuple(labels), np.array(rows), tuple(left_out))
 
 
-def _named(dataset: Dataset, pairs: Pairs, *, paired: bool) -> list[tuple[int, int, Array, str]]:
+def _named_pairs(dataset: Dataset, pairs: Pairs, *, paired: bool) -> list[tuple[int, int, Array, str]]:
     keys = dataset.keys
     return [
         (i, j, T, f"{keys[i]}-{keys[j]}" if paired else keys[i])
@@ -137,6 +141,6 @@ def _named(dataset: Dataset, pairs: Pairs, *, paired: bool) -> list[tuple[int, i
     ]
 
 
-def _views(dataset: Dataset, sensor: Sensor, pattern: str | None) -> dict[int, PointLabels]:
+def _point_views(dataset: Dataset, sensor: Sensor, pattern: str | None) -> dict[int, PointLabels]:
     seen = dataset.detections(pattern_of(dataset, pattern).name, sensor.name)
     return {i: label for i, label in seen if isinstance(label, PointLabels) and len(label.points)}

@@ -13,11 +13,11 @@ from calibration.engine.dataset.model import Dataset, PointLabels, Sensor
 from calibration.engine.evaluation.annotation import Annotation
 from calibration.engine.evaluation.pairing import Pairs, between_collections, same_collection
 from calibration.engine.evaluation.selection import camera_of, depth_of, lidar_of, pattern_of
-from calibration.engine.evaluation.table import COLLECTION, COLLECTION_PAIR, Table
+from calibration.engine.evaluation.table import COLLECTION_HEADER, COLLECTION_PAIR, Table
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
 
-COLUMNS = ("RMS (pix)", "X err (pix)", "Y err (pix)")
+RANGE_TO_RGB_COLUMNS = ("RMS (pix)", "X err (pix)", "Y err (pix)")
 
 
 def lidar_to_rgb(
@@ -39,14 +39,14 @@ def lidar_to_rgb(
         InputError: no such sensor or pattern, a transform is missing, or no collection has both
             border points on the image and an annotation.
     """
-    return _one(dataset, lidar_of(dataset, lidar), camera, annotation, pattern)
+    return _table_of_collections(dataset, lidar_of(dataset, lidar), camera, annotation, pattern)
 
 
 def depth_to_rgb(
     dataset: Dataset, depth: str, camera: str, annotation: Annotation, pattern: str | None = None
 ) -> Table:
     """Return `lidar_to_rgb` for the border points of a depth camera."""
-    return _one(dataset, depth_of(dataset, depth)[0], camera, annotation, pattern)
+    return _table_of_collections(dataset, depth_of(dataset, depth)[0], camera, annotation, pattern)
 
 
 def inter_collection_lidar_to_rgb(
@@ -59,7 +59,9 @@ def inter_collection_lidar_to_rgb(
     Raises:
         InputError: also when the pattern is not fixed.
     """
-    return _many(dataset, lidar_of(dataset, lidar), camera, annotation, pattern, key=COLLECTION_PAIR, camera_first=True)
+    return _table_of_pairs(
+        dataset, lidar_of(dataset, lidar), camera, annotation, pattern, key=COLLECTION_PAIR, camera_first=True
+    )
 
 
 def inter_collection_depth_to_rgb(
@@ -67,18 +69,22 @@ def inter_collection_depth_to_rgb(
 ) -> Table:
     """Return `inter_collection_lidar_to_rgb` for a depth camera; its collection is first in the labels."""
     sensor, _ = depth_of(dataset, depth)
-    return _many(dataset, sensor, camera, annotation, pattern, key=COLLECTION, camera_first=False)
+    return _table_of_pairs(dataset, sensor, camera, annotation, pattern, key=COLLECTION_HEADER, camera_first=False)
 
 
-def _one(dataset: Dataset, sensor: Sensor, camera: str, annotation: Annotation, pattern: str | None) -> Table:
+def _table_of_collections(
+    dataset: Dataset, sensor: Sensor, camera: str, annotation: Annotation, pattern: str | None
+) -> Table:
     camera_sensor, intrinsics = camera_of(dataset, camera)
-    views = _views(dataset, sensor, pattern)
+    views = _point_views(dataset, sensor, pattern)
     pairs = same_collection(dataset, sensor, camera_sensor, list(views))
     labels = [dataset.keys[i] for i in pairs.source]
-    return _table(dataset, (sensor, camera_sensor, intrinsics), views, annotation, pairs, labels, COLLECTION)
+    return _range_to_rgb_table(
+        dataset, (sensor, camera_sensor, intrinsics), views, annotation, pairs, labels, COLLECTION_HEADER
+    )
 
 
-def _many(
+def _table_of_pairs(
     dataset: Dataset,
     sensor: Sensor,
     camera: str,
@@ -89,7 +95,7 @@ def _many(
     camera_first: bool,
 ) -> Table:
     camera_sensor, intrinsics = camera_of(dataset, camera)
-    views = _views(dataset, sensor, pattern)
+    views = _point_views(dataset, sensor, pattern)
     annotated = [i for i, name in enumerate(dataset.keys) if len(annotation.get(name, ()))]
     pairs = between_collections(
         dataset, (sensor, camera_sensor), pattern_of(dataset, pattern), (list(views), annotated)
@@ -98,15 +104,15 @@ def _many(
     order = np.lexsort((second, first))
     pairs = Pairs(pairs.source[order], pairs.target[order], pairs.T_target_source[order])
     labels = [f"{dataset.keys[a]}-{dataset.keys[b]}" for a, b in zip(first[order], second[order], strict=True)]
-    return _table(dataset, (sensor, camera_sensor, intrinsics), views, annotation, pairs, labels, key)
+    return _range_to_rgb_table(dataset, (sensor, camera_sensor, intrinsics), views, annotation, pairs, labels, key)
 
 
-def _views(dataset: Dataset, sensor: Sensor, pattern: str | None) -> dict[int, PointLabels]:
+def _point_views(dataset: Dataset, sensor: Sensor, pattern: str | None) -> dict[int, PointLabels]:
     seen = dataset.detections(pattern_of(dataset, pattern).name, sensor.name)
     return {i: label for i, label in seen if isinstance(label, PointLabels)}
 
 
-def _table(
+def _range_to_rgb_table(
     dataset: Dataset,
     sensors: tuple[Sensor, Sensor, Camera],
     views: dict[int, PointLabels],
@@ -129,7 +135,7 @@ def _table(
                 f"{name}: none of the {len(views[i].limits)} border points of {sensor.name} is on the image"
             )
         else:
-            error = _nearest(pixels, segments) - pixels
+            error = _nearest_on_segments(pixels, segments) - pixels
             labels.append(name)
             rows.append([np.sqrt((error * error).sum(-1).mean()), *np.abs(error).mean(0)])
     if not rows:
@@ -137,10 +143,10 @@ def _table(
             f"{dataset.path}: no collection shows border points of '{sensor.name}' in an annotated image of "
             f"'{camera.name}'" + "".join(f"; {line}" for line in left_out[:3])
         )
-    return Table(key, COLUMNS, tuple(labels), np.array(rows), tuple(left_out))
+    return Table(key, RANGE_TO_RGB_COLUMNS, tuple(labels), np.array(rows), tuple(left_out))
 
 
-def _nearest(points: Array, segments: Array) -> Array:
+def _nearest_on_segments(points: Array, segments: Array) -> Array:
     """Return the point on any of the segments (S, 2, 2) nearest to each of the points (N, 2)."""
     start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
     length2 = np.maximum((along * along).sum(-1), 1e-12)

@@ -7,8 +7,8 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.evaluation.table import Table
 
-COLUMNS = ("RMS (pix)",)
-KEY = "Collection #"
+REPROJECTION_COLUMNS = ("RMS (pix)",)
+COLLECTION_HEADER = "Collection #"
 
 
 def reprojection(calibration: Calibration) -> Table:
@@ -25,13 +25,18 @@ def reprojection(calibration: Calibration) -> Table:
     if not squares:
         raise InputError(
             f"{calibration.dataset.path}: no camera has labels, so there are no reprojection errors: choose "
-            f"another table (evaluate), such as {_other(calibration.dataset)}"
+            f"another table (evaluate), such as {_other_table(calibration.dataset)}"
         )
     keys = sorted(squares, key=int)
-    return Table(KEY, COLUMNS, tuple(keys), np.array([[np.sqrt(np.mean(squares[key]))] for key in keys]))
+    return Table(
+        COLLECTION_HEADER,
+        REPROJECTION_COLUMNS,
+        tuple(keys),
+        np.array([[np.sqrt(np.mean(squares[key]))] for key in keys]),
+    )
 
 
-def _other(dataset: Dataset) -> str:
+def _other_table(dataset: Dataset) -> str:
     """Name a table for a dataset without cameras."""
     tracker = next((name for name, sensor in dataset.sensors.items() if sensor.modality.family == "tracker"), None)
     return f"measured-poses:{tracker}" if tracker else "lidar-to-lidar:SOURCE:TARGET"

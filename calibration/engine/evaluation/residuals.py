@@ -39,7 +39,7 @@ def residuals(dataset: Dataset, sensor: Sensor) -> Residuals:
     values: list[Array] = [np.zeros((0, 2 if camera else 3 if sensor.modality.has_poses else 1))]
     for pattern in dataset.patterns.values():
         views = dict(dataset.detections(pattern.name, sensor.name))
-        for i, T in _poses(dataset, sensor.frame, pattern.link, list(views)):
+        for i, T in _poses_of_views(dataset, sensor.frame, pattern.link, list(views)):
             labels = views[i]
             if camera is not None and isinstance(labels, CornerLabels):
                 places.append(labels.pixels)
@@ -56,10 +56,10 @@ def residuals(dataset: Dataset, sensor: Sensor) -> Residuals:
     return Residuals(found.collections[finite], found.where[finite], found.values[finite])
 
 
-def _poses(dataset: Dataset, sensor: str, pattern: str, views: list[int]) -> Iterator[tuple[int, Array]]:
+def _poses_of_views(dataset: Dataset, sensor: str, pattern: str, views: list[int]) -> Iterator[tuple[int, Array]]:
     """``T_sensor_pattern`` of each view; none where a transform is missing, as in a view that was left out."""
     try:
         yield from zip(views, dataset.with_collections(views).transform(sensor, pattern), strict=True)
     except InputError:
         for i in views if len(views) > 1 else ():
-            yield from _poses(dataset, sensor, pattern, [i])
+            yield from _poses_of_views(dataset, sensor, pattern, [i])

@@ -19,14 +19,14 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.evaluation.pairing import between_collections
 from calibration.engine.evaluation.selection import camera_of, pattern_of
-from calibration.engine.evaluation.table import COLLECTION, Table
+from calibration.engine.evaluation.table import COLLECTION_HEADER, Table
 from calibration.engine.evaluation.views import CornerViews, corner_views
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, inverse, translation
 
-COLUMNS = ("RMS (pix)", "X err (pix)", "Y err (pix)", "Trans (mm)", "Rot (deg)")
-_CHUNK = 1024  # chunk size (pairs), to bound the memory
+RGB_TO_RGB_COLUMNS = ("RMS (pix)", "X err (pix)", "Y err (pix)", "Trans (mm)", "Rot (deg)")
+_PAIRS_PER_CHUNK = 1024  # chunk size (pairs), to bound the memory
 
 
 def rgb_to_rgb(dataset: Dataset, source: str, target: str, pattern: str | None = None) -> Table:
@@ -49,12 +49,12 @@ def rgb_to_rgb(dataset: Dataset, source: str, target: str, pattern: str | None =
     if source == target:
         raise InputError(f"'{source}' against itself tests nothing in one collection: use inter-collection-rgb-to-rgb")
     seen_pattern = pattern_of(dataset, pattern)
-    a, b = (_views(dataset, name, seen_pattern) for name in (source, target))
+    a, b = (_corner_views_from_first(dataset, name, seen_pattern) for name in (source, target))
     common, in_a, in_b = np.intersect1d(a.collections, b.collections, assume_unique=True, return_indices=True)
     frames = camera_of(dataset, target)[0].frame, camera_of(dataset, source)[0].frame
     T_target_source = dataset.with_collections(common.tolist()).transform(*frames)
     labels = [dataset.keys[i] for i in common]
-    return _table(dataset, (source, target), (a, b), np.stack([in_a, in_b]), T_target_source, labels)
+    return _rgb_to_rgb_table(dataset, (source, target), (a, b), np.stack([in_a, in_b]), T_target_source, labels)
 
 
 def inter_collection_rgb_to_rgb(dataset: Dataset, source: str, target: str, pattern: str | None = None) -> Table:
@@ -67,23 +67,23 @@ def inter_collection_rgb_to_rgb(dataset: Dataset, source: str, target: str, patt
         InputError: also when the pattern is not fixed.
     """
     seen_pattern = pattern_of(dataset, pattern)
-    a, b = (_views(dataset, name, seen_pattern) for name in (source, target))
+    a, b = (_corner_views_from_first(dataset, name, seen_pattern) for name in (source, target))
     sensors = camera_of(dataset, source)[0], camera_of(dataset, target)[0]
     seen = a.collections.tolist(), b.collections.tolist()
     found = between_collections(dataset, sensors, seen_pattern, seen)
     pairs = np.stack([np.searchsorted(a.collections, found.source), np.searchsorted(b.collections, found.target)])
     keys = dataset.keys
     labels = [f"{keys[m]}-{keys[n]}" for m, n in zip(found.source, found.target, strict=True)]
-    return _table(dataset, (source, target), (a, b), pairs, found.T_target_source, labels)
+    return _rgb_to_rgb_table(dataset, (source, target), (a, b), pairs, found.T_target_source, labels)
 
 
-def _views(dataset: Dataset, sensor: str, pattern: Pattern) -> CornerViews:
+def _corner_views_from_first(dataset: Dataset, sensor: str, pattern: Pattern) -> CornerViews:
     """Return `corner_views` with poses whose origin is the pattern's first corner."""
     views = corner_views(dataset, sensor, pattern)
     return replace(views, T_camera_pattern=views.T_camera_pattern @ translation(pattern.corners[0]))
 
 
-def _table(
+def _rgb_to_rgb_table(
     dataset: Dataset,
     names: tuple[str, str],
     views: tuple[CornerViews, CornerViews],
@@ -103,12 +103,14 @@ def _table(
         raise InputError(f"{dataset.path}: '{names[0]}' and '{names[1]}' see no corner in common")
     camera = camera_of(dataset, names[1])[1]
     rows = np.flatnonzero(shared)
-    chunks = (rows[start : start + _CHUNK] for start in range(0, len(rows), _CHUNK))
-    values = [_errors(views[0][pairs[0, r]], views[1][pairs[1, r]], T_target_source[r], camera) for r in chunks]
-    return Table(COLLECTION, COLUMNS, tuple(labels[r] for r in rows), np.concatenate(values), tuple(left_out))
+    chunks = (rows[start : start + _PAIRS_PER_CHUNK] for start in range(0, len(rows), _PAIRS_PER_CHUNK))
+    values = [_error_columns(views[0][pairs[0, r]], views[1][pairs[1, r]], T_target_source[r], camera) for r in chunks]
+    return Table(
+        COLLECTION_HEADER, RGB_TO_RGB_COLUMNS, tuple(labels[r] for r in rows), np.concatenate(values), tuple(left_out)
+    )
 
 
-def _errors(source: CornerViews, target: CornerViews, T_target_source: Array, camera: Camera) -> Array:
+def _error_columns(source: CornerViews, target: CornerViews, T_target_source: Array, camera: Camera) -> Array:
     """Return the columns (P, 5) of pairs of views."""
     T_sp, T_tp = source.T_camera_pattern, target.T_camera_pattern
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # NaN: rays that do not intersect the plane

@@ -18,7 +18,7 @@ def sensor_of(dataset: Dataset, name: str) -> Sensor:
     if missing := name not in dataset.sensors and dataset.missing_files_of(name):
         raise InputError(f"{dataset.path}: {missing}; put them beside it, or leave '{name}' out")
     if name not in dataset.sensors:
-        raise InputError(f"{dataset.path}: no sensor '{name}' (sensors: {_names(dataset.sensors)})")
+        raise InputError(f"{dataset.path}: no sensor '{name}' (sensors: {_joined_names(dataset.sensors)})")
     return dataset.sensors[name]
 
 
@@ -80,7 +80,7 @@ def _of_modality(dataset: Dataset, name: str, modalities: tuple[Modality, ...]) 
         others = (s.name for s in dataset.sensors.values() if s.modality in modalities)
         wanted = " or ".join(map(str, modalities))
         raise InputError(
-            f"{dataset.path}: sensor '{name}' is {sensor.modality}, not {wanted} ({wanted}: {_names(others)})"
+            f"{dataset.path}: sensor '{name}' is {sensor.modality}, not {wanted} ({wanted}: {_joined_names(others)})"
         )
     return sensor
 
@@ -93,12 +93,12 @@ def pattern_of(dataset: Dataset, name: str | None) -> Pattern:
     """
     if name is None:
         if len(dataset.patterns) != 1:
-            raise InputError(f"{dataset.path}: say which pattern (patterns: {_names(dataset.patterns)})")
+            raise InputError(f"{dataset.path}: say which pattern (patterns: {_joined_names(dataset.patterns)})")
         return next(iter(dataset.patterns.values()))
     if name not in dataset.patterns:
-        raise InputError(f"{dataset.path}: no pattern '{name}' (patterns: {_names(dataset.patterns)})")
+        raise InputError(f"{dataset.path}: no pattern '{name}' (patterns: {_joined_names(dataset.patterns)})")
     return dataset.patterns[name]
 
 
-def _names(names: Iterable[str]) -> str:
+def _joined_names(names: Iterable[str]) -> str:
     return ", ".join(names) or "none"

@@ -13,8 +13,8 @@ from calibration.engine.evaluation.selection import camera_of, pattern_of
 from calibration.engine.evaluation.table import Table
 from calibration.engine.geometry.transforms import apply
 
-KEY = "Collection"
-ALL = "all [px]"
+COLLECTION_HEADER = "Collection"
+ALL_HEADER = "all [px]"
 
 
 def single_rgb(dataset: Dataset, camera: str | None = None, pattern: str | None = None) -> Table:
@@ -37,7 +37,7 @@ def single_rgb(dataset: Dataset, camera: str | None = None, pattern: str | None 
     values = np.full((len(dataset.keys), len(pairs)), np.nan)
     seen = np.zeros(values.shape, bool)
     for column, (name, each) in enumerate(pairs):
-        for i, error in _errors(dataset, name, each).items():
+        for i, error in _mean_distances(dataset, name, each).items():
             values[i, column], seen[i, column] = error, True
     rows = np.flatnonzero(seen.any(1))
     if not len(rows):
@@ -45,8 +45,8 @@ def single_rgb(dataset: Dataset, camera: str | None = None, pattern: str | None 
     values, seen = values[rows], seen[rows]
     mean = np.where(seen, values, 0.0).sum(1) / seen.sum(1)
     return Table(
-        KEY,
-        (*(f"{name}-{each.name} [px]" for name, each in pairs), ALL),
+        COLLECTION_HEADER,
+        (*(f"{name}-{each.name} [px]" for name, each in pairs), ALL_HEADER),
         tuple(dataset.keys[i] for i in rows),
         np.column_stack([values, mean]),
         tuple(f"{key}: no camera sees a pattern" for i, key in enumerate(dataset.keys) if i not in rows),
@@ -54,7 +54,7 @@ def single_rgb(dataset: Dataset, camera: str | None = None, pattern: str | None 
     )
 
 
-def _errors(dataset: Dataset, name: str, pattern: Pattern) -> dict[int, float]:
+def _mean_distances(dataset: Dataset, name: str, pattern: Pattern) -> dict[int, float]:
     """Return the mean distance by the index of the collection; infinite if a corner is behind the camera."""
     sensor, camera = camera_of(dataset, name)
     placed = dataset.transforms.get((pattern.parent_link, pattern.link))

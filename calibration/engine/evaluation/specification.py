@@ -9,8 +9,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.truth import Truth
 from calibration.engine.evaluation.annotation import Annotation, annotation_for
 from calibration.engine.evaluation.ground_truth import ground_truth_frame, ground_truth_transform
-from calibration.engine.evaluation.measured_poses import COLUMNS as POSE_COLUMNS
-from calibration.engine.evaluation.measured_poses import measured_poses
+from calibration.engine.evaluation.measured_poses import MEASURED_POSE_COLUMNS, measured_poses
 from calibration.engine.evaluation.range_to_range import depth_to_depth, lidar_to_depth, lidar_to_lidar
 from calibration.engine.evaluation.range_to_rgb import (
     depth_to_rgb,
@@ -57,84 +56,90 @@ class TableKind:
 
     def sensors(self, names: Names) -> Names:
         """Return the names that must be sensors."""
-        return tuple(name for name, what in zip(names, self.needs + self.may, strict=False) if what in _SENSORS)
+        return tuple(
+            name for name, what in zip(names, self.needs + self.may, strict=False) if what in _SENSOR_PLACEHOLDERS
+        )
 
 
-_SENSORS = ("SOURCE", "TARGET", "CAMERA", "LIDAR", "DEPTH", "SENSOR")
+_SENSOR_PLACEHOLDERS = ("SOURCE", "TARGET", "CAMERA", "LIDAR", "DEPTH", "SENSOR")
 Pair = Callable[[Dataset, str, str, str | None], Table]
 ToImage = Callable[[Dataset, str, str, Annotation, str | None], Table]
 
 
-def _pair(table: Pair) -> Callable[[Dataset, Truth | None, Names], Table]:
-    return lambda dataset, _, names: table(dataset, names[0], names[1], _nth(names, 2))
+def _pair_table(table: Pair) -> Callable[[Dataset, Truth | None, Names], Table]:
+    return lambda dataset, _, names: table(dataset, names[0], names[1], _nth_name(names, 2))
 
 
 def _to_image(table: ToImage) -> Callable[[Dataset, Truth | None, Names], Table]:
     def run(dataset: Dataset, truth: Truth | None, names: Names) -> Table:
-        pattern = _nth(names, 2)
+        pattern = _nth_name(names, 2)
         annotation = annotation_for(dataset, names[1], pattern_of(dataset, pattern), truth)
         return table(dataset, names[0], names[1], annotation, pattern)
 
     return run
 
 
-def _nth(names: Names, n: int) -> str | None:
+def _nth_name(names: Names, n: int) -> str | None:
     return names[n] if len(names) > n else None
 
 
-_PATTERN = ("PATTERN",)
-KINDS: Mapping[str, TableKind] = {
+_PATTERN_PLACEHOLDER = ("PATTERN",)
+TABLE_KINDS: Mapping[str, TableKind] = {
     "rgb-to-rgb": TableKind(
         ("SOURCE", "TARGET"),
-        _PATTERN,
-        _pair(rgb_to_rgb),
+        _PATTERN_PLACEHOLDER,
+        _pair_table(rgb_to_rgb),
         suggestion=Suggestion(("camera", "camera"), "the corners that {0} sees, in the images of {1}"),
     ),
     "inter-collection-rgb-to-rgb": TableKind(
         ("SOURCE", "TARGET"),
-        _PATTERN,
-        _pair(inter_collection_rgb_to_rgb),
+        _PATTERN_PLACEHOLDER,
+        _pair_table(inter_collection_rgb_to_rgb),
         suggestion=Suggestion(("camera",), "each view of the pattern carried to all others by the arm", by_arm=True),
     ),
     "single-rgb": TableKind(
         (),
         ("CAMERA", "PATTERN"),
-        lambda dataset, _, names: single_rgb(dataset, _nth(names, 0), _nth(names, 1)),
+        lambda dataset, _, names: single_rgb(dataset, _nth_name(names, 0), _nth_name(names, 1)),
         rms=None,
     ),
     "measured-poses": TableKind(
         ("SENSOR",),
-        _PATTERN,
-        lambda dataset, _, names: measured_poses(dataset, names[0], _nth(names, 1)),
+        _PATTERN_PLACEHOLDER,
+        lambda dataset, _, names: measured_poses(dataset, names[0], _nth_name(names, 1)),
         rms=None,
-        poses=POSE_COLUMNS,
+        poses=MEASURED_POSE_COLUMNS,
         suggestion=Suggestion(("tracker",), "the poses as they were measured, against those of the result"),
     ),
     "lidar-to-rgb": TableKind(
         ("LIDAR", "CAMERA"),
-        _PATTERN,
+        _PATTERN_PLACEHOLDER,
         _to_image(lidar_to_rgb),
         suggestion=Suggestion(("lidar", "camera"), "the points of {0} against the images of {1}"),
     ),
-    "inter-collection-lidar-to-rgb": TableKind(("LIDAR", "CAMERA"), _PATTERN, _to_image(inter_collection_lidar_to_rgb)),
+    "inter-collection-lidar-to-rgb": TableKind(
+        ("LIDAR", "CAMERA"), _PATTERN_PLACEHOLDER, _to_image(inter_collection_lidar_to_rgb)
+    ),
     "depth-to-rgb": TableKind(
         ("DEPTH", "CAMERA"),
-        _PATTERN,
+        _PATTERN_PLACEHOLDER,
         _to_image(depth_to_rgb),
         suggestion=Suggestion(("depth camera", "camera"), "the points of {0} against the images of {1}"),
     ),
-    "inter-collection-depth-to-rgb": TableKind(("DEPTH", "CAMERA"), _PATTERN, _to_image(inter_collection_depth_to_rgb)),
-    "lidar-to-lidar": TableKind(("SOURCE", "TARGET"), _PATTERN, _pair(lidar_to_lidar), rms=None),
+    "inter-collection-depth-to-rgb": TableKind(
+        ("DEPTH", "CAMERA"), _PATTERN_PLACEHOLDER, _to_image(inter_collection_depth_to_rgb)
+    ),
+    "lidar-to-lidar": TableKind(("SOURCE", "TARGET"), _PATTERN_PLACEHOLDER, _pair_table(lidar_to_lidar), rms=None),
     "inter-collection-lidar-to-lidar": TableKind(
-        ("SOURCE", "TARGET"), _PATTERN, _pair(partial(lidar_to_lidar, between=True)), rms=None
+        ("SOURCE", "TARGET"), _PATTERN_PLACEHOLDER, _pair_table(partial(lidar_to_lidar, between=True)), rms=None
     ),
-    "lidar-to-depth": TableKind(("LIDAR", "DEPTH"), _PATTERN, _pair(lidar_to_depth)),
+    "lidar-to-depth": TableKind(("LIDAR", "DEPTH"), _PATTERN_PLACEHOLDER, _pair_table(lidar_to_depth)),
     "inter-collection-lidar-to-depth": TableKind(
-        ("LIDAR", "DEPTH"), _PATTERN, _pair(partial(lidar_to_depth, between=True))
+        ("LIDAR", "DEPTH"), _PATTERN_PLACEHOLDER, _pair_table(partial(lidar_to_depth, between=True))
     ),
-    "depth-to-depth": TableKind(("SOURCE", "TARGET"), _PATTERN, _pair(depth_to_depth)),
+    "depth-to-depth": TableKind(("SOURCE", "TARGET"), _PATTERN_PLACEHOLDER, _pair_table(depth_to_depth)),
     "inter-collection-depth-to-depth": TableKind(
-        ("SOURCE", "TARGET"), _PATTERN, _pair(partial(depth_to_depth, between=True))
+        ("SOURCE", "TARGET"), _PATTERN_PLACEHOLDER, _pair_table(partial(depth_to_depth, between=True))
     ),
     "ground-truth-transform": TableKind(
         ("PARENT", "CHILD"), (), lambda dataset, truth, names: ground_truth_transform(dataset, truth, *names), rms=None
@@ -150,7 +155,7 @@ def _file_name(kind: str) -> str:
     return f"{kind.replace('-', '_')}_results.csv"
 
 
-FILES_WITHOUT_RMS = frozenset(_file_name(name) for name, kind in KINDS.items() if kind.rms is None)
+FILES_WITHOUT_RMS = frozenset(_file_name(name) for name, kind in TABLE_KINDS.items() if kind.rms is None)
 """Names of the files of tables that have no RMS in px."""
 
 
@@ -159,7 +164,7 @@ class Evaluation:
     """Table to compute: its kind, and the names of sensors, frames and patterns."""
 
     kind: str
-    """Kind of the table, a key of `KINDS`."""
+    """Kind of the table, a key of `TABLE_KINDS`."""
     names: Names
     """Names of sensors, frames and patterns, as its kind requires."""
 
@@ -170,12 +175,12 @@ class Evaluation:
     @property
     def sensors(self) -> Names:
         """Names that must be sensors of the dataset."""
-        return KINDS[self.kind].sensors(self.names)
+        return TABLE_KINDS[self.kind].sensors(self.names)
 
     @property
     def table(self) -> TableKind:
         """Kind of the table."""
-        return KINDS[self.kind]
+        return TABLE_KINDS[self.kind]
 
     @property
     def file_name(self) -> str:
@@ -193,7 +198,7 @@ class Evaluation:
         Raises:
             InputError: the dataset lacks a sensor, a frame or a pattern, or contains nothing to compare.
         """
-        return KINDS[self.kind].run(dataset, truth, self.names)
+        return TABLE_KINDS[self.kind].run(dataset, truth, self.names)
 
 
 def parse_evaluation(text: str) -> Evaluation:
@@ -203,9 +208,9 @@ def parse_evaluation(text: str) -> Evaluation:
         InputError: there is no such kind, or it requires other names.
     """
     name, *names = (part.strip() for part in text.split(":"))
-    if name not in KINDS:
-        raise InputError(f"evaluation '{text}': there is no table '{name}' (tables: {', '.join(KINDS)})")
-    kind = KINDS[name]
+    if name not in TABLE_KINDS:
+        raise InputError(f"evaluation '{text}': there is no table '{name}' (tables: {', '.join(TABLE_KINDS)})")
+    kind = TABLE_KINDS[name]
     if not len(kind.needs) <= len(names) <= len(kind.needs) + len(kind.may) or not all(names):
         form = ":".join((name, *kind.needs)) + "".join(f"[:{each}]" for each in kind.may)
         raise InputError(f"evaluation '{text}': expected {form}")

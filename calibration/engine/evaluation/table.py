@@ -10,15 +10,15 @@ import numpy as np
 from calibration.base.arrays import Array, BoolArray
 from calibration.base.files import write_atomically
 
-AVERAGES = "Averages"
+AVERAGES_ROW = "Averages"
 """The label of the last row."""
-COLLECTION = "Collection #"
+COLLECTION_HEADER = "Collection #"
 """ATOM's header of the labels, of single collections and, in some tables, of pairs."""
 COLLECTION_PAIR = "Collection Pair"
 """ATOM's header of the labels in its other tables of pairs."""
 RMS_PIX = "RMS (pix)"
 """Column that summarises a table in one number, where there is one."""
-MISSING = "---"
+MISSING_VALUE = "---"
 """Text of a missing value."""
 
 
@@ -52,7 +52,7 @@ class Table:
     @property
     def averages(self) -> Array:
         """(C,): the arithmetic mean of each column's *printed* values, as in ATOM; NaN if all are missing."""
-        printed = np.array([[float(_printed(v)) for v in row] for row in self.values])
+        printed = np.array([[float(_format_number(v)) for v in row] for row in self.values])
         if self.missing is None:
             return np.asarray(printed.mean(0))
         count = (~self.missing).sum(0)
@@ -64,16 +64,18 @@ class Table:
         return float(self.averages[self.columns.index(column)])
 
     def to_csv(self) -> str:
-        r"""The table as CSV: a header, the rows, and the row `AVERAGES`; four decimals, lines end in ``\n``."""
+        r"""The table as CSV: a header, the rows, and the row `AVERAGES_ROW`; four decimals, lines end in ``\n``."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([self.key, *self.columns])
         missing = np.zeros(self.values.shape, bool) if self.missing is None else self.missing
         rows = zip(
-            (*self.labels, AVERAGES), [*self.values, self.averages], [*missing, missing.all(axis=0)], strict=True
+            (*self.labels, AVERAGES_ROW), [*self.values, self.averages], [*missing, missing.all(axis=0)], strict=True
         )
         for label, row, absent in rows:
-            writer.writerow([label, *(MISSING if a else _printed(v) for v, a in zip(row, absent, strict=True))])
+            writer.writerow(
+                [label, *(MISSING_VALUE if a else _format_number(v) for v, a in zip(row, absent, strict=True))]
+            )
         return text.getvalue()
 
     def write(self, path: Path | str) -> None:
@@ -85,7 +87,7 @@ class Table:
         write_atomically(path, self.to_csv())
 
 
-def _printed(value: float) -> str:
+def _format_number(value: float) -> str:
     """Format a number with four decimals; never a negative zero."""
     text = f"{value:.4f}"
     return "0.0000" if text == "-0.0000" else text

@@ -108,11 +108,11 @@ def error_against(found: Dataset, true: Dataset, relative: bool) -> TruthError:
         error for name in true.joints for error in _of_joint(found.joints[name], true.joints[name].values)
     )
     if relative and len(sensors) > 1:
-        return TruthError(tuple(_between(a, b, found, true) for a, b in combinations(sensors, 2)), of_joints)
+        return TruthError(tuple(_error_between(a, b, found, true) for a, b in combinations(sensors, 2)), of_joints)
     calibrated = [s for s in sensors if s.name != found.anchored] or (sensors if of_joints else [])
     if not calibrated:
         raise InputError(f"{found.path}: only sensor '{found.anchored}', and it is anchored: nothing is calibrated")
-    poses = tuple(_worst(s.name, true.transform(*s.edge), found.transform(*s.edge)) for s in calibrated)
+    poses = tuple(_worst_error(s.name, true.transform(*s.edge), found.transform(*s.edge)) for s in calibrated)
     return TruthError(poses, of_joints)
 
 
@@ -137,14 +137,14 @@ def _of_joint(joint: Joint, true: Array) -> Iterator[JointError]:
         yield JointError(joint.name, parameter, error, unit)
 
 
-def _between(a: Sensor, b: Sensor, found: Dataset, true: Dataset) -> PoseError:
+def _error_between(a: Sensor, b: Sensor, found: Dataset, true: Dataset) -> PoseError:
     """Return the larger error of the relative pose of two data frames, seen from either."""
     T_true, T_found = (dataset.transform(a.frame, b.frame) for dataset in (true, found))
     both = np.concatenate([T_true, inverse(T_true)]), np.concatenate([T_found, inverse(T_found)])
-    return _worst(f"{a.name}/{b.name}", *both)
+    return _worst_error(f"{a.name}/{b.name}", *both)
 
 
-def _worst(name: str, T_true: Array, T_found: Array) -> PoseError:
+def _worst_error(name: str, T_true: Array, T_found: Array) -> PoseError:
     if not (np.isfinite(T_true).all() and np.isfinite(T_found).all()):
         raise InputError(f"a transform of {name} is not finite: its error is undefined")
     translation, angle = distance(T_true, T_found)

@@ -9,7 +9,7 @@ from calibration.ci.report import Verdict
 from calibration.ci.report.outcome import ErrorCode
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineChange
-from calibration.engine.baseline.verdict import UNMOVED
+from calibration.engine.baseline.verdict import UNMOVED_KIND
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.what_does_not_fit import NOTHING_SUSPICIOUS
 from calibration.engine.estimation.covariance.result import DroppedView, RejectedLabel
@@ -18,7 +18,7 @@ from calibration.pipeline.matrix.cell import Cell, Comparison, noise_text
 from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 
 OUR_METHOD = "calibration-ci"
-REASSURING_KINDS = (NOTHING_SUSPICIOUS, UNMOVED)
+REASSURING_KINDS = (NOTHING_SUSPICIOUS, UNMOVED_KIND)
 """Kinds of findings that say that all is well."""
 
 

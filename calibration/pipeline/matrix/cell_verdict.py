@@ -13,7 +13,7 @@ from calibration.base.tables.table import parse_table, read_table
 from calibration.base.tables.table_verdict import judge
 from calibration.ci.report import at_most
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.evaluation.reprojection import COLUMNS, KEY
+from calibration.engine.evaluation.reprojection import COLLECTION_HEADER, REPROJECTION_COLUMNS
 from calibration.engine.evaluation.table import Table
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
@@ -54,7 +54,9 @@ def _table_to_come(system: LoadedSystem) -> tuple[Table | None, bool]:
     """Return a table with the cells' columns, or None if it is unknown; and whether it has every row."""
     if system.evaluation is None:
         labels = tuple(collection.key for collection in system.dataset.collections)
-        return Table(KEY, COLUMNS, labels, np.zeros((len(labels), len(COLUMNS)))), True
+        return Table(
+            COLLECTION_HEADER, REPROJECTION_COLUMNS, labels, np.zeros((len(labels), len(REPROJECTION_COLUMNS)))
+        ), True
     try:
         table = system.evaluation.run(system.dataset, system.truth)
     except InputError:  # not comparable before the calibration: the cells will report the fault

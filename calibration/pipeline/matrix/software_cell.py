@@ -17,7 +17,7 @@ from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.tasks import Task
 from calibration.engine.baseline.calibration_document import SoftwareStart
-from calibration.engine.baseline.quality import QUALITY
+from calibration.engine.baseline.quality import QUALITY_KIND
 from calibration.engine.baseline.verdict import against_baseline, nothing_accepted, software_against_baseline
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
@@ -28,7 +28,7 @@ from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.same_labels import moved_frames, same_labels
 from calibration.engine.diagnosis.table_follows import not_evaluated, table_follows
 from calibration.engine.estimation.start.starting_noise import with_starting_noise
-from calibration.engine.evaluation.table import AVERAGES, RMS_PIX
+from calibration.engine.evaluation.table import AVERAGES_ROW, RMS_PIX
 from calibration.pipeline.matrix.cell import Cell
 from calibration.pipeline.matrix.cell_result import CellResult, nothing_yet
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
@@ -238,7 +238,7 @@ def _findings_on_changes(system: LoadedSystem) -> tuple[Finding, ...]:
     if system.accepted.snapshot is None:
         return nothing_accepted(system.accepted)
     now = against_baseline(system.accepted, system.optimum_snapshot)[1]
-    return tuple(each for each in now if each.kind != QUALITY)
+    return tuple(each for each in now if each.kind != QUALITY_KIND)
 
 
 def _reprojection_rms(system: LoadedSystem) -> float:
@@ -270,11 +270,13 @@ def _average_rms(path: Path) -> float | None:
     """
     table = read_table(path)
     keyed = KeyedTable.of(table, None, ())
-    if RMS_PIX not in table.header or AVERAGES not in keyed.labels:
+    if RMS_PIX not in table.header or AVERAGES_ROW not in keyed.labels:
         return None
-    row = keyed.row(LabelledRow(AVERAGES))
+    row = keyed.row(LabelledRow(AVERAGES_ROW))
     text = row.cells[table.column(RMS_PIX)] if row else ""
     number = parse_number(text)
     if number is None:
-        raise InputError(f"{path}: row '{AVERAGES}', column '{RMS_PIX}': found '{text}', a finite number was expected")
+        raise InputError(
+            f"{path}: row '{AVERAGES_ROW}', column '{RMS_PIX}': found '{text}', a finite number was expected"
+        )
     return round(number, 4)

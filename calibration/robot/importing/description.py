@@ -18,13 +18,20 @@ from calibration.base.records import (
     record,
 )
 from calibration.engine.dataset.configuration import (
+    APRILGRID_TAGS,
     MAX_CORNERS,
     MAX_SPACING,
     MIN_SPACING,
     TAG_COUNT,
-    TAGS,
 )
-from calibration.engine.dataset.pattern import CIRCLES, MAX_MARKER, MAX_SIZE, UNMARKED, PatternKind, PlacedTag
+from calibration.engine.dataset.pattern import (
+    CIRCLE_KINDS,
+    MAX_MARKER,
+    MAX_SIZE,
+    UNMARKED_KINDS,
+    PatternKind,
+    PlacedTag,
+)
 from calibration.engine.geometry.transforms import from_xyz_rpy
 from calibration.robot.importing.files.samples import Samples
 from calibration.robot.robot_description import XacroInputs
@@ -151,7 +158,7 @@ _OF_KIND: Mapping[PatternKind, tuple[str, ...]] = {
 
 
 def _with_article(kind: PatternKind) -> str:
-    if kind in CIRCLES:
+    if kind in CIRCLE_KINDS:
         return "a grid of circles"
     names = {"charuco": "a charuco board", "chessboard": "a chessboard", "aprilgrid": "an aprilgrid"}
     return names.get(kind, "a list of tags")
@@ -224,11 +231,13 @@ class PatternDescription:
             raise Misfit("found an id twice, expected each tag once", "tags")
         if self.pose is not None and not self.is_flat:
             raise Misfit("found 'pose' of tags on several sides, whose pose on the parent is calibrated", "pose")
-        if self.type in (*UNMARKED, "tags") and self.first is not None:
+        if self.type in (*UNMARKED_KINDS, "tags") and self.first is not None:
             raise Misfit("found 'first', expected it of a board with markers", "first")
         if self.type == "aprilgrid" and (self.first or 0) + (self.columns or 0) * (self.rows or 0) > TAG_COUNT:
             begin = f" from id {self.first}" if self.first else ""
-            raise Misfit(f"found {self.columns} x {self.rows} tags{begin}, expected {TAG_COUNT} at most, as {TAGS} has")
+            raise Misfit(
+                f"found {self.columns} x {self.rows} tags{begin}, expected {TAG_COUNT} at most, as {APRILGRID_TAGS} has"
+            )
         if self.type == "aprilgrid" and not MIN_SPACING <= (self.spacing or 0) <= MAX_SPACING:
             raise Misfit(
                 f"found {self.spacing:g}, expected {MIN_SPACING:g} to {MAX_SPACING:g} sides of a tag", "spacing"

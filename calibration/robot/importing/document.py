@@ -10,14 +10,12 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.engine.dataset.configuration import Configuration, SensorConfiguration
 from calibration.engine.dataset.edges import pose_document, transform_documents
-from calibration.engine.dataset.lens_uncertainty import KEY as UNCERTAINTY
-from calibration.engine.dataset.lens_uncertainty import LensUncertainty, uncertainty_document
+from calibration.engine.dataset.lens_uncertainty import UNCERTAINTY_KEY, LensUncertainty, uncertainty_document
 from calibration.engine.dataset.modalities import MODALITIES
-from calibration.engine.dataset.model import CHOSEN_MODELS, ESTIMATED, Edge
+from calibration.engine.dataset.model import CHOSEN_MODELS, ESTIMATED_KEY, Edge
 from calibration.engine.dataset.pattern import pattern_document
 from calibration.engine.dataset.sensors import camera_document
-from calibration.engine.dataset.velocities import KEY as VELOCITIES
-from calibration.engine.dataset.velocities import velocity_documents
+from calibration.engine.dataset.velocities import VELOCITIES_KEY, velocity_documents
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
 from calibration.robot.importing.bags.range_views import RangeView
@@ -105,7 +103,7 @@ def dataset_document(imported: Imported) -> dict[str, Any]:
             "robot_name": imported.robot,
             "user": RECORDING_USER,
             "version": "3.0",
-            ESTIMATED: list(imported.estimated),
+            ESTIMATED_KEY: list(imported.estimated),
             **({CHOSEN_MODELS: list(imported.chosen)} if imported.chosen else {}),
             ROUGH_KEY: imported.rough,
         },
@@ -139,7 +137,7 @@ def dataset_document(imported: Imported) -> dict[str, Any]:
                     for pattern in configuration.patterns
                 },
                 "transforms": {"-".join(edge): documents[number] for edge, documents in rows.items()},
-                **({VELOCITIES: moving} if (moving := _velocity_entries(imported, number)) else {}),
+                **({VELOCITIES_KEY: moving} if (moving := _velocity_entries(imported, number)) else {}),
             }
             for number, (key, moment, ranges) in enumerate(
                 zip(imported.keys, imported.moments, imported.ranges, strict=True)
@@ -203,5 +201,5 @@ def _camera_info(imported: Imported, sensor: str) -> dict[str, Any]:
     camera, known = imported.cameras[sensor], imported.uncertainties.get(sensor)
     info = {**camera_document(camera), "R": np.eye(3).ravel().tolist(), "binning_x": 0, "binning_y": 0}
     if known is not None:
-        info[UNCERTAINTY] = uncertainty_document(known)
+        info[UNCERTAINTY_KEY] = uncertainty_document(known)
     return {"camera_info": info, "camera_info_topic": ""}

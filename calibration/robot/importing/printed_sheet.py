@@ -10,7 +10,7 @@ import numpy as np
 from calibration.base.arrays import Array, BoolArray
 from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
-from calibration.engine.dataset.pattern import CIRCLES
+from calibration.engine.dataset.pattern import CIRCLE_KINDS
 from calibration.robot.labelling.tags import cell_ends, tag_cells
 from calibration.robot.simulation.rendering.texture import circle_diameter, marker_modules, tag_modules
 
@@ -67,7 +67,7 @@ def board_sheet(pattern: PatternConfiguration, paper: str) -> Sheet:
         InputError: the board is larger than the paper.
     """
     rectangles, circles = np.zeros((0, 4)), np.zeros((0, 3))
-    if pattern.kind in CIRCLES:
+    if pattern.kind in CIRCLE_KINDS:
         circles = 1000 * np.pad(
             pattern.pattern().corners[:, :2], ((0, 0), (0, 1)), constant_values=circle_diameter(pattern) / 2
         )
@@ -82,7 +82,9 @@ def board_sheet(pattern: PatternConfiguration, paper: str) -> Sheet:
     fitting = [(w, h) for w, h in room if across <= w - 2 * MARGIN_MM and down <= h - 2 * MARGIN_MM - FOOT_MM]
     if not fitting:
         share = max(min((w - 2 * MARGIN_MM) / across, (h - 2 * MARGIN_MM - FOOT_MM) / down) for w, h in room)
-        side = "tag" if pattern.kind in ("aprilgrid", "tags") else "spacing" if pattern.kind in CIRCLES else "square"
+        side = (
+            "tag" if pattern.kind in ("aprilgrid", "tags") else "spacing" if pattern.kind in CIRCLE_KINDS else "square"
+        )
         raise InputError(
             f"the board is {across:g} x {down:g} mm, too large for {paper} with a margin of {MARGIN_MM:g} mm and a "
             "ruler: "
@@ -215,7 +217,7 @@ def _title_of_sheet(pattern: PatternConfiguration) -> str:
     if pattern.kind == "tags":
         return f"{pattern.dictionary} {pattern.tags[0].id}, {1000 * pattern.size:g} mm"
     columns, rows = pattern.dimension
-    what = {"aprilgrid": "tags", **dict.fromkeys(CIRCLES, "circles")}.get(pattern.kind, "corners")
+    what = {"aprilgrid": "tags", **dict.fromkeys(CIRCLE_KINDS, "circles")}.get(pattern.kind, "corners")
     return f"{pattern.kind} {columns} x {rows} {what}, {1000 * pattern.size:g} mm"
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.engine.dataset.depth_image import NO_RETURN, UNIT
+from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
@@ -92,7 +92,7 @@ def _pixel_directions(camera: Camera, part: tuple[slice, slice]) -> Array:
 
 def _depth_in_metres(depth: DepthImage) -> Array:
     """Convert depths to metres; NaN without a return."""
-    return np.where((depth == NO_RETURN) | (depth == 0), np.nan, depth * UNIT)
+    return np.where((depth == NO_RETURN) | (depth == 0), np.nan, depth * DEPTH_UNIT_M)
 
 
 def _largest_part(region: BoolArray) -> BoolArray:

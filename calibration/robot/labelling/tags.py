@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.engine.dataset.configuration import TAGS
+from calibration.engine.dataset.configuration import APRILGRID_TAGS
 from calibration.engine.dataset.pattern import tag_grid, tag_lines, tag_outline
 from calibration.robot.labelling.detection import Image
 from calibration.robot.labelling.markers import turned_tags
@@ -29,7 +29,7 @@ UNIT_STRETCH = 1.15
 
 def tag_dictionary() -> "cv2.aruco.Dictionary":
     """Return OpenCV's dictionary of the tags."""
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, TAGS))
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, APRILGRID_TAGS))
 
 
 @lru_cache(maxsize=8)

@@ -4,7 +4,7 @@ import pytest
 
 from calibration.addons.rigel.notes import Notes
 from calibration.addons.rigel.systems import evaluation_in
-from calibration.engine.evaluation.specification import KINDS, parse_evaluation
+from calibration.engine.evaluation.specification import TABLE_KINDS, parse_evaluation
 
 JSON = "-train_json /d/atom_calibration.json -test_json $DATASETS/test.json"
 COMMANDS = {
@@ -40,7 +40,9 @@ def test_each_evaluation_of_atom_is_recognised(command: str, expected: str, arou
 
 
 def test_there_is_one_of_each_kind() -> None:
-    assert {parse_evaluation(text).kind for text in COMMANDS.values()} == set(KINDS) - {"measured-poses"}  # not ATOM's
+    assert {parse_evaluation(text).kind for text in COMMANDS.values()} == set(TABLE_KINDS) - {
+        "measured-poses"
+    }  # not ATOM's
 
 
 @pytest.mark.parametrize(

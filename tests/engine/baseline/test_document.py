@@ -9,7 +9,7 @@ import pytest
 
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.engine.baseline.document import (
-    LARGEST,
+    MAX_BASELINE_BYTES,
     Baseline,
     baseline_text,
     parse_baseline,
@@ -71,7 +71,7 @@ def test_what_was_edited_into_nonsense_is_refused_with_its_place(
         (b'{"version": 1, "version": 1, "systems": {}}', "occurs twice"),
         (b"[" * 100_000, "this is not a baseline"),
         (b'<<<<<<< HEAD\n{"version": 1}\n=======\n', "merge conflict"),
-        (b" " * (LARGEST + 1), "a baseline has at most"),
+        (b" " * (MAX_BASELINE_BYTES + 1), "a baseline has at most"),
     ],
     ids=range(8),
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.engine.baseline.calibration_document import (
-    POSITIONS,
+    POSITIONS_INPUT,
     CalibrationDocument,
     hash_of_labels,
     hashes_of_inputs,
@@ -111,6 +111,6 @@ def test_changed_inputs_have_other_hashes() -> None:
     for edge, moves in moved.items():
         before = hashes_of_inputs(arm, (), Options())
         after = hashes_of_inputs(arm.with_transforms({edge: 1.001 * arm.transforms[edge]}), (), Options())
-        name = POSITIONS if moves else "the robot's fixed transforms"
+        name = POSITIONS_INPUT if moves else "the robot's fixed transforms"
         assert {each for each in after if after[each] != before[each]} == {name}
     assert len(set(moved.values())) == 2

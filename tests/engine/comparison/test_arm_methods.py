@@ -9,7 +9,7 @@ import pytest
 from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.comparison import opencv_arm
 from calibration.engine.comparison.arm import why_not_arm
-from calibration.engine.comparison.methods import METHODS
+from calibration.engine.comparison.methods import COMPARISON_METHODS
 from calibration.engine.dataset.modalities import DEPTH
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.reading import read_dataset
@@ -48,7 +48,7 @@ def test_an_exact_arm_gives_the_exact_camera_and_pattern(name, eye_in_hand, whos
     dataset = arm(seed=1, eye_in_hand=eye_in_hand)
     board = ("world" if eye_in_hand else "flange", "board_link")
     start = disturbed(dataset, MOUNT, board)
-    found = METHODS[name].run(start)
+    found = COMPARISON_METHODS[name].run(start)
     for edge in dataset.transforms:
         np.testing.assert_allclose(found.transforms[edge], dataset.transforms[edge], atol=1e-6)
     assert changed(start, found) == sorted([MOUNT, board])
@@ -58,7 +58,7 @@ def test_an_exact_arm_gives_the_exact_camera_and_pattern(name, eye_in_hand, whos
 def test_a_pattern_whose_transform_is_not_in_the_file_gets_one(name):
     dataset = arm(seed=3)
     without = {edge: T for edge, T in dataset.transforms.items() if edge != ("flange", "board_link")}
-    found = METHODS[name].run(replace(dataset, transforms=without))
+    found = COMPARISON_METHODS[name].run(replace(dataset, transforms=without))
     np.testing.assert_allclose(
         found.transforms["flange", "board_link"], dataset.transforms["flange", "board_link"], atol=1e-6
     )
@@ -77,13 +77,13 @@ def test_a_pattern_whose_transform_is_not_in_the_file_gets_one(name):
 )
 def test_the_synthetic_arm_gives_the_known_figures(shared_data, name, millimetres, degrees, whose):
     dataset = read_dataset(shared_data / "synthetic" / "riwbot")
-    found = error(dataset, METHODS[name].run(dataset))
+    found = error(dataset, COMPARISON_METHODS[name].run(dataset))
     assert found == (pytest.approx(millimetres, abs=6e-4), pytest.approx(degrees, abs=6e-5))
 
 
 def test_opencv_leaves_out_motions_for_tsai(shared_data, whose):
     dataset = read_dataset(shared_data / "synthetic" / "riwbot")
-    millimetres, degrees = error(dataset, METHODS["tsai"].run(dataset))
+    millimetres, degrees = error(dataset, COMPARISON_METHODS["tsai"].run(dataset))
     if whose == "built in":
         assert (millimetres, degrees) == (pytest.approx(0.373, abs=6e-4), pytest.approx(0.0311, abs=6e-5))
     assert 0.3 < millimetres < 0.8
@@ -102,11 +102,11 @@ def test_ours_and_opencvs_are_one_method(name, eye_in_hand, monkeypatch):
     if not opencv_arm.opencv_with(opencv_arm.HAND_EYE):
         pytest.skip("OpenCV 5 has no calibrateHandEye")
     dataset = arm(seed=10, n=12, noise=0.5, eye_in_hand=eye_in_hand)
-    theirs = METHODS[name].run(dataset)
-    assert METHODS[name].describe(dataset).startswith("OpenCV 4.")
+    theirs = COMPARISON_METHODS[name].run(dataset)
+    assert COMPARISON_METHODS[name].describe(dataset).startswith("OpenCV 4.")
     monkeypatch.setattr(opencv_arm, "opencv_with", lambda _: None)
-    ours = METHODS[name].run(dataset)
-    assert METHODS[name].describe(dataset) == "built in"
+    ours = COMPARISON_METHODS[name].run(dataset)
+    assert COMPARISON_METHODS[name].describe(dataset) == "built in"
     tolerance = 2e-3 if name == "tsai" else 1e-8  # Tsai's motions are not the same
     for edge in (MOUNT, ("world" if eye_in_hand else "flange", "board_link")):
         np.testing.assert_allclose(theirs.transforms[edge], ours.transforms[edge], atol=tolerance)
@@ -116,7 +116,7 @@ def test_ours_and_opencvs_are_one_method(name, eye_in_hand, monkeypatch):
 @EACH
 def test_the_start_does_not_matter(name, whose):
     dataset = arm(seed=4, noise=0.3)
-    a, b = (METHODS[name].run(d).transforms[MOUNT] for d in (dataset, disturbed(dataset, MOUNT)))
+    a, b = (COMPARISON_METHODS[name].run(d).transforms[MOUNT] for d in (dataset, disturbed(dataset, MOUNT)))
     np.testing.assert_array_equal(a, b)
 
 
@@ -144,9 +144,9 @@ def seen_again(dataset: Dataset) -> Dataset:
 @EACH
 def test_an_arm_that_turns_too_little_is_refused(name):
     with pytest.raises(UndeterminedError, match="between 'eye_mount' and 'flange' the arm turns about one axis only"):
-        METHODS[name].run(arm(seed=5, noise=0.1, axis=np.array([0.0, 0.0, 1.0])))
+        COMPARISON_METHODS[name].run(arm(seed=5, noise=0.1, axis=np.array([0.0, 0.0, 1.0])))
     with pytest.raises(UndeterminedError, match="the arm does not turn; rotations about two axes are needed"):
-        METHODS[name].run(still_arm())
+        COMPARISON_METHODS[name].run(still_arm())
 
 
 def test_opencvs_tsai_says_when_it_leaves_out_every_motion(capfd):
@@ -159,9 +159,9 @@ def test_opencvs_tsai_says_when_it_leaves_out_every_motion(capfd):
     little = seen_again(
         dataset.with_transforms({("world", "flange"): retract(flange[:1].repeat(len(flange), 0), twist)})
     )
-    assert distance(METHODS["park"].run(little).transforms[MOUNT], dataset.transforms[MOUNT])[1].max() < 1e-3
+    assert distance(COMPARISON_METHODS["park"].run(little).transforms[MOUNT], dataset.transforms[MOUNT])[1].max() < 1e-3
     with pytest.raises(UndeterminedError, match="OpenCV's calibrateHandEye: Tsai needs larger rotations"):
-        METHODS["tsai"].run(little)
+        COMPARISON_METHODS["tsai"].run(little)
     assert capfd.readouterr().err == ""
 
 
@@ -177,7 +177,7 @@ def test_what_opencv_refuses_is_told_in_one_line(name, monkeypatch):
     for function in (opencv_arm.HAND_EYE, opencv_arm.ROBOT_WORLD):
         monkeypatch.setattr(cv2, function, refuse)
     with pytest.raises(UndeterminedError, match=r"^OpenCV's calibrate\w+: Assertion failed > in function 'x'$"):
-        METHODS[name].run(arm(n=4))
+        COMPARISON_METHODS[name].run(arm(n=4))
 
 
 def test_an_answer_that_is_no_number_is_an_error(monkeypatch):
@@ -186,15 +186,17 @@ def test_an_answer_that_is_no_number_is_an_error(monkeypatch):
         pytest.skip("OpenCV 5 has no calibrateHandEye")
     monkeypatch.setattr(cv2, opencv_arm.HAND_EYE, lambda *_args, **_kwargs: (np.full((3, 3), np.nan), np.zeros((3, 1))))
     with pytest.raises(UndeterminedError, match="OpenCV's calibrateHandEye: its answer is not finite"):
-        METHODS["park"].run(arm(n=4))
+        COMPARISON_METHODS["park"].run(arm(n=4))
 
 
 @pytest.mark.parametrize("missing", ["the package", "the function"])
 def test_without_opencvs_function_ours_runs(missing, monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None if missing == "the package" else object())
-    assert METHODS["park"].describe(arm(n=4)) == "built in"
+    assert COMPARISON_METHODS["park"].describe(arm(n=4)) == "built in"
     dataset = arm(seed=16)
-    np.testing.assert_allclose(METHODS["li"].run(dataset).transforms[MOUNT], dataset.transforms[MOUNT], atol=1e-6)
+    np.testing.assert_allclose(
+        COMPARISON_METHODS["li"].run(dataset).transforms[MOUNT], dataset.transforms[MOUNT], atol=1e-6
+    )
 
 
 def test_two_views_are_too_few():
@@ -203,7 +205,7 @@ def test_two_views_are_too_few():
         dataset, "eye", [c.labels["board", "eye"] if i < 2 else None for i, c in enumerate(dataset.collections)]
     )
     with pytest.raises(UndeterminedError, match="'eye' has 2 views of 'board'; at least 3 are needed"):
-        METHODS["shah"].run(few)
+        COMPARISON_METHODS["shah"].run(few)
 
 
 def test_why_it_does_not_apply():
@@ -232,7 +234,7 @@ def test_why_it_does_not_apply():
     ):
         assert why_not_arm(other) == reason
         with pytest.raises(InputError, match=f"^scene/dataset.json: the method does not apply: {reason}"):
-            METHODS["shah"].run(other)
+            COMPARISON_METHODS["shah"].run(other)
 
 
 # Several cameras, several patterns
@@ -252,7 +254,7 @@ def test_every_camera_is_solved():
             ("other_link", "other_optical"): dataset.transforms["eye_link", "eye_optical"],
         }
     )
-    found = METHODS["shah"].run(with_labels(both, "other", list(labels.values())))
+    found = COMPARISON_METHODS["shah"].run(with_labels(both, "other", list(labels.values())))
     for edge in (MOUNT, ("other_mount", "other_link")):
         np.testing.assert_allclose(found.transforms[edge], dataset.transforms[MOUNT], atol=1e-6)
 
@@ -289,12 +291,12 @@ def test_of_several_patterns_the_one_seen_most_often_counts_and_the_others_are_p
     T_parent_card = dataset.transforms[board][0] @ BESIDE
     several = with_a_second_pattern(dataset, parent, T_parent_card, views=5)
     start = disturbed(several, MOUNT, board, card)
-    found = METHODS[name].run(start)
+    found = COMPARISON_METHODS[name].run(start)
     for edge in several.transforms:
         np.testing.assert_allclose(found.transforms[edge], several.transforms[edge], atol=1e-6)
     assert changed(start, found) == sorted([MOUNT, board, card])
-    assert METHODS[name].describe(several).endswith("; 'eye' by 'board' (9 views)")
-    assert METHODS[name].describe(several).startswith(whose)
+    assert COMPARISON_METHODS[name].describe(several).endswith("; 'eye' by 'board' (9 views)")
+    assert COMPARISON_METHODS[name].describe(several).startswith(whose)
 
 
 def test_of_several_patterns_one_that_determines_nothing_is_not_chosen():
@@ -307,10 +309,10 @@ def test_of_several_patterns_one_that_determines_nothing_is_not_chosen():
     several = with_a_second_pattern(sliding, "slide", T_world_card, views=9)
     rare = [c.labels["board", "eye"] if i < 6 else None for i, c in enumerate(several.collections)]
     several = with_labels(several, "eye", rare)
-    found = METHODS["shah"].run(disturbed(several, MOUNT, BOARD, ("slide", "card_link")))
+    found = COMPARISON_METHODS["shah"].run(disturbed(several, MOUNT, BOARD, ("slide", "card_link")))
     for edge in several.transforms:
         np.testing.assert_allclose(found.transforms[edge], several.transforms[edge], atol=1e-6)
-    assert METHODS["shah"].describe(several).endswith("; 'eye' by 'board' (6 views)")
+    assert COMPARISON_METHODS["shah"].describe(several).endswith("; 'eye' by 'board' (6 views)")
 
 
 def test_a_pattern_that_moves_is_left_alone_beside_one_that_does_not():
@@ -318,7 +320,7 @@ def test_a_pattern_that_moves_is_left_alone_beside_one_that_does_not():
     several = with_a_second_pattern(dataset, "flange", dataset.transforms[BOARD][0] @ BESIDE, views=9)
     free = replace(several, patterns={**several.patterns, "card": replace(several.patterns["card"], fixed=False)})
     start = disturbed(free, MOUNT, BOARD, CARD)
-    found = METHODS["li"].run(start)
+    found = COMPARISON_METHODS["li"].run(start)
     assert changed(start, found) == sorted([MOUNT, BOARD])
     np.testing.assert_allclose(found.transforms[MOUNT], dataset.transforms[MOUNT], atol=1e-6)
 
@@ -326,4 +328,4 @@ def test_a_pattern_that_moves_is_left_alone_beside_one_that_does_not():
 def test_a_pattern_that_no_camera_sees_is_left_alone():
     dataset = arm(seed=15, n=6)
     several = with_a_second_pattern(dataset, "flange", dataset.transforms[BOARD][0] @ BESIDE, views=0)
-    assert changed(several, METHODS["li"].run(several)) == sorted([MOUNT, BOARD])
+    assert changed(several, COMPARISON_METHODS["li"].run(several)) == sorted([MOUNT, BOARD])

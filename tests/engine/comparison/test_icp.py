@@ -119,7 +119,7 @@ def test_why_it_does_not_apply():
 def test_it_ends_after_so_many_iterations(monkeypatch):
     dataset = same_points(7)
     start = disturbed(dataset, TWO)
-    monkeypatch.setattr("calibration.engine.comparison.icp.ITERATIONS", 1)
+    monkeypatch.setattr("calibration.engine.comparison.icp.MAX_ITERATIONS", 1)
     assert 1e-3 < error(dataset, icp(start))[0] < error(dataset, start)[0]
 
 

@@ -6,12 +6,12 @@ import sys
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.engine.comparison.methods import METHODS, applicable, method_of
+from calibration.engine.comparison.methods import COMPARISON_METHODS, applicable, method_of
 from tests.engine.evaluation.scene import arm, lidar_and_camera, range_pair, two_cameras
 
 
 def test_a_method_is_found_by_its_name():
-    for name, method in METHODS.items():
+    for name, method in COMPARISON_METHODS.items():
         assert method_of(name) is method
         assert method.name == name
     assert method_of("opencv-stereo").title == "OpenCV stereo"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.base.errors import InfrastructureError, InputError, UndeterminedError
-from calibration.engine.comparison.methods import METHODS
+from calibration.engine.comparison.methods import COMPARISON_METHODS
 from calibration.engine.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fixed, why_not_stereo
 from calibration.engine.dataset.modalities import DEPTH
 from calibration.engine.dataset.model import Dataset
@@ -170,10 +170,10 @@ def test_other_sensors_stay_where_they_are():
     with_scan = with_scan.with_transforms({("scan_mount", "scan_base"): np.eye(4)})
     found = opencv_stereo_fixed(disturbed(with_scan, RIGHT))
     np.testing.assert_allclose(found.transforms[RIGHT], dataset.transforms[RIGHT], atol=1e-5)
-    part = METHODS["opencv-stereo"].part(found)
+    part = COMPARISON_METHODS["opencv-stereo"].part(found)
     assert (list(part.sensors), part.anchored) == (["left", "right"], None)
-    assert METHODS["opencv-stereo"].part(replace(found, anchored="left")).anchored == "left"
-    assert METHODS["opencv-stereo"].describe(found) == f"OpenCV {cv2.__version__}"
+    assert COMPARISON_METHODS["opencv-stereo"].part(replace(found, anchored="left")).anchored == "left"
+    assert COMPARISON_METHODS["opencv-stereo"].describe(found) == f"OpenCV {cv2.__version__}"
 
 
 def test_what_opencv_refuses_is_told_in_one_line(monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.base.errors import InputError
 from calibration.base.records import read
-from calibration.engine.dataset.model import ESTIMATED, CornerLabels, Dataset
+from calibration.engine.dataset.model import ESTIMATED_KEY, CornerLabels, Dataset
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.solve.options import Options
@@ -121,7 +121,7 @@ def test_corners_that_no_lens_explains_are_refused_with_what_to_do() -> None:
 def guessed(dataset: Dataset, *cameras: str) -> Dataset:
     """A dataset as an import leaves it: pinholes in the place of the true lenses."""
     pinhole = Camera(400.0, 400.0, 640.0, 480.0, 1280, 960, PlumbBob(-0.2, 0.03))
-    named = replace(dataset, document={"_metadata": {ESTIMATED: list(cameras)}})
+    named = replace(dataset, document={"_metadata": {ESTIMATED_KEY: list(cameras)}})
     return named.with_cameras(dict.fromkeys(cameras, pinhole))
 
 

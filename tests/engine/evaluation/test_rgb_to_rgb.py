@@ -265,5 +265,5 @@ def test_one_collection_has_no_pair():
 def test_many_pairs_are_done_in_parts(monkeypatch):
     dataset = arm(seed=18, n=6, noise=0.3)
     whole = inter_collection_rgb_to_rgb(dataset, "eye", "eye").to_csv()
-    monkeypatch.setattr("calibration.engine.evaluation.rgb_to_rgb._CHUNK", 4)
+    monkeypatch.setattr("calibration.engine.evaluation.rgb_to_rgb._PAIRS_PER_CHUNK", 4)
     assert inter_collection_rgb_to_rgb(dataset, "eye", "eye").to_csv() == whole

@@ -18,7 +18,7 @@ from calibration.engine.dataset.truth import Truth, find_truth, truth_of
 from calibration.engine.evaluation.annotation import annotation_for
 from calibration.engine.evaluation.range_to_rgb import lidar_to_rgb
 from calibration.engine.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
-from calibration.engine.evaluation.specification import KINDS, Evaluation, parse_evaluation
+from calibration.engine.evaluation.specification import TABLE_KINDS, Evaluation, parse_evaluation
 from calibration.engine.geometry.transforms import retract
 from tests.engine.evaluation.scene import (
     T_LINK_OPTICAL,
@@ -43,9 +43,9 @@ def test_the_text_names_kind_sensors_and_pattern():
 names = st.text(st.characters(categories=("L", "N"), include_characters="_-"), min_size=1)
 
 
-@given(kind=st.sampled_from(sorted(KINDS)), some=st.data())
+@given(kind=st.sampled_from(sorted(TABLE_KINDS)), some=st.data())
 def test_what_is_printed_reads_back(kind, some):
-    least, most = len(KINDS[kind].needs), len(KINDS[kind].needs + KINDS[kind].may)
+    least, most = len(TABLE_KINDS[kind].needs), len(TABLE_KINDS[kind].needs + TABLE_KINDS[kind].may)
     evaluation = Evaluation(kind, tuple(some.draw(st.lists(names, min_size=least, max_size=most))))
     assert parse_evaluation(str(evaluation)) == evaluation
 
@@ -137,7 +137,7 @@ def test_every_table_of_atom_is_there():
     with_pairs = ("rgb-to-rgb", "lidar-to-rgb", "depth-to-rgb", "lidar-to-lidar", "lidar-to-depth", "depth-to-depth")
     single = {"single-rgb", "ground-truth-transform", "ground-truth-frame"}
     pairs = {f"{prefix}{name}" for prefix in ("", "inter-collection-") for name in with_pairs}
-    assert set(KINDS) == single | pairs | {OURS}
+    assert set(TABLE_KINDS) == single | pairs | {OURS}
 
 
 PIXELS = "RMS (pix),X err (pix),Y err (pix)"
@@ -165,7 +165,7 @@ HEADERS = {
 
 
 def test_the_headers_are_those_of_all_tables():
-    assert {parse_evaluation(text).kind for text in HEADERS} == set(KINDS) - {OURS}
+    assert {parse_evaluation(text).kind for text in HEADERS} == set(TABLE_KINDS) - {OURS}
 
 
 @pytest.mark.parametrize("text", HEADERS)
@@ -175,7 +175,7 @@ def test_the_file_is_as_atoms(text):
     base, truth = seen_by((kinds * 2)[0], (kinds * 2)[1])
     header, *rows = csv.reader(io.StringIO(parse_evaluation(text).run(base, truth).to_csv()))
     assert ",".join(header) == HEADERS[text]
-    assert KINDS[parse_evaluation(text).kind].rms == ("RMS (pix)" if "RMS (pix)" in header else None)
+    assert TABLE_KINDS[parse_evaluation(text).kind].rms == ("RMS (pix)" if "RMS (pix)" in header else None)
     pairs = [f"{a}-{b}" for a in base.keys for b in base.keys]
     alone = ["one", "two"] if text.startswith("ground-truth-frame") else list(base.keys)
     assert [row[0] for row in rows] == [*(pairs if text.startswith("inter-") else alone), "Averages"]

@@ -35,6 +35,10 @@ LENSES: list[Distortion] = [
 IDS = [f"{lens.ros_name}-{i}" for i, lens in enumerate(LENSES)]
 
 
+def test_every_model_is_tested() -> None:
+    assert {type(lens) for lens in LENSES} == set(MODELS.values())
+
+
 def coordinates(half_width: float = 0.7) -> tuple[np.ndarray, np.ndarray]:
     """A grid about the axis, with points on it and very near it."""
     x, y = np.meshgrid(np.linspace(-half_width, half_width, 21), np.linspace(-0.5, 0.5, 17))

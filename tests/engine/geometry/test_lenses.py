@@ -34,6 +34,10 @@ WIDEST = [  # half of the field of view, deg
 ]
 
 
+def test_every_model_is_tested():
+    assert {type(lens) for lens, _ in WIDEST} == set(MODELS.values())
+
+
 def camera_of(lens):
     return Camera(300.0, 310.0, 640.0, 480.0, 1280, 960, lens)
 

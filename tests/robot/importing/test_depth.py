@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.engine.dataset.depth_image import NO_RETURN, UNIT, read_depth_image
+from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN, read_depth_image
 from calibration.engine.dataset.model import Dataset, PointLabels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import choose_truth
@@ -80,7 +80,7 @@ def record(
                     bag.image(f"{beside}/image_raw", stamp, np.asarray(cv2.imread(str(file))), sensor.frame)
                 else:
                     counts = read_depth_image(file, sensor.camera).depth
-                    metres = np.where(counts == NO_RETURN, np.nan, counts * UNIT)
+                    metres = np.where(counts == NO_RETURN, np.nan, counts * DEPTH_UNIT_M)
                     raw = f"{beside}/image_raw"
                     bag.depth(f"{raw}/{transport}" if transport else raw, stamp, metres, sensor.frame, encoding)
     return path
@@ -140,7 +140,7 @@ def test_compressed_topics(
         assert (seen[0] == seen[1]).mean() > 0.999
         both = seen[0] & seen[1]
         counted += int(both.sum())
-        assert np.abs(images[0].depth[both].astype(float) - images[1].depth[both]).max() * UNIT <= off
+        assert np.abs(images[0].depth[both].astype(float) - images[1].depth[both]).max() * DEPTH_UNIT_M <= off
     assert counted > 100_000
 
 

@@ -10,7 +10,7 @@ import yaml
 from calibration.__main__ import main
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError, UndeterminedError
-from calibration.engine.comparison.methods import METHODS, applicable
+from calibration.engine.comparison.methods import COMPARISON_METHODS, applicable
 from calibration.engine.dataset.model import Dataset, PoseLabels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import Limits
@@ -90,7 +90,9 @@ def test_other_methods_are_in_the_table(tmp_path: Path, in_hand: bool) -> None:
     table = parse_evaluation("measured-poses:camera")
     ours = table.run(calibrate(dataset, ROUGH).dataset).average("Translation (mm)")
     for name in ALL:
-        assert table.run(METHODS[name].calibrate(dataset)).average("Translation (mm)") == pytest.approx(ours, rel=0.3)
+        assert table.run(COMPARISON_METHODS[name].calibrate(dataset)).average("Translation (mm)") == pytest.approx(
+            ours, rel=0.3
+        )
 
 
 def test_from_the_samples_to_a_verdict(

@@ -11,7 +11,7 @@ import pytest
 from calibration.__main__ import main
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
-from calibration.engine.dataset.configuration import TAGS, PatternConfiguration
+from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.geometry.cameras import Camera
@@ -26,7 +26,7 @@ from tests.robot.labelling.pictures import VGA, Photograph, charuco, facing, tru
 
 BOARD = charuco(8, 5)
 GRID = PatternConfiguration(
-    "grid", "aprilgrid", "grid", "world", False, (6, 6), 0.088, None, (0.03, 0.03), TAGS, spacing=0.3
+    "grid", "aprilgrid", "grid", "world", False, (6, 6), 0.088, None, (0.03, 0.03), APRILGRID_TAGS, spacing=0.3
 )
 FISHEYE = Camera(300.0, 300.0, 421.0, 302.0, 848, 600, Equidistant(-0.012, 0.045, -0.036, 0.006))
 

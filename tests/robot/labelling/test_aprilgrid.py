@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.aprilgrid import look
 from calibration.base.errors import InputError
-from calibration.engine.dataset.configuration import TAGS, PatternConfiguration
+from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.aprilgrid import AprilgridDetector
 from calibration.robot.labelling.corner_detector import corner_detector
@@ -28,7 +28,7 @@ from tests.robot.labelling.pictures import (
 )
 
 BOARD = PatternConfiguration(
-    "board", "aprilgrid", "board", "world", False, (6, 6), 0.088, None, (0.02, 0.02), TAGS, spacing=0.3
+    "board", "aprilgrid", "board", "world", False, (6, 6), 0.088, None, (0.02, 0.02), APRILGRID_TAGS, spacing=0.3
 )
 DETECTOR = corner_detector(BOARD)
 CODES = (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98)

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.dataset.pattern import UNMARKED
+from calibration.engine.dataset.pattern import UNMARKED_KINDS
 from calibration.engine.diagnosis.conventions.changed import (
     with_exchanged_cameras,
     with_exchanged_labels,
@@ -157,7 +157,7 @@ def turned_boards(recording: Recording) -> Iterator[Hypothesis]:
     dataset = recording.dataset
     for name, pattern in dataset.patterns.items():
         seeing = [s for s in recording.cameras if dataset.detections(name, s)]
-        for sensor in seeing[:MOST_SENSORS] if len(seeing) > 1 and pattern.kind in UNMARKED else ():
+        for sensor in seeing[:MOST_SENSORS] if len(seeing) > 1 and pattern.kind in UNMARKED_KINDS else ():
             yield Hypothesis(
                 f"'{name}' turned by 180 degrees in the views of '{sensor}'",
                 f"{LOOKS_THE_SAME}: number its corners from the same end in all cameras, or take a charuco board",
@@ -178,7 +178,7 @@ def left_handed(recording: Recording) -> Iterator[Hypothesis]:
         said = f"the {what} of '{name}' mirrored back"
         back = with_mirrored(dataset, name)
         yield Hypothesis(said, why, partial(with_mirrored, dataset, name), (name,))
-        boards = [board for board, pattern in dataset.patterns.items() if pattern.kind in UNMARKED]
+        boards = [board for board, pattern in dataset.patterns.items() if pattern.kind in UNMARKED_KINDS]
         for board in boards if name in recording.cameras else ():  # which look alike mirrored
             for across in (False, True):
                 yield Hypothesis(

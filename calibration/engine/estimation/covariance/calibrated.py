@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.dataset.modalities import BORDERS
+from calibration.engine.dataset.modalities import BORDER_NOISE_KINDS
 from calibration.engine.dataset.model import Dataset, Edge, PointLabels
 from calibration.engine.estimation.covariance.result import CalibratedJoint, RejectedLabel, ViewResiduals
 from calibration.engine.estimation.problem.blocks import Pose, Values
@@ -134,6 +134,6 @@ def rejected_labels(
             beyond = r.magnitudes > 2 * huber * weighting.scales[r.kind]
         for v, k in zip(*np.nonzero(beyond), strict=True):
             view, magnitude = labels[r.collections[v]][r.pattern, r.sensor], float(r.magnitudes[v, k])
-            label = int(view.limits[k] if isinstance(view, PointLabels) and r.kind in BORDERS else k)
+            label = int(view.limits[k] if isinstance(view, PointLabels) and r.kind in BORDER_NOISE_KINDS else k)
             rejected.append(RejectedLabel(r.collections[v], r.sensor, r.pattern, r.kind, label, magnitude))
     return tuple(sorted(rejected, key=lambda label: (label.collection, label.sensor, label.label, label.kind)))

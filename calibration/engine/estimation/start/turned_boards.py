@@ -8,7 +8,7 @@ import numpy as np
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset
-from calibration.engine.dataset.pattern import UNMARKED, Pattern
+from calibration.engine.dataset.pattern import UNMARKED_KINDS, Pattern
 from calibration.engine.estimation.start.agreeing_rotations import disagreement_of_each, rotations_that_agree
 from calibration.engine.estimation.start.single_views import corner_term
 
@@ -56,7 +56,7 @@ def with_boards_turned_back(dataset: Dataset) -> tuple[Dataset, tuple[View, ...]
 
 def _from_the_other_end(dataset: Dataset) -> Iterator[View]:
     for pattern in dataset.patterns.values():
-        if pattern.kind not in UNMARKED:
+        if pattern.kind not in UNMARKED_KINDS:
             continue
         views = [each for sensor in dataset.sensors if (each := _views_of_board(dataset, pattern, sensor)) is not None]
         if pattern.fixed:

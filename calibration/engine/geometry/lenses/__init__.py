@@ -1,6 +1,7 @@
 """Lens models: one object each, with its names in ROS and Kalibr, its coefficients, its projection and the inverse.
 
-A new one is a class of `Distortion` in this package and its place in `MODELS`; nothing else knows models by name.
+A new one is a class of `Distortion` in this package and its place in `MODELS`; the recipe "A lens" in CONTRIBUTING.md
+names the few other places that know models by name.
 """
 
 from calibration.engine.geometry.lenses.model import LAST_STEP, Distortion

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from calibration import MAX_IMAGE_PIXELS
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
-from calibration.engine.dataset.depth_image import NO_RETURN, UNIT, decode_png
+from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN, decode_png
 from calibration.engine.dataset.document import Node
-from calibration.engine.dataset.edges import FAR, QUATERNION_TOLERANCE
+from calibration.engine.dataset.edges import MAX_FRAME_DISTANCE_M, QUATERNION_TOLERANCE
 from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.sensors import MAX_PIXELS as LONGEST_SIDE
 from calibration.engine.dataset.sensors import check_principal_point, read_camera
@@ -166,9 +166,9 @@ def _compressed_metres(message: Any, where: str) -> Array:
 
 
 def _in_units(metres: Array) -> DepthImage:
-    """Convert depths (H, W) in m to units of `UNIT`; `NO_RETURN` where nothing was measured."""
+    """Convert depths (H, W) in m to units of `DEPTH_UNIT_M`; `NO_RETURN` where nothing was measured."""
     with np.errstate(invalid="ignore", over="ignore"):
-        counts = np.rint(metres / UNIT)
+        counts = np.rint(metres / DEPTH_UNIT_M)
         measured = (counts > 0) & (counts < NO_RETURN)
     return np.where(measured, counts, NO_RETURN).astype(np.uint16)
 
@@ -267,7 +267,7 @@ def transform_of(message: Any) -> tuple[Edge, Array | None]:
     edge = (message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/"))
     t, q = message.transform.translation, message.transform.rotation
     numbers = np.array([t.x, t.y, t.z, q.x, q.y, q.z, q.w], float)
-    good = np.isfinite(numbers).all() and abs(numbers[:3]).max() <= FAR
+    good = np.isfinite(numbers).all() and abs(numbers[:3]).max() <= MAX_FRAME_DISTANCE_M
     if not good or abs(np.linalg.norm(numbers[3:]) - 1) > QUATERNION_TOLERANCE:
         return edge, None
     return edge, from_quaternion(numbers[:3], numbers[3:])

@@ -10,7 +10,7 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.base.records import Converted, Place, excludes, field, length, record
-from calibration.engine.dataset.edges import FAR, QUATERNION_TOLERANCE
+from calibration.engine.dataset.edges import MAX_FRAME_DISTANCE_M, QUATERNION_TOLERANCE
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import inverse, transform
 
@@ -97,8 +97,10 @@ class PoseForm:
             InputError: they are no pose of this form.
         """
         scaled = METRES_OF_UNIT[self.units or "m"] * np.array(t, float)
-        if not (np.abs(scaled) <= FAR).all():
-            raise InputError(f"{where}: found a translation of {t}, expected numbers of at most {FAR:g} m")
+        if not (np.abs(scaled) <= MAX_FRAME_DISTANCE_M).all():
+            raise InputError(
+                f"{where}: found a translation of {t}, expected numbers of at most {MAX_FRAME_DISTANCE_M:g} m"
+            )
         T = transform(self._rotation_convention(numbers, where), scaled)
         return inverse(T) if self.inverse else T
 

@@ -6,15 +6,15 @@ from typing import Any
 
 from calibration.base.yaml_file import read_yaml
 from calibration.engine.dataset.configuration import (
+    APRILGRID_TAGS,
     MAX_CORNERS,
     MAX_SPACING,
     MIN_SPACING,
-    TAGS,
     PatternConfiguration,
     check_tags,
 )
 from calibration.engine.dataset.document import Node
-from calibration.engine.dataset.pattern import CIRCLES, MAX_SIZE, MIN_SIZE
+from calibration.engine.dataset.pattern import CIRCLE_KINDS, MAX_SIZE, MIN_SIZE
 from calibration.robot.importing.description import PatternDescription
 
 PLACEHOLDER_PATTERN = {"kind": "chessboard", "dimension": (2, 2), "size": 0.1}
@@ -58,7 +58,7 @@ def _keys_of_pattern(pattern: PatternDescription) -> dict[str, Any]:
             "tags": tuple(each.flat for each in pattern.tags),
         }
         return {"kind": "tags", "dimension": (len(pattern.tags), 1)} | keys
-    if pattern.type in CIRCLES:
+    if pattern.type in CIRCLE_KINDS:
         size, diameter = pattern.spacing, pattern.diameter
         return {
             "kind": pattern.type,
@@ -71,7 +71,7 @@ def _keys_of_pattern(pattern: PatternDescription) -> dict[str, Any]:
         "dimension": (pattern.columns, pattern.rows),
         "size": pattern.tag if pattern.type == "aprilgrid" else pattern.square,
         "inner_size": pattern.marker if pattern.type == "charuco" else None,
-        "dictionary": TAGS if pattern.type == "aprilgrid" else pattern.dictionary,
+        "dictionary": APRILGRID_TAGS if pattern.type == "aprilgrid" else pattern.dictionary,
         "spacing": pattern.spacing or 0.0,
     }
 
@@ -83,7 +83,7 @@ def _keys_of_target_file(pattern: PatternDescription) -> dict[str, Any]:
         printed = _by_type(finder, "type", ROBOT_CAL_TOOLS)
     else:
         printed = _by_type(root, "target_type", KALIBR_TARGETS)
-    if printed["kind"] not in CIRCLES:
+    if printed["kind"] not in CIRCLE_KINDS:
         return printed
     if pattern.diameter is None or pattern.diameter >= printed["size"]:
         found = "no diameter" if pattern.diameter is None else f"a diameter of {pattern.diameter:g}"
@@ -124,7 +124,7 @@ def _kalibr_aprilgrid(node: Node) -> dict[str, Any]:
         "kind": "aprilgrid",
         "dimension": (columns, rows),
         "size": _length_in_bounds(node, "tagSize"),
-        "dictionary": TAGS,
+        "dictionary": APRILGRID_TAGS,
         "spacing": node["tagSpacing"].within(MIN_SPACING, MAX_SPACING),
     }
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
-from calibration.engine.dataset.configuration import TAGS, PatternConfiguration
+from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
-from calibration.engine.dataset.pattern import CIRCLES, UNMARKED
+from calibration.engine.dataset.pattern import CIRCLE_KINDS, UNMARKED_KINDS
 from calibration.robot.importing.patterns.image_views import View, read_image
 from calibration.robot.importing.patterns.shown_patterns import (
     APRILGRID_FAMILY,
@@ -62,7 +62,7 @@ def never_seen(
     hint = hint or _describe_markers(pattern, images)
     if pattern.kind == "chessboard":
         hint = hint or _describe_chessboard(pattern, images)
-    if pattern.kind in CIRCLES:
+    if pattern.kind in CIRCLE_KINDS:
         hint = hint or _describe_circles(pattern, images)
     reasons = Counter(view.found[pattern.name].reason for view in views)
     usual = f"; in most images: {reasons.most_common(1)[0][0]}" if not hint else ""
@@ -83,7 +83,7 @@ def _otherwise_printed(pattern: PatternConfiguration, images: Sequence[Image]) -
         (f"; {inverted}: add 'inverted: {'false' if pattern.inverted else 'true'}' to the pattern", np.bitwise_not),
         (f"; {mirrored}: turn its printed side to this camera", np.fliplr),
         (f"; {inverted}, and {mirrored}", lambda image: np.bitwise_not(np.fliplr(image))),
-    )[: 1 if pattern.kind in CIRCLES else 3]:  # most grids of circles look the same mirrored
+    )[: 1 if pattern.kind in CIRCLE_KINDS else 3]:  # most grids of circles look the same mirrored
         if any(isinstance(detector.detect(np.ascontiguousarray(changed(i))), CornerLabels) for i in images):
             return hint
     return ""
@@ -95,7 +95,7 @@ def _describe_pattern(pattern: PatternConfiguration) -> str:
         return f"{size} tags"
     if pattern.kind == "tags":
         return f"tags {', '.join(str(tag.id) for tag in pattern.tags)} of {pattern.dictionary}"
-    if pattern.kind in CIRCLES:
+    if pattern.kind in CIRCLE_KINDS:
         return size
     dictionary = f", {pattern.dictionary}" if pattern.dictionary else ""
     return f"{size} corners{dictionary}"
@@ -105,15 +105,17 @@ def _describe_markers(pattern: PatternConfiguration, images: Sequence[Image]) ->
     """Describe the markers of the family with most detections."""
     plain = shown_markers(images)
     family = max(plain, key=lambda each: max(map(len, plain[each])))
-    if max(map(len, plain[family])) < {"tags": 1, **dict.fromkeys(UNMARKED, MIN_BOARD_MARKERS)}.get(pattern.kind, 2):
-        return "" if pattern.kind in UNMARKED else "; no markers of 4x4 to 7x7 bits and no tags are found either"
+    if max(map(len, plain[family])) < {"tags": 1, **dict.fromkeys(UNMARKED_KINDS, MIN_BOARD_MARKERS)}.get(
+        pattern.kind, 2
+    ):
+        return "" if pattern.kind in UNMARKED_KINDS else "; no markers of 4x4 to 7x7 bits and no tags are found either"
     found = [max(one, family.finder().find_small(i), key=len) for one, i in zip(plain[family], images, strict=True)]
     seen = max(found, key=len)
     many = np.concatenate([markers.ids for markers in found if len(markers) > len(seen) / 2])
     lowest, highest = int(many.min()), int(many.max())
     if pattern.kind == "tags":
         return f"; found {family.named(highest)} with ids {lowest} to {highest}"
-    if pattern.kind in UNMARKED:
+    if pattern.kind in UNMARKED_KINDS:
         return f"; found {len(seen)} markers of {family.named(highest)}: is it a charuco board or an aprilgrid?"
     if pattern.kind == "aprilgrid":
         return _describe_tags(pattern, family, lowest, highest, seen)
@@ -146,9 +148,11 @@ def _describe_tags(pattern: PatternConfiguration, family: Family, lowest: int, h
     """Describe the differences of an image's tags from an aprilgrid."""
     if family != APRILGRID_FAMILY:
         border = (
-            " with a border of one module, expected two, as Kalibr prints them" if family.dictionary == TAGS else ""
+            " with a border of one module, expected two, as Kalibr prints them"
+            if family.dictionary == APRILGRID_TAGS
+            else ""
         )
-        other = border or f", expected {TAGS}"
+        other = border or f", expected {APRILGRID_TAGS}"
         return f"; found {len(seen)} markers of {family.named(highest)}{other}"
     expected, gap = marker_ids(pattern), _median_gap(seen)
     if other_first := _other_first(pattern, "tags", lowest, highest):
@@ -243,7 +247,7 @@ def check_board(
     Raises:
         InputError: names the highest marker, or asks whether columns and rows are exchanged.
     """
-    if pattern.kind in (*UNMARKED, "tags") or not pattern.dictionary:
+    if pattern.kind in (*UNMARKED_KINDS, "tags") or not pattern.dictionary:
         return
     expected = marker_ids(pattern)
     of_others = [n for each in others if each.dictionary == pattern.dictionary for n in marker_ids(each)]

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from calibration.engine.dataset.configuration import TAGS, PatternConfiguration
+from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import PatternKind, PlacedTag
 from calibration.robot.labelling.circles import LEAST_CIRCLES, blob_finder
@@ -52,7 +52,7 @@ class Family:
         return f"{kind}_{next(n for n in _DICTIONARY_SIZES if highest < n)}" if size == "1000" else self.dictionary
 
 
-APRILGRID_FAMILY = Family(TAGS, BORDER_MODULES)
+APRILGRID_FAMILY = Family(APRILGRID_TAGS, BORDER_MODULES)
 """Markers of an aprilgrid."""
 MARKER_FAMILIES = (
     APRILGRID_FAMILY,
@@ -69,7 +69,7 @@ def shown_markers(images: Sequence[Image], small: bool = False) -> dict[Family, 
         if (finder := family.finder())
     }
     if max(map(len, found[APRILGRID_FAMILY]), default=0) > 1:
-        del found[Family(TAGS)]  # with a border of one module the same tags decode differently
+        del found[Family(APRILGRID_TAGS)]  # with a border of one module the same tags decode differently
     return found
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.engine.dataset.pattern import UNMARKED, Pattern
+from calibration.engine.dataset.pattern import UNMARKED_KINDS, Pattern
 from calibration.engine.geometry.transforms import apply
 from calibration.robot.simulation.motion.drawing import draw_motion
 from calibration.robot.simulation.motion.sequence import Motion, joined
@@ -78,7 +78,7 @@ def find_candidates(system: System, count: int, seed: int) -> Candidates:
         InputError: nothing moves the pattern in front of a camera.
     """
     wanted = max(_FOR_EACH * count, _AT_LEAST)
-    whole = all(pattern.kind in UNMARKED for pattern in system.patterns.values())  # or not detected at all
+    whole = all(pattern.kind in UNMARKED_KINDS for pattern in system.patterns.values())  # or not detected at all
     share = 0.0 if whole else system.motion.partial
     found: list[Candidates] = []
     missing = {True: math.ceil(share * wanted), False: math.ceil((1 - share) * wanted)}  # partial views, or not

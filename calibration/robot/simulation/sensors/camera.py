@@ -22,7 +22,7 @@ from calibration.base.records import between, field, record
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.modalities import RGB, Modality, NoiseKind
 from calibration.engine.dataset.model import CornerLabels, Labels
-from calibration.engine.dataset.pattern import UNMARKED, Pattern, grid, staggered_grid, tag_lines
+from calibration.engine.dataset.pattern import UNMARKED_KINDS, Pattern, grid, staggered_grid, tag_lines
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling.corner_detector import corner_detector
@@ -190,7 +190,7 @@ class SimulatedCamera(SimulatedSensor):
         with np.errstate(invalid="ignore"):
             clear = _all_four(visible) & (_square_widths(pixels) >= least)
         seen = _all_four(clear).reshape(len(clear), (rows - 2) * (columns - 2))
-        share = 1.0 if views.pattern.kind in UNMARKED else LEAST_SHARE  # all or none
+        share = 1.0 if views.pattern.kind in UNMARKED_KINDS else LEAST_SHARE  # all or none
         front = facing(views.T_sensor_pattern, views.pattern.centre)
         return CornerViews(
             pixels=pixels[:, 1:-1, 1:-1].reshape(*seen.shape, 2),

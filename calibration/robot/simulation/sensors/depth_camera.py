@@ -11,7 +11,7 @@ from calibration.base.arrays import Array, BoolArray
 from calibration.base.errors import InputError
 from calibration.base.records import between, field, record
 from calibration.engine.dataset.configuration import PatternConfiguration
-from calibration.engine.dataset.depth_image import NO_RETURN, UNIT, read_depth_image
+from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN, read_depth_image
 from calibration.engine.dataset.modalities import DEPTH, Modality, NoiseKind
 from calibration.engine.dataset.model import PointLabels
 from calibration.engine.dataset.pattern import Pattern
@@ -76,7 +76,7 @@ class SimulatedDepthCamera(RangeSensor):
     def render(
         self, T_world_sensor: Array, scene: Scene, boards: Sequence[Board], random: np.random.Generator
     ) -> DepthImage:
-        """Render the depth image (height, width), along the optical axis, in units of `UNIT`.
+        """Render the depth image (height, width), along the optical axis, in units of `DEPTH_UNIT_M`.
 
         Each pixel measures the nearest surface at its centre. `NO_RETURN` if there is none, or it is out of
         range, or beyond 16 bits.
@@ -91,7 +91,7 @@ class SimulatedDepthCamera(RangeSensor):
         in_range = (depth >= self.least_range) & (depth <= self.most_range) & (directions[2] == 1)
         depth = np.where(in_range, depth, 0.0)
         measured = depth + (self.noise + self.noise_growth * depth**2) * noise
-        counts = np.rint(measured / UNIT)
+        counts = np.rint(measured / DEPTH_UNIT_M)
         return np.where(in_range & (counts >= 0) & (counts < NO_RETURN), counts, NO_RETURN).astype(np.uint16)
 
     def message(self, data: Data) -> dict[str, Any]:

@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.engine.dataset.depth_image import NO_RETURN, UNIT
+from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN
 from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.robot.simulation.random_streams import stream
@@ -39,9 +39,9 @@ def test_points_lie_on_the_pattern(distortion: PlumbBob, bow: tuple[float, float
     rows, columns = np.nonzero(depth != NO_RETURN)
     assert len(rows) > 10_000
     rays = sensor.camera.normalise(np.stack([columns, rows], -1).astype(float))
-    points = np.column_stack([rays, np.ones(len(rows))]) * (depth[rows, columns] * UNIT)[:, None]
+    points = np.column_stack([rays, np.ones(len(rows))]) * (depth[rows, columns] * DEPTH_UNIT_M)[:, None]
     on_pattern = apply(inverse(T), points)
-    np.testing.assert_allclose(on_pattern, pattern.surface(on_pattern[:, :2]), atol=1.5 * UNIT)
+    np.testing.assert_allclose(on_pattern, pattern.surface(on_pattern[:, :2]), atol=1.5 * DEPTH_UNIT_M)
     low, high = pattern.limits
     assert (on_pattern[:, :2] > low - 1e-4).all()
     assert (on_pattern[:, :2] < high + 1e-4).all()
@@ -64,7 +64,7 @@ def test_the_nearest_counts() -> None:
 def test_the_ground() -> None:
     depth = render(exact(reach=(0.3, 100.0)), scene=Scene(ground=0.0))
     row = np.arange(200, 240)
-    np.testing.assert_allclose(depth[200:, 7] * UNIT, 1.2 * 300 / (row - 119.5), atol=UNIT)
+    np.testing.assert_allclose(depth[200:, 7] * DEPTH_UNIT_M, 1.2 * 300 / (row - 119.5), atol=DEPTH_UNIT_M)
     assert (depth[:120] == NO_RETURN).all()
 
 
@@ -88,7 +88,7 @@ def test_noise_grows_with_the_square_of_the_depth() -> None:
     for z in (0.8, 1.6):
         pattern = board(square_on(CHARUCO, 0.0, 0.0, z))
         depth = render(exact(noise=0.001, noise_growth=0.002), pattern)
-        error = depth[100:140, 130:190] * UNIT - z
+        error = depth[100:140, 130:190] * DEPTH_UNIT_M - z
         assert error.std() == pytest.approx(0.001 + 0.002 * z**2, rel=0.05)
         assert abs(error.mean()) < 0.0004
 

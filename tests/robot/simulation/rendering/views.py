@@ -3,7 +3,7 @@
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.dataset.configuration import TAGS, PatternConfiguration
+from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Distortion, PlumbBob
@@ -22,7 +22,7 @@ CHESSBOARD = PatternConfiguration(
     "pattern_2", "chessboard", "pattern", "world", False, (9, 6), 0.08, None, (0.05, 0.04)
 )
 APRILGRID = PatternConfiguration(
-    "pattern_3", "aprilgrid", "pattern", "world", False, (6, 6), 0.088, None, (0.03, 0.02), TAGS, spacing=0.3
+    "pattern_3", "aprilgrid", "pattern", "world", False, (6, 6), 0.088, None, (0.03, 0.02), APRILGRID_TAGS, spacing=0.3
 )
 DISTORTION = PlumbBob(-0.25, 0.08, 0.0008, -0.0005, 0.0)
 T_WORLD_CAMERA = from_xyz_rpy([0.3, -0.2, 1.2], [-np.pi / 2, 0, -np.pi / 2])
