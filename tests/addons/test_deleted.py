@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.addons import Addon, import_attribute
+from calibration.base.addons import Addon, import_attribute, installed_addons
 
 PROJECT = Path(__file__).parents[2]
 PACKAGE = PROJECT / "calibration"
@@ -27,6 +27,11 @@ for name in SHIPPED_SCHEMAS:
     assert main(["schema", name]) == 0
     generated(name)
 """
+
+
+def test_every_folder_is_found() -> None:
+    assert len(ADDONS) == 5
+    assert list(installed_addons()) == [import_attribute(f"calibration.addons.{name}:ADDON") for name in ADDONS]
 
 
 class PackageWithout:
