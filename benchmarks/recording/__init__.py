@@ -9,7 +9,7 @@ from benchmarks.recording.curve import Curve
 from benchmarks.rows import Bar, Row
 
 MAX_SHARE_OF_WORST = Bar(high=0.75)
-"""Of the error at a recommended value of a property, in the largest error of its curve."""
+"""Largest error at a recommended value of a property, as a share of the largest error of its curve."""
 
 
 def measure(quick: bool) -> Iterator[Row]:

@@ -14,7 +14,7 @@ class Curve:
     property_name: str
     """The property that is varied, with its unit."""
     unit: str
-    """What is measured, with its unit."""
+    """Name of the measured quantity, with its unit."""
     x: Sequence[float]
     y: Sequence[float]
     """Infinite where nothing could be determined or found."""

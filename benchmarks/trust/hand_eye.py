@@ -48,7 +48,7 @@ class Score:
     nees_of_exact_arm: float
     """The same without what an arm is assumed to be off by: most of kinhec's arms are exact but for noise."""
     scale_is_named: bool | None
-    """Whether an unknown scale is named if it is not free; None of metric poses."""
+    """Whether the verdict names an unknown scale that is not free; None for poses in metres."""
     of_others: Mapping[str, float]
     """Errors of kinhec's solvers, mm."""
 
@@ -133,7 +133,7 @@ def _score(of: tuple[str, dict[str, Any]]) -> Score | None:
 
 
 def _names_scale(dataset: Dataset) -> bool:
-    """Whether a calibration with a known scale is refused for it, or says that it does not fit."""
+    """Return whether a calibration that takes the scale as known names it, as an error or as a cause."""
     try:
         found = calibrate(dataset, Options())
     except CalibrationError as error:

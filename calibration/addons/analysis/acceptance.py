@@ -103,7 +103,7 @@ class Suppression:
     )
 
     def covers(self, finding: CodeFinding) -> bool:
-        """Whether it applies to a finding."""
+        """Return whether this acceptance applies to a finding."""
         return fnmatchcase(finding.rule, self.rule) and fnmatchcase(finding.path, self.path)
 
 

@@ -17,7 +17,7 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND
-from calibration.engine.estimation.pose_scale import divided
+from calibration.engine.estimation.pose_scale import better_scale, divided
 from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.estimation.solve.options import Options, PoseNoise
 from calibration.engine.evaluation.specification import parse_evaluation
@@ -230,6 +230,17 @@ def test_an_unknown_scale_is_named(tmp_path: Path, factor: float) -> None:
     said = said_of(scaled(imported(tmp_path / "it", True), factor))
     assert "scale: free" in said
     assert "nothing suspicious" in said_of(imported(tmp_path / "metric", True))
+
+
+@pytest.mark.parametrize(("factor", "noise_m", "named"), [(3.0, 0.5, True), (3.0, 0.01, False), (1.0, 0.5, False)])
+def test_another_scale_is_tried_where_a_result_fits_badly(
+    tmp_path: Path, factor: float, noise_m: float, named: bool
+) -> None:
+    dataset = imported(tmp_path / "it", True, noise=3.0)
+    found = calibrate(dataset, ROUGH)
+    optimum = replace(found, noise_levels=replace(found.noise_levels, pose_translation=noise_m))
+    other = better_scale(scaled(dataset, factor), ROUGH, optimum)
+    assert (other == pytest.approx(factor, rel=0.05)) if named else other is None
 
 
 @pytest.mark.parametrize(("factor", "red"), [(1.002, False), (1.02, True)])
