@@ -5,7 +5,7 @@ Independent of calibration.
 - ``coverage_upload``: the command;
 - ``lines``: covered lines and branches of a file;
 - ``command``, ``tests``: the test command and its outcome; ``injection``: coverage.py in the team's own Python;
-- ``data_file``, ``formats``, ``junit``: the formats of coverage.py, other tools (Cobertura, LCOV) and pytest;
+- ``data_file``, ``formats``: the formats of coverage.py and other tools (Cobertura, LCOV);
 - ``sources``, ``reading``: coverage of the repository's files;
 - ``commit``, ``codacy``: the commit that the coverage belongs to, its changed lines, and the service that receives it;
 - ``results``, ``report``: the verdict and its presentation.

@@ -2,17 +2,15 @@
 
 import io
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NoReturn
 from xml.etree.ElementTree import Element
 
-from defusedxml import DefusedXmlException
-from defusedxml.ElementTree import ParseError, iterparse
-
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.base.errors import InputError
 from calibration.base.text import one_line, shorten
+from calibration.base.xml_reading import elements
 
 MAX_BYTES = 100 * 1024 * 1024
 """Limit of the size of a report."""
@@ -31,31 +29,6 @@ class CoverageReport:
     """Coverage by the file name in the report."""
     folders: tuple[str, ...] = ()
     """Folders that the names are relative to; absolute, or relative to the working directory of the tests."""
-
-
-MAX_ELEMENT_DEPTH = 100
-"""Limit of nested elements; the supported formats need ten."""
-
-
-def elements(data: bytes, name: str) -> Iterator[tuple[str, Element]]:
-    """Yield ``("start" | "end", element)`` in the order of the document; an element that ended may be cleared.
-
-    Raises:
-        InputError: it is not XML, declares entities, or is nested too deeply.
-    """
-    depth = 0
-    try:
-        for event, element in iterparse(io.BytesIO(data), ("start", "end")):
-            depth += 1 if event == "start" else -1
-            if depth > MAX_ELEMENT_DEPTH:
-                raise InputError(
-                    f"{name}: its elements are nested more than {MAX_ELEMENT_DEPTH} deep, the limit of a report"
-                )
-            yield event, element
-    except DefusedXmlException:
-        raise InputError(f"{name}: the XML declares entities, which are not allowed, for safety") from None
-    except (ParseError, ValueError, LookupError) as error:  # the last two: unknown encoding
-        raise InputError(f"{name}: this is not valid XML: {shorten(one_line(str(error)), 200)}") from None
 
 
 _WHOLE_NUMBER = re.compile(r"[0-9]{1,19}")

@@ -16,13 +16,13 @@ from calibration.addons.coverage.command import CommandOfTests
 from calibration.addons.coverage.data_file import measured_names
 from calibration.addons.coverage.formats import MAX_BYTES
 from calibration.addons.coverage.injection import bring_coverage, measuring, write_settings
-from calibration.addons.coverage.junit import Tally, parse_junit
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import read_bytes
 from calibration.base.programs import has_ended, started
 from calibration.base.records import computed, field, result
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.log_file import LogFile
+from calibration.ci.report.xunit_reading import Tally, read_test_report
 from calibration.ci.workflow.runner import Runner
 from calibration.ci.workflow.streams import LogDisplay
 
@@ -184,7 +184,8 @@ def run_tests(
         stream.close()
     tally = count.tally()
     if command.junit is not None and command.junit.exists():
-        tally = parse_junit(read_bytes(command.junit, MAX_BYTES, "JUnit XML"), str(command.junit))
+        data = read_bytes(command.junit, MAX_BYTES, "JUnit XML")
+        tally = Tally.of(read_test_report(data, str(command.junit)))
     return Tests(command.text, code, round(time.monotonic() - begin, 3), tally)
 
 

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from calibration.addons.coverage.junit import parse_junit
 from calibration.addons.coverage.reading import read_reports
 from calibration.addons.coverage.sources import Sources
 from calibration.ci.git.repository import Repository
+from calibration.ci.report.xunit_reading import read_test_report
 from tests.campaigns.target import Target, files_of
 
 LCOV = b"TN:\nSF:a.py\nDA:1,1\nDA:2,0\nBRDA:2,0,0,1\nLF:2\nLH:1\nend_of_record\n"
@@ -25,7 +25,7 @@ def _covered(path: Path) -> None:
 
 TARGETS = {
     "junit": Target(
-        "junit.xml", files_of("datasets/*/junit.xml"), lambda path: parse_junit(path.read_bytes(), "junit.xml"), 4
+        "junit.xml", files_of("datasets/*/junit.xml"), lambda path: read_test_report(path.read_bytes(), "junit.xml"), 4
     ),
     "coverage": Target("report.info", lambda: [LCOV, COBERTURA], _covered, 10),
 }

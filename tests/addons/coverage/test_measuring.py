@@ -15,7 +15,6 @@ from calibration.addons.coverage.injection import (
     team_settings,
     write_settings,
 )
-from calibration.addons.coverage.junit import Tally
 from calibration.addons.coverage.tests import (
     LOST_PROCESS,
     Measurement,
@@ -25,6 +24,7 @@ from calibration.addons.coverage.tests import (
     measurement,
 )
 from calibration.base.errors import InputError
+from calibration.ci.report.xunit_reading import Tally
 
 from .projects import TOKEN
 

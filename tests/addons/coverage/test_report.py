@@ -8,7 +8,6 @@ import pytest
 from defusedxml.ElementTree import fromstring
 
 from calibration.addons import coverage
-from calibration.addons.coverage.junit import FailedTest, Tally
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.addons.coverage.reading import Found, Mapped
 from calibration.addons.coverage.report import badge, remarks, report
@@ -17,6 +16,7 @@ from calibration.addons.coverage.tests import Tests
 from calibration.base.errors import ExitCode
 from calibration.ci.github.service import GITHUB
 from calibration.ci.report.junit import junit_xml
+from calibration.ci.report.xunit_reading import CaseOutcome, Tally
 from calibration.ci.workflow import Runner, annotate
 from calibration.ci.workflow.annotation import Level
 
@@ -34,8 +34,8 @@ LEFT_OUT = Mapped(
     {"robot/new.py": 99},
 )
 FAILURES = (
-    FailedTest("tests.test_a.test_x", "assert 1 == 2", "tests/test_a.py", 7),
-    FailedTest("tests.test_b", "boom"),
+    CaseOutcome("tests.test_a.test_x", "assert 1 == 2", "tests/test_a.py", 7),
+    CaseOutcome("tests.test_b", "boom"),
 )
 FULL = CoverageResults(
     Found(LEFT_OUT, ("robot/broken.py",), {"cpp": 3, "shell": 1}),

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.addons.coverage.formats import parse_cobertura, parse_lcov, tracefile
-from calibration.addons.coverage.junit import FailedTest, Tally, parse_junit
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.base.errors import InputError
+from calibration.ci.report.xunit_reading import CaseOutcome, Tally, read_test_report
 
 COBERTURA = """<?xml version="1.0" ?>
 <!DOCTYPE coverage SYSTEM "http://cobertura.sourceforge.net/xml/coverage-04.dtd">
@@ -106,7 +106,7 @@ ENTITIES = [
 ]
 
 
-@pytest.mark.parametrize("parse", [parse_cobertura, parse_junit])
+@pytest.mark.parametrize("parse", [parse_cobertura, read_test_report])
 @pytest.mark.parametrize("text", ENTITIES)
 def test_entities_are_refused(parse: Callable[[bytes, str], object], text: str) -> None:
     with pytest.raises(InputError, match=r"evil.xml: the XML declares entities"):
@@ -191,7 +191,7 @@ def test_lcov_and_cobertura_say_the_same(hits: dict[int, int]) -> None:
     assert parse_lcov(lcov.encode(), "l").files["a.py"].hits == hits
 
 
-@pytest.mark.parametrize("parse", [parse_lcov, parse_cobertura, parse_junit])
+@pytest.mark.parametrize("parse", [parse_lcov, parse_cobertura, read_test_report])
 @given(st.binary(max_size=200))
 def test_bytes_of_any_kind_are_read_or_refused(parse: Callable[[bytes, str], object], data: bytes) -> None:
     with suppress(InputError):
@@ -211,17 +211,17 @@ JUNIT = b"""<?xml version="1.0" encoding="utf-8"?>
 
 
 def test_junit() -> None:
-    assert parse_junit(JUNIT, "t.xml") == Tally(
+    assert Tally.of(read_test_report(JUNIT, "t.xml")) == Tally(
         passed=2,
         failed=2,
         skipped=1,
         failures=(
-            FailedTest("tests.test_a.test_two", "assert 1 == 2 ::error::evil", "tests/test_a.py", 9),
-            FailedTest("tests.test_b", "no module named x"),
+            CaseOutcome("tests.test_a.test_two", "assert 1 == 2 ::error::evil", "tests/test_a.py", 9),
+            CaseOutcome("tests.test_b", "no module named x"),
         ),
     )
 
 
 def test_what_is_no_junit() -> None:
-    with pytest.raises(InputError, match=r"t.xml: found XML with the root <html>, expected JUnit"):
-        parse_junit(b"<html/>", "t.xml")
+    with pytest.raises(InputError, match=r"t.xml: found XML with the root <html>, expected JUnit or CTest"):
+        read_test_report(b"<html/>", "t.xml")
