@@ -11,14 +11,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import viser
 
-from calibration.addons.recorder import markup
-from calibration.addons.recorder.newest import Newest
 from calibration.addons.recorder.panels import PosePanel, SequencePanel, ViewsPanel
 from calibration.addons.recorder.preview import Preview
 from calibration.addons.recorder.scene import KEPT_COLOUR, LOST_COLOUR, UNKNOWN_COLOUR, RobotScene, view_point
@@ -26,10 +24,68 @@ from calibration.addons.recorder.session import Session, joined
 from calibration.base.arrays import Array
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.temporary_folder import temporary_folder
+from calibration.base.text import count_of
 from calibration.engine.geometry.transforms import from_quaternion
 from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.motion.sequence import Motion, read_motion
 from calibration.robot.simulation.placement import place
+
+Item = TypeVar("Item")
+
+
+class Newest(Generic[Item]):
+    """Worker thread with a queue of length one: a newer request replaces a waiting one."""
+
+    def __init__(self, work: Callable[[Item], None], spare: Callable[[], bool] = lambda: False) -> None:
+        """Start the thread.
+
+        Args:
+            work: called with a request. It must not raise: an error ends the thread.
+            spare: called repeatedly while no request waits, until it returns False; then it is
+                called again after the next request or `wake`.
+        """
+        self._work, self._spare = work, spare
+        self._condition = threading.Condition()
+        self._waiting: list[Item] = []  # one at most
+        self._awake = True
+        self._closed = False
+        self._thread = threading.Thread(target=self._run_until_closed, name=f"newest {work.__name__}", daemon=True)
+        self._thread.start()
+
+    def ask(self, item: Item) -> None:
+        """Request work on an item, in place of one that still waits."""
+        with self._condition:
+            self._waiting = [item]
+            self._condition.notify()
+
+    def wake(self) -> None:
+        """Notify the thread of new spare work."""
+        with self._condition:
+            self._awake = True
+            self._condition.notify()
+
+    def close(self) -> None:
+        """Stop the thread after its current work, and wait for it."""
+        with self._condition:
+            self._closed = True
+            self._condition.notify()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run_until_closed(self) -> None:
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._waiting or self._awake or self._closed)
+                if self._closed:
+                    return
+                items, self._waiting = self._waiting, []
+                if not items:
+                    self._awake = False
+            for item in items:
+                self._work(item)
+            if self._spare():
+                self.wake()
+
 
 PLAY_PAUSE = 1.0
 """Pause between two poses of a sequence that is played, s."""
@@ -189,7 +245,7 @@ class Page:
                 path = beside(self._output, self._sequence.file.value)
                 if not self._session.poses or sure == path or self._session.may_write(path):
                     self._session.export(path, replace_file=sure == path)
-                    self._sequence.say(f"{markup.poses(len(self._session.poses))} written to {path}")
+                    self._sequence.say(f"{count_of(len(self._session.poses), 'pose')} written to {path}")
                 elif not self._overwrite:
                     advice = "give another name, or start the recorder with --overwrite"
                     raise InputError(f"{path.name} exists already; {advice}")
@@ -210,7 +266,7 @@ class Page:
         with self._hold_for_change():
             uploaded = self._sequence.upload.value
             self._session.load(parsed(uploaded.name, uploaded.content))
-            self._sequence.say(f"{markup.poses(len(self._session.poses))} loaded from {uploaded.name}")
+            self._sequence.say(f"{count_of(len(self._session.poses), 'pose')} loaded from {uploaded.name}")
 
     # Display; the lock is held
 

@@ -1,22 +1,137 @@
-"""Panels of the page: their widgets and the display of a session. The page handles the clicks."""
+"""Panels of the page: their HTML, their widgets and the display of a session. The page handles the clicks.
 
+Untrusted text (names, reasons) is escaped.
+"""
+
+import base64
 import math
 from collections.abc import Callable, Mapping, Sequence
+from html import escape
 from typing import Any
 
+import cv2
 import numpy as np
 import viser
 
-from calibration.addons.recorder import markup
-from calibration.addons.recorder.preview import MAX_PICTURE_WIDTH, Preview
+from calibration.addons.recorder.preview import MAX_PICTURE_WIDTH, Preview, SensorPreview
 from calibration.addons.recorder.session import Session
 from calibration.base.arrays import Array
+from calibration.base.text import count_of
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import from_xyz_rpy
 from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.robot import Joint
 from calibration.robot.simulation.system import System
+
+GREEN, RED, GREY = "#2f9e44", "#e03131", "#868e96"
+_THUMBNAIL_WIDTH = 76  # px
+_MAX_THUMBNAILS = 16  # around the selected pose: four rows
+
+
+def verdict_html(seen: Preview | None, is_old: bool = False) -> str:
+    """Format the verdict on a pose in large type, with the reasons for a rejection below."""
+    if seen is None:
+        return _verdict_box_html(GREY, "Looking …", (), busy=True)
+    if seen.kept:
+        return _verdict_box_html(GREEN, "✓ Kept", ("Every sensor sees a pattern.",), busy=is_old)
+    return _verdict_box_html(RED, "✗ Lost", seen.reasons, busy=is_old)
+
+
+def _verdict_box_html(colour: str, word: str, lines: Sequence[str], busy: bool) -> str:
+    reasons = "".join(f'<div style="font-size:0.85em;overflow-wrap:anywhere">{escape(line)}</div>' for line in lines)
+    return (
+        f'<div id="verdict" role="status" aria-live="polite" aria-busy="{str(busy).lower()}" '
+        f'style="background:{colour};color:white;border-radius:6px;margin:0.4em 1em;padding:0.4em 0.8em;'
+        f'opacity:{0.6 if busy else 1}">'
+        f'<div style="font-size:1.7em;font-weight:700">{word}</div>{reasons}</div>'
+    )
+
+
+def finding_html(sensor: str, view: SensorPreview | None) -> str:
+    """Format a sensor's name and its detections."""
+    if view is None:
+        mark, text, colour = "·", "", GREY
+    else:
+        mark, text = ("✓" if view.detected else "✗"), view.finding
+        colour = GREEN if view.detected else RED
+    return (
+        f'<div style="margin:0.3em 1em 0;overflow-wrap:anywhere"><b style="color:{colour}">{mark} '
+        f"{escape(sensor)}</b> <span>{escape(text)}</span></div>"
+    )
+
+
+def message_html(text: str, bad: bool = False) -> str:
+    """Format the result of the last action."""
+    colour = RED if bad else GREY
+    return (
+        f'<div id="message" role="{"alert" if bad else "status"}" style="color:{colour};margin:0 1em;min-height:1.4em;'
+        f'overflow-wrap:anywhere">{escape(text)}</div>'
+    )
+
+
+def sequence_html(verdicts: Sequence[bool | None], pictures: Sequence[Image | None], selected: int | None) -> str:
+    """Format the saved poses as numbered pictures, framed in the colour of their verdicts."""
+    if not verdicts:
+        return '<div style="margin:0 1em;opacity:0.7">No pose is saved yet.</div>'
+    lost, unknown = sum(kept is False for kept in verdicts), sum(kept is None for kept in verdicts)
+    title = count_of(len(verdicts), "pose") + (
+        f", {lost} would be lost" if lost else ", all kept" if not unknown else ""
+    )
+    first = max(0, min((selected or 0) - _MAX_THUMBNAILS // 2, len(verdicts) - _MAX_THUMBNAILS))
+    shown = range(first, min(first + _MAX_THUMBNAILS, len(verdicts)))
+    if len(shown) < len(verdicts):
+        title += f" (here {shown[0] + 1} to {shown[-1] + 1})"
+    cells = "".join(_thumbnail_html(i + 1, verdicts[i], pictures[i], i == selected) for i in shown)
+    return (
+        f'<div style="margin:0 1em"><div id="count"><b>{title}</b></div>'
+        f'<div style="display:flex;flex-wrap:wrap;gap:4px;margin-top:4px">{cells}</div></div>'
+    )
+
+
+def _thumbnail_html(number: int, kept: bool | None, picture: Image | None, is_selected: bool) -> str:
+    colour = GREY if kept is None else GREEN if kept else RED
+    word = "not looked at yet" if kept is None else "kept" if kept else "lost"
+    image = "" if picture is None else f'<img alt="" src="{_data_url(picture)}" style="width:100%;display:block">'
+    ring = f"outline:3px solid {colour};" if is_selected else ""
+    return (
+        f'<div role="img" aria-label="pose {number}, {word}" style="width:{_THUMBNAIL_WIDTH}px;min-height:1.6em;'
+        f'border:3px solid {colour};border-radius:4px;position:relative;{ring}">{image}'
+        f'<span style="position:absolute;left:0;top:0;background:{colour};color:white;padding:0 4px;font-size:0.8em;'
+        f'font-weight:700">{number}</span></div>'
+    )
+
+
+def _data_url(picture: Image) -> str:
+    height = max(1, round(picture.shape[0] * _THUMBNAIL_WIDTH / picture.shape[1]))
+    small = cv2.resize(picture, (_THUMBNAIL_WIDTH, height), interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 75])
+    return "data:image/jpeg;base64," + base64.b64encode(np.asarray(data).tobytes()).decode()
+
+
+def rating_html(sigmas: Mapping[str, tuple[float, float]], problem: str) -> str:
+    """Format the rating of the saved poses: the standard deviation of each sensor (m, rad)."""
+    if problem:
+        return f'<div id="rating" style="margin:0 1em;color:{RED};overflow-wrap:anywhere">{escape(problem)}</div>'
+    if not sigmas:
+        return '<div id="rating" style="margin:0 1em;opacity:0.7">Save poses to see what they determine.</div>'
+    rows = "".join(
+        f'<tr><td style="padding-right:1em">{escape(sensor)}</td><td>{_uncertainty_html(*sigma)}</td></tr>'
+        for sensor, sigma in sigmas.items()
+    )
+    return (
+        '<div id="rating" style="margin:0 1em">A calibration from these poses would be uncertain by (one sigma)'
+        f"<table>{rows}</table></div>"
+    )
+
+
+def _uncertainty_html(translation: float, rotation: float) -> str:
+    if not (math.isfinite(translation) and math.isfinite(rotation)):
+        return f'<span style="color:{RED}">not determined</span>'
+    if translation == rotation == 0:
+        return "held fixed"
+    return f"{1000 * translation:.2g} mm, {math.degrees(rotation):.2g}°"
+
 
 _PANEL_WIDTH = 340  # px
 _MAX_EQUAL_DIFFERENCE = 1e-6  # m, rad: smaller changes do not rewrite an input, so that typing is not disturbed
@@ -30,11 +145,11 @@ class ViewsPanel:
         self._seen: Preview | None = None
         panel = gui.add_panel()
         with panel.add_tab("Sensors", viser.Icon.EYE):
-            self._verdict = gui.add_html(markup.verdict(None))
+            self._verdict = gui.add_html(verdict_html(None))
             self._findings: dict[str, viser.GuiHtmlHandle] = {}
             self._pictures: dict[str, viser.GuiImageHandle] = {}
             for name, sensor in system.sensors.items():
-                self._findings[name] = gui.add_html(markup.finding(name, None))
+                self._findings[name] = gui.add_html(finding_html(name, None))
                 if sensor.intrinsics:
                     self._pictures[name] = gui.add_image(_blank_picture(sensor.intrinsics), jpeg_quality=85)
         self._blanks = {name: handle.image for name, handle in self._pictures.items()}
@@ -43,14 +158,14 @@ class ViewsPanel:
 
     def wait(self) -> None:
         """Mark the views as outdated."""
-        self._verdict.content = markup.verdict(self._seen, is_old=True)
+        self._verdict.content = verdict_html(self._seen, is_old=True)
 
     def show(self, seen: Preview) -> None:
         """Show a preview."""
         self._seen = seen
-        self._verdict.content = markup.verdict(seen)
+        self._verdict.content = verdict_html(seen)
         for name, finding in self._findings.items():
-            finding.content = markup.finding(name, seen.views.get(name))
+            finding.content = finding_html(name, seen.views.get(name))
         for name, picture in self._pictures.items():
             view = seen.views.get(name)
             picture.image = self._blanks[name] if view is None or view.picture is None else view.picture
@@ -150,12 +265,12 @@ class SequencePanel:
     """Saved poses, their actions, and the file."""
 
     def __init__(self, gui: viser.GuiApi, file: str) -> None:
-        self._message = gui.add_html(markup.message(""))
+        self._message = gui.add_html(message_html(""))
         self.save = gui.add_button(
             "Save pose", icon=viser.Icon.PLUS, color="green", hint="Add this pose to the end of the sequence"
         )
         with gui.add_folder("Sequence"):
-            self._poses = gui.add_html(markup.sequence((), (), None))
+            self._poses = gui.add_html(sequence_html((), (), None))
             self.choice = gui.add_dropdown("Pose", ("none",), hint="Go to a saved pose")
             self.play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="Step through the poses")
             self.replace = gui.add_button(
@@ -168,7 +283,7 @@ class SequencePanel:
             self.delete = gui.add_button("Delete pose", icon=viser.Icon.TRASH, color="red")
             self.undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP, hint="Take the last change back")
         with gui.add_folder("What it determines"):
-            self._rating = gui.add_html(markup.rating({}, ""))
+            self._rating = gui.add_html(rating_html({}, ""))
         with gui.add_folder("File"):
             self.file = gui.add_text("File name", file)
             self.export = gui.add_button("Export", icon=viser.Icon.DEVICE_FLOPPY, hint="Write the sequence to the file")
@@ -184,15 +299,15 @@ class SequencePanel:
 
     def say(self, text: str, bad: bool = False) -> None:
         """Show the result of the last action."""
-        self._message.content = markup.message(text, bad)
+        self._message.content = message_html(text, bad)
 
     def rate(self, sigmas: Mapping[str, tuple[float, float]], problem: str = "") -> None:
         """Show the standard deviations from the sequence (m, rad), or why they are undetermined."""
-        self._rating.content = markup.rating(sigmas, problem)
+        self._rating.content = rating_html(sigmas, problem)
 
     def show_poses(self, session: Session, verdicts: Sequence[bool | None], pictures: Sequence[Image | None]) -> None:
         """Show the saved poses with their verdicts and pictures."""
-        self._poses.content = markup.sequence(verdicts, pictures, session.selected)
+        self._poses.content = sequence_html(verdicts, pictures, session.selected)
         words = {None: "", True: " · kept", False: " · lost"}
         options = tuple(f"{number} of {len(verdicts)}{words[kept]}" for number, kept in enumerate(verdicts, 1))
         self.choice.options = options or ("none",)

@@ -4,9 +4,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from calibration.addons.rigel.fields import Fields
-from calibration.addons.rigel.notes import Notes
-from calibration.addons.rigel.substitution import plain
+from calibration.addons.rigel.fields import Fields, Notes, plain
 from calibration.base.errors import InputError
 from calibration.base.records import Place, flat_fields, read_as
 from calibration.ci.execution.backends import SECTIONS

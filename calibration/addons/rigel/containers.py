@@ -6,17 +6,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from calibration.addons.rigel.fields import Fields, text_at
-from calibration.addons.rigel.image import split_name
-from calibration.addons.rigel.notes import Notes
-from calibration.addons.rigel.substitution import (
+from calibration.addons.rigel.fields import (
+    Fields,
+    Notes,
     argument,
     names_a_secret,
     plain,
     secret_names,
     sole_variable,
+    text_at,
     variable_name,
 )
+from calibration.addons.rigel.image import split_name
 
 _DOCKER_SOCKET = "docker.sock"
 _X_SERVER = "/tmp/.X11-unix"  # noqa: S108 (where it is)

@@ -6,9 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from calibration.addons.rigel.fields import list_at, mapping_at, shown, text_at
-from calibration.addons.rigel.notes import Notes
-from calibration.addons.rigel.substitution import Substitution, bounded
+from calibration.addons.rigel.fields import Notes, Substitution, bounded, list_at, mapping_at, shown, text_at
 from calibration.base.errors import InputError
 from calibration.base.text import shorten
 from calibration.base.yaml_file import read_yaml

@@ -4,8 +4,7 @@ import re
 from typing import Any
 
 from calibration.addons.rigel.document import Rigelfile, RigelJob
-from calibration.addons.rigel.fields import Fields, text_at
-from calibration.addons.rigel.substitution import names_a_secret, plain, secret_names, shell, sole_variable
+from calibration.addons.rigel.fields import Fields, names_a_secret, plain, secret_names, shell, sole_variable, text_at
 
 DOCKERFILE_PLUGIN, BUILD_PLUGIN = "DockerfilePlugin", "BuildXPlugin"
 DOCKER_HUB = "docker.io"

@@ -5,10 +5,9 @@ from pathlib import Path
 
 import click
 
-from calibration.addons.rigel.conversion import convert
+from calibration.addons.rigel.conversion import convert, written
 from calibration.addons.rigel.document import read_rigelfile
-from calibration.addons.rigel.notes import NoteKind
-from calibration.addons.rigel.writing import written
+from calibration.addons.rigel.fields import NoteKind
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
 from calibration.base.text import one_line

@@ -8,9 +8,7 @@ from typing import Any
 from calibration.addons.rigel.batch_section import batch_section
 from calibration.addons.rigel.containers import Surroundings, component_entry, named, pair_environment
 from calibration.addons.rigel.document import RigelJob
-from calibration.addons.rigel.fields import Fields, text_at
-from calibration.addons.rigel.notes import Notes
-from calibration.addons.rigel.substitution import plain
+from calibration.addons.rigel.fields import Fields, Notes, plain, text_at
 from calibration.ci.execution.globs import Glob
 from calibration.ci.execution.job import OUTPUT
 

@@ -11,9 +11,7 @@ from typing import Any
 
 from calibration.addons.rigel.containers import Surroundings, component_entry, named
 from calibration.addons.rigel.document import Rigelfile, RigelJob
-from calibration.addons.rigel.fields import list_at, mapping_at, text_at
-from calibration.addons.rigel.notes import Notes
-from calibration.addons.rigel.substitution import plain
+from calibration.addons.rigel.fields import Notes, list_at, mapping_at, plain, text_at
 from calibration.base.errors import InputError
 from calibration.base.tables.rule_set import parse_rules
 from calibration.ci.introspection.rules_file import COLUMNS_KEY, translate

@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.addons.recorder.handle import drag, find_handle, handle_pose
-from calibration.addons.recorder.session import Session
+from calibration.addons.recorder.session import Session, drag, find_handle, handle_pose
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, translation
 from calibration.robot.simulation.motion.sequence import Motion
 from calibration.robot.simulation.placement import place

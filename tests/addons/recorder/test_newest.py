@@ -1,7 +1,7 @@
 import threading
 import time
 
-from calibration.addons.recorder.newest import Newest
+from calibration.addons.recorder.page import Newest
 
 LONG = 60.0  # s: a test that waits so long has failed
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from calibration.addons.recorder.preview import Preview, SensorPreview
+from calibration.addons.recorder.recording import serving
 from calibration.addons.recorder.scene import (
     KEPT_COLOUR,
     LOST_COLOUR,
@@ -12,7 +13,6 @@ from calibration.addons.recorder.scene import (
     view_point,
     wxyz,
 )
-from calibration.addons.recorder.server import serving
 from calibration.addons.recorder.session import Session
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.geometry import rotations

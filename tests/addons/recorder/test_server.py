@@ -8,8 +8,8 @@ import viser
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from calibration.addons.recorder import server as recorder_server
-from calibration.addons.recorder.server import LocalServer, address, is_loopback, serving
+from calibration.addons.recorder import recording as recorder_server
+from calibration.addons.recorder.recording import LocalServer, address, is_loopback, serving
 from calibration.base.errors import InfrastructureError, InputError
 
 ALL = "0.0.0.0"  # noqa: S104 (compared with, not bound to)

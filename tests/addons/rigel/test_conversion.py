@@ -4,7 +4,7 @@ from collections.abc import Callable
 import pytest
 
 from calibration.addons.rigel.conversion import Conversion
-from calibration.addons.rigel.substitution import variable_name
+from calibration.addons.rigel.fields import variable_name
 from calibration.base.errors import InputError
 from tests.addons.rigel.conftest import noted, software
 

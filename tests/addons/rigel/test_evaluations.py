@@ -2,7 +2,7 @@
 
 import pytest
 
-from calibration.addons.rigel.notes import Notes
+from calibration.addons.rigel.fields import Notes
 from calibration.addons.rigel.systems import evaluation_in
 from calibration.engine.evaluation.specification import TABLE_KINDS, parse_evaluation
 

@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from calibration.addons.rigel.conversion import convert
+from calibration.addons.rigel.conversion import convert, written
 from calibration.addons.rigel.document import read_rigelfile
-from calibration.addons.rigel.writing import written
 from calibration.ci.execution.backends import SECTIONS
 from calibration.ci.image.specification import parse_image_specification
 from calibration.pipeline.configuration import read_configuration

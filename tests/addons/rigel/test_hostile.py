@@ -10,9 +10,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibration.addons.rigel.conversion import Conversion, convert
+from calibration.addons.rigel.conversion import Conversion, convert, written
 from calibration.addons.rigel.document import read_rigelfile
-from calibration.addons.rigel.writing import written
 from calibration.base.errors import InputError
 
 FOLDER = Path(__file__).with_name("rigelfiles")
