@@ -1,13 +1,13 @@
 """AWS Batch: the backend ``aws-batch`` of `calibration.ci.execution.backends`.
 
-Its interface is `ADDON`: `backend` and `leftovers` (of killed runs), opened by name, `settings` (the section of
+Its interface is `ADDON`: `backend` (and leftovers of killed runs), opened by name, `settings` (the section of
 calibration.yml), `ecr` and the command `aws_policy`. The other modules are private:
 
-- before a run: `checks` of the jobs, `job_queue`, `costs`
-- requests: `inputs`, `documents`; jobs of one shape share a `definition`, and a `submission` in arrays
-- the run: `submitting`, `run`, `following`, `logs`, `results`; with resume also results of an `earlier` run
-- in the task: `inside`, which shares only `wire` (keys, variables, folders) and `documents` with the client
-- access to AWS: `session`, `store`, `workers`
+- before a run: `checks` of jobs, images and queue
+- requests: `inputs`; jobs of one shape share a `definition`
+- the run: `submitting` in arrays, `run`, `following`, `logs`, `results`; with resume also results of an `earlier` run
+- in the task: `inside`, which shares only `wire` (keys, variables, folders, documents) with the client
+- access to AWS: `session`, `store`
 """
 
 from calibration.base.addons import Addon, BackendKind, DocumentSection, LazyCommand, SchemaFile
@@ -24,7 +24,7 @@ ADDON = Addon(
         )
     },
     backends={
-        "aws-batch": BackendKind(f"{__name__}.backend:open_batch", f"{__name__}.leftovers:open_leftovers", resumes=True)
+        "aws-batch": BackendKind(f"{__name__}.backend:open_batch", f"{__name__}.backend:open_leftovers", resumes=True)
     },
     registry_logins={"ecr": f"{__name__}.ecr:ecr_credentials"},
     schemas={"aws-batch": SchemaFile(__name__, "batch.schema.json", "settings:BatchFile")},

@@ -7,11 +7,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-from calibration.addons.aws_batch.aws_errors import AwsLostError
-from calibration.addons.aws_batch.documents import MAX_JOBS_BYTES, max_outcome_bytes, parse_json, read_outcome
 from calibration.addons.aws_batch.following import Submitted
+from calibration.addons.aws_batch.session import AwsLostError
 from calibration.addons.aws_batch.store import Store
-from calibration.addons.aws_batch.wire import JOBS_PER_FILE, OUTCOME_FILE, Location
+from calibration.addons.aws_batch.wire import (
+    JOBS_PER_FILE,
+    MAX_JOBS_BYTES,
+    OUTCOME_FILE,
+    Location,
+    max_outcome_bytes,
+    parse_json,
+    read_outcome,
+)
 from calibration.base.errors import ExitCode, InfrastructureError
 from calibration.base.records import between, document_of, field, length, read, record
 from calibration.ci.execution.job import Job

@@ -6,7 +6,7 @@ from typing import Any
 import boto3
 from botocore.config import Config
 
-from calibration.addons.aws_batch.aws_errors import aws_errors
+from calibration.addons.aws_batch.session import aws_errors
 from calibration.base.errors import InfrastructureError
 from calibration.ci.registries.credentials import Credentials
 from calibration.ci.registries.reference import ECR_PUBLIC, Reference, ecr_host, parse_reference

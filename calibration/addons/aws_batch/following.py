@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any, TypeVar
 
-from calibration.addons.aws_batch.aws_errors import aws_errors
-from calibration.addons.aws_batch.session import Aws
+from calibration.addons.aws_batch.session import Aws, aws_errors
 from calibration.base.text import one_line, shorten
 
 Item = TypeVar("Item")

@@ -11,12 +11,10 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from calibration.addons.aws_batch.documents import Input, job_entry, jobs_document, mount_targets
 from calibration.addons.aws_batch.following import batches
 from calibration.addons.aws_batch.session import with_retries
-from calibration.addons.aws_batch.store import Store
-from calibration.addons.aws_batch.wire import JOBS_PER_FILE, Location
-from calibration.addons.aws_batch.workers import in_threads
+from calibration.addons.aws_batch.store import Store, in_threads
+from calibration.addons.aws_batch.wire import JOBS_PER_FILE, Input, Location, job_entry, jobs_document, mount_targets
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.execution.job import Job
 

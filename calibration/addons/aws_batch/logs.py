@@ -10,9 +10,8 @@ from typing import Any
 
 import botocore.exceptions
 
-from calibration.addons.aws_batch.aws_errors import AwsLostError, aws_errors, error_code
 from calibration.addons.aws_batch.following import Description
-from calibration.addons.aws_batch.session import Aws
+from calibration.addons.aws_batch.session import Aws, AwsLostError, aws_errors, error_code
 from calibration.addons.aws_batch.wire import PREPARE_CONTAINER, WATCH_CONTAINER
 from calibration.base.errors import CalibrationError
 from calibration.base.secret_forms import redact

@@ -6,14 +6,21 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from calibration.addons.aws_batch.aws_errors import AwsLostError
-from calibration.addons.aws_batch.documents import TaskOutcome, max_outcome_bytes, read_outcome
 from calibration.addons.aws_batch.following import Attempt, ContainerEnd, Description
 from calibration.addons.aws_batch.logs import is_ours, secrets_of, streams, write_log
-from calibration.addons.aws_batch.session import Aws, with_retries
+from calibration.addons.aws_batch.session import Aws, AwsLostError, with_retries
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.store import Store
-from calibration.addons.aws_batch.wire import FILES_FOLDER, OUTCOME_FILE, PREPARE_CONTAINER, WATCH_CONTAINER, Location
+from calibration.addons.aws_batch.wire import (
+    FILES_FOLDER,
+    OUTCOME_FILE,
+    PREPARE_CONTAINER,
+    WATCH_CONTAINER,
+    Location,
+    TaskOutcome,
+    max_outcome_bytes,
+    read_outcome,
+)
 from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError
 from calibration.base.files import write_atomically
 from calibration.base.secret_forms import redact

@@ -6,9 +6,8 @@ from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
-from calibration.addons.aws_batch.aws_errors import AwsLostError
-from calibration.addons.aws_batch.costs import Usage, billed, estimate, total_size
-from calibration.addons.aws_batch.definition import ShapeGroup, job_definition
+from calibration.addons.aws_batch.checks import Guard, likely_reasons
+from calibration.addons.aws_batch.definition import ShapeGroup, Usage, billed, estimate, job_definition, total_size
 from calibration.addons.aws_batch.earlier import (
     Result,
     find_results,
@@ -19,16 +18,21 @@ from calibration.addons.aws_batch.earlier import (
 )
 from calibration.addons.aws_batch.following import JOBS_PER_CALL, Following, JobEnd, Poll, batches, describe
 from calibration.addons.aws_batch.inputs import InputUploader, upload_jobs
-from calibration.addons.aws_batch.job_queue import Guard, likely_reasons
 from calibration.addons.aws_batch.logs import LiveLogs
 from calibration.addons.aws_batch.results import Downloader, ResultLocation, host_lost
-from calibration.addons.aws_batch.session import Aws, Backoff, with_retries
+from calibration.addons.aws_batch.session import Aws, AwsLostError, Backoff, with_retries
 from calibration.addons.aws_batch.settings import BatchSettings
-from calibration.addons.aws_batch.store import Store
-from calibration.addons.aws_batch.submission import attempt_seconds, chunks, run_tags, submission
-from calibration.addons.aws_batch.submitting import Submitting, ensure, terminate
+from calibration.addons.aws_batch.store import Store, Workers, in_threads
+from calibration.addons.aws_batch.submitting import (
+    Submitting,
+    attempt_seconds,
+    chunks,
+    ensure,
+    run_tags,
+    submission,
+    terminate,
+)
 from calibration.addons.aws_batch.wire import Location
-from calibration.addons.aws_batch.workers import Workers, in_threads
 from calibration.base.errors import CalibrationError
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.outcome import JobOutcome

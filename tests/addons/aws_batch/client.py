@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from calibration.addons.aws_batch.backend import BatchBackend
-from calibration.addons.aws_batch.documents import TaskJob, TaskOutcome, outcome_document, read_job
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.wire import (
     FIRST_VARIABLE,
@@ -20,6 +19,10 @@ from calibration.addons.aws_batch.wire import (
     OUTCOME_FILE,
     PREPARE_CONTAINER,
     Location,
+    TaskJob,
+    TaskOutcome,
+    outcome_document,
+    read_job,
 )
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job

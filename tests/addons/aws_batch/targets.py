@@ -1,6 +1,6 @@
 """The documents of jobs on AWS Batch, fuzzed by `tests.campaigns`."""
 
-from calibration.addons.aws_batch.documents import Input, job_entry, jobs_document, read_job
+from calibration.addons.aws_batch.wire import Input, job_entry, jobs_document, read_job
 from calibration.ci.execution.job import Container, Job, Readiness
 from tests.campaigns.target import Target
 

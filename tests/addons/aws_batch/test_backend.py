@@ -14,14 +14,12 @@ import pytest
 
 from calibration.addons.aws_batch import following
 from calibration.addons.aws_batch import run as run_module
-from calibration.addons.aws_batch.aws_errors import AwsLostError
 from calibration.addons.aws_batch.backend import BatchBackend
-from calibration.addons.aws_batch.documents import TaskJob
 from calibration.addons.aws_batch.results import Downloader
 from calibration.addons.aws_batch.session import Aws as Client
-from calibration.addons.aws_batch.session import Backoff
+from calibration.addons.aws_batch.session import AwsLostError, Backoff
 from calibration.addons.aws_batch.submitting import terminate
-from calibration.addons.aws_batch.wire import PREPARE_CONTAINER
+from calibration.addons.aws_batch.wire import PREPARE_CONTAINER, TaskJob
 from calibration.base.errors import ExitCode, InfrastructureError
 from calibration.ci.execution.job import Limits, Mount
 from calibration.ci.execution.outcome import End, JobOutcome

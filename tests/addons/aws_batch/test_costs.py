@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.aws_batch.costs import Usage, billed, estimate, total_size, usage_of
-from calibration.addons.aws_batch.definition import Resources, shape_of
+from calibration.addons.aws_batch.definition import Resources, Usage, billed, estimate, shape_of, total_size, usage_of
 from calibration.addons.aws_batch.settings import Prices
 from tests.addons.aws_batch.samples import EC2, SETTINGS, container, job
 

@@ -2,10 +2,9 @@
 
 import pytest
 
-from calibration.addons.aws_batch.documents import TaskOutcome
 from calibration.addons.aws_batch.following import Attempt, ContainerEnd, Description
 from calibration.addons.aws_batch.results import ends_alone, why_no_outcome, with_ends
-from calibration.addons.aws_batch.wire import PREPARE_CONTAINER, WATCH_CONTAINER
+from calibration.addons.aws_batch.wire import PREPARE_CONTAINER, WATCH_CONTAINER, TaskOutcome
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import Job, Limits
 from calibration.ci.execution.outcome import ContainerOutcome, End

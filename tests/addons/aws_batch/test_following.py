@@ -166,7 +166,7 @@ def test_looks_are_rarer_the_longer_a_run_takes(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_workers() -> None:
-    from calibration.addons.aws_batch.workers import Workers, in_threads
+    from calibration.addons.aws_batch.store import Workers, in_threads
 
     def numbers() -> Iterator[Callable[[], int]]:
         for number in range(50):
@@ -190,7 +190,7 @@ def test_workers() -> None:
 
 def test_patience(monkeypatch: pytest.MonkeyPatch) -> None:
     from calibration.addons.aws_batch import session
-    from calibration.addons.aws_batch.aws_errors import AwsLostError
+    from calibration.addons.aws_batch.session import AwsLostError
 
     monkeypatch.setattr(session, "_FIRST_DELAY", 0.0)
     answers = [AwsLostError("away"), AwsLostError("away"), 7]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.aws_batch.documents import (
+from calibration.addons.aws_batch.wire import (
     Input,
     TaskJob,
     job_entry,

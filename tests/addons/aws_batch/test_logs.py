@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 
 from calibration.addons.aws_batch import logs
-from calibration.addons.aws_batch.aws_errors import AwsLostError
-from calibration.addons.aws_batch.documents import TaskJob
 from calibration.addons.aws_batch.logs import write_log
-from calibration.addons.aws_batch.session import Aws
+from calibration.addons.aws_batch.session import Aws, AwsLostError
+from calibration.addons.aws_batch.wire import TaskJob
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.outcome import End
 from calibration.ci.workflow import Runner

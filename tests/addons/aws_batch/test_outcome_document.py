@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.aws_batch.documents import (
+from calibration.addons.aws_batch.wire import (
     TaskOutcome,
     max_outcome_bytes,
     outcome_document,

@@ -15,11 +15,10 @@ import pytest
 from calibration.__main__ import main
 from calibration.addons.aws_batch import submitting
 from calibration.addons.aws_batch.backend import BatchBackend
+from calibration.addons.aws_batch.checks import check_queue, likely_reasons, with_digests
 from calibration.addons.aws_batch.definition import Resources
-from calibration.addons.aws_batch.job_queue import check_queue, likely_reasons, with_digests
 from calibration.addons.aws_batch.session import Aws
-from calibration.addons.aws_batch.submission import owner_of, run_tags
-from calibration.addons.aws_batch.submitting import ensure, find_in_queue, find_old, terminate
+from calibration.addons.aws_batch.submitting import ensure, find_in_queue, find_old, owner_of, run_tags, terminate
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.execution.docker.labels import Owner
 from calibration.ci.execution.job import Limits

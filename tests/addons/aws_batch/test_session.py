@@ -8,8 +8,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import pytest
 
 from calibration.addons.aws_batch import session
-from calibration.addons.aws_batch.aws_errors import AwsLostError, aws_errors
-from calibration.addons.aws_batch.session import Aws
+from calibration.addons.aws_batch.session import Aws, AwsLostError, aws_errors
 from calibration.addons.aws_batch.store import Store
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
 from tests.addons.aws_batch.fixtures import BUCKET, REGION

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from calibration.addons.aws_batch.backend import BatchBackend
-from calibration.addons.aws_batch.documents import TaskJob
+from calibration.addons.aws_batch.wire import TaskJob
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.workflow import Runner
@@ -68,7 +68,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
     monkeypatch.setattr("calibration.addons.aws_batch.run.time", clock)
-    monkeypatch.setattr("calibration.addons.aws_batch.job_queue.time", clock)
+    monkeypatch.setattr("calibration.addons.aws_batch.checks.time", clock)
     return clock
 
 

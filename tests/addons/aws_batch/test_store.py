@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.aws_batch.aws_errors import AwsLostError
-from calibration.addons.aws_batch.session import Aws
+from calibration.addons.aws_batch.session import Aws, AwsLostError
 from calibration.addons.aws_batch.store import Store
 from calibration.base.errors import InfrastructureError, InputError
 from tests.addons.aws_batch.fixtures import BUCKET, REGION

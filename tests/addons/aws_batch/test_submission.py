@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from calibration.addons.aws_batch.settings import BatchSettings
-from calibration.addons.aws_batch.submission import Chunk, attempt_seconds, chunks, submission
+from calibration.addons.aws_batch.submitting import Chunk, attempt_seconds, chunks, submission
 from calibration.addons.aws_batch.wire import Location
 from tests.addons.aws_batch.samples import SETTINGS, complaints, job, unknown_keys
 

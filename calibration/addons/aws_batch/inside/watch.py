@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.request import urlopen
 
-from calibration.addons.aws_batch.documents import TaskOutcome
 from calibration.addons.aws_batch.inside.local_archive import opener_of
 from calibration.addons.aws_batch.inside.script import GRACE_SECONDS, LOG_FILE, READY_COMMAND, READY_FILE, Signs
-from calibration.addons.aws_batch.wire import ARRIVAL_SECONDS
+from calibration.addons.aws_batch.wire import ARRIVAL_SECONDS, TaskOutcome
 from calibration.base.errors import CalibrationError, ExitCode
 from calibration.base.text import one_line
 from calibration.ci.execution.copying_out import Opener

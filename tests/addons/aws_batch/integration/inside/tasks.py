@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import docker
 
-from calibration.addons.aws_batch.documents import TaskJob, TaskOutcome
-from calibration.addons.aws_batch.inside.prepare import prepare
+from calibration.addons.aws_batch.inside.__main__ import prepare
 from calibration.addons.aws_batch.inside.script import Signs
 from calibration.addons.aws_batch.inside.watch import Watch, WatchTimeouts
-from calibration.addons.aws_batch.wire import JOB_FOLDER
+from calibration.addons.aws_batch.wire import JOB_FOLDER, TaskJob, TaskOutcome
 from calibration.ci.execution.job import OUTPUT, Container, Job
 from tests.docker_engine import PYTHON_IMAGE, wait_until
 

@@ -7,10 +7,10 @@ import pytest
 
 pytest.importorskip("docker")
 
-from calibration.addons.aws_batch.documents import TaskJob
-from calibration.addons.aws_batch.inside.prepare import prepare
+from calibration.addons.aws_batch.inside.__main__ import prepare
 from calibration.addons.aws_batch.inside.script import Signs
 from calibration.addons.aws_batch.inside.watch import Watch, WatchTimeouts
+from calibration.addons.aws_batch.wire import TaskJob
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import OUTPUT, Container, Job, Limits, Readiness
 from calibration.ci.execution.outcome import End
