@@ -15,6 +15,7 @@ from calibration.engine.estimation.covariance.fixed_inputs import (
     PLACE_KIND,
     PROJECTION_KIND,
     RADIAL_KIND,
+    SAG_KIND,
     Cause,
 )
 from calibration.engine.estimation.covariance.result import Calibration
@@ -73,6 +74,8 @@ ADVICE_ON_CAUSE: Mapping[str, str] = {
     "lengths": "look at the units and the lengths of the robot's description",
     "encoder offset": "look at this joint's zero, or calibrate its position_bias",
     "encoder gain": "look at this joint's unit and gear ratio",
+    SAG_KIND: "the arm bends under its weight the farther it reaches: give its poses with the bending, or record "
+    "poses that reach equally far",
     "backlash": "approach every pose from the same side",
     "scale of poses": "measure the pattern by which the camera measured them, and calibrate the camera's intrinsics; "
     "or let the arm tell the scale: scale: free",
@@ -324,6 +327,12 @@ def _describe_size(cause: Cause, value: Array, sigma: Array) -> str:
         return f"{value[0]:+.3g} +- {sigma[0]:.1g} of the way to the next collection"
     if cause.kind == LENS_KIND:
         return "off in several parameters at once"
+    if cause.kind == SAG_KIND:
+        (low, tilt), (of_low, of_tilt) = value, sigma
+        return (
+            f"its end hangs lower by {1e3 * low:.3g} +- {1e3 * of_low:.1g} mm and is tilted by "
+            f"{np.degrees(tilt):.2g} +- {np.degrees(of_tilt):.1g} deg where it reaches 1 m"
+        )
     factor, unit = _UNIT_FOR_USER.get(cause.unit, (1.0, cause.unit))
     if cause.unit == "1":  # a relative change of d is extrapolated with an error of its square
         sigma = np.hypot(sigma, value**2 / 2)

@@ -15,8 +15,9 @@ from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
 from calibration.engine.estimation.doubts.suspects import Disagreement, Suspect, explain
 from calibration.engine.estimation.problem.assumptions import ALL_EXACT, Assumptions
+from calibration.engine.geometry import rotations
 from calibration.engine.geometry.lenses import DoubleSphere
-from calibration.engine.geometry.transforms import retract
+from calibration.engine.geometry.transforms import inverse, retract
 from tests.engine.estimation import scenes, systems
 from tests.engine.estimation.scenes import relabelled
 
@@ -200,6 +201,32 @@ def test_what_has_moved_late_is_as_far_off_as_it_stands_now() -> None:
     assert red.severity == "red"
     assert red.moves_mm == pytest.approx(4.5, abs=0.8)
     assert "from where it is now (limit 3 mm, 1 deg)" in red.text
+
+
+def sagging(low: float, tilt: float) -> Dataset:
+    """An arm whose end hangs lower by the square of its reach, m at 1 m, and is tilted by the reach, rad at 1 m."""
+    scene = systems.eye_to_hand(24, pixel_noise=NOISE)
+    T_world_base = scene.transforms["world", "base"]
+    T_base_flange = scene.transforms["base", "flange"]
+    T_world_flange = T_world_base @ T_base_flange
+    reach = T_world_flange[:, :3, 3] - T_world_base[:3, 3]
+    reach[:, 2] = 0
+    T = T_world_flange.copy()
+    T[:, 2, 3] -= low * (reach**2).sum(1)
+    T[:, :3, :3] = rotations.exp(tilt * np.cross(reach, (0, 0, -1))) @ T[:, :3, :3]
+    lower = replace(scene, transforms={**scene.transforms, ("base", "flange"): inverse(T_world_base) @ T})
+    told = lower.dataset(1)
+    return told.with_transforms({("base", "flange"): T_base_flange})
+
+
+@pytest.mark.parametrize(("low", "tilt"), [(0.02, 0.0), (0.01, 0.01), (0.0, 0.01)])
+def test_an_arm_that_bends_under_its_weight_is_named_with_how_much(low: float, tilt: float) -> None:
+    [suspect, *_] = found(sagging(low, tilt))
+    assert (suspect.cause.kind, suspect.cause.subject) == ("sag", "base-flange")
+    assert suspect.value == pytest.approx([low, tilt], abs=1e-3)
+    [red, *_] = findings(sagging(low, tilt))
+    assert red.severity == "red"
+    assert "where it reaches 1 m" in red.text
 
 
 def test_too_few_collections_are_reported_as_untested() -> None:

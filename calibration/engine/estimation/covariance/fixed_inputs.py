@@ -47,6 +47,8 @@ PLACE_KIND = "place"
 """Kind of causes that are only tested from some collection on: over all of them the pose is calibrated or gauge."""
 LINK_KIND = "link"
 """Kind of the errors of an arm's moving transforms."""
+SAG_KIND = "sag"
+"""Kind of the weight that bends an arm, the farther it reaches the more."""
 MAX_MOTION_OFF_AXIS = 1e-4
 """Limit of the motion off the axis, relative to that about or along it, for a joint with one axis."""
 
@@ -175,14 +177,22 @@ def causes(
     for name in dict.fromkeys(each.pattern.name for each in groups if not each.names.poses):
         has_border = any(each.sensor.modality.points is not None and each.pattern.name == name for each in groups)
         found += _of_pattern(name, has_border, assume)
-    edges = dict.fromkeys((step.parent, step.child) for each in groups for step in each.path)
-    for edge in edges:
+    moving = _moving_edges(dataset, groups)
+    for edge in moving:
         T = dataset.transforms[edge]
-        if edge not in dataset.additional_transforms and np.abs(T - T[0]).max() > STILL_TOLERANCE:
-            found += _of_moving_edge(edge, T, assume)
-            if joint_axis(T) is None and all(each.names.poses for each in groups):
-                found.append(_of_whole_arm(edge, assume))
-    return found
+        found += _of_moving_edge(edge, T, assume)
+        if joint_axis(T) is None and all(each.names.poses for each in groups):
+            found.append(_of_whole_arm(edge, assume))
+    return [*found, *_of_sagging_arms(dataset, moving)]
+
+
+def _moving_edges(dataset: Dataset, groups: Sequence[SeenGroup]) -> list[Edge]:
+    """Return the transforms between sensors and patterns that differ between collections, but for calibrated ones."""
+    edges = dict.fromkeys((step.parent, step.child) for each in groups for step in each.path)
+    kept = [edge for edge in edges if edge not in dataset.additional_transforms]
+    return [
+        edge for edge in kept if np.abs(dataset.transforms[edge] - dataset.transforms[edge][0]).max() > STILL_TOLERANCE
+    ]
 
 
 def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], lens: LensErrors | None) -> Iterator[Cause]:
@@ -288,6 +298,30 @@ def _of_whole_arm(edge: Edge, assume: Assumptions) -> Cause:
     beyond = float(np.sqrt(ARM_ACCURACY**2 - 1))
     sigma = (beyond * assume.arm_translation,) * 3 + (beyond * assume.arm_rotation,) * 3
     return Cause("accuracy", "-".join(edge), "m", sigma, lambda group: group.twist(edge), tested=False)
+
+
+def _of_sagging_arms(dataset: Dataset, moving: Sequence[Edge]) -> Iterator[Cause]:
+    """Yield for each arm how far its end hangs lower at a reach of 1 m, and how much it is tilted there.
+
+    What bends under a weight at the horizontal reach r hangs lower by r^2 and is tilted by r; joints, links and
+    parallel linkages differ in how much of each. Gravity is along -z of the world frame (ROS REP 103).
+    """
+    chains = [[(step.parent, step.child) for step in dataset.tree.path(dataset.world, edge[1])] for edge in moving]
+    for edge, chain in zip(moving, chains, strict=True):
+        if any(edge in other[:-1] for other in chains):
+            continue  # it carries another joint
+        if any(np.isnan(dataset.transforms[each]).any() for each in chain):
+            continue  # where it is in the world is not known in each collection
+        base = next(each for each in chain if each in moving)[0]
+        T_world_end = dataset.transform(dataset.world, edge[1])
+        reach = T_world_end[:, :3, 3] - dataset.transform(dataset.world, base)[:, :3, 3]
+        reach[:, 2] = 0.0
+        twists = np.zeros((len(reach), 6, 2))  # along the world's axes
+        twists[:, 2, 0] = -(reach**2).sum(-1)
+        twists[:, 3:, 1] = np.cross(reach, (0.0, 0.0, -1.0))
+        to_end = np.swapaxes(T_world_end[:, :3, :3], 1, 2)
+        turned = np.concatenate([to_end @ twists[:, :3], to_end @ twists[:, 3:]], 1)
+        yield Cause(SAG_KIND, f"{base}-{edge[1]}", "m", (0.0, 0.0), _on_views(edge, turned))
 
 
 def _on_views(edge: Edge, twists: Array) -> Twists:
