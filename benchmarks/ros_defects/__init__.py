@@ -13,8 +13,8 @@ from pathlib import Path
 from benchmarks.ros_defects.kinds import KINDS, planted
 from benchmarks.ros_defects.workspace import Files, Workspace, write
 from benchmarks.rows import Bar, Row
-from calibration.addons.analysis.finding import CodeFinding
-from calibration.addons.analysis.ros.check import check
+from calibration.addons.analysis.results import CodeFinding
+from calibration.addons.analysis.ros.__main__ import check
 from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.tree import Tree
 

@@ -2,12 +2,12 @@
 
 Knows nothing of calibration, and runs nothing of what it analyses.
 
-- ``finding``: a finding of an analyser at a line;
+- ``settings``: options, limits of the number of findings, accepted findings;
 - ``copies``: the tracked files, and those of an earlier commit, as folders without links;
-- ``programs``, ``analysers``: the external programs, one module each, and their output as findings;
-- ``comparison``, ``acceptance``: new findings, accepted findings, and limits of their number;
-- ``sarif``, ``results``, ``report``: the output formats;
-- ``static_analysis``: the command, and what it does; ``stage``: the stage analyse of a pipeline.
+- ``analysers``: the external programs and our own checks, and their output as findings;
+- ``comparison``: new findings; ``metrics``: complexity, duplicates and a grade;
+- ``results``, ``sarif``, ``report``: the output formats;
+- ``static_analysis``: the command, the stage analyse of a pipeline, and what they do.
 """
 
 from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyCommand, SchemaFile
@@ -26,7 +26,7 @@ ADDON = Addon(
     },
     stages={
         "analyse": AddonStage(
-            f"{__name__}.stage:analyse_stage",
+            f"{__name__}.static_analysis:analyse_stage",
             section="analysis",
             result=DocumentSection(
                 f"{__name__}.results:Analysed", "Static analysis, where calibration.yml asks for it."

@@ -1,11 +1,35 @@
 """Comparison of findings with those of an earlier state: matched by rule and content, never by line number."""
 
+import re
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import CodeFinding, Located, located
+from calibration.addons.analysis.results import CodeFinding
+
+_FORMATTING_CHARACTERS = re.compile(r"[\s,;()'\"\\]+")
+"""Characters that formatters move, add and remove."""
+
+
+@dataclass(frozen=True)
+class Located:
+    """Finding with the content of its line, to match it after the line has moved."""
+
+    finding: CodeFinding
+    content: str
+    """The line, without what formatters change; the message if the line is empty."""
+
+
+def plain_content(text: str) -> str:
+    """Return a text without spaces, line ends, quotes, commas and parentheses."""
+    return _FORMATTING_CHARACTERS.sub("", text)
+
+
+def located(finding: CodeFinding, lines: Sequence[str]) -> Located:
+    """Return a finding with the content of its line; ``lines`` are those of its file."""
+    text = lines[finding.line - 1] if 1 <= finding.line <= len(lines) else ""
+    return Located(finding, plain_content(text) or finding.message)
 
 
 @dataclass(frozen=True)
@@ -56,7 +80,7 @@ def compare(
 
     def was_there(new: Located, old: Located) -> bool:
         path = old.finding.path
-        texts.setdefault(path, base.content(path))
+        texts.setdefault(path, plain_content(base.text(path)))
         return new.content in texts[path]
 
     new = []

@@ -4,7 +4,6 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from calibration.addons.analysis.finding import plain_content
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 from calibration.ci.git.repository import Repository
@@ -66,10 +65,6 @@ class Copy:
     def lines(self, path: str) -> list[str]:
         r"""Return the lines of a file, as all analysers count them: they end in ``\n``."""
         return self.text(path).split("\n")
-
-    def content(self, path: str) -> str:
-        """Return the text of a file, without what formatters change."""
-        return plain_content(self.text(path))
 
 
 def chosen_files(paths: Sequence[str], asked: Sequence[str], settings: Collection[str]) -> list[str]:

@@ -5,12 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from calibration.addons.analysis.analysers.analyser import arguments
-from calibration.addons.analysis.analysers.cpp import CPP_SUFFIXES
+from calibration.addons.analysis.analysers.analyser import arguments, module, run_program
+from calibration.addons.analysis.analysers.code import CPP_SUFFIXES
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import CodeFinding
-from calibration.addons.analysis.programs import module, run_program
-from calibration.addons.analysis.results import Metrics
+from calibration.addons.analysis.results import CodeFinding, Metrics
 from calibration.base.errors import InfrastructureError
 from calibration.ci.report.badge import BAD, FAIR, GOOD, drawn_badge
 

@@ -6,9 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.addons.analysis.analysers.ros import JSON_FILE, PICTURE_FILE, RosGraph
-from calibration.addons.analysis.finding import CATEGORIES, SEVERITIES, CodeFinding
 from calibration.addons.analysis.metrics import BADGE_FILE, grade_badge
-from calibration.addons.analysis.results import AnalysisResults, GraphSummary, Metrics
+from calibration.addons.analysis.results import (
+    CATEGORIES,
+    SEVERITIES,
+    AnalysisResults,
+    CodeFinding,
+    GraphSummary,
+    Metrics,
+)
 from calibration.addons.analysis.sarif import SARIF_FILE
 from calibration.base.text import shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, count_of, outcome_of_check, verdict_of

@@ -1,12 +1,43 @@
-"""Results of ``static-analysis``, and their document."""
+"""Findings of the analysers in a common form, and results of ``static-analysis``, with their document."""
 
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Literal
 
-from calibration.addons.analysis.finding import CATEGORIES, CodeFinding
 from calibration.base.records import computed, field, result
 from calibration.ci.report import Check, Verdict, count_of, verdict_of
+
+Category = Literal[
+    "error-prone",
+    "security",
+    "performance",
+    "unused code",
+    "complexity",
+    "style",
+    "documentation",
+    "compatibility",
+]
+CATEGORIES: tuple[Category, ...] = Category.__args__  # type: ignore[attr-defined]
+Severity = Literal["error", "warning", "note"]
+SEVERITIES: tuple[Severity, ...] = Severity.__args__  # type: ignore[attr-defined]
+
+
+@result
+class CodeFinding:
+    """Fault at a line of a file."""
+
+    path: str = field("The file, in the repository.")
+    line: int = field("The first line of the file is 1.")
+    rule: str = field("The analyser and its rule: ruff/F401.")
+    category: Category
+    severity: Severity
+    message: str
+
+    @property
+    def place(self) -> str:
+        """File and line."""
+        return f"{self.path}:{self.line}"
 
 
 @result

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, get_args
 from urllib.parse import quote, unquote
 
-from calibration.addons.analysis.comparison import Compared
-from calibration.addons.analysis.finding import CodeFinding, Located, Severity
+from calibration.addons.analysis.comparison import Compared, Located
+from calibration.addons.analysis.results import CodeFinding, Severity
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 

@@ -1,4 +1,7 @@
-"""``static-analysis``: copies the files, runs the analysers on them and on the base, compares and judges."""
+"""``static-analysis``: copies the files, runs the analysers on them and on the base, compares and judges.
+
+Also the stage analyse of a pipeline: the same on the repository around the configuration.
+"""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -7,22 +10,27 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from calibration.addons.analysis.acceptance import Suppression, parse_limits, read_suppressions, sift
 from calibration.addons.analysis.analysers import ANALYSERS, Analyser
+from calibration.addons.analysis.analysers.analyser import ProgramFailedError
 from calibration.addons.analysis.analysers.ros import JSON_FILE, PICTURE_FILE, RosChecks, RosGraph, read_graph
-from calibration.addons.analysis.comparison import Compared, compare, with_content
+from calibration.addons.analysis.comparison import Compared, Located, compare, with_content
 from calibration.addons.analysis.copies import Copy, before, chosen_files, copied
-from calibration.addons.analysis.finding import CodeFinding, Located
 from calibration.addons.analysis.metrics import BADGE_FILE, CodeMetrics, measure
-from calibration.addons.analysis.programs import ProgramFailedError
 from calibration.addons.analysis.report import TITLE, report
-from calibration.addons.analysis.results import AnalysisResults, Suppressed, Tool
+from calibration.addons.analysis.results import Analysed, AnalysisResults, CodeFinding, Suppressed, Tool
 from calibration.addons.analysis.sarif import SARIF_FILE, compare_with_earlier, read_earlier, sarif
-from calibration.addons.analysis.settings import SUPPRESSIONS_FILE, AnalysisSettings
+from calibration.addons.analysis.settings import (
+    SUPPRESSIONS_FILE,
+    AnalysisSettings,
+    Suppression,
+    parse_limits,
+    read_suppressions,
+    sift,
+)
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.records import field, record
 from calibration.base.temporary_folder import temporary_folder
@@ -32,8 +40,11 @@ from calibration.ci.git.changes import find_base
 from calibration.ci.git.repository import Repository
 from calibration.ci.report import FILES, Report, count_of, publish, remove_results
 from calibration.ci.services import event_of
-from calibration.ci.workflow import Runner
+from calibration.ci.workflow import Runner, annotate
 from calibration.commands.record_options import chosen, record_options
+
+if TYPE_CHECKING:  # the engine, which the command does without
+    from calibration.pipeline.stages.running import PipelineRun
 
 _PACKAGE_OF_ANALYSER = {
     "cppcheck": "cppcheck-py",
@@ -310,3 +321,27 @@ def command(**options: Any) -> ExitCode:
     Analysers run on a copy of the files that git tracks; code of the repository is not run.
     """
     return analyse(chosen(StaticAnalysisSettings, options), Runner.from_environment(os.environ))
+
+
+STAGE_FOLDER = "static-analysis"
+
+
+def analyse_stage(run: "PipelineRun") -> "PipelineRun":
+    """Analyse the repository; a limit that is exceeded is a reason of the verdict.
+
+    Raises:
+        InputError: a setting is wrong, or there is nothing to analyse.
+        InfrastructureError: an analyser is missing, fails or takes too long, or a file cannot be written.
+    """
+    settings: AnalysisSettings = run.sections.of("analysis")
+    folder = run.output / STAGE_FOLDER
+    report, found = analysed(settings, run.config.parent if run.config else Path(), folder, run.runner)
+    report.write(folder)
+    annotate(run.runner, report.annotations)
+    result = Analysed(
+        findings=len(found.findings),
+        new=None if found.base is None else len(found.new),
+        folder=STAGE_FOLDER,
+        reasons=tuple(f"static analysis: {reason}" for reason in report.reasons),
+    )
+    return run.with_result("analysis", result)

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from calibration.addons.analysis.analysers import ANALYSERS
+from calibration.addons.analysis.analysers.analyser import module, run_program
 from calibration.addons.analysis.copies import Copy, may_be_analysed
-from calibration.addons.analysis.finding import CodeFinding
-from calibration.addons.analysis.programs import module, run_program
+from calibration.addons.analysis.results import CodeFinding
 from calibration.base.errors import InfrastructureError
 from tests.repositories import write
 
@@ -158,7 +158,7 @@ def test_the_files_that_count_are_those_of_the_analysers(tmp_path: Path) -> None
 
 
 def test_the_memory_of_a_program_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.addons.analysis.programs.MAX_MEMORY", 100 << 20)
+    monkeypatch.setattr("calibration.addons.analysis.analysers.analyser.MAX_MEMORY", 100 << 20)
     code = "import time; time.sleep(0.5); print(len(bytearray(%d << 20)))"
     assert run_program("x", [sys.executable, "-c", code % 10], tmp_path, 30, (0,)).output == "10485760\n"
     with pytest.raises(InfrastructureError, match=r"x failed with exit code 1: .*MemoryError"):
@@ -178,7 +178,7 @@ SOURCED = "#!/bin/sh\n# shellcheck source=/dev/zero\n. ./x\n"
 def test_a_file_without_end_takes_no_more_memory_than_a_program_may_have(
     name: str, files: dict[str, str | bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calibration.addons.analysis.programs.MAX_MEMORY", 300 << 20)
+    monkeypatch.setattr("calibration.addons.analysis.analysers.analyser.MAX_MEMORY", 300 << 20)
     with pytest.raises(InfrastructureError, match=f"{name} failed with exit code"):
         look(tmp_path, name, files)
 

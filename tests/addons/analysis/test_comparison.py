@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from calibration.addons.analysis.comparison import Compared, compare
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import CodeFinding
+from calibration.addons.analysis.results import CodeFinding
 from tests.repositories import write
 
 MARK = "eval("

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import CodeFinding
 from calibration.addons.analysis.metrics import CodeMetrics, grade_badge, grade_of, measure
+from calibration.addons.analysis.results import CodeFinding
 from tests.repositories import write
 
 BODY = "".join(f"    total = total * {n} + table[{n}] - other[{n}]\n" for n in range(40))

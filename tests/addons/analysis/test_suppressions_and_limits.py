@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.analysis.acceptance import Suppression, parse_limits, read_suppressions, sift
-from calibration.addons.analysis.finding import CodeFinding
+from calibration.addons.analysis.results import CodeFinding
+from calibration.addons.analysis.settings import Suppression, parse_limits, read_suppressions, sift
 from calibration.base.errors import InputError
 
 TODAY = date(2030, 1, 31)

@@ -1,11 +1,140 @@
-"""Base class of the analysers."""
+"""Base class of the analysers, and their external programs: run without a shell, with a time limit and no secrets."""
 
+import json
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import ClassVar
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
 
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import CodeFinding
+from calibration.addons.analysis.results import CodeFinding
+from calibration.base.errors import InfrastructureError
+from calibration.base.temporary_folder import temporary_folder
+from calibration.base.text import one_line, shorten
+
+MAX_OUTPUT = 200_000_000
+"""Limit of a program's output in bytes."""
+MAX_MEMORY = 2 << 30
+"""Limit of a program's memory in bytes, without what it reserves and never uses, which is a terabyte for shellcheck."""
+_QUOTED_CODE = re.compile(r"^ *[0-9]* *\|", re.MULTILINE)
+
+
+class ProgramFailedError(InfrastructureError):
+    """A program ended with another exit code than expected, or by a signal."""
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.by_signal = code < 0
+
+
+@dataclass(frozen=True)
+class ProgramResult:
+    """Exit code and output of a program."""
+
+    code: int
+    output: str
+    errors: str
+
+
+def program(name: str) -> str:
+    """Return the path of a program from the packages of this Python, else of one on PATH.
+
+    Raises:
+        InfrastructureError: it is not installed.
+    """
+    beside = Path(sys.executable).with_name(name)
+    found = str(beside) if os.access(beside, os.X_OK) else shutil.which(name)
+    if found is None:
+        raise InfrastructureError(f"{name} is not installed: pip install 'calibration-ci[analysis]'")
+    return found
+
+
+def module(name: str) -> list[str]:
+    """Return the beginning of a command that runs a Python package, isolated from its working directory."""
+    return [sys.executable, "-I", "-m", name]
+
+
+def run_program(
+    name: str, command: Sequence[str], folder: Path, seconds: float, codes: Collection[int]
+) -> ProgramResult:
+    """Run a program in a folder, and return its output.
+
+    Args:
+        name: of the analyser, for messages.
+        command: the program and its arguments.
+        folder: its working directory.
+        seconds: time limit; at its end the whole process group is killed.
+        codes: exit codes of success.
+
+    Raises:
+        ProgramFailedError: it fails.
+        InfrastructureError: it cannot be started, takes too long, or prints too much.
+    """
+    with temporary_folder(prefix="calibration-analysis-") as home, tempfile.TemporaryFile() as output:
+        own = {"HOME": str(home), "TMPDIR": str(home), "LC_ALL": "C.UTF-8"}
+        environment = {"PATH": os.environ.get("PATH", os.defpath), **own}
+        try:
+            process = subprocess.Popen(
+                command,
+                cwd=folder,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise InfrastructureError(f"{name} cannot be started: {error.strerror}") from None
+        if sys.platform == "linux":  # from here, as nothing may run between fork and exec beside other threads
+            with suppress(ProcessLookupError):
+                resource.prlimit(process.pid, resource.RLIMIT_DATA, (MAX_MEMORY, MAX_MEMORY))
+        try:
+            errors = process.communicate(timeout=seconds)[1].decode("utf-8", "replace")
+        except subprocess.TimeoutExpired:
+            raise InfrastructureError(
+                f"{name} took longer than {seconds:g} s: name folders (paths) or more time"
+            ) from None
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.communicate()
+        size = output.seek(0, os.SEEK_END)
+        if process.returncode not in codes:
+            how = f"failed with exit code {process.returncode}: {_last_message(errors)}"
+            raise ProgramFailedError(f"{name} {how}", process.returncode)
+        if size > MAX_OUTPUT:
+            raise InfrastructureError(f"{name}: found {size} bytes of findings, expected at most {MAX_OUTPUT}")
+        output.seek(0)
+        return ProgramResult(process.returncode, output.read().decode("utf-8", "replace"), errors)
+
+
+def json_output(name: str, result: ProgramResult) -> Any:
+    """Parse what a program wrote as JSON.
+
+    Raises:
+        ProgramFailedError: it is none: without memory, shellcheck ends with the exit code of findings.
+    """
+    try:
+        return json.loads(result.output)
+    except ValueError:
+        how = f"failed with exit code {result.code} and wrote no findings: {_last_message(result.errors)}"
+        raise ProgramFailedError(f"{name} {how}", result.code) from None
+
+
+def _last_message(errors: str) -> str:
+    """Return what a program says, up to the lines that it quotes: they may be of a file outside of the repository."""
+    said = _QUOTED_CODE.split(errors, maxsplit=1)[0]
+    return shorten(one_line(" ".join(said.split())), 400) or "it gave no reason"
 
 
 class Analyser(ABC):

@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import calibration
-from calibration.addons.analysis.analysers.analyser import Analyser
+from calibration.addons.analysis.analysers.analyser import Analyser, run_program
 from calibration.addons.analysis.copies import MAX_FILES, Copy
-from calibration.addons.analysis.finding import CodeFinding
-from calibration.addons.analysis.programs import run_program
-from calibration.addons.analysis.results import GraphSummary
+from calibration.addons.analysis.results import CodeFinding, GraphSummary
 from calibration.base.temporary_folder import temporary_folder
 
 _CHECKED_FILES = re.compile(

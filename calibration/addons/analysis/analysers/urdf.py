@@ -6,8 +6,8 @@ from xml.etree.ElementTree import Element
 
 from calibration.addons.analysis.analysers.analyser import Analyser
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.finding import CodeFinding, Severity
-from calibration.addons.analysis.xml_lines import line_of, parse_xml
+from calibration.addons.analysis.results import CodeFinding, Severity
+from calibration.addons.analysis.ros.tree import line_of, parse_xml
 from calibration.base.text import did_you_mean, shorten
 
 _JOINTS_WITH_LIMITS = ("revolute", "prismatic")

@@ -1,8 +1,8 @@
 """Checks of ROS packages (ROS 1 and ROS 2), read as text: nothing of the repository is run.
 
-- ``tree``: the tracked files;
-- ``cmake``, ``setup_script``, ``package``: what a package declares, builds and installs;
-- ``python_code``, ``cpp_code``: what its code includes, imports and calls;
-- ``faults``: the rules, with category and severity;
-- ``check``: all checks; ``__main__``: their process.
+- ``tree``: the tracked files; ``repository``: what is in them, each read once;
+- ``package``, ``cmake``, ``uses``: what a package declares, builds, installs and uses;
+- ``launch``, ``launch_python``: what launch files start; ``client_code``: what code publishes, serves and sets;
+- ``graph``: the nodes and what connects them;
+- ``faults``: the rules; ``..._checks``: their checks; ``__main__``: all of them, in a process of their own.
 """

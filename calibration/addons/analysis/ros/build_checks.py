@@ -4,14 +4,12 @@ import ast
 import re
 from collections.abc import Iterator
 
-from calibration.addons.analysis.finding import CodeFinding
+from calibration.addons.analysis.results import CodeFinding
 from calibration.addons.analysis.ros.cmake import Argument, CMakeCommand
 from calibration.addons.analysis.ros.faults import fault, quoted
-from calibration.addons.analysis.ros.interfaces import FOLDER_OF_SUFFIX, Unreadable, lines_of
-from calibration.addons.analysis.ros.known import BUILT_IN_TYPES
-from calibration.addons.analysis.ros.package import Package
+from calibration.addons.analysis.ros.package import FOLDER_OF_SUFFIX, Package, Unreadable, lines_of, parse_python
 from calibration.addons.analysis.ros.repository import RosRepository
-from calibration.addons.analysis.ros.setup_script import parse_python
+from calibration.addons.analysis.ros.uses import BUILT_IN_TYPES
 from calibration.base.text import did_you_mean
 
 _SOURCE_SUFFIXES = (".cpp", ".cc", ".cxx", ".c")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from calibration.addons.analysis.finding import Category, CodeFinding, Severity
+from calibration.addons.analysis.results import Category, CodeFinding, Severity
 from calibration.base.text import one_line, shorten
 
 

@@ -1,10 +1,17 @@
-"""Launch files: the nodes they start, the files they include and the parameters they set, read without running them."""
+"""Launch files: the nodes they start, the files they include and the parameters they set, read without running them.
+
+Here those in XML and YAML; `launch_python` reads those in Python.
+"""
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+from xml.etree.ElementTree import Element
 
-from calibration.addons.analysis.ros.tree import join
+import yaml
+
+from calibration.addons.analysis.ros.tree import LINE_KEY, attributes_of, join, line_of, parse_xml
 
 _PACKAGE_SUBSTITUTION = re.compile(r"\$\((?:find|find-pkg-share)\s+([\w-]+)\)")
 _FOLDER_SUBSTITUTION = re.compile(r"\$\(dirname\)")
@@ -109,3 +116,190 @@ def resolved(namespace: str | None, name: str) -> str | None:
     if namespace is None:
         return None
     return f"/{namespace.strip('/')}/{name}".replace("//", "/")
+
+
+_MAX_ELEMENTS = 20_000
+_MAX_GROUP_DEPTH = 50
+_ARGUMENT_SUBSTITUTIONS = ("$(arg ", "$(var ")
+_NODE_TAGS = ("node", "test", "lifecycle_node")
+_KEYS_WITH_LINE = ("file", "exec", "from")
+"""Keys of YAML whose line is that of their element."""
+_NAMESPACE_TAGS = ("push-ros-namespace", "push_ros_namespace")
+
+
+@dataclass
+class _Found:
+    """Content of a launch file, collected while its elements are read."""
+
+    path: str
+    starts: list[NodeStart] = field(default_factory=list)
+    includes: list[Include] = field(default_factory=list)
+    arguments: dict[str, bool] = field(default_factory=dict)
+    used: list[tuple[str, int]] = field(default_factory=list)
+    files: list[tuple[str, int]] = field(default_factory=list)
+    parameters: list[LaunchParameter] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Scope:
+    """Settings that an element inherits from the elements around it."""
+
+    namespace: str | None = ""
+    conditional: bool = False
+    remappings: tuple[Remapping, ...] = ()
+
+    def inside(self, namespace: str | None) -> "_Scope":
+        """Return the scope in a further namespace, relative or absolute."""
+        if namespace is None or self.namespace is None:
+            return replace(self, namespace=None)
+        whole = namespace if namespace.startswith("/") else f"{self.namespace}/{namespace}"
+        return replace(self, namespace=whole.strip("/"))
+
+
+def read_launch_xml(path: str, data: bytes) -> Launch | None:
+    """Read a launch file in XML; None if it is no such file."""
+    root = parse_xml(data)
+    return _read_launch(path, root) if root is not None and root.tag == "launch" else None
+
+
+def read_launch_yaml(path: str, text: str) -> Launch | None:
+    """Read a launch file in YAML; None if it is no such file."""
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return None
+    if not isinstance(node, yaml.MappingNode) or [key.value for key, _ in node.value] != ["launch"]:
+        return None
+    return _read_launch(path, _Elements().of(node.value[0][1]))
+
+
+class _Elements:
+    """Elements of a document in YAML, as those of XML; aliases of aliases are cut off."""
+
+    def __init__(self) -> None:
+        self._left = _MAX_ELEMENTS
+
+    def of(self, node: Any) -> Element:
+        """Return the root, of a list of entries."""
+        root = Element("launch")
+        self._add_entries(root, node, 0)
+        return root
+
+    def _add_entries(self, parent: Element, node: Any, depth: int) -> None:
+        """Add the entries of a list, each ``tag: content``."""
+        for entry in node.value if isinstance(node, yaml.SequenceNode) else ():
+            for key, value in entry.value if isinstance(entry, yaml.MappingNode) else ():
+                self._add_element(parent, str(key.value), value, key.start_mark.line + 1, depth)
+
+    def _add_element(self, parent: Element, tag: str, value: Any, line: int, depth: int) -> None:
+        self._left -= 1
+        if self._left < 0 or depth > _MAX_GROUP_DEPTH:
+            return
+        child = Element(tag, {LINE_KEY: str(line)})
+        parent.append(child)
+        if isinstance(value, yaml.SequenceNode):  # a group
+            self._add_entries(child, value, depth + 1)
+            return
+        for key, inner in value.value if isinstance(value, yaml.MappingNode) else ():
+            name = str(key.value)
+            if isinstance(inner, yaml.ScalarNode):
+                child.set(name, str(inner.value))
+                if name in _KEYS_WITH_LINE:
+                    child.set(LINE_KEY, str(key.start_mark.line + 1))
+            elif isinstance(inner, yaml.SequenceNode):
+                for each in inner.value:
+                    if isinstance(each, yaml.MappingNode):
+                        self._add_element(child, name, each, each.start_mark.line + 1, depth + 1)
+
+
+def _read_launch(path: str, root: Element) -> Launch:
+    found = _Found(path)
+    _read_children(root, _Scope(), found)
+    for element in root.iter():
+        for text in (*attributes_of(element).values(), element.text or ""):
+            line = line_of(element)
+            found.used += [(name, line) for name in _used_arguments(text)]
+            if "$(find" in text or "package://" in text:
+                found.files += [(each, line) for each in with_packages(text, path).split()]
+    return Launch(
+        path,
+        tuple(found.starts),
+        tuple(found.includes),
+        found.arguments,
+        tuple(found.used),
+        tuple(found.files),
+        tuple(found.parameters),
+    )
+
+
+def _used_arguments(text: str) -> Iterator[str]:
+    for mark in _ARGUMENT_SUBSTITUTIONS:
+        for part in text.split(mark)[1:]:
+            yield part.partition(")")[0].strip()
+
+
+def _read_children(element: Element, scope: _Scope, found: _Found) -> None:
+    for child in element:
+        inner = replace(scope, conditional=scope.conditional or bool({"if", "unless"} & set(child.keys())))
+        text = {name: with_packages(value, found.path) for name, value in attributes_of(child).items()}
+        tag, line = str(child.tag), line_of(child)
+        if tag in _NAMESPACE_TAGS:
+            scope = scope.inside(known(text.get("namespace")))
+        elif tag == "group":
+            _read_children(child, inner.inside(known(text["ns"])) if text.get("ns") else inner, found)
+        elif tag == "remap":
+            scope = replace(scope, remappings=(*scope.remappings, *_read_remapping(text, line)))
+        elif tag == "arg" and "name" in text:
+            found.arguments[text["name"]] = "default" in text or "value" in text
+        elif tag == "include":
+            found.includes.append(_read_include(child, text, inner, found.path))
+        elif tag in _NODE_TAGS:
+            found.starts.append(_read_start(child, text, inner, found.path))
+        elif tag == "param" and known(text.get("name")):
+            found.parameters.append(LaunchParameter(text["name"], found.path, line))
+
+
+def _read_remapping(text: dict[str, str], line: int) -> tuple[Remapping, ...]:
+    return (Remapping(known(text.get("from")), known(text.get("to")), line),)
+
+
+def _read_include(element: Element, text: dict[str, str], scope: _Scope, path: str) -> Include:
+    if text.get("ns"):
+        scope = scope.inside(known(text["ns"]))
+    given = {each.get("name", ""): line_of(each) for each in element if each.tag in ("arg", "let") and each.get("name")}
+    return Include(
+        text.get("file"), path, line_of(element), given, scope.namespace, scope.conditional, "pass_all_args" in text
+    )
+
+
+def _read_start(element: Element, text: dict[str, str], scope: _Scope, path: str) -> NodeStart:
+    namespace = text.get("ns") or text.get("namespace")
+    if namespace:
+        scope = scope.inside(known(namespace))
+    remappings, parameters, files = list(scope.remappings), [], []
+    for child in element:
+        inner = {name: with_packages(value, path) for name, value in attributes_of(child).items()}
+        if child.tag == "remap":
+            remappings += _read_remapping(inner, line_of(child))
+        elif child.tag == "param" and "from" in inner:
+            files.append(inner["from"])
+        elif child.tag in ("param", "rosparam"):
+            if "file" in inner:
+                files.append(inner["file"])
+            name = known(inner.get("name") or inner.get("param"))
+            if name:
+                parameters.append(LaunchParameter(name, path, line_of(child)))
+    return NodeStart(
+        package=known(text.get("pkg")),
+        executable=known(text.get("type") or text.get("exec")),
+        name=known(text.get("name") or text.get("test-name")),
+        path=path,
+        line=line_of(element),
+        namespace=scope.namespace,
+        is_named="name" in text,
+        conditional=scope.conditional,
+        remappings=tuple(remappings),
+        parameters=tuple(parameters),
+        parameter_files=tuple(files),
+        arguments=tuple((text.get("args") or "").split()),
+    )

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from calibration.addons.analysis.ros.launch import Include, Launch, LaunchParameter, NodeStart, Remapping, known
-from calibration.addons.analysis.ros.setup_script import parse_python
+from calibration.addons.analysis.ros.package import parse_python
 
 _UNKNOWN_PART = "$(?)"
 _NODE_CLASSES = ("Node", "LifecycleNode")

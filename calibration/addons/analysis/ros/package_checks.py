@@ -3,12 +3,12 @@
 import re
 from collections.abc import Iterator
 
-from calibration.addons.analysis.finding import CodeFinding
+from calibration.addons.analysis.results import CodeFinding
 from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.package import BUILD_TAGS, Package
 from calibration.addons.analysis.ros.repository import RosRepository
+from calibration.addons.analysis.ros.tree import line_of
 from calibration.addons.analysis.ros.uses import uses
-from calibration.addons.analysis.xml_lines import line_of
 
 _REQUIRED_TAGS = ("name", "version", "description", "maintainer", "license")
 _PACKAGE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")

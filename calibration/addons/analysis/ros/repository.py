@@ -1,17 +1,176 @@
-"""The packages, code and launch files of a repository, each read once for all checks."""
+"""The packages, their executables, code and launch files of a repository, each read once for all checks."""
 
+import ast
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
-from calibration.addons.analysis.ros.code import ClientCode
-from calibration.addons.analysis.ros.cpp_code import read_cpp
-from calibration.addons.analysis.ros.executables import Executables, find_executables
-from calibration.addons.analysis.ros.known import COMMON_PACKAGES
-from calibration.addons.analysis.ros.launch import Include, Launch, package_of
-from calibration.addons.analysis.ros.launch_markup import read_launch_xml, read_launch_yaml
+from calibration.addons.analysis.ros.client_code import ClientCode, read_cpp, read_python
+from calibration.addons.analysis.ros.cmake import CMakeCommand
+from calibration.addons.analysis.ros.launch import Include, Launch, package_of, read_launch_xml, read_launch_yaml
 from calibration.addons.analysis.ros.launch_python import read_launch_python
-from calibration.addons.analysis.ros.package import Package, find_packages
-from calibration.addons.analysis.ros.python_code import read_python
+from calibration.addons.analysis.ros.package import Package, find_packages, parse_python
 from calibration.addons.analysis.ros.tree import Tree, join
+from calibration.addons.analysis.ros.uses import COMMON_PACKAGES
+
+_SOURCE_SUFFIXES = (".cpp", ".cc", ".cxx", ".c")
+_HEADER_SUFFIXES = (".h", ".hpp", ".hh", ".hxx")
+_INCLUDED_HEADER = re.compile(r"#\s*include\s*[<\"](?:[^>\"\n]*/)?([\w-]+)\.h")
+"""Name of an included header, without folders and suffix."""
+_LINK_KEYWORDS = ("PUBLIC", "PRIVATE", "INTERFACE")
+_ALWAYS_INSTALLED = ("package.xml",)
+"""Files that the build tools install themselves."""
+
+
+@dataclass(frozen=True)
+class Executables:
+    """Executables of a package."""
+
+    files: dict[str, tuple[str, ...]]
+    """Sources of each by name: C++, or the Python file that is run."""
+    is_complete: bool
+    """Whether there can be no others."""
+
+
+def find_executables(package: Package) -> Executables:
+    """Return what ``run`` and launch files can start."""
+    files: dict[str, tuple[str, ...]] = {}
+    complete = not any(path.endswith(".cmake") for path in package.files)
+    linked = _libraries_of_targets(package)
+    sources = {
+        each.texts[0]: _sources_of_target(package, each) for each in package.commands("add_library") if each.texts
+    }
+    for command in package.commands("add_executable", "ament_auto_add_executable", "cs_add_executable"):
+        if not command.arguments or not command.arguments[0].is_known:
+            complete = False
+            continue
+        name = command.texts[0]
+        own = _sources_of_target(package, command)
+        libraries = [path for each in linked.get(name, ()) for path in sources.get(each, ())]
+        files[name] = _with_headers(package, (*own, *_included_sources(package, own, libraries)))
+    for command in package.commands("rclcpp_components_register_node"):
+        for name in [each.text for each in command.after("EXECUTABLE", ("PLUGIN", "EXECUTOR", "RESOURCE_INDEX"))]:
+            files[name] = _with_headers(package, sources.get(command.texts[0], ()))
+    for command in package.commands("set_target_properties"):
+        texts = command.texts
+        if "OUTPUT_NAME" in texts[:-1] and texts[0] in files:
+            files[texts[texts.index("OUTPUT_NAME") + 1]] = files[texts[0]]
+    for command in package.commands("install", "catkin_install_python"):
+        for each in command.after("PROGRAMS", ("DESTINATION", "RENAME", "PERMISSIONS", "OPTIONAL", "COMPONENT")):
+            place = command.place(each.text)
+            if place is None:
+                complete = False
+            else:
+                files[place.rpartition("/")[2]] = (place,)
+    if not package.is_ros2:  # roslaunch takes any executable file below the package's folder
+        for path in package.files:
+            if not path.endswith((*_SOURCE_SUFFIXES, *_HEADER_SUFFIXES)):
+                files.setdefault(path.rpartition("/")[2], (path,))
+    if package.setup is not None:
+        complete = complete and package.setup.is_known
+        for entry in package.setup.entry_points:
+            module = _find_module(package, entry.module)
+            files[entry.name] = (module,) if module else ()
+        complete = complete and (package.build_type != "ament_python" or bool(package.setup.entry_points))
+    return Executables({name: paths for name, paths in files.items() if name}, complete)
+
+
+def _libraries_of_targets(package: Package) -> dict[str, list[str]]:
+    """Return the libraries of each target, with those of its libraries."""
+    direct: dict[str, list[str]] = {}
+    for command in package.commands("target_link_libraries"):
+        names = [each for each in command.texts[1:] if each not in _LINK_KEYWORDS]
+        direct.setdefault(command.texts[0] if command.texts else "", []).extend(names)
+    whole = {}
+    for target in direct:
+        seen: dict[str, None] = {}
+        open_names = list(direct[target])
+        while open_names:
+            name = open_names.pop()
+            if name not in seen:
+                seen[name] = None
+                open_names += direct.get(name, ())
+        whole[target] = list(seen)
+    return whole
+
+
+def _sources_of_target(package: Package, command: CMakeCommand) -> tuple[str, ...]:
+    places = (command.place(each) for each in command.texts[1:] if each.endswith(_SOURCE_SUFFIXES))
+    return tuple(each for each in places if each is not None and each in package.tree.present)
+
+
+def _included_sources(package: Package, own: Sequence[str], others: Sequence[str]) -> list[str]:
+    """Return those of other sources whose header some source includes, directly or not: a linked one may be unused."""
+    used: dict[str, None] = {}
+    open_paths = list(own)
+    while open_paths:
+        stems = set(_INCLUDED_HEADER.findall(package.tree.text(open_paths.pop())))
+        found = [each for each in others if each not in used and each.rpartition("/")[2].rpartition(".")[0] in stems]
+        used |= dict.fromkeys(found)
+        open_paths += found
+    return list(used)
+
+
+def _with_headers(package: Package, sources: Sequence[str]) -> tuple[str, ...]:
+    """Return sources, and the headers of the package that have the name of one."""
+    stems = {path.rpartition("/")[2].rpartition(".")[0] for path in sources}
+    headers = (path for path in package.files if path.endswith(_HEADER_SUFFIXES))
+    return (*sources, *(path for path in headers if path.rpartition("/")[2].rpartition(".")[0] in stems))
+
+
+def _find_module(package: Package, name: str) -> str | None:
+    place = name.replace(".", "/")
+    candidates = [package.inside(f"{root}{place}{end}") for root in ("", "src/") for end in (".py", "/__init__.py")]
+    return next((path for path in candidates if path in package.tree.present), None)
+
+
+def with_imports(package: Package, path: str) -> tuple[str, ...]:
+    """Return a Python file and those of the package that it imports, directly or not."""
+    found: dict[str, None] = {}
+    open_paths = [path]
+    while open_paths and len(found) < 200:
+        each = open_paths.pop()
+        if not each or each in found:
+            continue
+        found[each] = None
+        module = parse_python(package.tree.text(each)) if each.endswith(".py") or "/scripts/" in each else None
+        for node in ast.walk(module) if module is not None else ():
+            names = []
+            if isinstance(node, ast.ImportFrom) and node.level:
+                folder = join(each.rpartition("/")[0], "../" * (node.level - 1)) or ""
+                base = [*package.relative(folder).split("/"), *(node.module or "").split(".")]
+                names = [
+                    ".".join(part for part in (*base, *tail) if part) for tail in ((), *([a.name] for a in node.names))
+                ]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module or "", *(f"{node.module}.{a.name}" for a in node.names)]
+            elif isinstance(node, ast.Import):
+                names = [a.name for a in node.names]
+            open_paths += [place for name in names if (place := _find_module(package, name))]
+    return tuple(found)
+
+
+def is_installed(package: Package, path: str) -> bool:
+    """Whether a file of a package is installed, or may be; ``path`` is relative to the package."""
+    if path in _ALWAYS_INSTALLED or path.rpartition("/")[2] in package.build_words:
+        return True
+    if package.build_type == "ament_python":
+        text = package.build_text
+        return package.setup is None or not package.setup.is_known or path.split("/")[0] in text or "walk(" in text
+    for command in package.commands("install", "ament_auto_package", "install_launch_files", "catkin_install_python"):
+        for each in command.arguments:
+            place = command.place(each.text)
+            if place is None and each.text not in ("DESTINATION",) and not _is_destination(each.text):
+                return True  # a variable or a pattern that may be it
+            if place is not None and each.text and (package.inside(path) + "/").startswith(place.rstrip("/") + "/"):
+                return True
+    return not package.commands("install") and not package.is_ros2 and not package.cmake
+
+
+def _is_destination(text: str) -> bool:
+    """Whether an argument with variables names a place to install to."""
+    return "DESTINATION" in text or text.startswith(("share/", "lib/", "bin", "include", "${CMAKE_INSTALL"))
 
 
 class RosRepository:

@@ -9,10 +9,9 @@ from benchmarks.ros_defects import found_in
 from benchmarks.ros_defects.workspace import Workspace, write
 from calibration.addons.analysis.analysers import ANALYSERS
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.ros.check import check
+from calibration.addons.analysis.ros.__main__ import check
 from calibration.addons.analysis.ros.cmake import parse, read_cmake
-from calibration.addons.analysis.ros.tree import Tree, join, without_comments
-from calibration.addons.analysis.xml_lines import MAX_ELEMENT_DEPTH, parse_xml
+from calibration.addons.analysis.ros.tree import MAX_ELEMENT_DEPTH, Tree, join, parse_xml, without_comments
 
 LOOPS = "".join(f"foreach(x{depth} {'1 ' * 400})\n" for depth in range(10)) + "endforeach()\n" * 10
 

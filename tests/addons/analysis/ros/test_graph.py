@@ -10,11 +10,9 @@ from benchmarks.ros_defects import found_in
 from benchmarks.ros_defects.workspace import Files, Workspace, write
 from calibration.addons.analysis.analysers.ros import RosGraph, read_graph
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.ros.code import Quality
-from calibration.addons.analysis.ros.cpp_code import read_cpp
+from calibration.addons.analysis.ros.client_code import Quality, read_cpp, read_python
 from calibration.addons.analysis.ros.graph import Graph, build_graphs
-from calibration.addons.analysis.ros.graph_checks import parameters_of, private_parameters_of
-from calibration.addons.analysis.ros.python_code import read_python
+from calibration.addons.analysis.ros.launch_checks import parameters_of, private_parameters_of
 from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.tree import Tree
 

@@ -4,8 +4,7 @@ import pytest
 
 from benchmarks.ros_defects import found_in
 from benchmarks.ros_defects.workspace import Workspace
-from calibration.addons.analysis.ros.launch import Remapping, package_of, resolved
-from calibration.addons.analysis.ros.launch_markup import read_launch_xml, read_launch_yaml
+from calibration.addons.analysis.ros.launch import Remapping, package_of, read_launch_xml, read_launch_yaml, resolved
 from calibration.addons.analysis.ros.launch_python import read_launch_python
 
 XML = """<launch>

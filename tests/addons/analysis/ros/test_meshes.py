@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.ros_defects.workspace import Workspace, write
 from calibration.addons.analysis.copies import copied
-from calibration.addons.analysis.ros.check import check
-from calibration.addons.analysis.ros.mesh_checks import stl_size
+from calibration.addons.analysis.ros.__main__ import check
+from calibration.addons.analysis.ros.description_checks import stl_size
 from calibration.addons.analysis.ros.tree import Tree
 from calibration.ci.git.repository import Repository
 from tests.repositories import commit

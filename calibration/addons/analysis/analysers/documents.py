@@ -1,0 +1,135 @@
+"""Analysers of documents: yamllint, zizmor (workflows and actions of GitHub), and XML of robots."""
+
+import json
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import yaml
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import ParseError, iterparse
+
+from calibration.addons.analysis.analysers.analyser import (
+    Analyser,
+    arguments,
+    in_repository,
+    module,
+    program,
+    run_program,
+)
+from calibration.addons.analysis.copies import Copy
+from calibration.addons.analysis.results import Category, CodeFinding, Severity
+from calibration.base.text import one_line, shorten
+
+_WORKFLOWS_AND_ACTIONS = re.compile(r"\.github/workflows/[^/]+\.ya?ml|(.*/)?action\.ya?ml")
+_SEVERITY_OF_ZIZMOR_LEVEL: dict[str, Severity] = {"High": "error", "Medium": "warning"}
+
+
+class Zizmor(Analyser):
+    """Security of workflows and composite actions, offline."""
+
+    name = "zizmor"
+    settings = ("zizmor.yml", "zizmor.yaml")
+
+    def wants(self, path: str, copy: Copy) -> bool:
+        """Select workflows and actions; invalid YAML is reported by yamllint."""
+        return bool(_WORKFLOWS_AND_ACTIONS.fullmatch(path)) and _is_mapping(copy.text(path))
+
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
+        """Run zizmor and parse its output."""
+        command = [program("zizmor"), "--offline", "--no-exit-codes", "--no-progress", "--quiet", "--format", "json-v1"]
+        result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
+        return [
+            _finding_of_zizmor(entry, copy) for entry in json.loads(result.output or "[]") if not entry.get("ignored")
+        ]
+
+
+def _is_mapping(text: str) -> bool:
+    try:
+        events = yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the other one takes minutes
+        return any(isinstance(event, yaml.MappingStartEvent) for event in list(events)[:3])
+    except (yaml.YAMLError, RecursionError):
+        return False
+
+
+def _finding_of_zizmor(entry: dict[str, Any], copy: Copy) -> CodeFinding:
+    places = entry["locations"]
+    primary = next((each for each in places if each["symbolic"].get("kind") == "Primary"), places[0])
+    path = in_repository(primary["symbolic"]["key"]["Local"]["verbatim_path"], copy)
+    line = primary["concrete"]["location"]["start_point"]["row"] + 1
+    severity = _SEVERITY_OF_ZIZMOR_LEVEL.get(entry["determinations"]["severity"], "note")
+    message = f"{entry['desc']}: {primary['symbolic'].get('annotation', '')}"
+    return CodeFinding(path, line, f"zizmor/{entry['ident']}", "security", severity, message)
+
+
+_XML_SUFFIXES = (".xml", ".launch", ".urdf", ".xacro", ".sdf", ".srdf")
+
+
+class XmlFiles(Analyser):
+    """Validity of XML, by a parser that refuses entities; runs no program."""
+
+    name = "xml"
+
+    def wants(self, path: str, copy: Copy) -> bool:
+        """Select XML files by suffix."""
+        return path.endswith(_XML_SUFFIXES)
+
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
+        """Parse each file."""
+        return [finding for path in files if (finding := _check_xml(copy, path)) is not None]
+
+
+def _check_xml(copy: Copy, path: str) -> CodeFinding | None:
+    try:
+        for _, element in iterparse(copy.root / path, ("end",)):
+            element.clear()
+    except DefusedXmlException:
+        message = "the XML declares entities, which a reader may expand without end"
+        return CodeFinding(path, 1, "xml/entities", "security", "warning", message)
+    except ParseError as error:
+        message = f"this is not valid XML: {shorten(one_line(str(error)), 200)}"
+        return CodeFinding(path, max(error.position[0], 1), "xml/syntax", "error-prone", "error", message)
+    except (ValueError, LookupError) as error:  # an unknown encoding
+        message = f"this is not valid XML: {shorten(one_line(str(error)), 200)}"
+        return CodeFinding(path, 1, "xml/syntax", "error-prone", "error", message)
+    return None
+
+
+_LINE_OF_YAMLLINT = re.compile(r"(.+?):(\d+):(\d+): \[(error|warning)\] (.*?)(?: \(([a-z-]+)\))?")
+_DEFAULT_CONFIGURATION = "{extends: relaxed, rules: {line-length: disable, new-line-at-end-of-file: disable}}"
+_YAML_RULES_OF_ERRORS = ("syntax", "key-duplicates", "anchors")
+"""Rules of errors that change the meaning; the others are style."""
+
+
+class Yamllint(Analyser):
+    """Syntax, duplicate keys, and style of YAML; the team's settings select the rules, if there are any."""
+
+    name = "yamllint"
+    settings = (".yamllint", ".yamllint.yml", ".yamllint.yaml")
+
+    def wants(self, path: str, copy: Copy) -> bool:
+        """Select YAML files by suffix, if they are UTF-8."""
+        return path.endswith((".yml", ".yaml")) and copy.is_utf8(path)
+
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
+        """Run yamllint and parse its output."""
+        own = any((copy.root / name).is_file() for name in self.settings)
+        command = [
+            *module("yamllint"),
+            "--format",
+            "parsable",
+            *([] if own else ["--config-data", _DEFAULT_CONFIGURATION]),
+        ]
+        # 1 is also the exit code of a Python program that crashes: then there is a traceback
+        result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0, 1))
+        if "Traceback" in result.errors:
+            run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
+        found = (_LINE_OF_YAMLLINT.fullmatch(line) for line in result.output.splitlines())
+        return [_finding_of_yamllint(match, copy) for match in found if match]
+
+
+def _finding_of_yamllint(match: re.Match[str], copy: Copy) -> CodeFinding:
+    rule = match[6] or "syntax"
+    category: Category = "error-prone" if rule in _YAML_RULES_OF_ERRORS else "style"
+    severity: Severity = "error" if rule in _YAML_RULES_OF_ERRORS else "note"
+    return CodeFinding(in_repository(match[1], copy), int(match[2]), f"yamllint/{rule}", category, severity, match[5])
