@@ -5,12 +5,12 @@ import re
 from collections.abc import Iterator
 
 from calibration.addons.analysis.results import CodeFinding
-from calibration.addons.analysis.ros.cmake import Argument, CMakeCommand
+from calibration.addons.analysis.ros.cmake import CATKIN_PACKAGE_KEYWORDS, Argument, CMakeCommand
 from calibration.addons.analysis.ros.faults import fault, quoted
-from calibration.addons.analysis.ros.package import FOLDER_OF_SUFFIX, Package, Unreadable, lines_of, parse_python
+from calibration.addons.analysis.ros.package import FOLDER_OF_SUFFIX, Package, Unreadable, lines_of
+from calibration.addons.analysis.ros.python_file import parse_python
 from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.uses import BUILT_IN_TYPES
-from calibration.base.text import did_you_mean
 
 _SOURCE_SUFFIXES = (".cpp", ".cc", ".cxx", ".c")
 _INSTALL_KEYWORDS = (
@@ -28,15 +28,8 @@ _COMMANDS_WITHOUT_TARGET = (
     *("rclcpp_components_register_nodes", "set", "list", "unset", "message", "project", "find_package", "if", "elseif"),
 )
 """Commands that make no target."""
-_PACKAGE_KEYWORDS = ("INCLUDE_DIRS", "LIBRARIES", "CATKIN_DEPENDS", "DEPENDS", "CFG_EXTRAS", "EXPORTED_TARGETS")
 _INTERFACE_KEYWORDS = (
-    "DIRECTORY",
-    "FILES",
-    "NOINSTALL",
-    "DEPENDENCIES",
-    "LIBRARY_NAME",
-    "SKIP_INSTALL",
-    "ADD_LINTER_TESTS",
+    *("DIRECTORY", "FILES", "NOINSTALL", "DEPENDENCIES", "LIBRARY_NAME", "SKIP_INSTALL", "ADD_LINTER_TESTS"),
 )
 _KIND_OF_INTERFACE_LIST = {"add_message_files": "msg", "add_service_files": "srv", "add_action_files": "action"}
 _ROS2_FIELD = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
@@ -87,8 +80,8 @@ def _check_existence(package: Package, command: CMakeCommand, argument: Argument
     if any(text.endswith(name) for each in generated for text in each.texts):
         return
     beside = [path.rpartition("/")[2] for path in package.tree.present if path.rpartition("/")[0] == folder]
-    message = f"{command.name} names {quoted(argument.text)}, which does not exist{did_you_mean(name, beside)}"
-    yield fault("no-such-source", command.path, argument.line, message)
+    message = f"{command.name} names {quoted(argument.text)}, which does not exist"
+    yield fault("no-such-source", command.path, argument.line, message, name, beside)
 
 
 def _check_targets(package: Package) -> Iterator[CodeFinding]:
@@ -100,16 +93,15 @@ def _check_targets(package: Package) -> Iterator[CodeFinding]:
         if command.name == "install":
             names = command.after("TARGETS", _INSTALL_KEYWORDS)
         elif command.name == "catkin_package":
-            names = command.after("LIBRARIES", _PACKAGE_KEYWORDS)
+            names = command.after("LIBRARIES", CATKIN_PACKAGE_KEYWORDS)
         elif command.name in ("target_link_libraries", "ament_target_dependencies", "target_include_directories"):
             names = list(command.arguments[:1])
         else:
             continue
         for each in names:
             if each.is_known and each.text not in built | made and "::" not in each.text and "/" not in each.text:
-                hint = did_you_mean(each.text, built)
-                message = f"{command.name} names {quoted(each.text)}, which no command builds{hint}"
-                yield fault("no-such-target", command.path, each.line, message)
+                message = f"{command.name} names {quoted(each.text)}, which no command builds"
+                yield fault("no-such-target", command.path, each.line, message, each.text, built)
 
 
 def _check_found_packages(package: Package) -> Iterator[CodeFinding]:
@@ -161,36 +153,29 @@ def _check_interface_lists(package: Package) -> Iterator[CodeFinding]:
             if not package.tree.has(place):
                 names = [path.rpartition("/")[2] for path in package.files if path.endswith(tuple(FOLDER_OF_SUFFIX))]
                 message = f"{command.name} names {quoted(each.text)}, which does not exist"
-                hint = did_you_mean(each.text.rpartition("/")[2], names)
-                yield fault("no-such-interface", command.path, each.line, message + hint)
-    if not package.cmake or "*" in {each.name for each in calls}:
-        return
-    for path in package.files:
-        suffix = next((each for each in FOLDER_OF_SUFFIX if path.endswith(each)), None)
-        where = path.removeprefix(package.inside("")).rpartition("/")[0]
-        if (
-            suffix
-            and where == FOLDER_OF_SUFFIX[suffix] in complete
-            and path not in listed
-            and _has_no_other(package, path)
-        ):
-            yield fault(
-                "interface-not-built", path, 1, "CMakeLists.txt does not name this file, so nothing is generated"
-            )
+                name = each.text.rpartition("/")[2]
+                yield fault("no-such-interface", command.path, each.line, message, name, names)
+    for path in package.files if package.cmake else ():
+        own = _kind_of_interface(path)
+        folder, _, name = path.removeprefix(package.inside("")).rpartition("/")
+        if own in complete and folder == own and path not in listed and not _is_named_in_build(package, name):
+            message = "CMakeLists.txt does not name this file, so nothing is generated"
+            yield fault("interface-not-built", path, 1, message)
 
 
-def _has_no_other(package: Package, path: str) -> bool:
-    """Whether no word of the build names a file, and no unknown variable may."""
-    return (
-        path.rpartition("/")[2] not in package.build_text
-        and path.rpartition("/")[2].rpartition(".")[0] not in package.build_words
-    )
+def _kind_of_interface(path: str) -> str | None:
+    return next((kind for suffix, kind in FOLDER_OF_SUFFIX.items() if path.endswith(suffix)), None)
+
+
+def _is_named_in_build(package: Package, name: str) -> bool:
+    """Whether a word of the build names a file, or an unknown variable may."""
+    return name in package.build_text or name.rpartition(".")[0] in package.build_words
 
 
 def _check_fields(package: Package, repository: RosRepository) -> Iterator[CodeFinding]:
     interfaces = {path.rpartition("/")[2].partition(".")[0] for path in package.files if path.endswith(".msg")}
     for path in package.files:
-        if not path.endswith(tuple(FOLDER_OF_SUFFIX)) or path.split("/")[-2:-1] not in (
+        if _kind_of_interface(path) is None or path.split("/")[-2:-1] not in (
             [kind] for kind in FOLDER_OF_SUFFIX.values()
         ):
             continue
@@ -202,15 +187,14 @@ def _check_fields(package: Package, repository: RosRepository) -> Iterator[CodeF
             owner, separator, name = each.type.rpartition("/")
             if separator:
                 other = repository.by_name.get(owner)
-                names = {} if other is None else {file.rpartition("/")[2]: 1 for file in other.files}
-                if other is not None and f"{name}.msg" not in names and f"{name}.idl" not in names:
-                    hint = did_you_mean(name, [file.partition(".")[0] for file in names if file.endswith(".msg")])
-                    message = f"{quoted(owner)} has no message {quoted(name)}{hint}"
-                    yield fault("interface-field", path, each.line, message)
+                files = {file.rpartition("/")[2] for file in other.files} if other else {f"{name}.msg"}
+                if not files & {f"{name}.msg", f"{name}.idl"}:
+                    messages = [file.partition(".")[0] for file in sorted(files) if file.endswith(".msg")]
+                    message = f"{quoted(owner)} has no message {quoted(name)}"
+                    yield fault("interface-field", path, each.line, message, name, messages)
             elif each.type not in interfaces | BUILT_IN_TYPES:
-                hint = did_you_mean(each.type, interfaces | BUILT_IN_TYPES)
-                message = f"{quoted(each.type)} is no built-in type, and no message of this package{hint}"
-                yield fault("interface-field", path, each.line, message)
+                message = f"{quoted(each.type)} is no built-in type, and no message of this package"
+                yield fault("interface-field", path, each.line, message, each.type, interfaces | BUILT_IN_TYPES)
             if package.is_ros2 and not each.is_constant and not _ROS2_FIELD.fullmatch(each.name):
                 message = f"found the field {quoted(each.name)}: ROS 2 takes small letters, digits and single _"
                 yield fault("interface-field", path, each.line, message)
@@ -231,18 +215,16 @@ def _entry_points(package: Package) -> Iterator[CodeFinding]:
                 continue
             folder = files[0].rpartition("/")[0]
             names = [path.rpartition("/")[2].removesuffix(".py") for path in package.files if path.startswith(folder)]
-            hint = did_you_mean(place.rpartition("/")[2], names)
-            message = f"{each.name} is to run the module {quoted(each.module)}, which does not exist{hint}"
-            yield fault("no-such-entry-point", each.path, each.line, message)
+            message = f"{each.name} is to run the module {quoted(each.module)}, which does not exist"
+            yield fault("no-such-entry-point", each.path, each.line, message, place.rpartition("/")[2], names)
             continue
-        module = parse_python(tree.text(file))
-        if module is None or not each.function or "." in each.function:
+        source = parse_python(tree.text(file))
+        if source is None or not each.function or "." in each.function:
             continue
-        names = list(_defined_names(module))
+        names = list(_defined_names(source.module))
         if each.function not in names and "*" not in names:
-            hint = did_you_mean(each.function, names)
-            message = f"{each.name} is to call {quoted(each.function)}, which {file} does not define{hint}"
-            yield fault("no-such-entry-point", each.path, each.line, message)
+            message = f"{each.name} is to call {quoted(each.function)}, which {file} does not define"
+            yield fault("no-such-entry-point", each.path, each.line, message, each.function, names)
 
 
 def _defined_names(module: ast.Module) -> Iterator[str]:

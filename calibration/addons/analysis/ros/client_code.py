@@ -12,7 +12,7 @@ from typing import Literal
 import tree_sitter_cpp
 from tree_sitter import Language, Node, Parser
 
-from calibration.addons.analysis.ros.package import parse_python
+from calibration.addons.analysis.ros.python_file import PythonFile, argument_of, parse_python
 
 Kind = Literal[
     "publisher", "subscriber", "server", "client", "action server", "action client", "declared parameter", "parameter"
@@ -84,173 +84,77 @@ _KIND_OF_PYTHON_CALL: dict[str, tuple[Kind, int, str, int | None]] = {
 index of the type."""
 _QUALITY_ARGUMENT_IN_PYTHON = {"create_publisher": (2, "qos_profile"), "create_subscription": (3, "qos_profile")}
 _ANY_PARAMETER = ("allow_undeclared_parameters", "automatically_declare_parameters_from_overrides")
-
-
-@dataclass
-class _Names:
-    """Meaning of the names in a Python file, collected before its calls are read."""
-
-    imported: dict[str, list[str]] = field(default_factory=dict)
-    texts: dict[str, str | None] = field(default_factory=dict)
-    """Names that are assigned one text; None if more than one."""
-    values: dict[str, ast.expr | None] = field(default_factory=dict)
-    """The same for other values."""
+_RELIABILITY_OF_POLICY: dict[str, Reliability] = {"BEST_EFFORT": "best effort", "RELIABLE": "reliable"}
+_DURABILITY_OF_POLICY: dict[str, Durability] = {"TRANSIENT_LOCAL": "transient local", "VOLATILE": "volatile"}
 
 
 def read_python(path: str, text: str) -> ClientCode:
     """Return the calls of a file; none if it does not parse."""
-    module = parse_python(text) if "ros" in text or "rcl" in text else None
-    if module is None:
+    file = parse_python(text) if "ros" in text or "rcl" in text else None
+    if file is None:
         return ClientCode()
-    nodes = list(ast.walk(module))
-    names = _collect_python_names(nodes)
     calls: list[Call] = []
-    node_names: list[str] = []
-    for node in nodes:
-        if not isinstance(node, ast.Call):
-            continue
-        called = _resolve_dotted_name(node.func, names)
-        calls += _read_calls(node, called, names, path)
+    names: list[str] = []
+    for node, called in file.calls():
+        calls += _read_python_calls(node, called, file, path)
         makes_node = called[-2:] == ["rospy", "init_node"] or called[-1:] in (["create_node"], ["Node"])
         if makes_node or _is_base_init(node):
-            node_names += _node_name(node, names)
-    return ClientCode(
-        tuple(sorted(calls, key=lambda each: each.line)),
-        tuple(node_names),
-        any(each in text for each in _ANY_PARAMETER),
-    )
+            given = (file.text(argument_of(node, 0, keyword)) for keyword in ("node_name", "name"))
+            names += list(filter(None, given))[:1]
+    calls.sort(key=lambda each: each.line)
+    return ClientCode(tuple(calls), tuple(names), any(each in text for each in _ANY_PARAMETER))
 
 
-def _collect_python_names(nodes: list[ast.AST]) -> _Names:
-    names = _Names()
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            for each in node.names:
-                if each.asname:
-                    names.imported[each.asname] = each.name.split(".")
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            for each in node.names:
-                names.imported[each.asname or each.name] = [*node.module.split("."), each.name]
-        elif isinstance(node, ast.Assign) and len(node.targets) == 1:
-            target = _name_of_target(node.targets[0])
-            if target:
-                text = node.value.value if isinstance(node.value, ast.Constant) else None
-                names.texts[target] = text if isinstance(text, str) and target not in names.texts else None
-                names.values[target] = node.value if target not in names.values else None
-    return names
-
-
-def _name_of_target(node: ast.expr) -> str:
-    """Return the text of a name or an attribute of self; empty for others."""
-    if isinstance(node, ast.Name):
-        return node.id
-    if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "self":
-        return f"self.{node.attr}"
-    return ""
-
-
-def _resolve_dotted_name(node: ast.expr, names: _Names) -> list[str]:
-    """Return the parts of a dotted name, its first one resolved by the imports."""
-    parts: list[str] = []
-    while isinstance(node, ast.Attribute):
-        parts.append(node.attr)
-        node = node.value
-    if not isinstance(node, ast.Name):
-        return parts[::-1]
-    return [*names.imported.get(node.id, [node.id]), *parts[::-1]]
-
-
-def _read_calls(node: ast.Call, called: list[str], names: _Names, path: str) -> Iterator[Call]:
+def _read_python_calls(node: ast.Call, called: list[str], file: PythonFile, path: str) -> Iterator[Call]:
     for form, (kind, at, keyword, type_at) in _KIND_OF_PYTHON_CALL.items():
-        if called[-form.count(".") - 1 :] != form.split("."):
+        if called[-form.count(".") - 1 :] != form.split(".") or (form.startswith("Action") and "actionlib" in called):
             continue
-        if form.startswith("Action") and "actionlib" in called:
-            continue
-        name = _constant_text_in_python(_argument_of_python_call(node, at, keyword), names)
-        if type_at is not None and len(node.args) <= type_at:
-            type_at = None
-        of_type = None if type_at is None else short_type(_resolve_dotted_name(node.args[type_at], names))
+        has_type = type_at is not None and len(node.args) > type_at
+        of_type = short_type(file.dotted_name(node.args[type_at or 0])) if has_type else None
         quality = None
         if form in _QUALITY_ARGUMENT_IN_PYTHON:
-            quality = _quality_of_python_expression(
-                _argument_of_python_call(node, *_QUALITY_ARGUMENT_IN_PYTHON[form]), names
-            )
-        yield Call(kind, name, of_type, path, node.lineno, quality)
+            quality = _quality_of_python_expression(argument_of(node, *_QUALITY_ARGUMENT_IN_PYTHON[form]), file)
+        yield Call(kind, file.text(argument_of(node, at, keyword)), of_type, path, node.lineno, quality)
     if called[-1:] == ["declare_parameters"]:
-        yield from _declared_together(node, names, path)
+        yield from _declared_together(node, file, path)
 
 
-def _declared_together(node: ast.Call, names: _Names, path: str) -> Iterator[Call]:
-    prefix, each = (
-        _constant_text_in_python(_argument_of_python_call(node, 0, "namespace"), names),
-        _argument_of_python_call(node, 1, "parameters"),
-    )
-    if not isinstance(each, ast.List | ast.Tuple) or prefix is None:
+def _declared_together(node: ast.Call, file: PythonFile, path: str) -> Iterator[Call]:
+    prefix, entries = file.text(argument_of(node, 0, "namespace")), argument_of(node, 1, "parameters")
+    if not isinstance(entries, ast.List | ast.Tuple) or prefix is None:
         yield Call("declared parameter", None, None, path, node.lineno)
         return
-    for entry in each.elts:
-        first = entry.elts[0] if isinstance(entry, ast.Tuple | ast.List) and entry.elts else None
-        name = _constant_text_in_python(first, names)
-        full = None if name is None else f"{prefix}.{name}" if prefix else name
+    for entry in entries.elts:
+        name = file.text(entry.elts[0]) if isinstance(entry, ast.Tuple | ast.List) and entry.elts else None
+        full = f"{prefix}.{name}" if prefix and name is not None else name
         yield Call("declared parameter", full, None, path, entry.lineno)
 
 
-def _argument_of_python_call(node: ast.Call, at: int, keyword: str) -> ast.expr | None:
-    if len(node.args) > at:
-        return node.args[at]
-    return next((each.value for each in node.keywords if each.arg == keyword), None)
-
-
-def _constant_text_in_python(node: ast.expr | None, names: _Names) -> str | None:
-    if isinstance(node, ast.Constant):
-        return node.value if isinstance(node.value, str) else None
-    return names.texts.get(_name_of_target(node)) if node is not None else None
-
-
-def _quality_of_python_expression(node: ast.expr | None, names: _Names) -> Quality | None:
+def _quality_of_python_expression(node: ast.expr | None, file: PythonFile) -> Quality | None:
     """Return the quality of a depth, a profile or a name of one; None if it is something else."""
-    if isinstance(node, ast.Constant) and isinstance(node.value, int):
-        return Quality()
-    if node is None:
-        return None
-    parts = _resolve_dotted_name(node, names)
-    if parts[-1:] == ["qos_profile_sensor_data"]:
-        return Quality("best effort")
-    if isinstance(node, ast.Name | ast.Attribute):
-        value = names.values.get(_name_of_target(node))
-        return None if value is None or isinstance(value, ast.Name) else _quality_of_python_expression(value, names)
-    if isinstance(node, ast.Call) and _resolve_dotted_name(node.func, names)[-1:] == ["QoSProfile"]:
-        return _quality_of_profile(node, names)
+    for each in (node, file.value(node)):
+        if isinstance(each, ast.Constant) and isinstance(each.value, int):
+            return Quality()
+        if each is not None and file.dotted_name(each)[-1:] == ["qos_profile_sensor_data"]:
+            return Quality("best effort")
+        if isinstance(each, ast.Call) and file.dotted_name(each.func)[-1:] == ["QoSProfile"]:
+            return _quality_of_profile(each, file)
     return None
 
 
-def _quality_of_profile(node: ast.Call, names: _Names) -> Quality | None:
-    given = {each.arg: _resolve_dotted_name(each.value, names)[-1:] for each in node.keywords}
-    best = {("BEST_EFFORT",): "best effort", ("RELIABLE",): "reliable", (): "reliable"}
-    last = {("TRANSIENT_LOCAL",): "transient local", ("VOLATILE",): "volatile", (): "volatile"}
-    reliability, durability = (tuple(given.get(each, ())) for each in ("reliability", "durability"))
-    if reliability not in best or durability not in last or None in given:
-        return None
-    return Quality(best[reliability], last[durability])  # type: ignore[arg-type]
+def _quality_of_profile(node: ast.Call, file: PythonFile) -> Quality | None:
+    given = {each.arg: "".join(file.dotted_name(each.value)[-1:]) for each in node.keywords}
+    reliability = _RELIABILITY_OF_POLICY.get(given.get("reliability", "RELIABLE"))
+    durability = _DURABILITY_OF_POLICY.get(given.get("durability", "VOLATILE"))
+    return None if reliability is None or durability is None or None in given else Quality(reliability, durability)
 
 
 def _is_base_init(node: ast.Call) -> bool:
     """Whether it is ``super().__init__(...)``."""
-    function = node.func
-    return (
-        isinstance(function, ast.Attribute)
-        and function.attr == "__init__"
-        and isinstance(function.value, ast.Call)
-        and isinstance(function.value.func, ast.Name)
-        and function.value.func.id == "super"
-    )
-
-
-def _node_name(node: ast.Call, names: _Names) -> list[str]:
-    name = _constant_text_in_python(_argument_of_python_call(node, 0, "node_name"), names) or _constant_text_in_python(
-        _argument_of_python_call(node, 0, "name"), names
-    )
-    return [name] if name else []
+    match node.func:
+        case ast.Attribute(ast.Call(ast.Name("super")), "__init__"):
+            return True
+    return False
 
 
 _KIND_OF_CPP_CALL: dict[str, tuple[Kind, int]] = {

@@ -21,6 +21,7 @@ _FOLDER_VARIABLES = ("CMAKE_CURRENT_SOURCE_DIR", "CMAKE_CURRENT_LIST_DIR")
 _ROOT_VARIABLES = ("CMAKE_SOURCE_DIR", "PROJECT_SOURCE_DIR")
 _REPOSITORY_ROOT = "/repository"
 """Stands for the root of the repository in absolute paths."""
+CATKIN_PACKAGE_KEYWORDS = ("INCLUDE_DIRS", "LIBRARIES", "CATKIN_DEPENDS", "DEPENDS", "CFG_EXTRAS", "EXPORTED_TARGETS")
 _END_OF_BLOCK = {"foreach": "endforeach", "function": "endfunction", "macro": "endmacro"}
 
 

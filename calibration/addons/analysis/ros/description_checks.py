@@ -14,7 +14,7 @@ from calibration.addons.analysis.results import CodeFinding
 from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.graph import build_graphs
 from calibration.addons.analysis.ros.repository import RosRepository
-from calibration.addons.analysis.ros.tree import join, line_of, parse_xml, without_comments
+from calibration.addons.analysis.ros.tree import compose_yaml, entries_of, join, line_of, parse_xml, without_comments
 from calibration.base.text import did_you_mean
 
 _MAX_CONFIGURATION_BYTES = 50_000_000
@@ -72,22 +72,14 @@ def _read_configuration(repository: RosRepository, path: str) -> tuple[list[_Nam
         return None
     if name == "dataset.json":
         return _of_dataset(text)
-    try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-    except (yaml.YAMLError, ValueError, RecursionError):
+    if (root := compose_yaml(text)) is None:
         return None
-    entries = _entries_of_mapping(root)
-    description = next((str(value.value) for key, value in entries if key.value == "description_file"), "")
-    named = list(_find_named(root, 0))
-    return named, description
-
-
-def _entries_of_mapping(node: Any) -> list[tuple[Any, Any]]:
-    return node.value if isinstance(node, yaml.MappingNode) else []
+    names = (str(value.value) for key, value in entries_of(root) if key.value == "description_file")
+    return list(_find_named(root, 0)), next(names, "")
 
 
 def _find_named(node: Any, depth: int) -> Iterator[_Named]:
-    for key, value in _entries_of_mapping(node) if depth < 8 else ():
+    for key, value in entries_of(node) if depth < 8 else ():
         if isinstance(value, yaml.ScalarNode) and key.value in (*_FRAME_KEYS, "topic_name") and value.value:
             yield _Named(key.value, str(value.value), key.start_mark.line + 1, id(node))
         elif key.value != "calibration_patterns":

@@ -5,13 +5,14 @@ In the picture nodes that give, topics, services and actions, and nodes that tak
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 
-from calibration.addons.analysis.ros.client_code import Call, Kind
+from calibration.addons.analysis.ros.client_code import Call, ClientCode, Kind
 from calibration.addons.analysis.ros.launch import Launch, NodeStart, resolved
 from calibration.addons.analysis.ros.package import Package
 from calibration.addons.analysis.ros.repository import RosRepository, with_imports
+from calibration.addons.analysis.ros.tree import is_test_file
 
 _MAX_INCLUDES = 500
 CONNECTIONS: tuple[tuple[str, Kind, Kind], ...] = (
@@ -88,8 +89,7 @@ class _Walk:
         self.unresolved += launch.unresolved
         for start in launch.starts:
             inner = _join_namespaces(namespace, start.namespace)
-            changed = {"namespace": inner, "conditional": start.conditional or conditional}
-            self.starts.append(NodeStart(**{**vars(start), **changed}))
+            self.starts.append(replace(start, namespace=inner, conditional=start.conditional or conditional))
         for include in launch.includes:
             included = self.repository.included(include)
             if included is None:
@@ -117,7 +117,7 @@ def build_graphs(repository: RosRepository) -> list[Graph]:
         for include in each.includes
         if (launch := repository.included(include)) is not None and launch.path != each.path
     }
-    roots = [each for path, each in repository.launches.items() if path not in included and not _is_test(path)]
+    roots = [each for path, each in repository.launches.items() if path not in included and not is_test_file(path)]
     started = {(each.package, each.executable) for launch in repository.launches.values() for each in launch.starts}
     others = list(_nodes_not_started(repository, started))
     graphs = []
@@ -129,61 +129,55 @@ def build_graphs(repository: RosRepository) -> list[Graph]:
     return graphs or [_connect_nodes("", others, [])]
 
 
-def _is_test(path: str) -> bool:
-    return path.endswith(".test") or any(part in ("test", "tests") for part in path.split("/")[:-1])
-
-
 def _nodes_not_started(repository: RosRepository, started: set[tuple[str | None, str | None]]) -> Iterator[GraphNode]:
     """Yield the executables that no launch file starts."""
     for package in repository.packages:
         for name, sources in repository.executables(package).files.items():
             is_code = any(path.endswith((".py", ".cpp", ".cc", ".cxx")) for path in sources)
-            if (package.name, name) in started or not is_code or any(map(_is_test, sources)):
+            if (package.name, name) in started or not is_code or any(map(is_test_file, sources)):
                 continue
-            calls, _, takes_any, names = _code_of_executable(repository, package, sources)
-            if calls and names:
-                title = resolved("", names[0]) if len(set(names)) == 1 else None
-                yield GraphNode(title, package.name, name, None, calls, takes_any)
+            code = _code_of_executable(repository, package, sources)
+            if code.calls and code.node_names:
+                title = resolved("", code.node_names[0]) if len(set(code.node_names)) == 1 else None
+                yield GraphNode(title, package.name, name, None, code.calls, code.takes_any_parameter)
 
 
 def _node_of_start(repository: RosRepository, start: NodeStart) -> GraphNode:
     package = repository.by_name.get(start.package or "")
-    calls: tuple[Call, ...] = ()
-    names: tuple[str, ...] = ()
-    takes_any = True
+    code = ClientCode(takes_any_parameter=True)
     if package is not None and start.executable is not None:
         sources = repository.executables(package).files.get(start.executable, ())
-        calls, is_known, takes_any, names = _code_of_executable(repository, package, sources)
-        takes_any = takes_any or not is_known
+        code = _code_of_executable(repository, package, sources)
+    names = code.node_names
+    takes_any = code.takes_any_parameter or not names
     name = start.name if start.is_named else names[0] if len(set(names)) == 1 else start.executable
     full = None if name is None or start.namespace is None else resolved(start.namespace, name)
-    return GraphNode(full, start.package or "?", start.executable or "?", start, calls, takes_any, start.namespace)
+    package_name, executable = start.package or "?", start.executable or "?"
+    return GraphNode(full, package_name, executable, start, code.calls, takes_any, start.namespace)
 
 
-def _code_of_executable(
-    repository: RosRepository, package: Package, sources: tuple[str, ...]
-) -> tuple[tuple[Call, ...], bool, bool, tuple[str, ...]]:
-    """Return the calls of an executable, whether its code is known, takes any parameter, and the names of its nodes."""
+def _code_of_executable(repository: RosRepository, package: Package, sources: tuple[str, ...]) -> ClientCode:
+    """Return the code of all files of an executable; its names are unknown if there is none."""
     paths = [path for each in sources for path in (with_imports(package, each) if each.endswith(".py") else (each,))]
     codes = [repository.code(path) for path in dict.fromkeys(paths)]
-    calls = tuple(call for code in codes for call in code.calls)
-    names = tuple(name for code in codes for name in code.node_names)
-    return calls, bool(names), any(code.takes_any_parameter for code in codes), names
+    return ClientCode(
+        tuple(call for code in codes for call in code.calls),
+        tuple(name for code in codes for name in code.node_names),
+        any(code.takes_any_parameter for code in codes),
+    )
 
 
 def _connect_nodes(root: str, nodes: list[GraphNode], unresolved: list[str]) -> Graph:
     endpoints = []
-    missing = list(unresolved)
     for node in nodes:
         for call in node.calls:
             if "parameter" in call.kind:
                 continue
-            endpoint = _endpoint_of_call(node, call)
-            if endpoint is None:
-                missing.append(f"{call.path}:{call.line}: the name of a {call.kind}")
-            else:
+            if endpoint := _endpoint_of_call(node, call):
                 endpoints.append(endpoint)
-    return Graph(root, tuple(nodes), tuple(endpoints), tuple(dict.fromkeys(missing)))
+            else:
+                unresolved.append(f"{call.path}:{call.line}: the name of a {call.kind}")
+    return Graph(root, tuple(nodes), tuple(endpoints), tuple(dict.fromkeys(unresolved)))
 
 
 def _endpoint_of_call(node: GraphNode, call: Call) -> Endpoint | None:
@@ -229,18 +223,11 @@ def _describe_connections(graph: Graph) -> Iterator[str]:
 
 
 def _document_of_graph(graph: Graph) -> Mapping[str, object]:
-    found: dict[str, object] = {
-        "launch": graph.root or None,
-        "nodes": [
-            {
-                "name": each.name,
-                "package": each.package,
-                "executable": each.executable,
-                "started": each.start is not None,
-            }
-            for each in graph.nodes
-        ],
-    }
+    nodes = [
+        {"name": each.name, "package": each.package, "executable": each.executable, "started": each.start is not None}
+        for each in graph.nodes
+    ]
+    found: dict[str, object] = {"launch": graph.root or None, "nodes": nodes}
     for title, giving, taking in CONNECTIONS:
         entries = {}
         for name in sorted({each.name for each in graph.of(giving, taking)}):

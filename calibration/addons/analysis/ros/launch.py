@@ -4,14 +4,22 @@ Here those in XML and YAML; `launch_python` reads those in Python.
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import yaml
 
-from calibration.addons.analysis.ros.tree import LINE_KEY, attributes_of, join, line_of, parse_xml
+from calibration.addons.analysis.ros.tree import (
+    LINE_KEY,
+    attributes_of,
+    compose_yaml,
+    entries_of,
+    join,
+    line_of,
+    parse_xml,
+)
 
 _PACKAGE_SUBSTITUTION = re.compile(r"\$\((?:find|find-pkg-share)\s+([\w-]+)\)")
 _FOLDER_SUBSTITUTION = re.compile(r"\$\(dirname\)")
@@ -71,22 +79,20 @@ class Include:
     passes_all: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass
 class Launch:
     """A launch file."""
 
     path: str
-    starts: tuple[NodeStart, ...] = ()
-    includes: tuple[Include, ...] = ()
-    arguments: Mapping[str, bool] = field(default_factory=dict)
+    starts: list[NodeStart] = field(default_factory=list)
+    includes: list[Include] = field(default_factory=list)
+    arguments: dict[str, bool] = field(default_factory=dict)
     """Declared arguments, and whether each has a value."""
-    used: tuple[tuple[str, int], ...] = ()
+    used: list[tuple[str, int]] = field(default_factory=list)
     """Arguments that are used, with their lines."""
-    files: tuple[tuple[str, int], ...] = ()
+    files: list[tuple[str, int]] = field(default_factory=list)
     """Files of packages that are named, ``package://name/path``, with their lines."""
-    parameters: tuple[LaunchParameter, ...] = ()
-    """Parameters of no node."""
-    unresolved: Sequence[str] = ()
+    unresolved: list[str] = field(default_factory=list)
     """Messages about parts that could not be read."""
 
 
@@ -127,19 +133,6 @@ _KEYS_WITH_LINE = ("file", "exec", "from")
 _NAMESPACE_TAGS = ("push-ros-namespace", "push_ros_namespace")
 
 
-@dataclass
-class _Found:
-    """Content of a launch file, collected while its elements are read."""
-
-    path: str
-    starts: list[NodeStart] = field(default_factory=list)
-    includes: list[Include] = field(default_factory=list)
-    arguments: dict[str, bool] = field(default_factory=dict)
-    used: list[tuple[str, int]] = field(default_factory=list)
-    files: list[tuple[str, int]] = field(default_factory=list)
-    parameters: list[LaunchParameter] = field(default_factory=list)
-
-
 @dataclass(frozen=True)
 class _Scope:
     """Settings that an element inherits from the elements around it."""
@@ -164,13 +157,10 @@ def read_launch_xml(path: str, data: bytes) -> Launch | None:
 
 def read_launch_yaml(path: str, text: str) -> Launch | None:
     """Read a launch file in YAML; None if it is no such file."""
-    try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return None
-    if not isinstance(node, yaml.MappingNode) or [key.value for key, _ in node.value] != ["launch"]:
-        return None
-    return _read_launch(path, _Elements().of(node.value[0][1]))
+    entries = entries_of(compose_yaml(text))
+    return (
+        _read_launch(path, _Elements().of(entries[0][1])) if [key.value for key, _ in entries] == ["launch"] else None
+    )
 
 
 class _Elements:
@@ -188,7 +178,7 @@ class _Elements:
     def _add_entries(self, parent: Element, node: Any, depth: int) -> None:
         """Add the entries of a list, each ``tag: content``."""
         for entry in node.value if isinstance(node, yaml.SequenceNode) else ():
-            for key, value in entry.value if isinstance(entry, yaml.MappingNode) else ():
+            for key, value in entries_of(entry):
                 self._add_element(parent, str(key.value), value, key.start_mark.line + 1, depth)
 
     def _add_element(self, parent: Element, tag: str, value: Any, line: int, depth: int) -> None:
@@ -200,7 +190,7 @@ class _Elements:
         if isinstance(value, yaml.SequenceNode):  # a group
             self._add_entries(child, value, depth + 1)
             return
-        for key, inner in value.value if isinstance(value, yaml.MappingNode) else ():
+        for key, inner in entries_of(value):
             name = str(key.value)
             if isinstance(inner, yaml.ScalarNode):
                 child.set(name, str(inner.value))
@@ -213,23 +203,15 @@ class _Elements:
 
 
 def _read_launch(path: str, root: Element) -> Launch:
-    found = _Found(path)
-    _read_children(root, _Scope(), found)
+    launch = Launch(path)
+    _read_children(root, _Scope(), launch)
     for element in root.iter():
         for text in (*attributes_of(element).values(), element.text or ""):
             line = line_of(element)
-            found.used += [(name, line) for name in _used_arguments(text)]
+            launch.used += [(name, line) for name in _used_arguments(text)]
             if "$(find" in text or "package://" in text:
-                found.files += [(each, line) for each in with_packages(text, path).split()]
-    return Launch(
-        path,
-        tuple(found.starts),
-        tuple(found.includes),
-        found.arguments,
-        tuple(found.used),
-        tuple(found.files),
-        tuple(found.parameters),
-    )
+                launch.files += [(each, line) for each in with_packages(text, path).split()]
+    return launch
 
 
 def _used_arguments(text: str) -> Iterator[str]:
@@ -238,29 +220,27 @@ def _used_arguments(text: str) -> Iterator[str]:
             yield part.partition(")")[0].strip()
 
 
-def _read_children(element: Element, scope: _Scope, found: _Found) -> None:
+def _read_children(element: Element, scope: _Scope, launch: Launch) -> None:
     for child in element:
         inner = replace(scope, conditional=scope.conditional or bool({"if", "unless"} & set(child.keys())))
-        text = {name: with_packages(value, found.path) for name, value in attributes_of(child).items()}
+        text = {name: with_packages(value, launch.path) for name, value in attributes_of(child).items()}
         tag, line = str(child.tag), line_of(child)
         if tag in _NAMESPACE_TAGS:
             scope = scope.inside(known(text.get("namespace")))
         elif tag == "group":
-            _read_children(child, inner.inside(known(text["ns"])) if text.get("ns") else inner, found)
+            _read_children(child, inner.inside(known(text["ns"])) if text.get("ns") else inner, launch)
         elif tag == "remap":
-            scope = replace(scope, remappings=(*scope.remappings, *_read_remapping(text, line)))
+            scope = replace(scope, remappings=(*scope.remappings, _read_remapping(text, line)))
         elif tag == "arg" and "name" in text:
-            found.arguments[text["name"]] = "default" in text or "value" in text
+            launch.arguments[text["name"]] = "default" in text or "value" in text
         elif tag == "include":
-            found.includes.append(_read_include(child, text, inner, found.path))
+            launch.includes.append(_read_include(child, text, inner, launch.path))
         elif tag in _NODE_TAGS:
-            found.starts.append(_read_start(child, text, inner, found.path))
-        elif tag == "param" and known(text.get("name")):
-            found.parameters.append(LaunchParameter(text["name"], found.path, line))
+            launch.starts.append(_read_start(child, text, inner, launch.path))
 
 
-def _read_remapping(text: dict[str, str], line: int) -> tuple[Remapping, ...]:
-    return (Remapping(known(text.get("from")), known(text.get("to")), line),)
+def _read_remapping(text: dict[str, str], line: int) -> Remapping:
+    return Remapping(known(text.get("from")), known(text.get("to")), line)
 
 
 def _read_include(element: Element, text: dict[str, str], scope: _Scope, path: str) -> Include:
@@ -280,7 +260,7 @@ def _read_start(element: Element, text: dict[str, str], scope: _Scope, path: str
     for child in element:
         inner = {name: with_packages(value, path) for name, value in attributes_of(child).items()}
         if child.tag == "remap":
-            remappings += _read_remapping(inner, line_of(child))
+            remappings.append(_read_remapping(inner, line_of(child)))
         elif child.tag == "param" and "from" in inner:
             files.append(inner["from"])
         elif child.tag in ("param", "rosparam"):

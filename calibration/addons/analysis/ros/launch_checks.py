@@ -15,7 +15,7 @@ from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.graph import CONNECTIONS, Endpoint, Graph, GraphNode, build_graphs
 from calibration.addons.analysis.ros.launch import Include, Launch, LaunchParameter, package_of
 from calibration.addons.analysis.ros.repository import RosRepository, is_installed
-from calibration.addons.analysis.ros.tree import without_comments
+from calibration.addons.analysis.ros.tree import compose_yaml, entries_of, is_test_file, without_comments
 from calibration.base.text import did_you_mean
 
 _SUFFIXES_READ_ONLY = (
@@ -55,15 +55,14 @@ def _check_executables(launch: Launch, repository: RosRepository) -> Iterator[Co
         named = start.executable in executables.files or start.executable in package.build_words
         if not named and executables.is_complete:
             names = [each for each, sources in executables.files.items() if sources]
-            hint = did_you_mean(start.executable, names)
-            message = f"{quoted(package.name)} has no executable {quoted(start.executable)}{hint}"
-            yield fault("no-such-executable", start.path, start.line, message)
+            message = f"{quoted(package.name)} has no executable {quoted(start.executable)}"
+            yield fault("no-such-executable", start.path, start.line, message, start.executable, names)
 
 
 def _check_file(text: str, path: str, line: int, repository: RosRepository) -> Iterator[CodeFinding]:
     named = package_of(text)
     package = repository.by_name.get(named[0]) if named else None
-    if named is None or package is None or not named[1].lower().endswith(_SUFFIXES_READ_ONLY) or _is_test(path):
+    if named is None or package is None or not named[1].lower().endswith(_SUFFIXES_READ_ONLY) or is_test_file(path):
         return
     inside = named[1]
     if inside.rpartition("/")[2] in package.build_words:  # generated, downloaded, or installed by name
@@ -74,9 +73,8 @@ def _check_file(text: str, path: str, line: int, repository: RosRepository) -> I
     if not repository.tree.has(package.inside(inside)):
         folder, _, name = inside.rpartition("/")
         beside = [each for each in package.files if package.relative(each).rpartition("/")[0] == folder]
-        hint = did_you_mean(name, [each.rpartition("/")[2] for each in beside])
-        message = f"{quoted(package.name)} has no file {quoted(inside)}{hint}"
-        yield fault("no-such-file", path, line, message)
+        message = f"{quoted(package.name)} has no file {quoted(inside)}"
+        yield fault("no-such-file", path, line, message, name, [each.rpartition("/")[2] for each in beside])
     elif not is_installed(package, inside):
         message = f"{quoted(package.name)} does not install {quoted(inside)}: it is not found after an installation"
         yield fault("not-installed", path, line, message)
@@ -89,9 +87,8 @@ def _check_include(include: Include, repository: RosRepository) -> Iterator[Code
     python = launch.path.endswith(".py")
     for name, line in include.arguments.items():
         if name not in launch.arguments and not (python and name in dict(launch.used)):
-            hint = did_you_mean(name, launch.arguments)
-            message = f"{launch.path} declares no argument {quoted(name)}{hint}"
-            yield fault("launch-argument", include.path, line, message)
+            message = f"{launch.path} declares no argument {quoted(name)}"
+            yield fault("launch-argument", include.path, line, message, name, launch.arguments)
     for name, has_value in launch.arguments.items():
         if not has_value and name not in include.arguments:
             message = f"{launch.path} needs the argument {quoted(name)}, which is not given"
@@ -123,11 +120,6 @@ def _check_cycles(launch: Launch, repository: RosRepository) -> Iterator[CodeFin
         if launch.path in seen:
             message = f"{quoted(include.file or '')} includes this file again, without an end"
             yield fault("launch-cycle", launch.path, include.line, message)
-
-
-def _is_test(path: str) -> bool:
-    """Whether a file is of a test, which runs beside the sources."""
-    return path.endswith(".test") or any(part in ("test", "tests") for part in path.split("/")[:-1])
 
 
 _TOPICS_OF_ROS = ("/rosout", "/tf", "/tf_static", "/clock", "/parameter_events", "/robot_description")
@@ -228,9 +220,8 @@ def _check_parameters(node: GraphNode, repository: RosRepository) -> Iterator[Co
         name = each.name.lstrip("~/")
         ends = {name[:at] for at, letter in enumerate(name) if letter in "./"} | {name}
         if not ends & names and name.partition(".")[0] not in _PARAMETERS_OF_ROS:
-            hint = did_you_mean(name, names)
-            message = f"{quoted(node.title)} has no parameter {quoted(name)}{hint}"
-            yield fault("no-such-parameter", each.path, each.line, message)
+            message = f"{quoted(node.title)} has no parameter {quoted(name)}"
+            yield fault("no-such-parameter", each.path, each.line, message, name, names)
 
 
 def _parameters_set(node: GraphNode, repository: RosRepository, is_ros2: bool) -> Iterator[LaunchParameter]:
@@ -270,9 +261,9 @@ def parameters_of(path: str, text: str, node: str) -> list[LaunchParameter]:
     """Return the parameters that a file of ROS 2 sets for a node of this full name."""
     found: list[LaunchParameter] = []
     short = node.rpartition("/")[2]
-    for key, value in _entries_of_mapping(_parse_root(text)):
+    for key, value in entries_of(compose_yaml(text)):
         if str(key.value) in ("/**", short, node, node.lstrip("/"), f"/**/{short}"):
-            for inner, values in _entries_of_mapping(value):
+            for inner, values in entries_of(value):
                 if inner.value == "ros__parameters":
                     found += _names_of_values(values, "", path, ".")
     return found[:_MAX_PARAMETERS]
@@ -280,23 +271,12 @@ def parameters_of(path: str, text: str, node: str) -> list[LaunchParameter]:
 
 def private_parameters_of(path: str, text: str) -> list[LaunchParameter]:
     """Return the names that a file of ROS 1 sets below where it is loaded."""
-    return list(_names_of_values(_parse_root(text), "", path, "/"))[:_MAX_PARAMETERS]
-
-
-def _parse_root(text: str) -> Any:
-    try:
-        return yaml.compose(text, Loader=yaml.SafeLoader)
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return None
-
-
-def _entries_of_mapping(node: Any) -> list[tuple[Any, Any]]:
-    return node.value if isinstance(node, yaml.MappingNode) else []
+    return list(_names_of_values(compose_yaml(text), "", path, "/"))[:_MAX_PARAMETERS]
 
 
 def _names_of_values(node: Any, prefix: str, path: str, separator: str, depth: int = 0) -> Iterator[LaunchParameter]:
     """Yield the names of all values, nested ones joined by the separator."""
-    for key, value in _entries_of_mapping(node) if depth < _MAX_DEPTH else ():
+    for key, value in entries_of(node) if depth < _MAX_DEPTH else ():
         name = f"{prefix}{key.value}"
         if isinstance(value, yaml.MappingNode):
             yield from _names_of_values(value, f"{name}{separator}", path, separator, depth + 1)

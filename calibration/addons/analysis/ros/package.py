@@ -5,7 +5,6 @@ setup.py is read without running it.
 
 import ast
 import re
-import warnings
 from collections.abc import Iterator, Sequence
 from configparser import ConfigParser
 from configparser import Error as ConfigError
@@ -14,6 +13,7 @@ from functools import cached_property
 from xml.etree.ElementTree import Element
 
 from calibration.addons.analysis.ros.cmake import CMakeCommand, read_cmake
+from calibration.addons.analysis.ros.python_file import PythonFile, parse_python
 from calibration.addons.analysis.ros.tree import Tree, line_of, parents, parse_xml
 
 _ENTRY_POINT = re.compile(r"\s*([\w.-]+)\s*=\s*([\w.]+)\s*(?::\s*([\w.]+))?\s*(?:\[.*\])?\s*")
@@ -38,22 +38,8 @@ class SetupScript:
     name: tuple[str, int] | None = None
     """Name and its line; None if it is not written."""
     entry_points: tuple[EntryPoint, ...] = ()
-    strings: tuple[tuple[str, int], ...] = ()
-    """All strings with their lines."""
-    data_files: tuple[tuple[str, int], ...] = ()
-    """Names of files in data_files that are written out, with their lines."""
     is_known: bool = True
     """Whether the file could be parsed."""
-
-
-def parse_python(text: str) -> ast.Module | None:
-    """Parse Python; None if it does not parse."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # invalid escapes in the strings of others
-            return ast.parse(text)
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return None
 
 
 def read_setup(tree: Tree, folder: str) -> SetupScript | None:
@@ -61,58 +47,28 @@ def read_setup(tree: Tree, folder: str) -> SetupScript | None:
     path = f"{folder}/setup.py" if folder else "setup.py"
     if path not in tree.present:
         return None
-    module = parse_python(tree.text(path))
-    if module is None:
+    file = parse_python(tree.text(path))
+    if file is None:
         return SetupScript(path, is_known=False)
-    constants = {
-        target.id: node.value.value
-        for node in ast.walk(module)
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-        for target in node.targets
-        if isinstance(target, ast.Name)
-    }
-    name, entries, data = None, [], []
-    for node in ast.walk(module):
+    name, entries = None, list[EntryPoint]()
+    for node in file.nodes:
         if isinstance(node, ast.keyword) and node.arg == "entry_points":
-            entries = list(_entry_points(node.value, path))
-        elif isinstance(node, ast.keyword) and node.arg == "data_files":
-            data = list(_data_files(node.value))
-        elif isinstance(node, ast.keyword) and node.arg == "name":
-            text = constants.get(node.value.id) if isinstance(node.value, ast.Name) else _text_of_constant(node.value)
-            name = (text, node.value.lineno) if text is not None else name
-    strings = tuple(
-        (node.value, node.lineno)
-        for node in ast.walk(module)
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-    )
-    return SetupScript(path, name, (*entries, *_entry_points_of_configuration(tree, folder)), strings, tuple(data))
+            entries = [each for key, value in _items_of(node.value) for each in _entry_points(key, value, file, path)]
+        elif isinstance(node, ast.keyword) and node.arg == "name" and (text := file.text(node.value)) is not None:
+            name = (text, node.value.lineno)
+    return SetupScript(path, name, (*entries, *_entry_points_of_configuration(tree, folder)))
 
 
-def _text_of_constant(node: ast.expr) -> str | None:
-    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else None
+def _items_of(node: ast.expr) -> Iterator[tuple[ast.expr | None, ast.expr]]:
+    return zip(node.keys, node.values, strict=True) if isinstance(node, ast.Dict) else iter(())
 
 
-def _entry_points(node: ast.expr, path: str) -> Iterator[EntryPoint]:
-    """Yield the console scripts of a dictionary of entry points."""
-    if not isinstance(node, ast.Dict):
-        return
-    for key, value in zip(node.keys, node.values, strict=True):
-        if key is None or _text_of_constant(key) != "console_scripts" or not isinstance(value, ast.List | ast.Tuple):
-            continue
+def _entry_points(key: ast.expr | None, value: ast.expr, file: PythonFile, path: str) -> Iterator[EntryPoint]:
+    """Yield the console scripts of an entry in a dictionary of entry points."""
+    if file.text(key) == "console_scripts" and isinstance(value, ast.List | ast.Tuple):
         for each in value.elts:
-            match = _ENTRY_POINT.fullmatch(_text_of_constant(each) or "")
-            if match:
+            if match := _ENTRY_POINT.fullmatch(file.text(each) or ""):
                 yield EntryPoint(match[1], match[2], match[3] or "", path, each.lineno)
-
-
-def _data_files(node: ast.expr) -> Iterator[tuple[str, int]]:
-    """Yield the files that stand in lists of data_files, each ``(folder, [file, ...])``."""
-    for each in ast.walk(node):
-        if isinstance(each, ast.Tuple) and len(each.elts) == 2 and isinstance(each.elts[1], ast.List | ast.Tuple):
-            for file in each.elts[1].elts:
-                text = _text_of_constant(file)
-                if text is not None:
-                    yield text, file.lineno
 
 
 def _entry_points_of_configuration(tree: Tree, folder: str) -> Iterator[EntryPoint]:
@@ -124,12 +80,11 @@ def _entry_points_of_configuration(tree: Tree, folder: str) -> Iterator[EntryPoi
         text = parser.get("options.entry_points", "console_scripts", fallback="")
     except (ConfigError, ValueError):
         return
-    lines = tree.text(path).split("\n")
+    lines = [line.strip() for line in tree.text(path).split("\n")]
     for each in text.split("\n"):
-        match = _ENTRY_POINT.fullmatch(each)
-        if match:
-            at = next((number for number, line in enumerate(lines, 1) if each.strip() == line.strip()), 1)
-            yield EntryPoint(match[1], match[2], match[3] or "", path, at)
+        if match := _ENTRY_POINT.fullmatch(each):
+            line = lines.index(each.strip()) + 1 if each.strip() in lines else 1
+            yield EntryPoint(match[1], match[2], match[3] or "", path, line)
 
 
 _FIELD_LINE = re.compile(r"([\w/]+(?:<=\d+)?)((?:\[(?:<=)?\d*\])?)\s+(\w+)\s*(.*)")

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 
 from calibration.addons.analysis.results import CodeFinding
+from calibration.addons.analysis.ros.cmake import CATKIN_PACKAGE_KEYWORDS
 from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.package import BUILD_TAGS, Package
 from calibration.addons.analysis.ros.repository import RosRepository
@@ -73,10 +74,8 @@ def _check_names(package: Package) -> Iterator[CodeFinding]:
 
 def _check_build_type(package: Package) -> Iterator[CodeFinding]:
     kind, tree = package.build_type, package.tree
-    at = package.line_of("export")
     build_type = package.xml.find("export/build_type")
-    if build_type is not None:
-        at = line_of(build_type)
+    at = package.line_of("export") if build_type is None else line_of(build_type)
     needed = {"ament_python": "setup.py", "ament_cmake": "CMakeLists.txt", "cmake": "CMakeLists.txt"}.get(kind)
     if kind == "catkin" and "catkin" in package.declared:
         needed = "CMakeLists.txt"
@@ -132,10 +131,9 @@ def _check_undeclared(package: Package, repository: RosRepository) -> Iterator[C
 
 def _check_exported(package: Package) -> Iterator[CodeFinding]:
     """Yield what catkin refuses: exported dependencies that are not installed with the package."""
-    keywords = ("INCLUDE_DIRS", "LIBRARIES", "CATKIN_DEPENDS", "DEPENDS", "CFG_EXTRAS", "EXPORTED_TARGETS")
     running = {each.name for each in package.dependencies if each.tag in _RUN_TAGS}
     for command in package.commands("catkin_package"):
-        for each in command.after("CATKIN_DEPENDS", keywords):
+        for each in command.after("CATKIN_DEPENDS", CATKIN_PACKAGE_KEYWORDS):
             if each.is_known and each.text in package.declared and each.text not in running:
                 message = f"CATKIN_DEPENDS names {quoted(each.text)}, which package.xml does not name to run with"
                 yield fault("undeclared-dependency", command.path, each.line, message)

@@ -1,6 +1,5 @@
 """The packages, their executables, code and launch files of a repository, each read once for all checks."""
 
-import ast
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +9,8 @@ from calibration.addons.analysis.ros.client_code import ClientCode, read_cpp, re
 from calibration.addons.analysis.ros.cmake import CMakeCommand
 from calibration.addons.analysis.ros.launch import Include, Launch, package_of, read_launch_xml, read_launch_yaml
 from calibration.addons.analysis.ros.launch_python import read_launch_python
-from calibration.addons.analysis.ros.package import Package, find_packages, parse_python
+from calibration.addons.analysis.ros.package import Package, find_packages
+from calibration.addons.analysis.ros.python_file import imported_modules, parse_python
 from calibration.addons.analysis.ros.tree import Tree, join
 from calibration.addons.analysis.ros.uses import COMMON_PACKAGES
 
@@ -131,23 +131,15 @@ def with_imports(package: Package, path: str) -> tuple[str, ...]:
     open_paths = [path]
     while open_paths and len(found) < 200:
         each = open_paths.pop()
-        if not each or each in found:
+        if each in found:
             continue
         found[each] = None
-        module = parse_python(package.tree.text(each)) if each.endswith(".py") or "/scripts/" in each else None
-        for node in ast.walk(module) if module is not None else ():
-            names = []
-            if isinstance(node, ast.ImportFrom) and node.level:
-                folder = join(each.rpartition("/")[0], "../" * (node.level - 1)) or ""
-                base = [*package.relative(folder).split("/"), *(node.module or "").split(".")]
-                names = [
-                    ".".join(part for part in (*base, *tail) if part) for tail in ((), *([a.name] for a in node.names))
-                ]
-            elif isinstance(node, ast.ImportFrom):
-                names = [node.module or "", *(f"{node.module}.{a.name}" for a in node.names)]
-            elif isinstance(node, ast.Import):
-                names = [a.name for a in node.names]
-            open_paths += [place for name in names if (place := _find_module(package, name))]
+        file = parse_python(package.tree.text(each)) if each.endswith(".py") or "/scripts/" in each else None
+        for level, name in [] if file is None else [pair for node in file.nodes for pair in imported_modules(node)]:
+            folder = join(each.rpartition("/")[0], "../" * (level - 1)) or "" if level else ""
+            parts = [*(package.relative(folder).split("/") if level else ()), name]
+            if place := _find_module(package, ".".join(filter(None, parts))):
+                open_paths.append(place)
     return tuple(found)
 
 

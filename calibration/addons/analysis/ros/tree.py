@@ -6,6 +6,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.etree.ElementTree import Element
 
+import yaml
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import ParseError, XMLParser
 
@@ -137,3 +138,21 @@ def without_comments(text: str) -> str:
         parts += [text[at:start], "\n" * text.count("\n", start, end)]
         at = end
     return "".join([*parts, text[at:]])
+
+
+def is_test_file(path: str) -> bool:
+    """Whether a file is of a test, which runs beside the sources."""
+    return path.endswith(".test") or any(part in ("test", "tests") for part in path.split("/")[:-1])
+
+
+def compose_yaml(text: str) -> yaml.Node | None:
+    """Return the nodes of a document in YAML, which have lines; None if it is no such document."""
+    try:
+        return yaml.compose(text, Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return None
+
+
+def entries_of(node: Any) -> list[tuple[Any, Any]]:
+    """Return keys and values of a mapping in YAML; none for other nodes."""
+    return node.value if isinstance(node, yaml.MappingNode) else []

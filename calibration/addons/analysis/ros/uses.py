@@ -5,7 +5,8 @@ import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-from calibration.addons.analysis.ros.package import Package, fields_of, parse_python
+from calibration.addons.analysis.ros.package import Package, fields_of
+from calibration.addons.analysis.ros.python_file import imported_modules, parse_python
 from calibration.addons.analysis.ros.tree import without_comments
 
 _PACKAGE_NAMES = """
@@ -139,32 +140,20 @@ def _included_packages(package: Package, path: str, known: Collection[str]) -> I
 def _imported_packages(package: Package, path: str, known: Collection[str]) -> Iterator[Use]:
     """Yield what is imported, but not what may fail."""
     text = package.tree.text(path)
-    if "import" not in text:
-        return
-    module = parse_python(text)
-    if module is None:
-        return
+    file = parse_python(text) if "import" in text else None
+    nodes = [] if file is None else file.nodes
     tried = {
         id(below)
-        for node in ast.walk(module)
-        if isinstance(node, ast.Try | ast.If)
-        for each in (
-            *node.body,
-            *node.orelse,
-            *(part for handler in getattr(node, "handlers", ()) for part in handler.body),
-        )
-        for below in ([each] if isinstance(each, ast.Import | ast.ImportFrom) else ())
+        for node in nodes
+        if isinstance(node, ast.Try | ast.If | ast.ExceptHandler)
+        for below in ast.iter_child_nodes(node)
     }
-    for node in ast.walk(module):
+    for node in nodes:
         if id(node) in tried or not isinstance(node, ast.Import | ast.ImportFrom):
             continue
-        if isinstance(node, ast.Import):
-            names = [each.name for each in node.names]
-        else:
-            names = [] if node.level else [node.module or ""]
-        for name in names:
+        for level, name in imported_modules(node) if isinstance(node, ast.Import) else imported_modules(node)[:1]:
             owner = name.partition(".")[0]
-            if owner in known:
+            if owner in known and not level:
                 yield Use(owner, path, node.lineno, "this import")
 
 
