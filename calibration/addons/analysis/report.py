@@ -24,7 +24,6 @@ TITLE = "static-analysis"
 MAX_FINDINGS_SHOWN = 100
 MAX_FILES_SHOWN = 20
 _LEVEL_OF_SEVERITY = {"error": Level.ERROR, "warning": Level.WARNING, "note": Level.NOTICE}
-_HEADER_OF_FINDINGS = ("place", "severity", "category", "rule", "finding")
 
 
 def report(results: AnalysisResults, sarif: str, graph: RosGraph | None, root: Path, folder: Path | None) -> Report:
@@ -51,12 +50,7 @@ def report(results: AnalysisResults, sarif: str, graph: RosGraph | None, root: P
             for finding in gravest_first(results.new)
         ),
         blocks=(
-            Table(
-                _HEADER_OF_FINDINGS,
-                _rows_of_findings(results.new),
-                MAX_FINDINGS_SHOWN,
-                title=f"{len(results.new)} new" if results.base else "New",
-            ),
+            _findings_table(results.new, f"{len(results.new)} new" if results.base else "New"),
             Table(
                 ("category", *SEVERITIES, "all"),
                 tuple(
@@ -73,16 +67,8 @@ def report(results: AnalysisResults, sarif: str, graph: RosGraph | None, root: P
             Lines(
                 tuple(f"not analysed: {path}: {why}" for path, why in results.left_out.items()), most=MAX_FILES_SHOWN
             ),
-            Table(
-                _HEADER_OF_FINDINGS,
-                _rows_of_findings(results.unchanged),
-                MAX_FINDINGS_SHOWN,
-                title="Not new",
-                folded=True,
-            ),
-            Table(
-                _HEADER_OF_FINDINGS, _rows_of_findings(results.fixed), MAX_FINDINGS_SHOWN, title="Fixed", folded=True
-            ),
+            _findings_table(results.unchanged, "Not new", folded=True),
+            _findings_table(results.fixed, "Fixed", folded=True),
         ),
         suites={TITLE: _junit_cases(results)},
         outputs={
@@ -116,11 +102,13 @@ def _verdict_sentence(results: AnalysisResults) -> str:
     return "; ".join([*parts, f"{count_of(results.files, 'file')} analysed"])
 
 
-def _rows_of_findings(findings: Sequence[CodeFinding]) -> tuple[tuple[str, ...], ...]:
-    return tuple(
+def _findings_table(findings: Sequence[CodeFinding], title: str, folded: bool = False) -> Table:
+    rows = tuple(
         (each.place, each.severity, each.category, each.rule, shorten(each.message, 200))
         for each in gravest_first(findings)
     )
+    header = ("place", "severity", "category", "rule", "finding")
+    return Table(header, rows, MAX_FINDINGS_SHOWN, title=title, folded=folded)
 
 
 def _files_with_most_findings(results: AnalysisResults) -> tuple[tuple[str, str], ...]:

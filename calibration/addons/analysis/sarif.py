@@ -16,7 +16,6 @@ from calibration.base.files import read_bytes
 SARIF_FILE = "findings.sarif"
 SARIF_SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 FINGERPRINT = "ruleAndContent/v1"
-_LEVEL_OF_SEVERITY = {"error": "error", "warning": "warning", "note": "note"}
 
 
 def fingerprints(findings: Iterable[Located]) -> list[str]:
@@ -45,29 +44,22 @@ def sarif(
         new: the new ones; None if there is nothing to compare with.
         suppressed: reasons of the accepted ones.
     """
-    entries = list(zip(findings, fingerprints(findings), strict=True))
-    runs = [
-        _run_document(
-            name, version, [each for each in entries if _analyser_of_finding(each[0]) == name], new, suppressed or {}
-        )
-        for name, version in sorted(versions.items())
-    ]
+    entries: dict[str, list[tuple[CodeFinding, str]]] = {name: [] for name in sorted(versions)}
+    for each, fingerprint in zip(findings, fingerprints(findings), strict=True):
+        entries.setdefault(each.finding.rule.partition("/")[0], []).append((each.finding, fingerprint))
+    runs = [_run_document(name, versions[name], entries[name], new, suppressed or {}) for name in sorted(versions)]
     log = {"$schema": SARIF_SCHEMA, "version": "2.1.0", "runs": runs}
     return json.dumps(log, indent=1, ensure_ascii=True) + "\n"
-
-
-def _analyser_of_finding(each: Located) -> str:
-    return each.finding.rule.partition("/")[0]
 
 
 def _run_document(
     name: str,
     version: str,
-    entries: Sequence[tuple[Located, str]],
+    entries: Sequence[tuple[CodeFinding, str]],
     new: frozenset[CodeFinding] | None,
     suppressed: Mapping[CodeFinding, str],
 ) -> dict[str, Any]:
-    rules = {each.finding.rule: each.finding for each, _ in entries}
+    rules = {finding.rule: finding for finding, _ in entries}
     driver: dict[str, Any] = {"name": name, "rules": [_rule_document(rules[rule]) for rule in sorted(rules)]}
     if version:
         driver["version"] = version
@@ -75,14 +67,14 @@ def _run_document(
         "tool": {"driver": driver},
         "automationDetails": {"id": f"static-analysis/{name}/"},
         "columnKind": "unicodeCodePoints",
-        "results": [_result_document(each.finding, fingerprint, new, suppressed) for each, fingerprint in entries],
+        "results": [_result_document(finding, fingerprint, new, suppressed) for finding, fingerprint in entries],
     }
 
 
 def _rule_document(finding: CodeFinding) -> dict[str, Any]:
     return {
         "id": finding.rule,
-        "defaultConfiguration": {"level": _LEVEL_OF_SEVERITY[finding.severity]},
+        "defaultConfiguration": {"level": finding.severity},
         "properties": {"tags": [finding.category]},
     }
 
@@ -93,7 +85,7 @@ def _result_document(
     uri = quote(finding.path.encode("utf-8", "surrogateescape"))
     entry: dict[str, Any] = {
         "ruleId": finding.rule,
-        "level": _LEVEL_OF_SEVERITY[finding.severity],
+        "level": finding.severity,
         "message": {"text": finding.message or finding.rule},
         "locations": [{"physicalLocation": {"artifactLocation": {"uri": uri}, "region": {"startLine": finding.line}}}],
         "partialFingerprints": {FINGERPRINT: fingerprint},
@@ -139,17 +131,10 @@ def compare_with_earlier(now: Sequence[Located], earlier: Sequence[tuple[str, Co
 
     Code that has moved to another file is new here, as the earlier state has only its fingerprints.
     """
-    known = Counter(fingerprint for fingerprint, _ in earlier)
-    new, unchanged = [], []
-    for each, fingerprint in zip(now, fingerprints(now), strict=True):
-        if known[fingerprint] > 0:
-            known[fingerprint] -= 1
-            unchanged.append(each.finding)
-        else:
-            new.append(each.finding)
-    fixed = []
-    for fingerprint, finding in earlier:
-        if known[fingerprint] > 0:
-            known[fingerprint] -= 1
-            fixed.append(finding)
-    return Compared(tuple(new), tuple(unchanged), tuple(fixed))
+    known = dict(earlier)
+    found = {fingerprint: each.finding for fingerprint, each in zip(fingerprints(now), now, strict=True)}
+    return Compared(
+        tuple(finding for fingerprint, finding in found.items() if fingerprint not in known),
+        tuple(finding for fingerprint, finding in found.items() if fingerprint in known),
+        tuple(finding for fingerprint, finding in known.items() if fingerprint not in found),
+    )

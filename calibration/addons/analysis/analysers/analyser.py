@@ -10,14 +10,14 @@ import subprocess
 import sys
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.results import CodeFinding
+from calibration.addons.analysis.results import Category, CodeFinding, Severity
 from calibration.base.errors import InfrastructureError
 from calibration.base.temporary_folder import temporary_folder
 from calibration.base.text import one_line, shorten
@@ -110,8 +110,7 @@ def run_program(
                 process.communicate()
         size = output.seek(0, os.SEEK_END)
         if process.returncode not in codes:
-            how = f"failed with exit code {process.returncode}: {_last_message(errors)}"
-            raise ProgramFailedError(f"{name} {how}", process.returncode)
+            raise failure_of(name, ProgramResult(process.returncode, "", errors))
         if size > MAX_OUTPUT:
             raise InfrastructureError(f"{name}: found {size} bytes of findings, expected at most {MAX_OUTPUT}")
         output.seek(0)
@@ -127,8 +126,13 @@ def json_output(name: str, result: ProgramResult) -> Any:
     try:
         return json.loads(result.output)
     except ValueError:
-        how = f"failed with exit code {result.code} and wrote no findings: {_last_message(result.errors)}"
-        raise ProgramFailedError(f"{name} {how}", result.code) from None
+        raise failure_of(name, result) from None
+
+
+def failure_of(name: str, result: ProgramResult) -> ProgramFailedError:
+    """Return the error of a program that failed, whatever its exit code."""
+    message = f"{name} failed with exit code {result.code}: {_last_message(result.errors)}"
+    return ProgramFailedError(message, result.code)
 
 
 def _last_message(errors: str) -> str:
@@ -171,6 +175,31 @@ def arguments(files: Sequence[str]) -> list[str]:
     return [f"./{file}" for file in files]
 
 
-def in_repository(path: str, copy: Copy) -> str:
-    """Return the path in the repository of a file named in a program's output."""
-    return path.removeprefix(f"{copy.root}/").removeprefix("./")
+ProgramFinding = tuple[str, int, str, Category, Severity, str]
+"""Finding of a program: path as the program writes it, line, rule without the program's name, kind, and message."""
+
+
+class ProgramAnalyser(Analyser):
+    """Analyser that is an external program."""
+
+    codes: ClassVar[tuple[int, ...]] = (0,)
+    """Exit codes of success."""
+
+    @abstractmethod
+    def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
+        """Yield commands, each with the files that are appended."""
+
+    @abstractmethod
+    def parsed(self, result: ProgramResult) -> Iterator[ProgramFinding]:
+        """Yield the findings in the output of a command."""
+
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
+        """Run the program, and convert its output."""
+        found = []
+        for command, paths in self.runs(copy, files):
+            if paths:
+                result = run_program(self.name, [*command, *arguments(paths)], copy.root, seconds, self.codes)
+                for written, line, rule, category, severity, message in self.parsed(result):
+                    path = written.removeprefix(f"{copy.root}/").removeprefix("./")
+                    found.append(CodeFinding(path, max(line, 1), f"{self.name}/{rule}", category, severity, message))
+        return found

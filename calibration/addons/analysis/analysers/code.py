@@ -4,39 +4,34 @@ import csv
 import io
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import PurePosixPath
 
 from calibration.addons.analysis.analysers.analyser import (
-    Analyser,
-    arguments,
-    in_repository,
+    ProgramAnalyser,
+    ProgramFinding,
+    ProgramResult,
     json_output,
     module,
     program,
-    run_program,
 )
 from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.results import Category, CodeFinding, Severity
+from calibration.addons.analysis.results import Category, Severity
 
 CPP_SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx")
 _RULES_OF_MISSING_HEADERS = ("unknownMacro", "syntaxError", "internalAstError", "preprocessorErrorDirective")
 """Errors of cppcheck due to missing headers: the code itself need not be wrong."""
-_UNUSED_CODE = (
-    "unreadVariable",
-    "unusedVariable",
-    "unusedFunction",
-    "unusedPrivateFunction",
-    "unusedStructMember",
-)
+_RULES_OF_UNUSED_CODE = re.compile(r"unreadVariable|unused(Variable|Function|PrivateFunction|StructMember)")
 _CATEGORY_OF_KIND: dict[str, Category] = {
     "performance": "performance",
     "portability": "compatibility",
     "style": "style",
 }
+_SEVERITY_OF_LEVEL: dict[str, Severity] = {"error": "error", "warning": "warning"}
+"""Severities by the levels of cppcheck and shellcheck; others are notes."""
 
 
-class Cppcheck(Analyser):
+class Cppcheck(ProgramAnalyser):
     """Errors of C and C++ that are visible without building."""
 
     name = "cppcheck"
@@ -46,29 +41,27 @@ class Cppcheck(Analyser):
         """Select C and C++ files by suffix."""
         return PurePosixPath(path).suffix.lower() in CPP_SUFFIXES
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
-        """Run cppcheck and parse its standard error, one finding per line."""
+    def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
+        """Yield the command."""
         command = [program("cppcheck"), "--quiet", "--enable=warning,performance,portability", "--inline-suppr"]
-        command += ["--max-configs=2", r"--template={file}\t{line}\t{severity}\t{id}\t{message}"]
-        result = run_program(self.name, [*command, *arguments(files)], copy.root, seconds, (0,))
-        parts = [line.split("\t", 4) for line in result.errors.splitlines()]
-        return [_finding_of_cppcheck(each, copy) for each in parts if len(each) == 5 and each[0] and each[1].isdigit()]
+        yield [*command, "--max-configs=2", r"--template={file}\t{line}\t{severity}\t{id}\t{message}"], files
 
-
-def _finding_of_cppcheck(parts: list[str], copy: Copy) -> CodeFinding:
-    file, line, kind, rule, message = parts
-    severity: Severity = "error" if kind == "error" else "warning" if kind == "warning" else "note"
-    category: Category = "unused code" if rule in _UNUSED_CODE else _CATEGORY_OF_KIND.get(kind, "error-prone")
-    if rule in _RULES_OF_MISSING_HEADERS:
-        severity = "note"
-    return CodeFinding(in_repository(file, copy), max(int(line), 1), f"cppcheck/{rule}", category, severity, message)
+    def parsed(self, result: ProgramResult) -> Iterator[ProgramFinding]:
+        """Parse the standard error, one finding per line."""
+        for parts in (line.split("\t", 4) for line in result.errors.splitlines()):
+            if len(parts) == 5 and parts[0] and parts[1].isdigit():
+                file, line, kind, rule, message = parts
+                is_unused = _RULES_OF_UNUSED_CODE.fullmatch(rule)
+                category: Category = "unused code" if is_unused else _CATEGORY_OF_KIND.get(kind, "error-prone")
+                level = "note" if rule in _RULES_OF_MISSING_HEADERS else kind
+                yield file, int(line), rule, category, _SEVERITY_OF_LEVEL.get(level, "note"), message
 
 
 MAX_COMPLEXITY = 15
 """Limit of a function's cyclomatic complexity, lizard's default."""
 
 
-class Lizard(Analyser):
+class Lizard(ProgramAnalyser):
     """Cyclomatic complexity of functions."""
 
     name = "lizard"
@@ -77,16 +70,16 @@ class Lizard(Analyser):
         """Select Python, C and C++ files by suffix."""
         return PurePosixPath(path).suffix.lower() in (*CPP_SUFFIXES, ".py")
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
-        """Run lizard and parse its output."""
-        result = run_program(self.name, [*module("lizard"), "--csv", *arguments(files)], copy.root, seconds, (0,))
-        found = []
+    def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
+        """Yield the command."""
+        yield [*module("lizard"), "--csv"], files
+
+    def parsed(self, result: ProgramResult) -> Iterator[ProgramFinding]:
+        """Parse the table of functions."""
         for row in csv.reader(io.StringIO(result.output)):
             if len(row) >= 10 and row[1].isdigit() and int(row[1]) > MAX_COMPLEXITY:
                 message = f"{row[7]} has a cyclomatic complexity of {row[1]}, at most {MAX_COMPLEXITY} was expected"
-                path = in_repository(row[6], copy)
-                found.append(CodeFinding(path, int(row[9]), "lizard/complexity", "complexity", "warning", message))
-        return found
+                yield row[6], int(row[9]), "complexity", "complexity", "warning", message
 
 
 _SELECTED_RULES = "E,W,F,B,S,PERF,C4,ARG,UP"
@@ -106,7 +99,7 @@ _CATEGORY_OF_PREFIX: tuple[tuple[tuple[str, ...], Category], ...] = (
 _PREFIXES_OF_ERRORS = ("E9", "F5", "F63", "F7", "F82", "PLE", "invalid-syntax")
 
 
-class Ruff(Analyser):
+class Ruff(ProgramAnalyser):
     """Lint, security and bugs of Python; the team's settings select the rules, if there are any."""
 
     name = "ruff"
@@ -118,74 +111,54 @@ class Ruff(Analyser):
             return True
         return not PurePosixPath(path).suffix and "python" in copy.first_line(path)
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
-        """Run ``ruff check`` and parse its output."""
+    def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
+        """Yield the command of ``ruff check``."""
+        own = [name for name in self.settings if (copy.root / name).is_file()]
+        if own == ["pyproject.toml"] and "[tool.ruff" not in copy.text("pyproject.toml"):
+            own = []
+        rules = [] if own else ["--select", _SELECTED_RULES, "--ignore", _IGNORED_RULES]
         command = [*module("ruff"), "check", "--no-cache", "--no-fix", "--exit-zero", "--force-exclude"]
-        command += ["--output-format", "json"]
-        if not _has_ruff_settings(copy):
-            command += ["--select", _SELECTED_RULES, "--ignore", _IGNORED_RULES]
-        result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
-        return [_finding_of_ruff(entry, copy) for entry in json.loads(result.output or "[]")]
+        yield [*command, "--output-format", "json", *rules, "--"], files
 
-
-def _has_ruff_settings(copy: Copy) -> bool:
-    for path in ("ruff.toml", ".ruff.toml"):
-        if (copy.root / path).is_file():
-            return True
-    return (copy.root / "pyproject.toml").is_file() and "[tool.ruff" in copy.text("pyproject.toml")
-
-
-def _finding_of_ruff(entry: dict[str, object], copy: Copy) -> CodeFinding:
-    code = str(entry.get("code") or "invalid-syntax")
-    place = entry.get("location")
-    line = int(place.get("row", 1)) if isinstance(place, dict) else 1
-    path = in_repository(str(entry["filename"]), copy)
-    category = _category_of_ruff_rule(code)
-    severity: Severity = (
-        "error" if code.startswith(_PREFIXES_OF_ERRORS) else "note" if category == "style" else "warning"
-    )
-    return CodeFinding(path, line, f"ruff/{code}", category, severity, str(entry["message"]))
-
-
-def _category_of_ruff_rule(code: str) -> Category:
-    for begins, category in _CATEGORY_OF_PREFIX:
-        if code.startswith(begins):
-            return category
-    return "style"
+    def parsed(self, result: ProgramResult) -> Iterator[ProgramFinding]:
+        """Parse the list of findings."""
+        for entry in json.loads(result.output or "[]"):
+            code = str(entry.get("code") or "invalid-syntax")
+            line = int((entry.get("location") or {}).get("row", 1))
+            found = (category for begins, category in _CATEGORY_OF_PREFIX if code.startswith(begins))
+            category: Category = next(found, "style")
+            level: Severity = "note" if category == "style" else "warning"
+            severity: Severity = "error" if code.startswith(_PREFIXES_OF_ERRORS) else level
+            yield str(entry["filename"]), line, code, category, severity, str(entry["message"])
 
 
 _SHELL_IN_FIRST_LINE = re.compile(r"#!.*\b(sh|bash|dash|ksh)\b")
-_SEVERITY_OF_LEVEL: dict[str, Severity] = {"error": "error", "warning": "warning"}
 
 
-class Shellcheck(Analyser):
+class Shellcheck(ProgramAnalyser):
     """Errors of sh, bash, dash and ksh."""
 
     name = "shellcheck"
     settings = (".shellcheckrc", "shellcheckrc")
+    codes = (0, 1)
 
     def wants(self, path: str, copy: Copy) -> bool:
         """Select shell scripts by suffix, or by their first line."""
         suffix = PurePosixPath(path).suffix
         return suffix in (".sh", ".bash") or (not suffix and bool(_SHELL_IN_FIRST_LINE.match(copy.first_line(path))))
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
-        """Run shellcheck; files whose first line names no shell are checked as bash."""
+    def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
+        """Yield the commands; files whose first line names no shell are checked as bash."""
         named = [file for file in files if copy.first_line(file).startswith("#!")]
-        found = []
-        for options, group in (([], named), (["--shell=bash"], [file for file in files if file not in named])):
-            if group:
-                command = [program("shellcheck"), "--format=json1", *options, "--", *arguments(group)]
-                result = run_program(self.name, command, copy.root, seconds, (0, 1))
-                found += [_finding_of_shellcheck(entry, copy) for entry in json_output(self.name, result)["comments"]]
-        return found
+        command = [program("shellcheck"), "--format=json1"]
+        yield [*command, "--"], named
+        yield [*command, "--shell=bash", "--"], [file for file in files if file not in named]
 
-
-def _finding_of_shellcheck(entry: dict[str, object], copy: Copy) -> CodeFinding:
-    level, code = str(entry["level"]), int(str(entry["code"]))
-    category: Category = "unused code" if code == 2034 else "compatibility" if 3000 <= code < 4000 else "error-prone"
-    if level == "style":
-        category = "style"
-    path, line = in_repository(str(entry["file"]), copy), int(str(entry["line"]))
-    severity = _SEVERITY_OF_LEVEL.get(level, "note")
-    return CodeFinding(path, max(line, 1), f"shellcheck/SC{code}", category, severity, str(entry["message"]))
+    def parsed(self, result: ProgramResult) -> Iterator[ProgramFinding]:
+        """Parse the list of findings."""
+        for entry in json_output(self.name, result)["comments"]:
+            level, code = str(entry["level"]), int(entry["code"])
+            compatibility: Category = "compatibility" if 3000 <= code < 4000 else "error-prone"
+            category: Category = "style" if level == "style" else "unused code" if code == 2034 else compatibility
+            severity = _SEVERITY_OF_LEVEL.get(level, "note")
+            yield str(entry["file"]), int(entry["line"]), f"SC{code}", category, severity, str(entry["message"])

@@ -2,8 +2,7 @@
 
 import json
 import re
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import yaml
 from defusedxml import DefusedXmlException
@@ -11,11 +10,12 @@ from defusedxml.ElementTree import ParseError, iterparse
 
 from calibration.addons.analysis.analysers.analyser import (
     Analyser,
-    arguments,
-    in_repository,
+    ProgramAnalyser,
+    ProgramFinding,
+    ProgramResult,
+    failure_of,
     module,
     program,
-    run_program,
 )
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.results import Category, CodeFinding, Severity
@@ -25,7 +25,7 @@ _WORKFLOWS_AND_ACTIONS = re.compile(r"\.github/workflows/[^/]+\.ya?ml|(.*/)?acti
 _SEVERITY_OF_ZIZMOR_LEVEL: dict[str, Severity] = {"High": "error", "Medium": "warning"}
 
 
-class Zizmor(Analyser):
+class Zizmor(ProgramAnalyser):
     """Security of workflows and composite actions, offline."""
 
     name = "zizmor"
@@ -35,13 +35,23 @@ class Zizmor(Analyser):
         """Select workflows and actions; invalid YAML is reported by yamllint."""
         return bool(_WORKFLOWS_AND_ACTIONS.fullmatch(path)) and _is_mapping(copy.text(path))
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
-        """Run zizmor and parse its output."""
-        command = [program("zizmor"), "--offline", "--no-exit-codes", "--no-progress", "--quiet", "--format", "json-v1"]
-        result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
-        return [
-            _finding_of_zizmor(entry, copy) for entry in json.loads(result.output or "[]") if not entry.get("ignored")
-        ]
+    def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
+        """Yield the command."""
+        command = [program("zizmor"), "--offline", "--no-exit-codes", "--no-progress", "--quiet"]
+        yield [*command, "--format", "json-v1", "--"], files
+
+    def parsed(self, result: ProgramResult) -> Iterator[ProgramFinding]:
+        """Parse the list of findings."""
+        for entry in json.loads(result.output or "[]"):
+            if entry.get("ignored"):
+                continue
+            places = entry["locations"]
+            primary = next((each for each in places if each["symbolic"].get("kind") == "Primary"), places[0])
+            path = primary["symbolic"]["key"]["Local"]["verbatim_path"]
+            line = primary["concrete"]["location"]["start_point"]["row"] + 1
+            severity = _SEVERITY_OF_ZIZMOR_LEVEL.get(entry["determinations"]["severity"], "note")
+            message = f"{entry['desc']}: {primary['symbolic'].get('annotation', '')}"
+            yield path, line, entry["ident"], "security", severity, message
 
 
 def _is_mapping(text: str) -> bool:
@@ -50,16 +60,6 @@ def _is_mapping(text: str) -> bool:
         return any(isinstance(event, yaml.MappingStartEvent) for event in list(events)[:3])
     except (yaml.YAMLError, RecursionError):
         return False
-
-
-def _finding_of_zizmor(entry: dict[str, Any], copy: Copy) -> CodeFinding:
-    places = entry["locations"]
-    primary = next((each for each in places if each["symbolic"].get("kind") == "Primary"), places[0])
-    path = in_repository(primary["symbolic"]["key"]["Local"]["verbatim_path"], copy)
-    line = primary["concrete"]["location"]["start_point"]["row"] + 1
-    severity = _SEVERITY_OF_ZIZMOR_LEVEL.get(entry["determinations"]["severity"], "note")
-    message = f"{entry['desc']}: {primary['symbolic'].get('annotation', '')}"
-    return CodeFinding(path, line, f"zizmor/{entry['ident']}", "security", severity, message)
 
 
 _XML_SUFFIXES = (".xml", ".launch", ".urdf", ".xacro", ".sdf", ".srdf")
@@ -86,12 +86,10 @@ def _check_xml(copy: Copy, path: str) -> CodeFinding | None:
     except DefusedXmlException:
         message = "the XML declares entities, which a reader may expand without end"
         return CodeFinding(path, 1, "xml/entities", "security", "warning", message)
-    except ParseError as error:
+    except (ParseError, ValueError, LookupError) as error:  # the latter two: an unknown encoding
+        line = max(error.position[0], 1) if isinstance(error, ParseError) else 1
         message = f"this is not valid XML: {shorten(one_line(str(error)), 200)}"
-        return CodeFinding(path, max(error.position[0], 1), "xml/syntax", "error-prone", "error", message)
-    except (ValueError, LookupError) as error:  # an unknown encoding
-        message = f"this is not valid XML: {shorten(one_line(str(error)), 200)}"
-        return CodeFinding(path, 1, "xml/syntax", "error-prone", "error", message)
+        return CodeFinding(path, line, "xml/syntax", "error-prone", "error", message)
     return None
 
 
@@ -101,35 +99,29 @@ _YAML_RULES_OF_ERRORS = ("syntax", "key-duplicates", "anchors")
 """Rules of errors that change the meaning; the others are style."""
 
 
-class Yamllint(Analyser):
+class Yamllint(ProgramAnalyser):
     """Syntax, duplicate keys, and style of YAML; the team's settings select the rules, if there are any."""
 
     name = "yamllint"
     settings = (".yamllint", ".yamllint.yml", ".yamllint.yaml")
+    codes = (0, 1)
 
     def wants(self, path: str, copy: Copy) -> bool:
         """Select YAML files by suffix, if they are UTF-8."""
         return path.endswith((".yml", ".yaml")) and copy.is_utf8(path)
 
-    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
-        """Run yamllint and parse its output."""
+    def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
+        """Yield the command."""
         own = any((copy.root / name).is_file() for name in self.settings)
-        command = [
-            *module("yamllint"),
-            "--format",
-            "parsable",
-            *([] if own else ["--config-data", _DEFAULT_CONFIGURATION]),
-        ]
-        # 1 is also the exit code of a Python program that crashes: then there is a traceback
-        result = run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0, 1))
-        if "Traceback" in result.errors:
-            run_program(self.name, [*command, "--", *arguments(files)], copy.root, seconds, (0,))
-        found = (_LINE_OF_YAMLLINT.fullmatch(line) for line in result.output.splitlines())
-        return [_finding_of_yamllint(match, copy) for match in found if match]
+        rules = [] if own else ["--config-data", _DEFAULT_CONFIGURATION]
+        yield [*module("yamllint"), "--format", "parsable", *rules, "--"], files
 
-
-def _finding_of_yamllint(match: re.Match[str], copy: Copy) -> CodeFinding:
-    rule = match[6] or "syntax"
-    category: Category = "error-prone" if rule in _YAML_RULES_OF_ERRORS else "style"
-    severity: Severity = "error" if rule in _YAML_RULES_OF_ERRORS else "note"
-    return CodeFinding(in_repository(match[1], copy), int(match[2]), f"yamllint/{rule}", category, severity, match[5])
+    def parsed(self, result: ProgramResult) -> Iterator[ProgramFinding]:
+        """Parse the output, one finding per line."""
+        if "Traceback" in result.errors:  # 1 is also the exit code of a Python program that crashes
+            raise failure_of(self.name, result)
+        for match in filter(None, map(_LINE_OF_YAMLLINT.fullmatch, result.output.splitlines())):
+            rule = match[6] or "syntax"
+            is_error = rule in _YAML_RULES_OF_ERRORS
+            category: Category = "error-prone" if is_error else "style"
+            yield match[1], int(match[2]), rule, category, "error" if is_error else "note", match[5]
