@@ -28,52 +28,10 @@ from calibration.base.errors import CalibrationError, InfrastructureError, Input
 from calibration.base.http import Http
 from calibration.base.text import one_line, shorten
 
-_CODES_OF_EXPIRY = ("ExpiredToken", "ExpiredTokenException", "RequestExpired", "TokenRefreshRequired")
-_CODES_OF_UNKNOWN_CREDENTIALS = (
-    "UnrecognizedClientException",
-    "InvalidClientTokenId",
-    "InvalidAccessKeyId",
-    "InvalidSignatureException",
-    "SignatureDoesNotMatch",
-    "InvalidToken",
-    "MissingAuthenticationToken",
-    "IncompleteSignature",
-)
-_CODES_OF_DENIAL = (
-    "AccessDenied",
-    "AccessDeniedException",
-    "UnauthorizedOperation",
-    "NotAuthorized",
-    "Forbidden",
-    "403",
-)
-THROTTLING_CODES = (
-    "Throttling",
-    "ThrottlingException",
-    "ThrottledException",
-    "TooManyRequestsException",
-    "RequestLimitExceeded",
-    "RequestThrottled",
-    "SlowDown",
-    "429",
-)
-_CODES_OF_OTHER_REGION = (
-    "PermanentRedirect",
-    "AuthorizationHeaderMalformed",
-    "IllegalLocationConstraintException",
-    "MovedPermanently",
-    "301",
-)
-_CODES_OF_WRONG_CLOCK = ("RequestTimeTooSkewed", "RequestInTheFuture")
 _ACTION_OF_OPERATION = {
-    "HeadBucket": "s3:ListBucket",
-    "ListObjectsV2": "s3:ListBucket",
-    "HeadObject": "s3:GetObject",
-    "GetObject": "s3:GetObject",
-    "PutObject": "s3:PutObject",
-    "CreateMultipartUpload": "s3:PutObject",
-    "UploadPart": "s3:PutObject",
-    "CompleteMultipartUpload": "s3:PutObject",
+    **dict.fromkeys(("HeadBucket", "ListObjectsV2"), "s3:ListBucket"),
+    **dict.fromkeys(("HeadObject", "GetObject"), "s3:GetObject"),
+    **dict.fromkeys(("PutObject", "CreateMultipartUpload", "UploadPart", "CompleteMultipartUpload"), "s3:PutObject"),
     "AbortMultipartUpload": "s3:AbortMultipartUpload",
     "GetLogEvents": "logs:GetLogEvents",
     "DescribeImages": "ecr:DescribeImages",
@@ -84,6 +42,54 @@ _ACTION_OF_OPERATION = {
 
 class AwsLostError(InfrastructureError):
     """AWS is unreachable, throttles or fails temporarily: a retry may succeed."""
+
+
+_ERRORS_OF_SETTINGS = (
+    *(aws.CredentialRetrievalError, aws.ProfileNotFound, aws.ConfigNotFound, aws.ConfigParseError, aws.SSOError),
+    *(aws.InvalidRegionError, aws.ParamValidationError, aws.TokenRetrievalError, aws.UnknownServiceError),
+)
+_CODES_OF_DENIAL = (
+    "AccessDenied",
+    "AccessDeniedException",
+    "UnauthorizedOperation",
+    "NotAuthorized",
+    "Forbidden",
+    "403",
+)
+_CODES_OF_OTHER_REGION = (
+    *("PermanentRedirect", "AuthorizationHeaderMalformed", "IllegalLocationConstraintException", "MovedPermanently"),
+    "301",
+)
+_CODES_OF_FAILURE = ("RequestTimeout", "InternalError", "ServerException", "ServiceUnavailable")
+_ERROR_OF_CODES: tuple[tuple[tuple[str, ...], type[CalibrationError], str], ...] = (
+    (
+        ("ExpiredToken", "ExpiredTokenException", "RequestExpired", "TokenRefreshRequired"),
+        InputError,
+        "the credentials are expired: get new ones",
+    ),
+    (
+        (
+            *("UnrecognizedClientException", "InvalidClientTokenId", "InvalidAccessKeyId", "InvalidSignatureException"),
+            *("SignatureDoesNotMatch", "InvalidToken", "MissingAuthenticationToken", "IncompleteSignature"),
+        ),
+        InputError,
+        "AWS does not know these credentials: check key, secret and token",
+    ),
+    (
+        ("RequestTimeTooSkewed", "RequestInTheFuture"),
+        InfrastructureError,
+        "the clock of this machine is wrong",
+    ),
+    (
+        (
+            *("Throttling", "ThrottlingException", "ThrottledException", "TooManyRequestsException"),
+            *("RequestLimitExceeded", "RequestThrottled", "SlowDown", "429"),
+        ),
+        AwsLostError,
+        "too many requests, also after several tries: try again later",
+    ),
+)
+"""Codes of AWS's answers, each with the error to raise and its message."""
 
 
 @contextmanager
@@ -107,17 +113,7 @@ def aws_errors(where: str, service: str = "batch") -> Iterator[None]:
     except (aws.NoCredentialsError, aws.PartialCredentialsError):
         hint = "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, a profile, or let the workflow assume a role"
         raise InputError(f"{where}: AWS: there are no credentials: {hint}") from None
-    except (
-        aws.CredentialRetrievalError,
-        aws.ProfileNotFound,
-        aws.ConfigNotFound,
-        aws.ConfigParseError,
-        aws.InvalidRegionError,
-        aws.ParamValidationError,
-        aws.SSOError,
-        aws.TokenRetrievalError,
-        aws.UnknownServiceError,
-    ) as error:
+    except _ERRORS_OF_SETTINGS as error:
         raise InputError(f"{where}: AWS: {_shorten_text(error)}") from None
     except aws.EndpointConnectionError as error:
         raise AwsLostError(f"{where}: AWS: {_shorten_text(error)}: check the network, and the region's name") from None
@@ -125,6 +121,21 @@ def aws_errors(where: str, service: str = "batch") -> Iterator[None]:
         raise AwsLostError(f"{where}: AWS: {_shorten_text(error)}") from None
     except (aws.BotoCoreError, Boto3Error, ValueError) as error:  # ValueError: an invalid URL or timestamp
         raise InfrastructureError(f"{where}: AWS: {_shorten_text(error)}") from None
+
+
+def pages(client: Any, operation: str, where: str, **request: Any) -> Iterator[dict[str, Any]]:
+    """Yield the pages of an answer, such as of ``list_jobs``.
+
+    Raises:
+        InputError, AwsLostError: see `aws_errors`.
+    """
+    found = iter(client.get_paginator(operation).paginate(**request))
+    while True:
+        with aws_errors(where):
+            page = next(found, None)
+        if page is None:
+            return
+        yield page
 
 
 def error_code(error: aws.ClientError) -> str:
@@ -138,17 +149,12 @@ def _error_of_answer(where: str, service: str, error: aws.ClientError) -> Calibr
     action = _ACTION_OF_OPERATION.get(error.operation_name, f"{service}:{error.operation_name}")
     failure = f"{where}: AWS: {action}: {one_line(code)}"
     status = error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 500)
-    if code in _CODES_OF_EXPIRY:
-        return InputError(f"{failure}: the credentials are expired: get new ones")
-    if code in _CODES_OF_UNKNOWN_CREDENTIALS:
-        return InputError(f"{failure}: AWS does not know these credentials: check key, secret and token")
-    if code in _CODES_OF_WRONG_CLOCK:
-        return InfrastructureError(f"{failure}: the clock of this machine is wrong")
+    for codes, kind, advice in _ERROR_OF_CODES:
+        if code in codes:
+            return kind(f"{failure}: {advice}")
     if code in _CODES_OF_DENIAL:
         policy = " (calibration aws-policy prints a policy)" if service == "batch" else ""
         return InputError(f"{failure}: the role or user needs this permission{policy}")
-    if code in THROTTLING_CODES:
-        return AwsLostError(f"{failure}: too many requests, also after several tries: try again later")
     if code in _CODES_OF_OTHER_REGION or status == 301:
         headers = error.response.get("ResponseMetadata", {}).get("HTTPHeaders", {})
         region = headers.get("x-amz-bucket-region")
@@ -157,7 +163,7 @@ def _error_of_answer(where: str, service: str, error: aws.ClientError) -> Calibr
     if code in ("NoSuchBucket", "404") and error.operation_name in ("HeadBucket", "PutObject", "ListObjectsV2"):
         return InputError(f"{failure}: there is no such bucket")
     line = f"{failure}: {_shorten_text(error.response.get('Error', {}).get('Message', ''))}"
-    if status >= 500 or code in ("RequestTimeout", "InternalError", "ServerException", "ServiceUnavailable"):
+    if status >= 500 or code in _CODES_OF_FAILURE:
         return AwsLostError(line)
     return InputError(line)
 

@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Any, Generic, TypeVar
 
 import botocore.exceptions
 
-from calibration.addons.aws_batch.session import Aws, aws_errors, error_code
+from calibration.addons.aws_batch.session import Aws, aws_errors, error_code, pages
 from calibration.base.errors import InfrastructureError, InputError
 
 if TYPE_CHECKING:
@@ -231,13 +231,7 @@ class Store:
             yield from (str(entry["Prefix"]).removeprefix(prefix).rstrip("/") for entry in found)
 
     def _list_pages(self, **settings: str) -> Iterator[dict[str, Any]]:
-        pages = iter(self._s3.get_paginator("list_objects_v2").paginate(Bucket=self._bucket, **settings))
-        while True:
-            with aws_errors(self._where):
-                page = next(pages, None)
-            if page is None:
-                return
-            yield page
+        return pages(self._s3, "list_objects_v2", self._where, Bucket=self._bucket, **settings)
 
     def _open_object(self, key: str) -> dict[str, Any] | None:
         with aws_errors(self._where):

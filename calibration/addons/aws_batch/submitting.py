@@ -12,7 +12,7 @@ from typing import Any
 
 from calibration.addons.aws_batch.definition import DIGEST_TAG
 from calibration.addons.aws_batch.following import JOBS_PER_CALL, Submitted, batches, describe, records
-from calibration.addons.aws_batch.session import Aws, AwsLostError, Backoff, aws_errors
+from calibration.addons.aws_batch.session import Aws, AwsLostError, Backoff, aws_errors, pages
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.wire import (
     ARRIVAL_SECONDS,
@@ -181,15 +181,9 @@ def deregister(aws: Aws, arns: Iterable[str]) -> None:
 
 def _active_definitions(aws: Aws, name: str | None = None) -> Iterator[dict[str, Any]]:
     """Yield active definitions, of a name or all."""
-    chosen = {} if name is None else {"jobDefinitionName": name}
-    token: dict[str, str] = {}
-    while True:
-        with aws_errors("job definitions" if name is None else f"job definition '{name}'"):
-            page = aws.batch.describe_job_definitions(status="ACTIVE", **chosen, **token)
+    chosen, where = ({}, "s") if name is None else ({"jobDefinitionName": name}, f" '{name}'")
+    for page in pages(aws.batch, "describe_job_definitions", f"job definition{where}", status="ACTIVE", **chosen):
         yield from page["jobDefinitions"]
-        if not page.get("nextToken"):
-            return
-        token = {"nextToken": page["nextToken"]}
 
 
 _ENDED_STATES = ("SUCCEEDED", "FAILED")
@@ -274,14 +268,9 @@ def terminate(aws: Aws, ids: Sequence[str], reason: str) -> None:
 
 def _jobs_of_name(aws: Aws, queue: str, name: str) -> Iterator[dict[str, Any]]:
     """Yield summaries of jobs by name, which may end with ``*``."""
-    token: dict[str, str] = {}
-    while True:
-        with aws_errors(f"queue '{queue}'"):
-            page = aws.batch.list_jobs(jobQueue=queue, filters=[{"name": "JOB_NAME", "values": [name]}], **token)
+    names = [{"name": "JOB_NAME", "values": [name]}]
+    for page in pages(aws.batch, "list_jobs", f"queue '{queue}'", jobQueue=queue, filters=names):
         yield from page["jobSummaryList"]
-        if not page.get("nextToken"):
-            return
-        token = {"nextToken": page["nextToken"]}
 
 
 def _read_leftover(record: dict[str, Any]) -> CloudLeftover:
