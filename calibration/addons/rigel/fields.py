@@ -255,7 +255,8 @@ class Substitution:
 
 def plain(text: str, notes: Notes, where: str) -> str:
     """Write a text for a field without placeholders: ``${NAME}`` for the environment."""
-    _warn_of_variables(text, notes, where)
+    if found := _SHELL_VARIABLE.search(text):
+        notes.changed(where, f"{found[0]} is now read from the environment when calibration.yml is read")
     return _MARK_WITH_KIND.sub(lambda m: f"{{{{ data.{m[2]} }}}}" if m[1] == "D" else f"${{{m[2]}}}", text)
 
 
@@ -269,13 +270,12 @@ def shell(text: str, secret: Callable[[str], str]) -> str:
     )
 
 
-def argument(text: str, names: Mapping[str, str], secret: Callable[[str], str], notes: Notes, where: str) -> str:
-    """Write an argument of a container's command, where ``{name}`` is substituted.
+def argument(text: str, names: Mapping[str, str], notes: Notes, where: str) -> str:
+    """Write an argument of a container's command, where ``{name}`` is substituted, and ``$NAME`` by a shell.
 
     Args:
         text: with marks.
         names: our placeholders, by the names of the matrix.
-        secret: writes the variable of a secret.
         notes: receives data that is not in the matrix.
         where: position in the file.
     """
@@ -285,18 +285,13 @@ def argument(text: str, names: Mapping[str, str], secret: Callable[[str], str], 
         if kind == "V":
             return f"${{{name}}}"
         if kind == "S":
-            return secret(name)
+            return f"${name}"
         if name in names:
             return f"{{{names[name]}}}"
         notes.lost(where, f"data.{name} is none of the noise matrix: replace it by hand where it says data.{name}")
         return f"data.{name}"
 
-    pieces = []
-    at = 0
-    for match in _MARK_WITH_KIND.finditer(text):
-        pieces += [_braces_doubled(text[at : match.start()]), written(match)]
-        at = match.end()
-    return "".join([*pieces, _braces_doubled(text[at:])])
+    return _MARK_WITH_KIND.sub(written, text.replace("{", "{{").replace("}", "}}"))
 
 
 def secret_names(text: str) -> list[str]:
@@ -308,16 +303,6 @@ def sole_variable(text: str) -> str | None:
     """Return the variable that makes up the whole text; None if there is anything else."""
     match = _MARK_WITH_KIND.fullmatch(text)
     return match[2] if match and match[1] in "VS" else None
-
-
-def _braces_doubled(text: str) -> str:
-    return text.replace("{", "{{").replace("}", "}}")
-
-
-def _warn_of_variables(text: str, notes: Notes, where: str) -> None:
-    found = _SHELL_VARIABLE.search(text)
-    if found is not None:
-        notes.changed(where, f"{found[0]} is now read from the environment when calibration.yml is read")
 
 
 def mapping_at(value: object, where: str) -> dict[str, Any]:
