@@ -12,7 +12,6 @@ from calibration.base.text import did_you_mean, one_line
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import TEXT_LIST, assignments, path, text
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.diagnosis.finding import AFTER_MOVE
 from calibration.pipeline.results import cell_that_wrote, refuse_what_has_not_passed
 from calibration.robot.exports.files import exported
 from calibration.robot.exports.names import FORMATS, URDF
@@ -82,7 +81,7 @@ def export(
     if not although:
         refuse_what_has_not_passed(dataset, read, cell)
     files, notes = exported(read, formats, description, inputs)
-    notes += [each.text for each in cell.findings if each.kind == AFTER_MOVE] if cell else []
+    notes += [each.text for each in cell.findings if each.kind == "after-move"] if cell else []
     if cell is not None and cell.verdict == "undecided" and not although:
         notes.append(f"undecided, which passes here (undecided: pass): {cell.undecided[0]}")
     for name, content in files.items():

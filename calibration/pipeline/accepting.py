@@ -11,14 +11,13 @@ from calibration.base.tables.table import read_table
 from calibration.base.text import did_you_mean, shorten
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.document import BASELINE_VERSION, Baseline
-from calibration.engine.baseline.quality import QUALITY_KIND
-from calibration.engine.baseline.verdict import MOVED_KIND, NO_BASELINE
+from calibration.engine.diagnosis.finding import FindingKind
 from calibration.engine.evaluation.table import AVERAGES_ROW
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.software_cell import start_of
 from calibration.pipeline.results import PipelineResults, own_details
 
-ABOUT_THE_BASELINE = (MOVED_KIND, QUALITY_KIND, NO_BASELINE)
+ABOUT_THE_BASELINE: tuple[FindingKind, ...] = ("baseline", "baseline-quality", "no-baseline")
 """Kinds of findings that are resolved by accepting."""
 
 

@@ -14,7 +14,6 @@ import yaml
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.diagnosis.finding import CONVENTION, SUSPECT
 from calibration.engine.diagnosis.limits import DEFAULT_LIMIT_SIGMAS, MIN_DEFAULT_LIMIT, Limits, allowed, stated
 from calibration.engine.diagnosis.projection import projection_limit
 from calibration.engine.estimation.covariance.nominal_covariance import MAX_NOISE
@@ -86,7 +85,7 @@ def first_configuration(path: Path, root: Path) -> FirstConfiguration:
     options = replace(options, lens={name: each.chosen.name for name, each in lenses.items()})
     system = System(dataset.name, path, evaluate=evaluate, options=options)
     first, calibration = _calibrate_system(system)
-    named = any(each.kind == CONVENTION for each in first.findings)
+    named = any(each.kind == "convention" for each in first.findings)
     if calibration is None or first.error is not None or not first.converged:
         why = "; ".join(first.reasons) or "no optimum was found"
         raise InputError(f"{path}: cannot be calibrated: {why}{'' if named else _other_mounting(dataset)}")
@@ -132,7 +131,7 @@ def _reasons_of_noisy_corners(calibration: Calibration) -> Iterator[str]:
 def _causes_that_move_sensors(calibration: Calibration, first: CellResult) -> Iterator[str]:
     """Yield the causes that move a sensor by more than the error bar of collections that agree."""
     for each in first.findings:
-        if each.kind != SUSPECT or each.severity == "red" or each.moves_mm is None or each.moves_deg is None:
+        if each.kind != "suspect" or each.severity == "red" or each.moves_mm is None or each.moves_deg is None:
             continue
         limits = [allowed(calibration, Limits(), sensor) for sensor in each.sensors]
         if any(one.exceeded(each.moves_mm / OF_GUARD_BAND, each.moves_deg / OF_GUARD_BAND) for one in limits):

@@ -10,9 +10,8 @@ from pathlib import Path
 
 from calibration.ci.report import VERDICTS, Table, count_of, shown
 from calibration.engine.baseline.comparison import BaselineChange
-from calibration.engine.baseline.quality import QUALITY_KIND
 from calibration.engine.baseline.settings import SameData
-from calibration.engine.baseline.verdict import MOVED_KIND, exceeds
+from calibration.engine.baseline.verdict import exceeds
 from calibration.engine.diagnosis.finding import Severity
 from calibration.engine.evaluation.specification import FILES_WITHOUT_RMS
 from calibration.pipeline.matrix.cell import REPROJECTION_FILE, noise_text
@@ -467,7 +466,8 @@ def _equals_baseline(results: PipelineResults) -> bool:
 def _equals_accepted(cell: CellResult) -> bool:
     changes = cell.details.changes if cell.details else ()
     differs = any(each.kind in ("added", "removed") or exceeds(each, SameData()) for each in changes)
-    return bool(changes) and not differs and not any(each.kind in (MOVED_KIND, QUALITY_KIND) for each in cell.findings)
+    named = any(each.kind in ("baseline", "baseline-quality") for each in cell.findings)
+    return bool(changes) and not differs and not named
 
 
 def without_result(results: PipelineResults) -> list[str]:

@@ -12,9 +12,7 @@ from defusedxml.ElementTree import fromstring
 from calibration.base.errors import ExitCode, InputError
 from calibration.ci.report import Report
 from calibration.ci.workflow.annotation import Level
-from calibration.engine.baseline.verdict import UNMOVED_KIND
 from calibration.engine.diagnosis.finding import Finding
-from calibration.engine.diagnosis.what_does_not_fit import NOTHING_SUSPICIOUS
 from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, ParameterResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import CELLS_A_PROCESS, report, write_cells, write_results
@@ -320,8 +318,8 @@ def test_an_undecided_limit_is_a_reason_and_a_warning_after_what_is_red(tmp_path
 
 def test_a_failed_cell_does_not_say_that_all_is_well() -> None:
     notes = (
-        Finding(NOTHING_SUSPICIOUS, "note", "nothing suspicious"),
-        Finding(UNMOVED_KIND, "note", "nothing has moved"),
+        Finding("nothing-suspicious", "note", "nothing suspicious"),
+        Finding("baseline-unmoved", "note", "nothing has moved"),
     )
     well = CELL.found((*notes, Finding("rejected-labels", "note", "3 of 90 labels"), notes[0]))
 
@@ -335,7 +333,8 @@ def test_a_failed_cell_does_not_say_that_all_is_well() -> None:
 
 
 def test_the_summary_has_each_warning_once() -> None:
-    found = (Finding("far", "warning", "the camera is far off"), Finding("rejected-labels", "note", "3 of 90 labels"))
+    far = Finding("far-from-description", "warning", "the camera is far off")
+    found = (far, Finding("rejected-labels", "note", "3 of 90 labels"))
     warned = CELL.found(found)
 
     report = told(PipelineResults((warned, replace(warned, seed=2))))
@@ -346,7 +345,8 @@ def test_the_summary_has_each_warning_once() -> None:
 
 
 def test_a_red_finding_fails_the_cell_whoever_reads_it(tmp_path: Path) -> None:
-    red = CELL.found((Finding("far", "red", "the camera is far off", ("camera",), value=0.3, unit="m"),))
+    far = Finding("far-from-description", "red", "the camera is far off", ("camera",), value=0.3, unit="m")
+    red = CELL.found((far,))
     write_results(PipelineResults((red,)), tmp_path)
 
     read = without_verdicts(results_of(tmp_path))

@@ -25,7 +25,6 @@ from calibration.engine.baseline.settings import BaselineSettings
 from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.estimation.covariance.significance import score_of_f, threshold
 
-QUALITY_KIND = "baseline-quality"
 HOW_TO_ACCEPT = "accept it: calibration accept"
 MAX_RATIO_OF_EXTENTS = 1.25
 """Noise and RMS in px are compared if the pattern is as large in the images but for this factor. A board at twice the
@@ -58,7 +57,8 @@ def quality(comparison: BaselineComparison, settings: BaselineSettings) -> Itera
             advice = (
                 "" if comparison.same_data else "; the limits decide whether it matters: look at light, focus, distance"
             )
-            yield Finding(QUALITY_KIND, severity, f"{worse_than_baseline(check, each.before)}{advice}", value=each.now)
+            text = f"{worse_than_baseline(check, each.before)}{advice}"
+            yield Finding("baseline-quality", severity, text, value=each.now)
 
 
 def worse_than_baseline(check: Check, before: float) -> str:
@@ -152,4 +152,4 @@ def _error_bars_on_same_data(comparison: BaselineComparison, settings: BaselineS
             text = (
                 f"{what} differs on the same data: {value:.4g}, accepted was {old:.4g}: {HOW_TO_ACCEPT}, if it is meant"
             )
-            yield Finding(QUALITY_KIND, "red", text, value=value)
+            yield Finding("baseline-quality", "red", text, value=value)

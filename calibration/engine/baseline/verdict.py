@@ -8,19 +8,10 @@ import numpy as np
 from calibration.base.check import at_most
 from calibration.engine.baseline.calibration_document import CalibrationDocument, SoftwareStart
 from calibration.engine.baseline.comparison import BaselineChange, BaselineComparison, compare
-from calibration.engine.baseline.quality import (
-    HOW_TO_ACCEPT,
-    QUALITY_KIND,
-    largest_standard_deviations,
-    quality,
-    worse_than_baseline,
-)
+from calibration.engine.baseline.quality import HOW_TO_ACCEPT, largest_standard_deviations, quality, worse_than_baseline
 from calibration.engine.baseline.settings import BaselineSettings, SameData
 from calibration.engine.diagnosis.finding import Finding
 
-MOVED_KIND = "baseline"
-UNMOVED_KIND = "baseline-unmoved"
-NO_BASELINE = "no-baseline"
 MIN_AXIS_COMPONENT = 0.9
 """A direction with at least this component along an axis is named by the axis."""
 LEAST_P = 1e-9
@@ -53,7 +44,7 @@ def against_baseline(
     since, settings = accepted.since, accepted.settings
     found = [each for change in comparison.changes if (each := _finding_of_change(change, comparison, settings, since))]
     found += quality(comparison, settings)
-    if not any(each.kind == MOVED_KIND and each.severity == "red" for each in found) and not comparison.same_data:
+    if not any(each.kind == "baseline" and each.severity == "red" for each in found) and not comparison.same_data:
         found += _nothing_moved(comparison, since)
     return comparison, tuple(found)
 
@@ -63,17 +54,17 @@ def nothing_accepted(accepted: Accepted) -> tuple[Finding, ...]:
     if not accepted.settings.required:
         return ()
     text = f"no calibration of it has been accepted in {accepted.since}: calibration accept"
-    return (Finding(NO_BASELINE, "red", text),)
+    return (Finding("no-baseline", "red", text),)
 
 
 def _finding_of_change(
     change: BaselineChange, comparison: BaselineComparison, settings: BaselineSettings, since: str
 ) -> Finding | None:
     if change.kind == "added":
-        return Finding(MOVED_KIND, "note", f"{change.name} is calibrated, and not in {since}: {HOW_TO_ACCEPT}")
+        return Finding("baseline", "note", f"{change.name} is calibrated, and not in {since}: {HOW_TO_ACCEPT}")
     if change.kind == "removed":
         text = f"{change.name} is in {since}, and calibrated no more: was it renamed, or left out? Else {HOW_TO_ACCEPT}"
-        return Finding(MOVED_KIND, "red", text)
+        return Finding("baseline", "red", text)
     if comparison.same_data:
         return _on_the_same_data(change, comparison, settings, since)
     return _on_other_data(change, comparison, settings, since)
@@ -136,7 +127,7 @@ def _possible_causes(comparison: BaselineComparison) -> str:
 
 def _moved_finding(severity: str, change: BaselineChange, text: str) -> Finding:
     return Finding(
-        MOVED_KIND,
+        "baseline",
         "red" if severity == "red" else "note",
         text,
         sensors=(change.name,),
@@ -152,7 +143,7 @@ def _nothing_moved(comparison: BaselineComparison, since: str) -> list[Finding]:
         return []
     worst = max(poses, key=lambda each: each.unseen_mm)
     text = f"nothing has moved since {since}; a move of {worst.name} by up to {worst.unseen_mm:.2g} mm would go unseen"
-    return [Finding(UNMOVED_KIND, "note", text, (worst.name,))]
+    return [Finding("baseline-unmoved", "note", text, (worst.name,))]
 
 
 def size_of_change(change: BaselineChange) -> str:
@@ -217,7 +208,7 @@ def software_against_baseline(accepted: Accepted, now: SoftwareStart, data: str)
         ),
     ]
     return tuple(
-        Finding(QUALITY_KIND, "red", worse_than_baseline(check, old), value=new)
+        Finding("baseline-quality", "red", worse_than_baseline(check, old), value=new)
         for what, old, new, extra, unit in rows
         if old is not None and not (check := at_most(what, new, most.above(old) + extra, unit)).passed
     )

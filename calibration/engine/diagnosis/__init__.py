@@ -2,11 +2,12 @@
 
 - ``finding``: the finding of a check; ``limits``: limits of the errors of a result;
 - ``check_data`` and what it calls (``copies``, ``units``, ``board_order``): data that are refused without a solution;
-- ``what_does_not_fit``: suspects (`doubts.suspects`) as findings; ``too_few``: too few views;
+- ``diagnose``: all checks of a result, in the order of the report, and what each of them waits for;
+- ``what_does_not_fit``: suspects (`doubts.suspects`) as findings; ``precision``: how sure the result is;
 - ``projection``: calibrated intrinsics, by what they are worth in the image;
-- ``precision``, ``description``, ``turned_boards``, ``wrong_views``, ``rejected_labels``, ``repeated``, ``residuals``:
-  one check each;
+- ``as_recorded``, ``description``, ``rejected_labels``, ``residuals``: the recording, the robot's description, labels
+  and views that do not fit, and those that do;
 - ``conventions``: other conventions by which a recording would fit, where it does not as it was read;
-- ``diagnose``: all of them, in the order of the report;
-- ``same_labels``, ``against_optimum``, ``table_follows``: checks of the output of other software.
+- ``after_move``: the calibration since something has moved;
+- ``software_output``, ``against_optimum``: checks of the output of other software.
 """

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calibration.base.errors import UndeterminedError
-from calibration.engine.diagnosis.finding import AFTER_MOVE, SUSPECT, Finding
+from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, sizes, stated
-from calibration.engine.diagnosis.too_few import RECOMMENDED_COLLECTIONS, too_few
+from calibration.engine.diagnosis.precision import RECOMMENDED_COLLECTIONS, too_few
 from calibration.engine.diagnosis.what_does_not_fit import distance_text, keys_since, what_does_not_fit
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
@@ -33,7 +33,7 @@ def after_move(
         prepared: what it was solved from.
         limits: those that the user has set.
     """
-    if not any(each.kind == SUSPECT and each.severity == "red" and each.collections for each in findings):
+    if not any(each.kind == "suspect" and each.severity == "red" and each.collections for each in findings):
         return calibration, ()
     moves = _last_moves(calibration)
     if not moves:
@@ -54,12 +54,12 @@ def after_move(
             f"the result is not that of the robot as it stands now, of {when}, but lies between before and after: "
             f"{why}; record {RECOMMENDED_COLLECTIONS}, of the robot as it is now"
         )
-        return calibration, (Finding(AFTER_MOVE, "warning", text, sensors),)
+        return calibration, (Finding("after-move", "warning", text, sensors),)
     text = (
         f"the result is that of the robot as it stands now, of {when}: {len(before)} views from before are left out, "
         f"and its error bars are of the others"
     )
-    return after, (Finding(AFTER_MOVE, "warning", text, sensors),)
+    return after, (Finding("after-move", "warning", text, sensors),)
 
 
 def _last_moves(calibration: Calibration) -> dict[str, tuple[int, Suspect]]:

@@ -31,7 +31,6 @@ from calibration.engine.estimation.start.cost import cost_of
 from calibration.engine.evaluation.truth import PoseError, TruthError, error_against
 from calibration.engine.geometry.cameras import Camera
 
-FINDING_KIND = "against-optimum"
 MAX_UNCHANGED_DISTANCE = 1e-3
 """mm, degrees: a result closer than this to its initial guess is unchanged."""
 SAME_INTRINSICS = 1e-6
@@ -129,7 +128,7 @@ def against_optimum(optimum: OurOptimum, found: Dataset, start: Dataset, limits:
     )
     mm, deg = error.translation_mm, error.rotation_deg
     away = float(np.sqrt(max(excess, 0.0))) if np.isfinite(excess) else None
-    numbers = Finding(FINDING_KIND, "note", "", value=away, unit="1", moves_mm=mm, moves_deg=deg)
+    numbers = Finding("against-optimum", "note", "", value=away, unit="1", moves_mm=mm, moves_deg=deg)
     cost = _describe_cost(away, excess)
     if not far:
         distance = f"{max(mm, 0.01):.2g} mm and {max(deg, 0.001):.2g} deg"

@@ -7,10 +7,9 @@ import numpy as np
 
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels, label_arrays
-from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.finding import Finding, first_names
 from calibration.engine.geometry.transforms import distance
 
-FINDING_KIND = "copies"
 STANDSTILL_TOLERANCE = 1e-6
 """m, rad: transforms that differ by less are of a robot at standstill."""
 STILL_PIXELS = 1.0
@@ -52,7 +51,7 @@ def without_copies(dataset: Dataset) -> tuple[Dataset, tuple[Finding, ...]]:
             f"{_name_pairs(dataset, copies)}"
         )
         keys = tuple(dataset.keys[j] for j in sorted(copied))
-        findings.append(Finding(FINDING_KIND, "warning", text, collections=keys, value=float(len(copied))))
+        findings.append(Finding("copies", "warning", text, collections=keys, value=float(len(copied))))
         dataset = dataset.with_collections([i for i in range(len(dataset.keys)) if i not in copied])
     for (pattern, sensor), copies in _copied_views(dataset):
         keys = tuple(dataset.keys[j] for _, j in copies)
@@ -60,7 +59,7 @@ def without_copies(dataset: Dataset) -> tuple[Dataset, tuple[Finding, ...]]:
             f"{sensor}: {len(keys)} views of '{pattern}' are copies, to the last digit, although something has moved "
             f"between, and were left out: {_name_pairs(dataset, copies)}; does its driver repeat images?"
         )
-        findings.append(Finding(FINDING_KIND, "warning", text, (sensor,), keys, value=float(len(keys))))
+        findings.append(Finding("copies", "warning", text, (sensor,), keys, value=float(len(keys))))
         dataset = _without_views(dataset, (pattern, sensor), keys)
     return dataset, tuple(findings)
 
@@ -106,10 +105,7 @@ def _hash_label(label: Labels) -> int:
 
 def _name_pairs(dataset: Dataset, pairs: Sequence[tuple[int, int]]) -> str:
     """Return pairs of collections as "copy = original", the first of them."""
-    named = [f"{dataset.keys[j]} = {dataset.keys[i]}" for i, j in pairs]
-    return ", ".join(named[:MAX_NAMED_PAIRS]) + (
-        f" and {len(named) - MAX_NAMED_PAIRS} more" if len(named) > MAX_NAMED_PAIRS else ""
-    )
+    return first_names([f"{dataset.keys[j]} = {dataset.keys[i]}" for i, j in pairs], MAX_NAMED_PAIRS)
 
 
 def _has_moved(dataset: Dataset, pattern: str, sensor: str, i: int, j: int) -> bool:

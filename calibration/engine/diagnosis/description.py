@@ -18,8 +18,6 @@ from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.geometry.transforms import distance, inverse
 
-FAR_AWAY = "far-from-description"
-"""Kind of a finding about one sensor; findings of other kinds explain the whole difference."""
 MAX_DISTANCE = (0.25, 0.25)
 """m, rad: a sensor farther than this from the description's pose is not of the robot described."""
 IDENTITY_TOLERANCE = 1e-6
@@ -38,11 +36,11 @@ LEAST_EXCHANGED = (0.02, 0.05)
 RelativePoses = Mapping[tuple[str, str], Array]
 
 
-def far_from_description(calibration: Calibration, description: Dataset, options: Options) -> tuple[Finding, ...]:
-    """Report what differs too much from the description: a failure, unless it is declared rough.
+def exchanged_or_scaled(calibration: Calibration, description: Dataset, options: Options) -> tuple[Finding, ...]:
+    """Report what explains the whole difference from the description: a failure, unless it is declared rough.
 
     Only the best explanation is reported: two sensors with exchanged labels; distances between sensors that are all
-    off by one factor, that of the pattern's size; else each sensor that is far away.
+    off by one factor, that of the pattern's size.
 
     Args:
         calibration: the result.
@@ -52,11 +50,17 @@ def far_from_description(calibration: Calibration, description: Dataset, options
     severity: Severity = "note" if options.description == "rough" else "red"
     described, expected = _described_poses(description, calibration.gauge)
     found = _relative_poses(calibration.dataset, described)
-    explained = _find_exchanged_sensors(described, expected, found, severity) or _find_common_scale(
+    return _find_exchanged_sensors(described, expected, found, severity) or _find_common_scale(
         calibration, described, expected, found, severity
     )
-    if explained or severity == "note":
-        return explained
+
+
+def far_from_description(calibration: Calibration, description: Dataset, options: Options) -> tuple[Finding, ...]:
+    """Report each sensor that is far from where the description puts it, as a failure; none if that is rough."""
+    if options.description == "rough":
+        return ()
+    described, expected = _described_poses(description, calibration.gauge)
+    found = _relative_poses(calibration.dataset, described)
     return _find_far_sensors(calibration, description, described, expected, found)
 
 
@@ -119,9 +123,8 @@ def _find_exchanged_sensors(
     there = _format_distance(*_pair_of_floats(distance(expected[b, a], found[a, b])))
     text = (
         f"the labels of '{a}' and '{b}' look exchanged: '{b}' comes out {_format_distance(t, r)} from where the "
-        "robot's "
-        f"description puts it, but only {there} from where '{a}' should be; "
-        f"look at the topics of the two sensors"
+        f"robot's description puts it, but only {there} from where '{a}' should be; look at the topics of the two "
+        "sensors"
     )
     return (Finding("exchanged-sensors", severity, text, (a, b), value=t, unit="m"),)
 
@@ -194,13 +197,11 @@ def _find_far_sensors(
         if t > MAX_DISTANCE[0] or r > MAX_DISTANCE[1]:
             held = f", '{held_at}' being where it is" if held_at else ""
             text = (
-                f"'{sensor.name}' comes out {_format_distance(t, r)} from where the robot's description puts "
-                f"it{held} (limits "
-                f"{MAX_DISTANCE[0]:g} m, {np.degrees(MAX_DISTANCE[1]):.1f} degrees); look at the pattern's size "
-                "and the labels, or, if "
-                f"the description is only a rough guess, say description: rough"
+                f"'{sensor.name}' comes out {_format_distance(t, r)} from where the robot's description puts it{held} "
+                f"(limits {MAX_DISTANCE[0]:g} m, {np.degrees(MAX_DISTANCE[1]):.1f} degrees); look at the pattern's "
+                "size and the labels, or, if the description is only a rough guess, say description: rough"
             )
-            findings.append(Finding(FAR_AWAY, "red", text, (sensor.name,), value=t, unit="m"))
+            findings.append(Finding("far-from-description", "red", text, (sensor.name,), value=t, unit="m"))
     return tuple(findings)
 
 

@@ -1,26 +1,45 @@
 """Checks of a calibration that need no ground truth, in the order of the report."""
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.diagnosis.camera_info import camera_info
+from calibration.engine.diagnosis.as_recorded import missing_files, repeated, turned_boards
 from calibration.engine.diagnosis.conventions.trying import conventions, doubts
-from calibration.engine.diagnosis.description import FAR_AWAY, far_from_description
-from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.description import exchanged_or_scaled, far_from_description
+from calibration.engine.diagnosis.finding import Finding, FindingKind
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.diagnosis.missing_files import missing_files
-from calibration.engine.diagnosis.precision import precision
+from calibration.engine.diagnosis.precision import camera_info, precision, too_few
 from calibration.engine.diagnosis.projection import of_cameras_alone, projection
-from calibration.engine.diagnosis.rejected_labels import rejected_labels
-from calibration.engine.diagnosis.repeated import repeated
+from calibration.engine.diagnosis.rejected_labels import rejected_labels, wrong_views
 from calibration.engine.diagnosis.residuals import residuals
-from calibration.engine.diagnosis.too_few import too_few
-from calibration.engine.diagnosis.turned_boards import turned_boards
-from calibration.engine.diagnosis.what_does_not_fit import NOTHING_SUSPICIOUS, UNTESTED, what_does_not_fit
-from calibration.engine.diagnosis.wrong_views import wrong_views
+from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.solve.options import Options
 
-KINDS_WITHOUT_SUSPECTS = (NOTHING_SUSPICIOUS, UNTESTED)
-"""Findings on a calibration without suspects."""
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What a check is told: a calibration, and what the checks before it have found."""
+
+    calibration: Calibration
+    description: Dataset
+    options: Options
+    limits: Limits
+    found: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """A check, and on what it is made."""
+
+    find: Callable[[Judged], tuple[Finding, ...]]
+    unless: tuple[FindingKind, ...] = ()
+    """Findings of the checks before it that explain what it would find."""
+    without_result: bool = False
+    """Whether it is made where no minimum was reached too."""
+    with_truth: bool = True
+    """Whether it is made where the result is compared with ground truth, which measures its error."""
 
 
 def diagnose(
@@ -35,53 +54,19 @@ def diagnose(
         limits: limits of its errors.
         truth_known: whether it is also compared with ground truth, which measures its error.
     """
-    found = _as_it_is(calibration, description, options, limits, truth_known)
-    if doubts(calibration, found) and (named := conventions(calibration, description, options)):
+    judged = Judged(calibration, description, options, limits)
+    for check in CHECKS:
+        made = (calibration.converged or check.without_result) and (check.with_truth or not truth_known)
+        if made and not any(each.kind in check.unless for each in judged.found):
+            judged = replace(judged, found=(*judged.found, *check.find(judged)))
+    if doubts(calibration, judged.found) and (named := conventions(calibration, description, options)):
         return (*missing_files(calibration.dataset), *named)  # all else is its consequence
-    return found
+    return judged.found
 
 
-def _as_it_is(
-    calibration: Calibration, description: Dataset, options: Options, limits: Limits, truth_known: bool
-) -> tuple[Finding, ...]:
-    """Run all checks of a calibration of the recording as it was read."""
-    if not calibration.converged:
-        return (
-            *missing_files(calibration.dataset),
-            *wrong_views(calibration),
-            *_said_by_the_engine(calibration),
-        )
-    far, rejected = far_from_description(calibration, description, options), rejected_labels(calibration, limits)
-    explained = any(each.kind != FAR_AWAY for each in far)  # a single cause is reported instead of its consequences
-    suspected = what_does_not_fit(calibration, limits)
-    return (
-        *missing_files(calibration.dataset),
-        *_not_determined(calibration),
-        *turned_boards(calibration),
-        *(far if explained else ()),
-        *(each for each in suspected if each.severity == "red"),
-        *wrong_views(calibration, limits),
-        *(each for each in suspected if each.severity != "red"),
-        *_of_residuals(calibration, limits, suspected),
-        *(() if truth_known else (*too_few(calibration), *precision(calibration, limits, suspected))),
-        *projection(calibration, limits),
-        *(() if explained else far),
-        *rejected,
-        *repeated(calibration),
-        *camera_info(calibration),
-        *_said_by_the_engine(calibration),
-    )
-
-
-def _of_residuals(calibration: Calibration, limits: Limits, suspected: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """Report residuals that are no noise, if nothing else explains them."""
-    if calibration.of_cameras_alone:
-        return of_cameras_alone(calibration, limits, residuals(calibration))
-    return residuals(calibration) if all(each.kind in KINDS_WITHOUT_SUSPECTS for each in suspected) else ()
-
-
-def _not_determined(calibration: Calibration) -> tuple[Finding, ...]:
+def _not_determined(judged: Judged) -> tuple[Finding, ...]:
     """Report what is left out of the result because the data do not determine it."""
+    calibration = judged.calibration
     if not calibration.not_determined:
         return ()
     text = (
@@ -92,10 +77,44 @@ def _not_determined(calibration: Calibration) -> tuple[Finding, ...]:
     return (Finding("not-determined", "warning", text),)
 
 
-def _said_by_the_engine(calibration: Calibration) -> tuple[Finding, ...]:
+def _residuals_of_robot(judged: Judged) -> tuple[Finding, ...]:
+    return () if judged.calibration.of_cameras_alone else residuals(judged.calibration)
+
+
+def _residuals_of_cameras_alone(judged: Judged) -> tuple[Finding, ...]:
+    calibration = judged.calibration
+    return of_cameras_alone(calibration, judged.limits, residuals(calibration)) if calibration.of_cameras_alone else ()
+
+
+def _said_by_the_engine(judged: Judged) -> tuple[Finding, ...]:
     """Report warnings of the least-squares solver."""
+    calibration = judged.calibration
     return (
         *(Finding("contradicted-prior", "warning", text) for text in calibration.warnings),
         *(Finding("weak-direction", "note", f"weakly determined: {text}") for text in calibration.weak_directions),
         *(Finding("engine", "note", text) for text in calibration.notes),
     )
+
+
+CHECKS = (
+    Check(lambda judged: missing_files(judged.calibration.dataset), without_result=True),
+    Check(_not_determined),
+    Check(lambda judged: turned_boards(judged.calibration)),
+    Check(lambda judged: exchanged_or_scaled(judged.calibration, judged.description, judged.options)),
+    Check(lambda judged: what_does_not_fit(judged.calibration, judged.limits)),
+    Check(lambda judged: wrong_views(judged.calibration, judged.limits), without_result=True),
+    Check(_residuals_of_robot, unless=("suspect", "contradiction")),
+    Check(_residuals_of_cameras_alone),
+    Check(lambda judged: too_few(judged.calibration), with_truth=False),
+    Check(lambda judged: precision(judged.calibration, judged.limits, judged.found), with_truth=False),
+    Check(lambda judged: projection(judged.calibration, judged.limits)),
+    Check(
+        lambda judged: far_from_description(judged.calibration, judged.description, judged.options),
+        unless=("exchanged-sensors", "pattern-size"),
+    ),
+    Check(lambda judged: rejected_labels(judged.calibration, judged.limits)),
+    Check(lambda judged: repeated(judged.calibration)),
+    Check(lambda judged: camera_info(judged.calibration)),
+    Check(_said_by_the_engine, without_result=True),
+)
+"""In the order of the report; a check sees what those before it have found."""

@@ -1,13 +1,50 @@
 """Finding of a check of a calibration."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 from calibration.base.records import field, result
 
-SUSPECT, CONTRADICTION, CONVENTION = "suspect", "contradiction", "convention"
-"""Kinds of findings that say that something is wrong, by themselves or with others."""
-AFTER_MOVE = "after-move"
-"""Kind of the finding that says of which part of the recording the result is, where something has moved."""
+FindingKind = Literal[
+    "after-move",
+    "against-optimum",
+    "baseline",
+    "baseline-quality",
+    "baseline-unmoved",
+    "camera-info",
+    "contradicted-prior",
+    "contradiction",
+    "convention",
+    "copies",
+    "coverage",
+    "engine",
+    "exchanged-sensors",
+    "far-from-description",
+    "lens",
+    "missing-files",
+    "moved-frame",
+    "no-baseline",
+    "noisy-sensor",
+    "not-determined",
+    "not-verified",
+    "nothing-suspicious",
+    "other-dataset",
+    "pattern-size",
+    "precision",
+    "rejected-labels",
+    "rejected-view",
+    "repeated",
+    "residual-correlation",
+    "residual-pattern",
+    "suspect",
+    "table",
+    "too-few",
+    "turned-board",
+    "untested",
+    "weak-direction",
+    "wrong-views",
+]
+"""What a check has found. Each kind is that of one check."""
 Severity = Literal["red", "undecided", "warning", "note"]
 
 
@@ -15,7 +52,7 @@ Severity = Literal["red", "undecided", "warning", "note"]
 class Finding:
     """Observation about a calibration or its data, as text and numbers."""
 
-    kind: str = field("The check that made it, such as suspect, duplicate or description.")
+    kind: FindingKind = field("What was found.")
     severity: Severity = field(
         "red: a reason to fail. undecided: a limit may hold or not. warning: worth a look. note: a line of the report."
     )
@@ -27,3 +64,8 @@ class Finding:
     unit: str | None = field("Unit of value and sigma: m, rad, px, s, or 1 for a ratio.", default=None)
     moves_mm: float | None = field("Largest displacement of a sensor.", default=None, unit="mm")
     moves_deg: float | None = field("Largest rotation of a sensor.", default=None, unit="degrees")
+
+
+def first_names(names: Sequence[str], most: int) -> str:
+    """Return the first of some names for a message, and the number of the others."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if names[most:] else "")

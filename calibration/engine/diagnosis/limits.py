@@ -1,6 +1,6 @@
 """Limits of the errors of a result, with or without ground truth."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -137,11 +137,25 @@ def of_a_good_robot(calibration: Calibration, name: str) -> tuple[float, float]:
         calibration: a calibration that has converged.
         name: a calibrated sensor or joint.
     """
+    return _sigmas_of(calibration, name, calibration.solution.nominal) if calibration.error_bars else (0.0, 0.0)
+
+
+def of_the_labels(calibration: Calibration, name: str) -> tuple[float, float]:
+    """Return the standard deviations of a sensor or joint by the noise of the labels alone, likewise."""
+    return _sigmas_of(calibration, name, calibration.error_bars.labels) if calibration.error_bars else (0.0, 0.0)
+
+
+def _sigmas_of(calibration: Calibration, name: str, covariances: Mapping[int, Array]) -> tuple[float, float]:
+    block, units = block_of(calibration, name)
+    C = covariances.get(block)
+    return (0.0, 0.0) if C is None else sizes(np.sqrt(np.diagonal(C)), units)
+
+
+def block_of(calibration: Calibration, name: str) -> tuple[int, Sequence[str]]:
+    """Return the block of a sensor or joint, and the units of its parameters."""
     joint, dataset = calibration.joints.get(name), calibration.dataset
-    block = calibration.solution.setup.block(dataset.joints[name].edge if joint else dataset.sensors[name].edge)
-    if calibration.error_bars is None or (C := calibration.solution.nominal.get(block)) is None:
-        return 0.0, 0.0
-    return sizes(np.sqrt(np.diagonal(C)), joint.units if joint else TWIST_UNITS)
+    edge = dataset.joints[name].edge if joint else dataset.sensors[name].edge
+    return calibration.solution.setup.block(edge), joint.units if joint else TWIST_UNITS
 
 
 def _median_distance(calibration: Calibration, sensor: str) -> float:

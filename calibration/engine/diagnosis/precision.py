@@ -1,4 +1,4 @@
-"""Check that the standard deviations of a result are small enough for its limits."""
+"""How sure a result is: standard deviations against the limits, too few collections, how camera_info is known."""
 
 import math
 from collections.abc import Sequence
@@ -6,23 +6,25 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.diagnosis.finding import CONTRADICTION, SUSPECT, Finding, Severity
+from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.diagnosis.limits import (
     DEFAULT_LIMIT_SIGMAS,
-    TWIST_UNITS,
     Limits,
     allowed,
+    block_of,
     limits_of,
     of_a_good_robot,
     sizes,
     stated,
 )
 from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
+from calibration.engine.estimation.covariance.lens_errors import LensSource
+from calibration.engine.estimation.covariance.nominal_lens import NUMBER_OF_VIEWS
 from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.doubts.suspects import MIN_CONTRADICTING_FACTOR, disagreement
 
 MIN_DISAGREEMENT = 1.4
 """Collections disagree if that widens the standard deviation by this factor: it is more than half of the variance."""
-FINDING_KIND = "precision"
 MIN_FAILURE_PROBABILITY = 0.5
 """Probability that a limit is broken, by the standard deviation alone, above which that is a failure."""
 UNIT_NAMES = ("mm", "deg")
@@ -40,9 +42,24 @@ MIN_NAMED_SHARE = 0.03
 """Part of the variance of all that is assumed, from which on a fixed parameter is named."""
 ENOUGH_ROOM = 0.75
 """Part of the wanted variance that one contribution may take if narrowing the other alone is to help."""
+MIN_INDEPENDENT_COLLECTIONS = 7
+"""Minimum of independent collections for suspects and standard deviations to explain a disagreement."""
+RECOMMENDED_COLLECTIONS = "8 or more, with other rotations"
+"""Recommendation of a message,"""
+BETTER_OF_CAMERAS = "20 to 40, near, tilted and all over the image"
+"""and where only cameras are calibrated."""
+MAX_SHARE_OF_ONE = 0.7
+"""A direction depends on one collection if that contributes more than this fraction of its information."""
+KNOWN_BY: dict[LensSource, str] = {
+    "nominal": f"as from a nominal calibration of {NUMBER_OF_VIEWS} views; one of your own may leave its covariance "
+    "(intrinsics-covariance)",
+    "assume": "as 'assume' says",
+    "covariance": "by the covariance of its own calibration",
+    "standard-deviations": "by the standard deviations in its file",
+}
 
 
-def precision(calibration: Calibration, limits: Limits, suspected: Sequence[Finding] = ()) -> tuple[Finding, ...]:
+def precision(calibration: Calibration, limits: Limits, found: Sequence[Finding] = ()) -> tuple[Finding, ...]:
     """Report limits that do not hold with the guard band of the reported standard deviation.
 
     They are undecided; a failure where no limit is set and the error is more likely than not beyond that of any good
@@ -51,11 +68,11 @@ def precision(calibration: Calibration, limits: Limits, suspected: Sequence[Find
     Args:
         calibration: a calibration that has converged.
         limits: those that the user has set; without any, the default ones.
-        suspected: causes and contradictions that were found.
+        found: by the checks before; causes and contradictions count.
     """
-    if any(each.severity == "red" for each in suspected):
+    wrong = [each for each in found if each.kind in ("suspect", "contradiction")]
+    if any(each.severity == "red" for each in wrong):
         return ()
-    wrong = any(each.kind in (SUSPECT, CONTRADICTION) for each in suspected)
     findings = []
     for name, sigmas in stated(calibration).items():
         limit = allowed(calibration, limits, name)
@@ -74,14 +91,13 @@ def precision(calibration: Calibration, limits: Limits, suspected: Sequence[Find
             else _advise_remedy(calibration, name, unit, wanted)
         )
         text = (
-            f"'{name}' is not determined well enough: {sigmas[unit]:.2g} {UNIT_NAMES[unit]} (standard deviation, "
-            "in all), "
-            f"limit {most[unit]:.3g} {UNIT_NAMES[unit]}{'' if limit.set else ', as none is set,'} with a guard band of "
-            f"{limits.guard:g} standard deviations, so that it can show {limits.guard * sigmas[unit]:.2g} "
+            f"'{name}' is not determined well enough: {sigmas[unit]:.2g} {UNIT_NAMES[unit]} (standard deviation, in "
+            f"all), limit {most[unit]:.3g} {UNIT_NAMES[unit]}{'' if limit.set else ', as none is set,'} with a guard "
+            f"band of {limits.guard:g} standard deviations, so that it can show {limits.guard * sigmas[unit]:.2g} "
             f"{UNIT_NAMES[unit]}; {remedy}"
         )
         severity: Severity = "red" if bad else "undecided"
-        findings.append(Finding(FINDING_KIND, severity, text, (name,), value=sigmas[unit], unit=UNIT_NAMES[unit]))
+        findings.append(Finding("precision", severity, text, (name,), value=sigmas[unit], unit=UNIT_NAMES[unit]))
     return tuple(findings)
 
 
@@ -94,12 +110,10 @@ def _advise_remedy(calibration: Calibration, name: str, unit: int, wanted: float
         unit: 0 for lengths, 1 for angles.
         wanted: mm or degrees.
     """
-    joint, setup, bars = calibration.joints.get(name), calibration.solution.setup, calibration.error_bars
-    edge = calibration.dataset.joints[name].edge if joint else calibration.dataset.sensors[name].edge
-    block = setup.block(edge)
+    bars, (block, units) = calibration.error_bars, block_of(calibration, name)
     if bars is None or block not in bars.labels:
         return ADVICE_TO_ADD
-    units, at = joint.units if joint else TWIST_UNITS, setup.problem.shared_parameters[block]
+    at = calibration.solution.setup.problem.shared_parameters[block]
     worth = {cause: sizes(np.linalg.norm(moved[at], axis=1), units)[unit] ** 2 for cause, moved in bars.held.items()}
     assumed, wanted = sum(worth.values()), wanted**2
     scatter = max(0.0, sizes(np.sqrt(np.diagonal(bars.total[block])), units)[unit] ** 2 - assumed)
@@ -114,9 +128,8 @@ def _advise_remedy(calibration: Calibration, name: str, unit: int, wanted: float
     if named[0].startswith(CAMERA_INFO):
         how = "calibrate it with more views, and hand its intrinsics-covariance on"
     know = (
-        f"most of it is what is assumed of the {_list_names(named)}: it has to be known {_rounded_up(better):g} "
-        "times as "
-        f"well ({how})"
+        f"most of it is what is assumed of the {_list_names(named)}: it has to be known {_rounded_up(better):g} times "
+        f"as well ({how})"
     )
     if scatter <= ENOUGH_ROOM * wanted:
         return f"{know}; more collections would not help"
@@ -171,3 +184,35 @@ def false_accept(sigma: float, limit: float) -> float:
     if x > 20:
         return 0.0
     return math.erfc(x) + 2 * x * math.exp(-x * x) / math.sqrt(math.pi)
+
+
+def too_few(calibration: Calibration) -> tuple[Finding, ...]:
+    """Report an undecided result if few views disagree by more than their noise and single ones decide it.
+
+    The result follows such a view, so that its residual is small despite its error: no standard deviation covers that.
+    """
+    model, bars = calibration.solution.model, calibration.error_bars
+    count = len(model.G)
+    if bars is None or count >= MIN_INDEPENDENT_COLLECTIONS or bars.decisive < MAX_SHARE_OF_ONE:
+        return ()
+    ratio = disagreement(model).ratio
+    if ratio <= MIN_CONTRADICTING_FACTOR:
+        return ()
+    text = (
+        f"{count} collections are too few for views that disagree by {ratio**0.5:.2g} times their noise: one of them "
+        f"alone decides {bars.decisive:.0%} of what is known of some direction; take "
+        f"{BETTER_OF_CAMERAS if calibration.of_cameras_alone else RECOMMENDED_COLLECTIONS}"
+    )
+    return (Finding("too-few", "undecided", text, value=ratio, unit="1"),)
+
+
+def camera_info(calibration: Calibration) -> tuple[Finding, ...]:
+    """Report how well the camera_info of each camera is taken to be known; nothing where it is exact or calibrated."""
+    known: dict[LensSource, list[str]] = {}
+    for cause in calibration.solution.model.causes:
+        if cause.kind == CAMERA_INFO and cause.known_by is not None and any(cause.assumed):
+            known.setdefault(cause.known_by, []).append(cause.subject)
+    return tuple(
+        Finding("camera-info", "note", f"camera_info of {' and '.join(names)} is known {KNOWN_BY[source]}", (*names,))
+        for source, names in known.items()
+    )

@@ -8,8 +8,7 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.diagnosis.precision import MIN_DISAGREEMENT, wider
-from calibration.engine.diagnosis.too_few import BETTER_OF_CAMERAS
+from calibration.engine.diagnosis.precision import BETTER_OF_CAMERAS, MIN_DISAGREEMENT, wider
 from calibration.engine.estimation.covariance.projection import Projection, projection_of
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.geometry.cameras import Camera

@@ -1,14 +1,16 @@
-"""Check of the labels that do not fit the result: a few are errors of the detector, many have another cause."""
+"""Labels that do not fit the result, and views that contradict the majority: few are usual, many have a cause."""
 
-from collections import Counter
+import math
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 
 import numpy as np
 
 from calibration.engine.dataset.modalities import NoiseKind
-from calibration.engine.diagnosis.finding import Finding, Severity
-from calibration.engine.diagnosis.limits import Limits, limit_in_labels
-from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.diagnosis.finding import Finding, Severity, first_names
+from calibration.engine.diagnosis.limits import Limits, allowed, limit_in_labels, of_the_labels, stated
+from calibration.engine.estimation.covariance.result import Calibration, DroppedView
+from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD
 
 MIN_WARNING_SHARE, MIN_RED_SHARE = 0.01, 0.05
 """Shares of all labels."""
@@ -26,6 +28,12 @@ standard deviations, which the robust loss handles.
 """
 MAX_NAMED_COLLECTIONS = 5
 """Number of collections that a message names."""
+MIN_RED_SHARE_OF_VIEWS = 0.05
+"""Share of a sensor's views that is a failure: the majority is no longer reliable."""
+USUAL_CAUSE = "image and pose of different moments?"
+"""Most frequent cause of a view that contradicts the others."""
+MAX_NAMED_VIEWS = 20
+"""Number of collections that a message names."""
 
 
 def rejected_labels(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
@@ -33,7 +41,8 @@ def rejected_labels(calibration: Calibration, limits: Limits) -> tuple[Finding, 
 
     A label is rejected if Huber's loss gives it less than half its weight, beyond five standard deviations: for
     normal noise, 4e-6 of the corners. It is counted if its residual also exceeds `GROSS_PIXELS` or `GROSS_METRES`.
-    The robust loss may have followed a minority, so more than half of them rejected, gross or not, is a failure too.
+    Many of them are a failure where they may have moved the result by more than a limit. The robust loss may have
+    followed a minority, so more than half of them rejected, gross or not, is a failure too.
     """
     total = sum(int(np.isfinite(view.magnitudes).sum()) for view in calibration.residuals)
     rejected = calibration.rejected
@@ -49,21 +58,39 @@ def rejected_labels(calibration: Calibration, limits: Limits) -> tuple[Finding, 
     if (share := len(gross) / total) > MIN_WARNING_SHARE:
         sensors, keys = (Counter(each) for each in zip(*((g.sensor, g.collection) for g in gross), strict=True))
         worst, collections = sensors.most_common(1)[0][0], tuple(key for key, _ in keys.most_common())
+        where = first_names(collections, MAX_NAMED_COLLECTIONS)
         text = (
             f"{len(gross)} of {total} labels do not fit the result ({100 * share:.1f} %, expected "
-            f"{100 * MIN_WARNING_SHARE:g} % "
-            f"at most), most of '{worst}', in collections {_list_collections(collections)}; look at their images, "
-            "or leave them "
-            f"out"
+            f"{100 * MIN_WARNING_SHARE:g} % at most), most of '{worst}', in collections {where}; "
+            f"look at their images, or leave them out"
         )
-        severity: Severity = "red" if share > MIN_RED_SHARE else "warning"
-        return (Finding("rejected-labels", severity, text, (worst,), collections, share, unit="1"),)
-    keys = Counter(label.collection for label in rejected)
-    collections = tuple(key for key, _ in keys.most_common())
-    text = f"{len(rejected)} of {total} labels rejected as outliers, in collections {_list_collections(collections)}"
+        severity: Severity = (
+            "red" if share > MIN_RED_SHARE and _may_exceed_a_limit(calibration, limits, len(rejected)) else "warning"
+        )
+        found = Finding("rejected-labels", severity, text, (worst,), collections, share, unit="1")
+        return (*_at_the_ends(calibration, limits), found)
+    collections = tuple(key for key, _ in Counter(label.collection for label in rejected).most_common())
+    where = first_names(collections, MAX_NAMED_COLLECTIONS)
+    text = f"{len(rejected)} of {total} labels rejected as outliers, in collections {where}"
     note = Finding("rejected-labels", "note", text, (), collections, len(rejected) / total, unit="1")
     views = _find_bad_views(calibration, Counter((g.collection, g.sensor, g.pattern, g.kind) for g in gross))
     return (*_at_the_ends(calibration, limits), *views, note)
+
+
+def _may_exceed_a_limit(calibration: Calibration, limits: Limits, count: int) -> bool:
+    """Whether so many labels that do not fit may move a sensor or joint by more than its limit.
+
+    Huber's loss lets each pull by `HUBER_THRESHOLD` standard deviations of the labels at most. All of them together
+    move a parameter by at most that times the root of their number, in its standard deviations by the labels alone
+    (inequality of Cauchy and Schwarz).
+    """
+    if calibration.of_cameras_alone:
+        return True
+    pull = HUBER_THRESHOLD * math.sqrt(count)
+    return any(
+        allowed(calibration, limits, name).exceeded(*(pull * sigma for sigma in of_the_labels(calibration, name)))
+        for name in stated(calibration)
+    )
 
 
 def _at_the_ends(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
@@ -122,7 +149,63 @@ def _find_bad_views(
     return (Finding("rejected-view", "warning", text, tuple(sensors), tuple(keys), share, unit="1"),)
 
 
-def _list_collections(keys: tuple[str, ...]) -> str:
-    return ", ".join(keys[:MAX_NAMED_COLLECTIONS]) + (
-        f" and {len(keys) - MAX_NAMED_COLLECTIONS} more" if keys[MAX_NAMED_COLLECTIONS:] else ""
+def wrong_views(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
+    """Report the rejected views, by the sensors that contradict each other.
+
+    If two sensors contradict each other and no third one decides, both views are rejected and both are named. At an end
+    of the recording a few views that contradict the others may as well be those of a sensor that has moved, so that
+    they are a failure if they are off by more than it may.
+
+    Args:
+        calibration: the result.
+        limits: those that the user has set.
+    """
+    views = Counter(sensor for c in calibration.dataset.collections for _, sensor in c.labels)
+    by_collection: dict[str, list[DroppedView]] = defaultdict(list)
+    for view in calibration.dropped_views:
+        by_collection[view.collection].append(view)
+    alike: dict[tuple[str, ...], list[DroppedView]] = defaultdict(list)
+    for dropped in by_collection.values():
+        alike[tuple(sorted({view.sensor for view in dropped}))] += dropped
+    return tuple(
+        _finding_on_views(sensors, dropped, views, _at_an_end(calibration, limits, dropped))
+        for sensors, dropped in alike.items()
     )
+
+
+def _at_an_end(calibration: Calibration, limits: Limits, dropped: list[DroppedView]) -> str:
+    """Return where a sensor may have moved, if its first or last view is wrong by more than it may be off; else ""."""
+    if not calibration.converged:
+        return ""
+    left_out = {(view.sensor, view.collection) for view in dropped}
+    for view in dropped:
+        if not allowed(calibration, limits, view.sensor).exceeded(view.mm, view.degrees):
+            continue
+        seen = [c.key for c in calibration.dataset.collections if view.sensor in {s for _, s in c.labels}]
+        kept = [key for key in seen if (view.sensor, key) not in left_out]
+        if kept and view.collection == seen[-1]:
+            return f"{view.sensor} has moved after collection {kept[-1]}, and the result is that of before"
+        if kept and view.collection == seen[0]:
+            return f"{view.sensor} has moved before collection {kept[0]}"
+    return ""
+
+
+def _finding_on_views(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counter[str], moved: str) -> Finding:
+    collections = tuple(dict.fromkeys(view.collection for view in dropped))
+    share = max(len({v.collection for v in dropped if v.sensor == sensor}) / views[sensor] for sensor in sensors)
+    mm, degrees = (max(getattr(view, unit) for view in dropped) for unit in ("mm", "degrees"))
+    several = len(collections) > 1
+    where = f"collection{'s' * several} {first_names(collections, MAX_NAMED_VIEWS)}"
+    if len(sensors) > 1:
+        what = f"{', '.join(sensors[:-1])} and {sensors[-1]} contradict each other in {where}"
+    else:
+        what = (
+            f"{sensors[0]}: {'views' if several else 'the view'} of {where} contradict{'s' * (not several)} the others"
+        )
+    either = f"either image and pose are of different moments, or {moved}." if moved else USUAL_CAUSE
+    text = (
+        f"{what}, by up to {mm:.4g} mm and {degrees:.3g} deg, left out: {either} "
+        f"Record these collections again, at standstill"
+    )
+    severity: Severity = "red" if share > MIN_RED_SHARE_OF_VIEWS or moved else "warning"
+    return Finding("wrong-views", severity, text, sensors, collections, share, unit="1")

@@ -146,9 +146,8 @@ def _find_noisy_sensors(calibration: Calibration, labels: Sequence[LabelErrors])
             and level > MAX_DETECTOR_NOISE / 2
         ):
             text = (
-                f"the corners of '{sensor}' scatter by {noise:.2g} px, a detector errs by {MAX_DETECTOR_NOISE:g} "
-                "px at most: "
-                f"look at its focus, its light and its exposure, and whether all stood still"
+                f"the corners of '{sensor}' scatter by {noise:.2g} px, a detector errs by {MAX_DETECTOR_NOISE:g} px at "
+                "most: look at its focus, its light and its exposure, and whether all stood still"
             )
             notes.append(Finding("noisy-sensor", "note", text, (sensor,), value=noise, unit="px"))
     return notes

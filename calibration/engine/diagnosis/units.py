@@ -102,8 +102,7 @@ def _check_measured_poses(dataset: Dataset) -> None:
             raise InputError(
                 f"{dataset.path}: sensor '{sensor}': found measured poses of the pattern {far:g} m away, expected "
                 f"{FARTHEST_MEASURED:g} m at most; this looks like millimetres: {far / MM_PER_METRE:g} m (in "
-                "import.yml: "
-                "'units: mm' in 'samples')"
+                "import.yml: 'units: mm' in 'samples')"
             )
 
 

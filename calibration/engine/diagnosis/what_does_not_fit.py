@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.diagnosis.finding import CONTRADICTION, SUSPECT, Finding
+from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, sizes, stated
 from calibration.engine.diagnosis.precision import MIN_FAILURE_PROBABILITY, false_accept
 from calibration.engine.diagnosis.projection import projection_limit, shifts
@@ -32,8 +32,6 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 from calibration.engine.geometry.transforms import adjoint
 
-NOTHING_SUSPICIOUS = "nothing-suspicious"
-UNTESTED = "untested"
 GROSS_DEVIATIONS: Mapping[str, tuple[float, str]] = {
     "focal length": (0.025, "camera"),
     "image scale": (0.025, "camera"),
@@ -99,7 +97,7 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
     if explanation is None:
         count = len(calibration.solution.model.G)
         text = f"{count} collections are too few to test fixed parameters (intrinsics, pattern, arm): take 8 or more"
-        return (Finding(UNTESTED, "note", text),)
+        return (Finding("untested", "note", text),)
     suspects = [_worst_alternative(calibration, limits, suspect) for suspect in explanation.suspects]
     found = [(_finding_on_suspect(calibration, limits, suspect), suspect) for suspect in suspects]
     found.sort(key=lambda each: _limits_moved(calibration, limits, *each), reverse=True)
@@ -185,7 +183,7 @@ def _finding_on_suspect(calibration: Calibration, limits: Limits, suspect: Suspe
         text += f"; {harm} (limit {limit_of[sensor]})"
     one = cause.size == 1
     return Finding(
-        SUSPECT,
+        "suspect",
         "red" if is_red or gross else "undecided" if over else "note",
         text,
         sensors=tuple(over) if over else tuple(filter(None, [sensor])),
@@ -208,11 +206,10 @@ def _finding_on_cameras(calibration: Calibration, limits: Limits, suspect: Suspe
     names = " or ".join(dict.fromkeys(_name_cause(each.cause) for each in (suspect, *suspect.rivals)))
     text = (
         f"{names} does not fit: {_describe_size(suspect.cause, suspect.value, suspect.sigma)}; it shifts the "
-        "projection of "
-        f"{camera} by {moved[camera]:.2g} px (limit {limit:.3g} px)"
+        f"projection of {camera} by {moved[camera]:.2g} px (limit {limit:.3g} px)"
     )
     text += f": {ADVICE_ON_CAUSE.get(suspect.cause.kind, 'look at it')}" if red else ""
-    return Finding(SUSPECT, "red" if red else "note", text, (camera,), value=round(moved[camera], 4), unit="px")
+    return Finding("suspect", "red" if red else "note", text, (camera,), value=round(moved[camera], 4), unit="px")
 
 
 def distance_text(mm: float, degrees: float) -> str:
@@ -308,7 +305,7 @@ def _find_failure_together(
                 f"{causes} do not fit: together they move {name} by {mm:.3g} mm and {degrees:.2g} deg (limit {limit}): "
             )
             text += ADVICE_ON_CAUSE[suspects[0].cause.kind]
-            return [Finding(SUSPECT, "red", text, (name,), moves_mm=round(mm, 4), moves_deg=round(degrees, 5))]
+            return [Finding("suspect", "red", text, (name,), moves_mm=round(mm, 4), moves_deg=round(degrees, 5))]
     return []
 
 
@@ -393,7 +390,7 @@ def _find_contradictions(calibration: Calibration, limits: Limits, found: Disagr
             f"{distance_text(mm, degrees)} (limit {limit}); no fixed parameter "
             f"explains it: time stamps, or something that moved or gave way{f': {AT_STANDSTILL}' if harmful else ''}"
         )
-        findings.append(Finding(CONTRADICTION, "red" if harmful else "note", text, (name,), keys, value=ratio))
+        findings.append(Finding("contradiction", "red" if harmful else "note", text, (name,), keys, value=ratio))
     return findings
 
 
@@ -418,11 +415,10 @@ def _contradiction_of_cameras(calibration: Calibration, found: Disagreement) -> 
     subject, keys = _worst_subject(calibration, found, tuple(found.sizes))
     text = (
         f"the views contradict each other by {found.excess * level:.2g} px where {level:.2g} px is the noise, most "
-        f"{subject} in {_list_collections(keys)}, and no fixed parameter explains it: a board that bends, motion "
-        "in the "
-        f"images, or a lens with more than its model"
+        f"{subject} in {_list_collections(keys)}, and no fixed parameter explains it: a board that bends, motion in "
+        "the images, or a lens with more than its model"
     )
-    return [Finding(CONTRADICTION, "note", text, (subject,), keys, value=found.ratio)]
+    return [Finding("contradiction", "note", text, (subject,), keys, value=found.ratio)]
 
 
 def _note_without_suspects(calibration: Calibration) -> Finding:
@@ -435,4 +431,4 @@ def _note_without_suspects(calibration: Calibration) -> Finding:
         text += (
             f"; the result hangs most on the {most}: the usual uncertainty of it is worth {1e3 * worth[most]:.2g} mm"
         )
-    return Finding(NOTHING_SUSPICIOUS, "note", text)
+    return Finding("nothing-suspicious", "note", text)

@@ -9,16 +9,14 @@ from calibration.ci.report import Verdict
 from calibration.ci.report.outcome import ErrorCode
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineChange
-from calibration.engine.baseline.verdict import UNMOVED_KIND
-from calibration.engine.diagnosis.finding import Finding
-from calibration.engine.diagnosis.what_does_not_fit import NOTHING_SUSPICIOUS
+from calibration.engine.diagnosis.finding import Finding, FindingKind
 from calibration.engine.estimation.covariance.result import DroppedView, RejectedLabel
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels
 from calibration.pipeline.matrix.cell import Cell, Comparison, noise_text
 from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 
 OUR_METHOD = "calibration-ci"
-REASSURING_KINDS = (NOTHING_SUSPICIOUS, UNMOVED_KIND)
+REASSURING_KINDS: tuple[FindingKind, ...] = ("nothing-suspicious", "baseline-unmoved")
 """Kinds of findings that say that all is well."""
 
 

@@ -16,7 +16,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.diagnosis.after_move import after_move
 from calibration.engine.diagnosis.diagnose import diagnose
-from calibration.engine.diagnosis.finding import CONVENTION, Finding
+from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.calibrate import solve
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.doubts.wrong_views import without
@@ -115,7 +115,7 @@ def _without_calibration(cell: Cell, system: LoadedSystem, error: CalibrationErr
 def _diagnose_cell(cell: Cell, system: LoadedSystem, calibration: Calibration) -> CellResult:
     result = described(nothing_yet(cell), calibration, system.dataset, system.limits)
     found = diagnose(calibration, system.dataset, system.options, system.limits, system.truth is not None)
-    result = result.explained(found) if any(each.kind == CONVENTION for each in found) else result.found(found)
+    result = result.explained(found) if any(each.kind == "convention" for each in found) else result.found(found)
     return result.found((*system.left_out, *system.lens_notes))
 
 
@@ -150,7 +150,7 @@ def _diagnose_and_evaluate(cell: Cell, system: LoadedSystem, calibration: Calibr
 
 def _compare_with_accepted(result: CellResult, calibration: Calibration, system: LoadedSystem) -> CellResult:
     """Return the result with its snapshot, and the differences from the accepted calibration."""
-    if not calibration.converged or result.details is None or any(f.kind == CONVENTION for f in result.findings):
+    if not calibration.converged or result.details is None or any(f.kind == "convention" for f in result.findings):
         return result
     now = system.snapshots.of(calibration, result.rms_px)
     comparison, findings = against_baseline(system.accepted, now) if system.accepted else (None, ())

@@ -17,16 +17,13 @@ from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.tasks import Task
 from calibration.engine.baseline.calibration_document import SoftwareStart
-from calibration.engine.baseline.quality import QUALITY_KIND
 from calibration.engine.baseline.verdict import against_baseline, nothing_accepted, software_against_baseline
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import write_dataset
-from calibration.engine.diagnosis.against_optimum import FINDING_KIND as AGAINST_OPTIMUM
 from calibration.engine.diagnosis.against_optimum import against_optimum, optimum_for
 from calibration.engine.diagnosis.finding import Finding
-from calibration.engine.diagnosis.same_labels import moved_frames, same_labels
-from calibration.engine.diagnosis.table_follows import not_evaluated, table_follows
+from calibration.engine.diagnosis.software_output import moved_frames, not_evaluated, same_labels, table_follows
 from calibration.engine.estimation.start.starting_noise import with_starting_noise
 from calibration.engine.evaluation.table import AVERAGES_ROW, RMS_PIX
 from calibration.pipeline.matrix.cell import Cell
@@ -211,7 +208,7 @@ def start_of(result: CellResult, passed: bool | None = None) -> SoftwareStart:
         result.seed or 0,
         result.verdict == "pass" if passed is None else passed,
         result.rms_px,
-        next((each.moves_mm for each in result.findings if each.kind == AGAINST_OPTIMUM), None),
+        next((each.moves_mm for each in result.findings if each.kind == "against-optimum"), None),
     )
 
 
@@ -238,7 +235,7 @@ def _findings_on_changes(system: LoadedSystem) -> tuple[Finding, ...]:
     if system.accepted.snapshot is None:
         return nothing_accepted(system.accepted)
     now = against_baseline(system.accepted, system.optimum_snapshot)[1]
-    return tuple(each for each in now if each.kind != QUALITY_KIND)
+    return tuple(each for each in now if each.kind != "baseline-quality")
 
 
 def _reprojection_rms(system: LoadedSystem) -> float:

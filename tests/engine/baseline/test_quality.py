@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 
 from calibration.engine.baseline.calibration_document import CalibrationDocument
-from calibration.engine.baseline.quality import QUALITY_KIND
 from calibration.engine.baseline.settings import BaselineSettings
 from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.engine.diagnosis.finding import Finding
@@ -19,7 +18,7 @@ def before() -> CalibrationDocument:
 
 def findings(before: CalibrationDocument, now: CalibrationDocument) -> list[Finding]:
     found = against_baseline(Accepted(BaselineSettings(), before), now)[1]
-    return [each for each in found if each.kind == QUALITY_KIND]
+    return [each for each in found if each.kind == "baseline-quality"]
 
 
 def on_other_data(before: CalibrationDocument, **changes: object) -> CalibrationDocument:

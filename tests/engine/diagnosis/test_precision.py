@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.limits import DEFAULT_LIMIT_SIGMAS, Limits, allowed, of_a_good_robot
-from calibration.engine.diagnosis.precision import false_accept, precision, worst_false_accept
+from calibration.engine.diagnosis.precision import false_accept, precision, too_few, worst_false_accept
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from tests.engine.estimation import systems
+from tests.engine.estimation.systems import eye_to_hand, stereo
 
 
 def test_a_limit_below_the_guard_band_is_undecided_with_a_remedy() -> None:
@@ -53,3 +55,23 @@ def test_the_probability_of_a_false_accept_matches_random_draws() -> None:
         assert false_accept(np.sqrt(3), limit) == pytest.approx(np.mean(draws > limit), abs=0.005)
     assert false_accept(0.0, 1.0) == 0.0
     assert false_accept(1e-9, 1.0) == 0.0
+
+
+def arm(collections: int, error: float) -> Dataset:
+    """An arm whose poses are off by so much, m and rad."""
+    dataset = eye_to_hand(collections, pixel_noise=0.1).dataset()
+    poses = dataset.transforms["base", "flange"].copy()
+    poses[:, :3, 3] += np.random.default_rng(3).normal(0, error, (collections, 3))
+    return dataset.with_transforms({("base", "flange"): poses})
+
+
+@pytest.mark.parametrize("collections", [3, 5, 6])
+def test_few_that_disagree_are_undecided(collections: int) -> None:
+    [found] = too_few(calibrate(arm(collections, 0.005)))
+    assert (found.kind, found.severity) == ("too-few", "undecided")
+    assert found.text.startswith(f"{collections} collections are too few")
+
+
+@pytest.mark.parametrize("dataset", [arm(4, 0.0), arm(10, 0.005), stereo(4, pixel_noise=0.1).dataset()])
+def test_few_that_agree_and_enough_are_not(dataset: Dataset) -> None:
+    assert not too_few(calibrate(dataset))

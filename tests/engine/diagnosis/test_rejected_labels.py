@@ -1,5 +1,6 @@
 """Labels that do not fit: noted, warned of, or red, by their share."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,10 +9,11 @@ import pytest
 
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.diagnosis.rejected_labels import rejected_labels
+from calibration.engine.diagnosis.finding import Severity
+from calibration.engine.diagnosis.limits import Limits, of_the_labels
+from calibration.engine.diagnosis.rejected_labels import rejected_labels, wrong_views
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.covariance.result import RejectedLabel
+from calibration.engine.estimation.covariance.result import Calibration, DroppedView, RejectedLabel
 from tests.engine.estimation.scenes import Labels, relabelled
 from tests.engine.estimation.systems import stereo
 
@@ -35,12 +37,21 @@ def with_wrong(dataset: Dataset, share: float, size: float, view: int | None = N
 )
 def test_by_their_share_and_size(share: float, size: float, severity: str | None) -> None:
     dataset = with_wrong(stereo(8, pixel_noise=0.2).dataset(), share, size)
-    found = rejected_labels(calibrate(dataset), Limits())
+    found = rejected_labels(calibrate(dataset), Limits(translation_mm=0.1, rotation_deg=0.01))
     assert [each.severity for each in found] == ([severity] if severity else [])
     if severity in ("warning", "red"):
         assert found[0].sensors == ("left",)
         assert found[0].value == pytest.approx(share / 2, abs=0.01)
         assert f"of {2 * 8 * len(dataset.patterns['board'].corners)} labels do not fit" in found[0].text
+
+
+def test_many_that_cannot_move_the_result_by_its_limit_are_a_warning() -> None:
+    calibration = calibrate(with_wrong(stereo(8, pixel_noise=0.2).dataset(), 0.12, 20.0))
+    [sigma, _] = of_the_labels(calibration, "right" if calibration.gauge == "left" else "left")
+    most = 2.5 * np.sqrt(len(calibration.rejected)) * sigma
+    for limit, severity in ((0.9 * most, "red"), (1.1 * most, "warning")):
+        [found] = rejected_labels(calibration, Limits(translation_mm=limit, rotation_deg=90))
+        assert found.severity == severity
 
 
 def test_one_view_is_named() -> None:
@@ -67,3 +78,56 @@ def test_a_view_at_an_end_that_does_not_fit_has_moved(view: int, severities: lis
     assert all(f"collection {key}, at an end" in each.text for each in found if each.severity == "red")
     [note] = rejected_labels(calibration, Limits(translation_mm=100.0))  # the labels are off by far less than that
     assert note.severity == "note"
+
+
+WIDE = Limits(translation_mm=1e4, rotation_deg=180)
+
+
+@pytest.fixture(scope="module")
+def clean() -> Calibration:
+    return calibrate(stereo(30, pixel_noise=0.1).dataset())
+
+
+def with_dropped(clean: Calibration, sensors: Sequence[str], keys: Sequence[str]) -> Calibration:
+    dropped = tuple(DroppedView(sensor, "board", key, 100.0 + int(key), 2.5) for key in keys for sensor in sensors)
+    return replace(clean, dropped_views=dropped)
+
+
+@pytest.mark.parametrize(("keys", "severity"), [(["003"], "warning"), (["003", "007"], "red")])
+def test_by_their_share(clean: Calibration, keys: list[str], severity: Severity) -> None:
+    [found] = wrong_views(with_dropped(clean, ["left"], keys), WIDE)
+    assert (found.kind, found.severity, found.sensors) == ("wrong-views", severity, ("left",))
+    assert found.collections == tuple(keys)
+    assert found.value == pytest.approx(len(keys) / 30)
+    assert f"{100 + int(keys[-1])} mm and 2.5 deg" in found.text
+
+
+def test_two_sensors_contradict_each_other(clean: Calibration) -> None:
+    [found] = wrong_views(with_dropped(clean, ["left", "right"], [f"{i:03}" for i in range(22)]), WIDE)
+    assert found.text.startswith("left and right contradict each other in collections 000, 001, 002, 003, ")
+    assert ", 018, 019 and 2 more, by up to 121 mm" in found.text
+
+
+def test_nothing_dropped(clean: Calibration) -> None:
+    assert not wrong_views(clean, WIDE)
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("000", "or left has moved before collection 001."),
+        ("029", "or left has moved after collection 028, and the result is that of before."),
+    ],
+)
+def test_at_an_end_of_the_recording_it_may_have_moved(clean: Calibration, key: str, said: str) -> None:
+    dropped = with_dropped(clean, ["left"], [key])
+    [found] = wrong_views(dropped, Limits())
+    assert (found.severity, found.collections) == ("red", (key,))
+    assert f"either image and pose are of different moments, {said}" in found.text
+    [within] = wrong_views(dropped, Limits(translation_mm=200.0))
+    assert within.severity == "warning"
+
+
+def test_in_the_middle_few_are_a_warning(clean: Calibration) -> None:
+    [found] = wrong_views(with_dropped(clean, ["left"], ["011"]), Limits())
+    assert found.severity == "warning"

@@ -8,7 +8,7 @@ import pytest
 
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
-from calibration.engine.diagnosis.finding import CONTRADICTION, Finding
+from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import Options, calibrate
@@ -333,7 +333,7 @@ def test_views_that_contradict_each_other_are_red_where_the_result_is_rather_off
     sigma = calibration.sigma_mm(("world", "cam"))
     for share, severity in ((1.05, "note"), (1.2, "red")):
         said = what_does_not_fit(calibration, Limits(translation_mm=sigma / share))
-        assert [each.severity for each in said if each.kind == CONTRADICTION] == [severity]
+        assert [each.severity for each in said if each.kind == "contradiction"] == [severity]
 
 
 def test_the_curve_of_a_lens_without_distortion_is_its_projection() -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.engine.diagnosis.finding import CONVENTION
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.first_configuration import first_configuration
@@ -37,7 +36,7 @@ def ran(folder: Path, output: Path, **keys: Any) -> CellResult:
 
 def test_a_result_that_fits_nothing_has_the_convention_as_its_only_reason(door: Path, tmp_path: Path) -> None:
     cell = ran(door / "02-green-mistakes" / "B4-euler-as-rotvec" / "data" / "robot", tmp_path)
-    assert [(f.kind, f.severity) for f in cell.findings] == [(CONVENTION, "red")]
+    assert [(f.kind, f.severity) for f in cell.findings] == [("convention", "red")]
     [reason] = cell.reasons
     assert "Euler angles about the fixed axes x, y, z" in reason
     assert "0.58 px" in reason
@@ -48,7 +47,7 @@ def test_data_without_a_result_have_it_too_and_their_error_is_a_note(door: Path,
     [reason] = cell.reasons
     assert reason.startswith("with the pattern's poses inverted")
     assert not cell.converged
-    assert [(f.kind, f.severity) for f in cell.findings] == [(CONVENTION, "red"), ("engine", "note")]
+    assert [(f.kind, f.severity) for f in cell.findings] == [("convention", "red"), ("engine", "note")]
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,7 @@ from calibration.engine.diagnosis.conventions.changed import (
     with_measured,
     with_scaled_patterns,
 )
-from calibration.engine.diagnosis.conventions.hypothesis import Hypothesis
-from calibration.engine.diagnosis.conventions.misfit import Misfit
+from calibration.engine.diagnosis.conventions.misfit import Hypothesis, Misfit
 from calibration.engine.diagnosis.conventions.recording import Recording, SeenPoses
 from calibration.engine.diagnosis.conventions.rotation_readings import Rereading, rereadings
 from calibration.engine.diagnosis.units import square

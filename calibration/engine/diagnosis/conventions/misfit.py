@@ -1,5 +1,6 @@
-"""How badly a dataset fits its best calibration, found fast: the linear start and a few steps."""
+"""Hypotheses of conventions, and how badly a dataset fits its best calibration by them, found fast."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,3 +91,18 @@ def misfit_at(setup: Setup, values: Values) -> Misfit:
             noticed = size / MIN_NOTICEABLE_RESIDUAL[kind]
             text = f"{size:.2g} px" if kind == "pixel" else f"{1e3 * size:.2g} mm"
     return Misfit(noticed, text if np.isfinite(noticed) else "no result", above_noise, setup, values)
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Other convention, with the dataset as it would be, and what to change in the recording."""
+
+    name: str
+    """After "with": "the robot's poses inverted"."""
+    remedy: str
+    """What to change, in the user's files."""
+    dataset: Callable[[], Dataset]
+    sensors: tuple[str, ...] = ()
+    """Those concerned."""
+    told_apart: Callable[[Misfit], tuple[str, str]] | None = None
+    """Name and remedy by the result, where conventions have the same equations and only its size tells them apart."""

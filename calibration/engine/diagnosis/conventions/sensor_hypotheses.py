@@ -16,8 +16,9 @@ from calibration.engine.diagnosis.conventions.changed import (
     with_mirrored,
     with_mirrored_numbering,
 )
-from calibration.engine.diagnosis.conventions.hypothesis import Hypothesis
+from calibration.engine.diagnosis.conventions.misfit import Hypothesis
 from calibration.engine.diagnosis.conventions.recording import Recording
+from calibration.engine.diagnosis.finding import first_names
 from calibration.engine.estimation.start.turned_boards import LOOKS_THE_SAME, with_turned
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob
@@ -68,10 +69,8 @@ def exchanged(recording: Recording) -> Iterator[Hypothesis]:
             (a, b),
         )
         if keys := _exchanged_in_some(recording, a, b):
-            more = f" and {len(keys) - MAX_NAMED_COLLECTIONS} more" if keys[MAX_NAMED_COLLECTIONS:] else ""
             yield Hypothesis(
-                f"the labels of '{a}' and '{b}' exchanged in collections "
-                f"{', '.join(keys[:MAX_NAMED_COLLECTIONS])}{more}",
+                f"the labels of '{a}' and '{b}' exchanged in collections {first_names(keys, MAX_NAMED_COLLECTIONS)}",
                 "look at what names their files, or the order of the two cameras, in these",
                 partial(with_exchanged_labels, dataset, a, b, keys),
                 (a, b),

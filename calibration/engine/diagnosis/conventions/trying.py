@@ -1,16 +1,37 @@
 """Try other conventions where the labels do not fit, and name the one by which they do."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.diagnosis.conventions.hypotheses import HYPOTHESES_BY_PRIORITY, SLOW_HYPOTHESES, Hypotheses
-from calibration.engine.diagnosis.conventions.hypothesis import Hypothesis
-from calibration.engine.diagnosis.conventions.misfit import Misfit, improved, misfit, misfit_at
+from calibration.engine.diagnosis.conventions.arm_hypotheses import joints, other_rotations, robot_poses, scales
+from calibration.engine.diagnosis.conventions.misfit import Hypothesis, Misfit, improved, misfit, misfit_at
 from calibration.engine.diagnosis.conventions.recording import Recording
-from calibration.engine.diagnosis.finding import CONTRADICTION, CONVENTION, Finding
+from calibration.engine.diagnosis.conventions.sensor_hypotheses import (
+    exchanged,
+    left_handed,
+    lenses,
+    shifted,
+    turned_boards,
+)
+from calibration.engine.diagnosis.finding import Finding, FindingKind
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.solve.options import Options
 
+Hypotheses = Callable[[Recording], Iterator[Hypothesis]]
+
+HYPOTHESES_BY_PRIORITY: tuple[Hypotheses, ...] = (
+    robot_poses,
+    shifted,
+    exchanged,
+    scales,
+    left_handed,
+    turned_boards,
+    lenses,
+    joints,
+)
+"""In the order in which equally good ones are named."""
+SLOW_HYPOTHESES: tuple[Hypotheses, ...] = (other_rotations,)
+"""Tried where none of the others fits."""
 WORTH_TRYING = 0.15
 """Misfit below which nothing is tried, in multiples of what is noticeable (1 px, 1 cm)."""
 MAX_FITTING_MISFIT = 3.0
@@ -26,9 +47,9 @@ LEFT_OUT = 0.05
 """Share of views that a calibration may have left out to be a measure of the recording."""
 MAX_REFINED_CONVENTIONS = 16
 """Number of conventions that are compared after a few steps from their linear start: those with the best of these."""
-KINDS_THAT_CAST_DOUBT = (CONTRADICTION,)
+KINDS_THAT_CAST_DOUBT: tuple[FindingKind, ...] = ("contradiction",)
 """Findings, red or not, on which other conventions are tried;"""
-KINDS_WITHOUT_DOUBT = ("precision", "too-few")
+KINDS_WITHOUT_DOUBT: tuple[FindingKind, ...] = ("precision", "too-few")
 """and red ones on which they are not: all may fit."""
 MAX_NAMED_CONVENTIONS = 3
 """Number of conventions that fit alike that a message names."""
@@ -58,7 +79,7 @@ def conventions(calibration: Calibration | None, description: Dataset, options: 
     names = ", or ".join(dict.fromkeys(name for name, _ in told))
     remedies = "; or ".join(dict.fromkeys(remedy for _, remedy in told))
     text = f"with {names}, the labels fit: {alike[0][1].text} (as they are: {now.text}); {remedies}"
-    return (Finding(CONVENTION, "red", text, sensors),)
+    return (Finding("convention", "red", text, sensors),)
 
 
 def doubts(calibration: Calibration, found: tuple[Finding, ...]) -> bool:

@@ -21,7 +21,6 @@ from calibration.engine.diagnosis.conventions.changed import (
 )
 from calibration.engine.diagnosis.conventions.trying import conventions
 from calibration.engine.diagnosis.diagnose import diagnose
-from calibration.engine.diagnosis.finding import CONVENTION
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.solve.options import Options
@@ -87,7 +86,7 @@ def first_reason(dataset: Dataset) -> str:
     except CalibrationError:
         found = conventions(None, dataset, ROUGH)
     assert found
-    assert (found[0].kind, found[0].severity) == (CONVENTION, "red")
+    assert (found[0].kind, found[0].severity) == ("convention", "red")
     assert [each for each in found[1:] if each.severity == "red"] == []  # consequences are no reasons
     return found[0].text
 
