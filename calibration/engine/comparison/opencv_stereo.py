@@ -58,6 +58,8 @@ def why_not_stereo(dataset: Dataset) -> str | None:
         return reason
     first, second = pair_of(dataset, CAMERA_MODALITIES)
     for sensor in (first, second):
+        if sensor.camera is not None and sensor.camera.skew:
+            return f"it knows no skew as that of '{sensor.name}'"
         if sensor.camera is not None and not isinstance(sensor.camera.distortion, (PlumbBob, Rational)):
             return f"it knows no lens {sensor.camera.distortion.ros_name} as that of '{sensor.name}'"
     views = len(_common_views(dataset, first, second))

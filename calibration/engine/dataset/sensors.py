@@ -17,9 +17,8 @@ MAX_PIXELS = 1 << 20
 """px: limit of the width or height of an image."""
 MAX_INTRINSIC = 1e7
 """Limit of focal length, principal point (px) and distortion coefficients."""
-MAX_SKEW_PX = 0.05
-"""px: a skew that moves pixels by less does not matter, and is left out."""
-MAX_SKEWED_HEIGHT = 10_000
+MAX_LEAN = 0.1
+"""Limit of a skew over ``fy``: columns that lean by more are no camera's."""
 """px: height of the image where a file does not say it."""
 LAG_KEY = "lag"
 """Key of a sensor: its lag, s."""
@@ -87,14 +86,10 @@ def read_camera(info: Node) -> Camera:
     if max(fx, fy, abs(cx), abs(cy)) > MAX_INTRINSIC:
         raise info["K"].fault(f"found {info['K'].value}, expected numbers of pixels up to {MAX_INTRINSIC:g}")
     if not (fx > 0 and fy > 0 and zero == 0 and bottom == [0, 0, 1]):
-        raise info["K"].fault(f"found {info['K'].value}, expected [fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx, fy > 0")
-    if abs(skew) * min(height, MAX_SKEWED_HEIGHT) / (2 * fy) > MAX_SKEW_PX:
-        raise info["K"].fault(
-            f"found a skew of {skew:g}, which moves pixels by more than {MAX_SKEW_PX:g} px: no lens model here has "
-            "one; calibrate without it (OpenCV: CALIB_FIX_SKEW), or leave the intrinsics out of import.yml, and they "
-            "are calibrated"
-        )
-    camera = Camera(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height, distortion=_read_distortion(info))
+        raise info["K"].fault(f"found {info['K'].value}, expected [fx, skew, cx, 0, fy, cy, 0, 0, 1] with fx, fy > 0")
+    if abs(skew) > MAX_LEAN * fy:
+        raise info["K"].fault(f"found a skew of {skew:g}, expected {MAX_LEAN:g} of fy, {fy:g}, at most")
+    camera = Camera(fx, fy, cx, cy, width, height, _read_distortion(info), skew)
     return _of_image(camera, info)
 
 
@@ -111,6 +106,7 @@ def _of_image(camera: Camera, info: Node) -> Camera:
         cy=(camera.cy - y) / rows,
         width=width // columns,
         height=height // rows,
+        skew=camera.skew / columns,
     )
 
 
@@ -143,8 +139,8 @@ def camera_document(camera: Camera) -> dict[str, Any]:
         "width": camera.width,
         "distortion_model": camera.distortion.ros_name,
         "D": camera.distortion.coefficients.tolist(),
-        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        "P": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+        "K": [fx, camera.skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        "P": [fx, camera.skew, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
     }
 
 

@@ -25,6 +25,8 @@ class Camera:
     width: int
     height: int
     distortion: Distortion = field(default_factory=PlumbBob)
+    skew: float = 0.0
+    """px: by which a pixel column leans over ``fy`` rows; it is given, never calibrated."""
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -44,7 +46,7 @@ class Camera:
     @property
     def K(self) -> Array:
         """The 3x3 intrinsic matrix."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+        return np.array([[self.fx, self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, points: Array) -> Array:
         """Project points (..., 3) in the camera frame to pixels (..., 2); NaN for points that the lens does not see."""
@@ -69,13 +71,13 @@ class Camera:
     def to_pixels(self, x: Array, y: Array) -> Array:
         """Convert coordinates (...) in the lens's chart to pixels (..., 2)."""
         xd, yd = self.distortion.distort(x, y)
-        return np.stack([self.fx * xd + self.cx, self.fy * yd + self.cy], -1)
+        return np.stack([self.fx * xd + self.skew * yd + self.cx, self.fy * yd + self.cy], -1)
 
     def derivatives(self, x: Array, y: Array) -> Array:
         """Derivatives (4 + n, 2, ...) of the pixels of coordinates (...) in the chart by each of the `intrinsics`."""
         xd, yd = self.distortion.distort(x, y)
         none, one = np.zeros_like(x), np.ones_like(x)
-        coefficients = [(self.fx * dx, self.fy * dy) for dx, dy in self.distortion.derivatives(x, y)]
+        coefficients = [(self.fx * dx + self.skew * dy, self.fy * dy) for dx, dy in self.distortion.derivatives(x, y)]
         return np.array([(xd, none), (none, yd), (one, none), (none, one), *coefficients])
 
     def slopes(self, points: Array) -> Array:
@@ -83,7 +85,7 @@ class Camera:
         chart = self.distortion.chart
         _, J = self.distortion.distort_with_jacobian(chart.coordinates(points, self.distortion.sees))
         by_points: Array = np.einsum("ij...,jk...->ik...", J, chart.slopes(points))
-        return np.asarray(by_points * np.array([self.fx, self.fy]).reshape(2, *[1] * points.ndim))
+        return np.asarray(np.einsum("ij,j...->i...", self.K[:2, :2], by_points))
 
     def normalise(self, pixels: Array) -> Array:
         """Convert pixels (..., 2) to normalised coordinates (..., 2): the ray is (x, y, 1).
@@ -100,7 +102,8 @@ class Camera:
 
     def from_pixels(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Convert pixels (...) to coordinates x and y (...) in the lens's chart, undistorted."""
-        return self.distortion.undistort((u - self.cx) / self.fx, (v - self.cy) / self.fy)
+        y = (v - self.cy) / self.fy
+        return self.distortion.undistort((u - self.cx - self.skew * y) / self.fx, y)
 
     def contains(self, pixels: Array) -> BoolArray:
         """Return a mask of the pixels (..., 2) inside the image."""

@@ -25,11 +25,11 @@ def camera_info(camera: Camera, name: str, lag: float | None = None) -> str:
         "image_width": camera.width,
         "image_height": camera.height,
         "camera_name": name,
-        "camera_matrix": matrix(3, 3, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]),
+        "camera_matrix": matrix(3, 3, [fx, camera.skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]),
         "distortion_model": camera.distortion.ros_name,
         "distortion_coefficients": matrix(1, len(coefficients), coefficients),
         "rectification_matrix": matrix(3, 3, np.eye(3).ravel().tolist()),
-        "projection_matrix": matrix(3, 4, [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]),
+        "projection_matrix": matrix(3, 4, [fx, camera.skew, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]),
     }
     remark = "" if lag is None else f"# lag: {lag!r} s from the stamp of an image to the transforms that it shows\n"
     return remark + yaml_text(document)
@@ -64,6 +64,11 @@ def _in_kalibr(camera: Camera, name: str) -> tuple[KalibrName, list[float], list
     kalibr = lens.kalibr
     if kalibr is None:
         raise InputError(f"camera '{name}': Kalibr has no lens model {lens.ros_name}; calibrate it with another 'lens'")
+    if camera.skew:
+        raise InputError(
+            f"camera '{name}': found a skew of {camera.skew:g} px, Kalibr has none: export other formats, or "
+            "intrinsics that were calibrated without one (OpenCV: CALIB_FIX_SKEW)"
+        )
     values, count = lens.coefficients.tolist(), kalibr.intrinsics + kalibr.coefficients
     if any(values[count:]):
         raise InputError(

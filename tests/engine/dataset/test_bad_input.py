@@ -155,9 +155,9 @@ CASES = [
         "patterns/board/corners: found corner 0 more than 1e+06 m away",
     ),
     # intrinsics
-    ({f"{INFO}/K/0": 0}, f"{INFO}/K: found [0, 0.0, 160.5, 0.0, 301.0, 120.5, 0.0, 0.0, 1.0], expected [fx, 0, cx, 0"),
+    ({f"{INFO}/K/0": 0}, f"{INFO}/K: found [0, 0.0, 160.5, 0.0, 301.0, 120.5, 0.0, 0.0, 1.0], expected [fx, skew"),
     ({f"{INFO}/K/4": -301}, f"{INFO}/K: found [300.0, "),
-    ({f"{INFO}/K/1": 1.0}, f"{INFO}/K: found a skew of 1, "),
+    ({f"{INFO}/K/1": 31.0}, f"{INFO}/K: found a skew of 31, expected 0.1 of fy"),
     ({f"{INFO}/K/8": 2}, f"{INFO}/K: found [300.0, "),
     ({f"{INFO}/K/2": NAN}, f"{INFO}/K/2: found nan, expected a finite number"),
     ({f"{INFO}/K": [1, 2, 3]}, f"{INFO}/K: found a list of 3, expected a list of 9 numbers"),
@@ -383,6 +383,7 @@ def test_intrinsics_are_those_of_the_part_of_the_sensor_that_is_read(tmp_path):
     whole = documents.document()["sensors"]["cam"]["camera_info"]
     fx, _, cx, _, fy, cy, *_ = whole["K"]
     change = {
+        f"{INFO}/K/1": 3.0,
         f"{INFO}/width": 1280,
         f"{INFO}/height": 960,
         f"{INFO}/roi": {"x_offset": 100, "y_offset": 40, "width": 640, "height": 480},
@@ -391,7 +392,7 @@ def test_intrinsics_are_those_of_the_part_of_the_sensor_that_is_read(tmp_path):
     }
     camera = read_dataset(documents.write(tmp_path, changed(documents.document(), change))).sensors["cam"].camera
     assert (camera.width, camera.height) == (320, 240)
-    assert (camera.fx, camera.fy) == (fx / 2, fy / 2)
+    assert (camera.fx, camera.fy, camera.skew) == (fx / 2, fy / 2, 1.5)
     assert (camera.cx, camera.cy) == ((cx - 100) / 2, (cy - 40) / 2)
 
 

@@ -1,12 +1,14 @@
 """Each view by itself: least squares in pixels, the better of two minima."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import Pattern, grid, outline
-from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
+from calibration.engine.estimation.residuals.corner_residuals import CornerTerm, side_by_side
 from calibration.engine.estimation.residuals.median import median
 from calibration.engine.estimation.residuals.planar_pose import mirrored_poses
 from calibration.engine.estimation.solve.least_squares import Termination
@@ -65,6 +67,18 @@ def test_exact_labels_give_exact_poses_through_distortion() -> None:
         refined, rms = refined_poses(labels, retract(T, np.full((100, 6), 0.01)))
         np.testing.assert_allclose(refined, T, atol=1e-8)
         np.testing.assert_allclose(rms, 0, atol=1e-5)
+
+
+def test_a_skew_is_taken_off_the_labels() -> None:
+    T, camera = poses(1, 40), replace(CAMERA, skew=2.0)
+    pixels = camera.project(apply(T, CORNERS)).swapaxes(1, 2)
+    skewed, straight = CornerTerm(camera, CORNERS, pixels, None), term(T)
+    np.testing.assert_allclose(skewed.linear_poses, T, atol=1e-5)
+    for labels in (skewed, side_by_side([skewed.take(slice(0, 20)), straight.take(slice(20, 40))])):
+        refined, rms = refined_poses(labels, retract(T, np.full((40, 6), 0.01)))
+        np.testing.assert_allclose(refined, T, atol=1e-8)
+        np.testing.assert_allclose(rms, 0, atol=1e-5)
+        assert labels.magnitudes(T).max() < 1e-9
 
 
 def test_refinement_reaches_the_noise_floor() -> None:

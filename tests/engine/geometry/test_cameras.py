@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -45,6 +47,23 @@ def test_the_jacobian_of_the_distortion_is_the_numerical_one(model):
     by_x, by_y = slope(h, 0), slope(0, h)
     for numerical, analytical in zip((*by_x, *by_y), (xx, xy, xy, yy), strict=True):
         np.testing.assert_allclose(np.broadcast_to(analytical, x.shape), numerical, atol=1e-8)
+
+
+@pytest.mark.parametrize("camera", [replace(camera, skew=-0.7) for camera in (CAMERAS[0], CAMERAS[4])])
+def test_columns_may_lean(camera):
+    points = np.random.default_rng(0).uniform([-1, -0.8, 1.5], [1, 0.8, 4], (300, 3))
+    x, y = np.moveaxis(points[:, :2] / points[:, 2:], -1, 0)
+    xd, yd = camera.distortion.distort(x, y)
+    homogeneous = np.stack([xd, yd, np.ones_like(xd)], -1) @ camera.K.T
+    np.testing.assert_allclose(camera.project(points), homogeneous[:, :2], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(camera.normalise(homogeneous[:, :2]), np.stack([x, y], -1), rtol=0, atol=1e-12)
+    steps = 1e-6 * np.eye(3)
+    numerical = [(camera.project(points + step) - camera.project(points - step)) / 2e-6 for step in steps]
+    np.testing.assert_allclose(camera.slopes(points.T), np.transpose(numerical, (2, 0, 1)), atol=1e-5)
+    k1 = len(camera.parameters[:4])
+    bent = camera.with_intrinsics(camera.intrinsics + 1e-7 * (np.arange(len(camera.intrinsics)) == k1))
+    expected = (bent.to_pixels(x, y) - camera.to_pixels(x, y)).T / 1e-7
+    np.testing.assert_allclose(camera.derivatives(x, y)[k1], expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -93,14 +93,16 @@ def test_properties_for_xacro(of: Calibrated) -> None:
 
 def test_a_camera_info_projects_as_the_camera_does(of: Calibrated) -> None:
     points = np.random.default_rng(1).normal(0, 0.3, (20, 3)) + np.array([0.0, 0.0, 2.0])
+    of = replace(of, cameras={name: replace(camera, skew=-0.6) for name, camera in of.cameras.items()})
     for name, content in FILES["camera-info"](of).items():
         document = yaml.safe_load(content)
         camera = of.cameras[document["camera_name"]]
         assert name == f"camera_info_{document['camera_name']}.yaml"
         K = np.array(document["camera_matrix"]["data"]).reshape(3, 3)
         D = np.array(document["distortion_coefficients"]["data"])
-        seen, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, D)
-        np.testing.assert_allclose(seen[:, 0], camera.project(points), atol=1e-9)
+        seen, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), D)
+        pixels = cv2.convertPointsToHomogeneous(seen[:, 0])[:, 0] @ K.T  # OpenCV leaves the skew of K out
+        np.testing.assert_allclose(pixels[:, :2], camera.project(points), atol=1e-9)
 
 
 def test_opencv_reads_its_storage(of: Calibrated) -> None:
@@ -123,6 +125,8 @@ def test_kalibr_has_each_camera_from_the_one_before(of: Calibrated) -> None:
     rational = replace(of, cameras={name: replace(camera, distortion=Rational(0.1, 0, 0, 0, 0.01))})
     with pytest.raises(InputError, match=f"camera '{name}': Kalibr's radtan has k1, k2, p1, p2"):
         FILES["kalibr"](rational)
+    with pytest.raises(InputError, match=f"camera '{name}': found a skew of -0.6 px, Kalibr has none"):
+        FILES["kalibr"](replace(of, cameras={name: replace(camera, skew=-0.6)}))
 
 
 @pytest.mark.parametrize("hostile", ['"/><evil/>', "a\nb", "a'b", "{{x}}", "a: [b", "${x}", "$(eval 1)", "../../up"])

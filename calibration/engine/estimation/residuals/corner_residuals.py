@@ -78,9 +78,8 @@ class CornerTerm:
         return self._rays_of_pixels(slice(None), LAST_STEP)
 
     def _rays_of_pixels(self, views: slice, step: float) -> Array:
-        camera, pixels = self.camera, self.pixels[views]
-        x, y = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
-        return np.stack(camera.distortion.undistort(x, y, step), 1)
+        u, v = self._from_centre(views)
+        return np.stack(self.camera.distortion.undistort(u / self.camera.fx, v / self.camera.fy, step), 1)
 
     @cached_property
     def linear_poses(self) -> Array:
@@ -161,12 +160,13 @@ class CornerTerm:
         return np.array([self.camera.fx, self.camera.fy]).reshape(2, -1, 1)
 
     def _from_centre(self, part: slice) -> tuple[Array, Array]:
-        """Return labels, 2 x (v, K), relative to the principal point, px.
+        """Return labels, 2 x (v, K), relative to the principal point, px, as without the camera's skew.
 
         They are not kept: each term would hold as much again as its pixels, for 3 % of a least squares.
         """
-        pixels = self.pixels[part]
-        return pixels[:, 0] - self.camera.cx, pixels[:, 1] - self.camera.cy
+        camera, pixels = self.camera, self.pixels[part]
+        u, v = pixels[:, 0] - camera.cx, pixels[:, 1] - camera.cy
+        return (u - camera.skew / camera.fy * v if np.any(camera.skew) else u), v
 
     @cached_property
     def _corner_monomials(self) -> Array:
@@ -382,10 +382,10 @@ def side_by_side(terms: Sequence[CornerTerm]) -> CornerTerm:
 
 def _camera_of_views(terms: Sequence[CornerTerm], counts: Sequence[int]) -> Camera:
     """Return several cameras as one with arrays (V, 1) as its numbers."""
-    numbers = np.repeat([term.camera.intrinsics for term in terms], counts, axis=0).T[..., None]
-    model = type(terms[0].camera.distortion)
-    fx, fy, cx, cy = numbers[:4]
-    return replace(terms[0].camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=model(*numbers[4:]))
+    rows = [(term.camera.skew, *term.camera.intrinsics) for term in terms]
+    skew, fx, fy, cx, cy, *coefficients = np.repeat(rows, counts, axis=0).T[..., None]
+    lens = type(terms[0].camera.distortion)(*coefficients)
+    return replace(terms[0].camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens, skew=skew)
 
 
 def _corners_of_views(terms: Sequence[CornerTerm], counts: Sequence[int], K: int) -> Array:
