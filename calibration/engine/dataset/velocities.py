@@ -57,21 +57,14 @@ def _six_numbers(node: Node, limit: float, units: str) -> list[float]:
     return numbers
 
 
-def velocity_documents(
-    velocities: Mapping[Edge, Array], accelerations: Mapping[Edge, Array], number: int
-) -> dict[str, Any]:
-    """Return the entries of one collection, by its number."""
+def velocity_documents(motions: Mapping[Edge, Array], number: int) -> dict[str, Any]:
+    """Return the entries of one collection, by its number, of velocities, accelerations and jerks (N, 3, 6)."""
     return {
         "-".join(edge): {
             "parent": edge[0],
             "child": edge[1],
-            "twist": velocity[number].tolist(),
-            **_named_accelerations(accelerations.get(edge), number),
+            **dict(zip(("twist", *ACCELERATION_KEYS), motion[number].tolist(), strict=True)),
         }
-        for edge, velocity in velocities.items()
-        if velocity[number].any()
+        for edge, motion in motions.items()
+        if motion[number].any()
     }
-
-
-def _named_accelerations(accelerations: Array | None, number: int) -> dict[str, list[float]]:
-    return {} if accelerations is None else dict(zip(ACCELERATION_KEYS, accelerations[number].tolist(), strict=True))

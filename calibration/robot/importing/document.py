@@ -51,10 +51,8 @@ class Imported:
     """How well the intrinsics are known, of cameras whose file says so."""
     poses: Mapping[tuple[str, str], Array] = field(default_factory=dict)
     """Measured poses ``T_sensor_pattern`` (N, 4, 4) at the moments, by sensor and pattern."""
-    velocities: Mapping[Edge, Array] = field(default_factory=dict)
-    """(N, 6): of the frames that move at any moment, see `calibration.engine.dataset.velocities`."""
-    accelerations: Mapping[Edge, Array] = field(default_factory=dict)
-    """(N, 2, 6): accelerations and jerks of those of them of which they are known, likewise."""
+    motions: Mapping[Edge, Array] = field(default_factory=dict)
+    """(N, 3, 6): velocity, acceleration and jerk of frames that move, see `calibration.engine.dataset.velocities`."""
 
     @property
     def seen(self) -> list[list[str]]:
@@ -81,10 +79,6 @@ def _kinds_of_transforms(configuration: Configuration) -> dict[str, Any]:
         }
         for name, (parent, child) in configuration.additional_tfs.items()
     }
-
-
-def _velocity_entries(imported: Imported, number: int) -> dict[str, Any]:
-    return velocity_documents(imported.velocities, imported.accelerations, number)
 
 
 def data_file(sensor: str, key: str, source: str) -> str:
@@ -137,7 +131,7 @@ def dataset_document(imported: Imported) -> dict[str, Any]:
                     for pattern in configuration.patterns
                 },
                 "transforms": {"-".join(edge): documents[number] for edge, documents in rows.items()},
-                **({VELOCITIES_KEY: moving} if (moving := _velocity_entries(imported, number)) else {}),
+                **({VELOCITIES_KEY: moving} if (moving := velocity_documents(imported.motions, number)) else {}),
             }
             for number, (key, moment, ranges) in enumerate(
                 zip(imported.keys, imported.moments, imported.ranges, strict=True)

@@ -361,17 +361,17 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
                 ),
                 rough=not mounted.edges,
                 lag=max(moment.lag for moment in some),
-                velocities=mounted.velocities(found.log, [moment.time for moment in some]),
             )
 
         rejected = images_without_pattern(found, images, found.log)
         every = chosen_moments(bags, images, found.log, mounted.edges, where)
         moments, evenly = best_moments(every, bags.most, of_cameras)
         found.log.left_out.add(f"more than {bags.most} moments ('most')", "moments", count=len(every) - len(moments))
-        cameras = of_cameras(moments)
-        boards = MovingBoards(images, moments, mounted.edges, cameras.velocities)
+        motions = mounted.motions(found.log, [moment.time for moment in moments])
+        boards = MovingBoards(images, moments, mounted.edges, motions)
         return replace(
-            cameras,
+            of_cameras(moments),
+            motions=motions,
             moments=extracted_images(bag, found, moments, folder, jobs),
             boards=None if bags.only_standstill else boards,
             ranges=extracted_ranges(bag, found, moments, folder),

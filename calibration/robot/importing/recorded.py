@@ -48,8 +48,8 @@ class Recorded:
     rejected: Mapping[str, Sequence[RejectedView]] = field(default_factory=dict)
     """Images of a bag in which no pattern is detected, by camera."""
     left_out: tuple[LeftOut, ...] = ()
-    velocities: Mapping[Edge, Array] = field(default_factory=dict)
-    """(N, 6): of the frames that move at any moment, see `calibration.engine.dataset.velocities`."""
+    motions: Mapping[Edge, Array] = field(default_factory=dict)
+    """(N, 3, 6): velocity, acceleration and jerk of frames that move, see `calibration.engine.dataset.velocities`."""
     boards: MovingBoards | None = None
     """What the motion of boards is taken from; None where all stands still."""
     models: Mapping[str, str] = field(default_factory=dict)
@@ -112,9 +112,7 @@ def imported_moments(robot: str, recorded: Recorded) -> Imported:
         ranges=[ranges[i] for i in kept],
         transforms={edge: T[kept] for edge, T in recorded.transforms.items()},
         rough=recorded.rough,
-        velocities={edge: velocity[kept] for edge, velocity in recorded.velocities.items()}
-        | {edge: motion[kept, 0] for edge, motion in of_boards.items()},
-        accelerations={edge: motion[kept, 1:] for edge, motion in of_boards.items()},
+        motions={edge: motion[kept] for edge, motion in {**recorded.motions, **of_boards}.items()},
     )
 
 

@@ -17,6 +17,7 @@ from calibration.engine.estimation.start.single_views import corner_term, fitted
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
 from calibration.engine.geometry.transforms import local, translation
+from calibration.robot.importing.bags.motion_log import polynomial_derivatives
 from calibration.robot.importing.bags.stillness import NS_PER_S, BagImage, BagMoment
 
 MIN_STEP, MAX_STEP = 0.03, 0.12
@@ -25,7 +26,6 @@ OFF_STEP = 0.4
 """Limit of how far an image may be from where a step ends, in steps."""
 MAX_RMS = 1.5
 """px: limit of the error of a pose that a velocity is taken from."""
-DERIVATIVE_FACTORS = np.array([[1.0], [2.0], [6.0]])
 IMAGE_STEPS = np.array([-2, -1, 1, 2])
 """Images around that of a moment, in steps."""
 
@@ -92,7 +92,8 @@ def _pattern_motions(
     twists = local(middles[of] @ translation(-geometry.centre), others @ translation(-geometry.centre))
     for i, (row, own) in enumerate(zip(rows, around, strict=True)):
         if len(own) and max(rms[i], others_rms[of == i].max()) <= MAX_RMS:  # not if one is NaN
-            found[row] = _polynomial_derivatives(stamps[own] - stamps[at[i]], twists[of == i])
+            orders = np.arange(1, min(len(own), 3) + 1)
+            found[row] = polynomial_derivatives(stamps[own] - stamps[at[i]], twists[of == i], orders)
     return found
 
 
@@ -107,11 +108,3 @@ def _neighbouring_images(stamps: Array, at: int) -> IntArray:
     around = np.unique(nearest[abs(stamps[nearest] - ends) <= OFF_STEP * step])
     both_sides = (around < at).any() and (around > at).any()
     return around if both_sides else np.zeros(0, int)
-
-
-def _polynomial_derivatives(times: Array, twists: Array) -> Array:
-    """Return the derivatives (3, 6) at time 0 of a polynomial of twists (n, 6) at times (n,), s, which is 0 at 0."""
-    orders = np.arange(1, min(len(times), 3) + 1)
-    powers = times[:, None] ** orders
-    coefficients = np.linalg.lstsq(powers, twists, rcond=None)[0]
-    return np.pad(coefficients * DERIVATIVE_FACTORS[: len(orders)], ((0, 3 - len(orders)), (0, 0)))

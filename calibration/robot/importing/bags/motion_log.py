@@ -1,28 +1,34 @@
 """Motion of frames and joints in a recording, over time."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from calibration.base.arrays import Array
+from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry.frames import FrameTree
-from calibration.engine.geometry.rotations import exp, log
-from calibration.engine.geometry.transforms import distance, local, transform
+from calibration.engine.geometry.transforms import distance, local, retract
 from calibration.robot.importing.left_out import LeftOutCounts
 from calibration.robot.simulation.robot import Joint, Robot, parse_robot
 
 MAX_SECONDS_TO_RECORD = 0.5
 """s: limit of the time between a pose's record and a moment that uses it."""
+MAX_UNEVENNESS = 2
+"""Limit of the gaps beside the one with a moment, in such gaps: within it a cubic through four records is taken."""
 SECONDS_AROUND_STILL = 0.15
 """s: time before and after a moment at standstill in which nothing moves more than `STILL_M` or `STILL_RAD`."""
 STILL_M, STILL_RAD = 1e-3, 2e-3
 """m and rad: largest motion at standstill."""
+MOTION_OVER = 0.3
+"""s: time over which a motion is taken, a cubic in time through the records of an arm in it."""
+MOTION_RECORDS, MIN_MOTION_RECORDS = 9, 5
+"""Limits of how many records a cubic is taken from."""
 VELOCITY_OVER = 0.06
-"""s: time over which a velocity is taken: several records of an arm, and hardly any acceleration."""
+"""s: time over which a velocity alone is taken where fewer were recorded."""
+DERIVATIVE_FACTORS = np.array([[1.0], [2.0], [6.0]])
 NS_PER_S = 1e9
 
 
@@ -61,23 +67,37 @@ class Track:
         apart = self.times[after] - self.times[before]
         if not between or unchanged or apart > 2 * MAX_SECONDS_TO_RECORD * NS_PER_S:
             return self.values[nearest]
-        return _interpolate_value(self.values[before], self.values[after], (time - self.times[before]) / apart)
+        around = slice(before - 1, after + 2)
+        if before == 0 or after + 1 == len(self.times) or np.diff(self.times[around]).max() > MAX_UNEVENNESS * apart:
+            around = slice(before, after + 1)
+        return _interpolate_value(self.times[around], self.values[around], time)
 
 
-def _interpolate_value(one: Array, other: Array, share: float) -> Array:
-    """Return what lies between two transforms (4, 4) or two joint positions (1,).
+def _interpolate_value(times: Sequence[int], values: Sequence[Array], time: float) -> Array:
+    """Return what is between transforms (4, 4) or joint positions (1,) of some times, by Lagrange's polynomial.
 
-    A position moves in a straight line, an orientation about a fixed axis at constant speed (Shoemake 1985).
+    Between two a position moves in a straight line, an orientation about a fixed axis at constant speed.
     """
-    if one.shape != (4, 4):
-        return np.asarray(one + share * _shortest_way(other - one), float)
-    R = one[:3, :3] @ exp(share * log(one[:3, :3].T @ other[:3, :3]))
-    return transform(R, (1 - share) * one[:3, 3] + share * other[:3, 3])
+    weights = [np.prod([(time - other) / (own - other) for other in times if other != own]) for own in times]
+    first = values[0]
+    if first.shape != (4, 4):
+        return np.asarray(first + weights @ _shortest_way(np.stack(values) - first), float)
+    return retract(first, weights @ local(first, np.stack(values)))
 
 
 def _shortest_way(step: Array) -> Array:
     """Return the step of a joint's position without whole turns, which drivers leave out of continuous joints."""
     return np.where(abs(step) > np.pi, step - 2 * np.pi * np.round(step / (2 * np.pi)), step)
+
+
+def polynomial_derivatives(times: Array, twists: Array, orders: IntArray) -> Array:
+    """Return the first derivatives (3, 6) at time 0 of a polynomial of twists (n, 6) at times (n,), s.
+
+    Its terms are of some orders, 3 at most: a polynomial without that of order 0 is 0 at 0.
+    """
+    coefficients = np.zeros((4, 6))
+    coefficients[orders] = np.linalg.lstsq(times[:, None] ** orders, twists, rcond=None)[0]
+    return coefficients[1:] * DERIVATIVE_FACTORS
 
 
 def frames_of(edge: Edge) -> str:
@@ -185,23 +205,36 @@ class MotionLog:
             )
         return T
 
-    def velocity(self, edge: Edge, time: float) -> Array:
-        """Return the velocity (6,) of the child at a time, ns, as a twist in its own frame, m/s and rad/s.
+    def motion(self, edge: Edge, time: float) -> Array:
+        """Return velocity, acceleration and jerk (3, 6) of the child at a time, ns, as twists in its own frame.
 
         Zero where it stands still, or nothing was recorded around that time.
         """
         if not self.moves(edge):
-            return np.zeros(6)
+            return np.zeros((3, 6))
+        around = self._recorded_around(edge, time)
+        highest = 3 if len(around) else 1
+        times = around if len(around) else time + NS_PER_S * VELOCITY_OVER * np.array([-0.5, 0.5])
         try:
-            before, now, after = (
-                self.transform(edge, time + each * VELOCITY_OVER / 2 * NS_PER_S) for each in (-1, 0, 1)
-            )
+            now, *others = (self.transform(edge, each) for each in (time, *times))
         except InputError:
-            return np.zeros(6)
-        twist = (local(now, after) - local(now, before)) / VELOCITY_OVER
-        speed, turning = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
+            return np.zeros((3, 6))
+        twists = local(now, np.stack(others))
+        found = polynomial_derivatives((times - time) / NS_PER_S, twists, np.arange(highest + 1))
+        speed, turning = np.linalg.norm(found[0].reshape(2, 3), axis=-1)
         stands = speed < STILL_M / SECONDS_AROUND_STILL and turning < STILL_RAD / SECONDS_AROUND_STILL
-        return np.zeros(6) if stands else twist
+        return np.zeros((3, 6)) if stands else found
+
+    def _recorded_around(self, edge: Edge, time: float) -> Array:
+        """Return times of records, ns, from both sides of a time; none if there are too few for a cubic."""
+        joint = self._joints_without_transforms.get(edge)
+        track = self.moving.get(edge) if joint is None else self.joints.get(joint.name) or self.joints.get(joint.driver)
+        recorded = np.array(track.times if track else [], float)
+        wanted = time + NS_PER_S * MOTION_OVER * np.linspace(-0.5, 0.5, MOTION_RECORDS)
+        within = recorded[abs(recorded - time) <= NS_PER_S * MOTION_OVER / 2]
+        if len(within) < MIN_MOTION_RECORDS or min((within < time).sum(), (within > time).sum()) < 2:
+            return np.zeros(0)
+        return within[np.unique(abs(within - wanted[:, None]).argmin(-1))]
 
     def _position_at(self, joint: Joint, time: float) -> Array | None:
         """Return the position (1,) of a joint at a time, ns; of one that follows another, from that one's."""

@@ -278,10 +278,10 @@ class Mounting:
                 found[edge] = np.broadcast_to(np.eye(4), (len(times), 4, 4))
         return found
 
-    def velocities(self, log: MotionLog, times: Sequence[float]) -> dict[Edge, Array]:
-        """Return the velocities (N, 6) of the edges that move at any of the times, ns."""
-        found = {edge: np.stack([log.velocity(edge, time) for time in times]) for edge in self.edges if log.moves(edge)}
-        return {edge: velocity for edge, velocity in found.items() if velocity.any()}
+    def motions(self, log: MotionLog, times: Sequence[float]) -> dict[Edge, Array]:
+        """Return velocity, acceleration and jerk (N, 3, 6) of the edges that move at any of the times, ns."""
+        found = {edge: np.stack([log.motion(edge, time) for time in times]) for edge in self.edges if log.moves(edge)}
+        return {edge: motion for edge, motion in found.items() if motion.any()}
 
 
 def mounting(
