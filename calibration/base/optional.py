@@ -8,6 +8,7 @@ from calibration.base.errors import InfrastructureError
 PACKAGE_OF_MODULE = {
     "av": ("PyAV", "av"),
     "cv2": ("OpenCV", "opencv-python-headless"),
+    "hpl": ("hpl-specs", "'calibration-ci[requirements]'"),
     "rosbags": ("rosbags", "'calibration-ci[bags]'"),
 }
 """Name of a package, and what pip installs, where they differ from its module."""

@@ -39,7 +39,7 @@ PARTS = {
     "jobs": (WORKFLOW, lambda part: {"on": "push", **part}),
     **{
         key: ("calibration.yml", lambda part: {"systems": {"any": {"dataset": "any"}}, **part})
-        for key in ("image", "aws-batch", "baseline", "exports", "analysis")
+        for key in ("image", "aws-batch", "baseline", "exports", "analysis", "requirements")
     },
     "systems": ("calibration.yml", lambda part: part),
     "simulation": ("calibration.yml", lambda part: part),

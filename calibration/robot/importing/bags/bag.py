@@ -1,7 +1,7 @@
 """Bags of ROS 1 and ROS 2, read without ROS by the library rosbags.
 
 Messages are decoded by the library's own definitions, never by those in a bag, because the library generates
-program code from definitions.
+program code from definitions; `Bag.definitions` are a bag's, for a reader that generates none.
 """
 
 import errno
@@ -41,6 +41,8 @@ BAG_ENDINGS = (".bag", ".db3", ".mcap")
 NS_PER_S = 10**9
 MAX_METADATA_BYTES = 1 << 22
 """Limit of the size of a metadata.yaml."""
+MAX_DEFINITION_CHARACTERS = 1 << 18
+"""Limit of the definition of a type of messages."""
 _WHOLE_FILES = re.compile(rb"^[ '\"]*compression_mode['\"]?\s*:\s*['\"]?file\b", re.IGNORECASE | re.MULTILINE)
 _SQLITE_LIMIT_LENGTH = 0
 """SQLite's number of the limit of a value's length (https://www.sqlite.org/c3ref/c_limit_attached.html)."""
@@ -93,7 +95,8 @@ class Bag:
         self._parts = parts
         self._inherited: Sequence[_Part] = ()
         self._process = os.getpid()
-        self._ros = ros
+        self.ros = ros
+        """Version of ROS, 1 or 2."""
 
     @property
     def path(self) -> Path:
@@ -110,6 +113,55 @@ class Bag:
         if wrong := [each for pair in found.items() for each in pair if not isinstance(each, str)]:
             raise InputError(f"{self.path}: found {wrong[0]!r} as a topic or its type, expected a name: is it damaged?")
         return dict(sorted(found.items()))
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """Recording times of the first and the last message, ns; None of a bag without messages."""
+        spans = []
+        for part in self._parts:
+            with _as_input_error(part.path):
+                if part.reader.message_count:
+                    spans.append((part.reader.start_time, part.reader.end_time - 1))  # the library's is after it
+        return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
+
+    @property
+    def callers(self) -> frozenset[str]:
+        """Names of the nodes whose messages a bag of ROS 1 has; ROS 2 keeps none."""
+        found = {getattr(each.ext, "callerid", None) for part in self._parts for each in part.reader.connections}
+        return frozenset(name for name in found if name)
+
+    def definitions(self, topic: str) -> Mapping[str, Any]:
+        """Return the constants and fields of a topic's type and of those in it: the bag's own, else the library's.
+
+        They are for reading fields by their bytes (never to be registered: see the module's page).
+
+        Raises:
+            InputError: a definition cannot be read, or the topic has several types.
+        """
+        library = typestore(self.ros).fielddefs
+        given = {
+            (each.msgtype, each.msgdef)
+            for part in self._parts
+            for each in part.reader.connections
+            if each.topic == topic
+        }
+        if len({kind for kind, _ in given}) != 1:
+            kinds = ", ".join(sorted({kind for kind, _ in given}))
+            raise InputError(f"{self.path}: {topic}: found messages of {kinds}, expected one type")
+        types = optional("rosbags.typesys", "reading bags")
+        found = dict(library)
+        for kind, definition in given:
+            parse = {1: types.get_types_from_msg, 2: types.get_types_from_idl}.get(definition.format.value)
+            if parse is None:
+                continue
+            if len(definition.data) > MAX_DEFINITION_CHARACTERS:
+                raise InputError(
+                    f"{self.path}: {topic}: found a definition of {len(definition.data)} characters, expected at most "
+                    f"{MAX_DEFINITION_CHARACTERS}"
+                )
+            with _as_input_error(self.path, f"{topic}: the definition of {kind} cannot be read"):
+                found |= parse(definition.data, kind) if parse is types.get_types_from_msg else parse(definition.data)
+        return found
 
     def of_type(self, *types: str) -> list[str]:
         """Return the topics of some types, such as "sensor_msgs/msg/Image"."""
@@ -132,7 +184,7 @@ class Bag:
         """Open the files anew in a forked process: with those of its parent it would share the place in them."""
         if self._process != os.getpid():
             self._inherited = self._parts  # SQLite allows no other process to close them
-            self._parts = [_opened_part(part.path, part.unpacked, self._ros) for part in self._parts]
+            self._parts = [_opened_part(part.path, part.unpacked, self.ros) for part in self._parts]
             self._process = os.getpid()
 
     @staticmethod
@@ -152,9 +204,9 @@ class Bag:
         """
         kind = self.topics[message.topic]
         with _as_input_error(self.path, f"{message.topic}: a message of {kind} cannot be decoded"):
-            if self._ros == 1:
-                return typestore(self._ros).deserialize_ros1(message.data, kind)
-            return typestore(self._ros).deserialize_cdr(message.data, kind)
+            if self.ros == 1:
+                return typestore(self.ros).deserialize_ros1(message.data, kind)
+            return typestore(self.ros).deserialize_cdr(message.data, kind)
 
     def stamp(self, message: RawMessage) -> int:
         """Return the time in a message's header, ns, without decoding the rest; the recording time if it is 0.
@@ -163,7 +215,7 @@ class Bag:
             InputError: it is truncated.
         """
         try:
-            if self._ros == 1:
+            if self.ros == 1:
                 begin = 0 if self.topics[message.topic] == FOXGLOVE_VIDEO else 4  # no number before it
                 seconds, rest = struct.unpack_from("<II", message.data, begin)
             else:

@@ -1,0 +1,36 @@
+"""Requirements over messages, judged over a bag: ROS is not needed.
+
+- ``settings``: the section ``requirements`` of calibration.yml;
+- ``message_fields``: fields of a message, read from its bytes;
+- ``requirement``: the state machine that every requirement is; ``topics``, ``frames``, ``presence``: the short ones;
+- ``hpl``, ``predicates``, ``patterns``: properties in HPL;
+- ``judging``: a bag is read once, and each requirement fed with the messages of its topics;
+- ``results``, ``report``: the output; ``check_messages``: the command; ``stage``: the stage judge of a pipeline.
+"""
+
+from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyCommand, SchemaFile
+
+ADDON = Addon(
+    commands={
+        "check-messages": LazyCommand(
+            f"{__name__}.check_messages:command", "Judge requirements over the messages of a bag."
+        )
+    },
+    sections={
+        "requirements": DocumentSection(
+            f"{__name__}.settings:RequirementSettings",
+            "What must hold of the robot's messages, judged over a bag in a stage of run.",
+        )
+    },
+    stages={
+        "judge": AddonStage(
+            f"{__name__}.stage:judge_stage",
+            section="requirements",
+            result=DocumentSection(
+                f"{__name__}.results:JudgedMessages",
+                "Requirements over messages, where calibration.yml asks for them.",
+            ),
+        )
+    },
+    schemas={"messages": SchemaFile(__name__, "results.schema.json", "results:MessageResults", "check-messages")},
+)
