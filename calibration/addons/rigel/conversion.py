@@ -22,6 +22,7 @@ from calibration.addons.rigel.systems import (
     named_system,
     system_of,
 )
+from calibration.addons.rigel.test_jobs import is_test_of_messages, requirements_section
 from calibration.base.errors import InputError
 from calibration.base.tables.numbers import parse_number
 from calibration.base.text import one_line, shorten
@@ -80,7 +81,6 @@ def _of_stage(matrix: Mapping[str, Any], where: str, notes: Notes) -> dict[str, 
 
 
 _ADVICE_OF_PLUGIN = {
-    "TestPlugin": "requirements on ROS messages are not checked here: write a table, and judge it by rules",
     "WorldForgePlugin": "worlds come from a scenario set here: calibration schema scenario-set",
     "UnitTestPlugin": "unit tests are a job of the workflow",
 }
@@ -102,11 +102,14 @@ class Conversion:
     batch: dict[str, Any] = field(default_factory=dict)
     """AWS region of the simulations."""
     batch_origin: str = ""
+    requirements: dict[str, Any] = field(default_factory=dict)
+    """Requirements over messages."""
+    requirements_origin: str = ""
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing could be converted."""
-        return not (self.image or self.noise or self.systems or self.simulations)
+        return not (self.image or self.noise or self.systems or self.simulations or self.requirements)
 
 
 def convert(rigelfile: Rigelfile) -> Conversion:
@@ -130,6 +133,8 @@ def _convert_rigelfile(rigelfile: Rigelfile) -> Conversion:
     judges = judged_by(rigelfile)
     for job in rigelfile.jobs:
         _add_job(conversion, job, judges.get(job.name, []), rigelfile, around)
+    conversion.requirements, origins = requirements_section(rigelfile.jobs, notes)
+    conversion.requirements_origin = _list_names("job", origins)
     _refuse_repeated(conversion.systems)
     _refuse_repeated(conversion.simulations)
     if conversion.systems and not conversion.image:
@@ -143,7 +148,7 @@ def _add_job(
     conversion: Conversion, job: RigelJob, judges: list[RigelJob], rigelfile: Rigelfile, around: Surroundings
 ) -> None:
     """Add a job to the section for its plugin."""
-    if job.kind in (DOCKERFILE_PLUGIN, BUILD_PLUGIN) or is_introspection(job):
+    if job.kind in (DOCKERFILE_PLUGIN, BUILD_PLUGIN) or is_introspection(job) or is_test_of_messages(job):
         return
     if job.kind == ROBOMAKER_PLUGIN:
         simulated = robomaker_job(job, around, _region_of_provider(rigelfile))

@@ -36,7 +36,7 @@ _OF_AN_APPLICATION = {
     "stream_ui": "there is no screen: record what is to be seen into {output}",
     "world_configs": _ABOUT_SCENARIOS,
     "name": "a container is called robot or simulation",
-    "requirements": "requirements on ROS messages are not checked here",
+    "requirements": "requirements on ROS messages belong to a bag: write them below requirements.hpl",
     "application_version": "an image has a tag",
     "use_default_tools": "there are none",
     "use_default_upload_configurations": "name the files to be copied under artifacts",

@@ -68,7 +68,6 @@ def test_fields_of_a_component(converted: Converted, fields: str, key: str, valu
         ("volumes: [/only]", "volumes.0", "/only is not HERE:THERE"),
         ("volumes: ['/tmp/.X11-unix:/tmp/.X11-unix']", "volumes.0", "no X server"),
         ("envs: {URL: 'https://x?t={{ vars.MY_TOKEN }}'}", "envs.URL", "a secret in a longer text"),
-        ("introspection: {requirements: [x]}", "introspection", "requirements on ROS messages"),
         ("command: [run, '{{ data.world }}']", "command", "data.world is none of the noise matrix"),
         ("command: [run, '{{ foo.bar }}']", "command.1", "{{ foo.bar }} is no reference"),
         ("command: [run, '{{ vars.MY_TOKEN }}']", "command", "no shell reads $MY_TOKEN here"),
@@ -374,3 +373,34 @@ def test_odd_values(converted: Converted, text: str, said: str | None) -> None:
 @pytest.mark.parametrize(("name", "variable"), [("a-b", "A_B"), ("aB", "aB"), ("1", "SECRET_1"), ("", "SECRET")])
 def test_names_for_variables(name: str, variable: str) -> None:
     assert variable_name(name) == variable
+
+
+TESTED = """
+application: {{distro: noetic}}
+jobs:
+  talk:
+    plugin: rigel.plugins.core.TestPlugin
+    with: {fields}
+"""
+
+
+def test_requirements_of_a_test_job_become_properties_over_a_bag(converted: Converted) -> None:
+    fields = (
+        "{hostname: robot, port: 9090, timeout: 60, ignore: 2, requirements: ['globally: some /x', 'globally:  no /y']}"
+    )
+    conversion = converted(TESTED.format(fields=fields))
+    assert conversion.requirements == {"bag": "TODO.bag", "hpl": ["globally: some /x", "globally: no /y"]}
+    assert conversion.requirements_origin == "job talk"
+    for key in ("hostname", "port", "timeout", "ignore"):
+        assert f"jobs.talk.with.{key}" in noted(conversion)
+
+
+def test_a_test_job_without_requirements_is_noted(converted: Converted) -> None:
+    conversion = converted(TESTED.format(fields="{hostname: robot}"))
+    assert conversion.requirements == {}
+    assert noted(conversion)["jobs.talk"] == "it has no requirements"
+
+
+def test_requirements_of_components_are_converted_too(converted: Converted) -> None:
+    conversion = converted(compose("introspection: {requirements: ['globally: some /x']}"))
+    assert conversion.requirements["hpl"] == ["globally: some /x"]
