@@ -22,9 +22,7 @@ import click
 from calibration import __version__
 from calibration.base.addons import LazyCommand, of_addons
 from calibration.base.errors import CalibrationError, ExitCode, solvable
-from calibration.base.garbage_collector import no_collector
-from calibration.base.process_end import run_process
-from calibration.base.signals import Terminated, terminate_cleanly
+from calibration.base.process import Terminated, no_collector, run_process, terminate_cleanly
 from calibration.base.text import did_you_mean
 from calibration.ci.workflow import Runner, report_error, stop_commands
 

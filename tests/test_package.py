@@ -28,7 +28,7 @@ def test_type_checkers_see_the_same_names() -> None:
 
 
 def test_errors_have_their_public_path() -> None:
-    from calibration.errors import InputError  # type: ignore[import-not-found,unused-ignore]
+    from calibration.base.errors import InputError
 
     assert InputError is calibration.InputError is calibration.errors.InputError
 

@@ -1,12 +1,17 @@
-"""Files: reading with a size limit, and atomic writing."""
+"""Files and folders: reading with a size limit, atomic writing, patterns of paths, and temporary folders."""
 
 import os
+import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from glob import glob, has_magic
+from itertools import takewhile
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.process import held_back
 
 
 def read_bytes(path: Path | str, limit: int, what: str) -> bytes:
@@ -81,7 +86,7 @@ def link_or_copy(source: Path | str, target: Path | str) -> None:
         try:
             temporary.hardlink_to(source)
         except OSError:
-            _copy_content(Path(source), temporary)
+            shutil.copyfile(source, temporary)
 
 
 @contextmanager
@@ -101,8 +106,52 @@ def _replace_file(path: Path) -> Iterator[Path]:
         raise InfrastructureError(f"{path}: cannot be written: {reason}") from error
 
 
-def _copy_content(source: Path, target: Path) -> None:
-    """Copy a file's content; `shutil`, which imports libraries of compression, takes a millisecond to import."""
-    with source.open("rb") as reader, target.open("wb") as writer:
-        while part := reader.read(1 << 20):
-            writer.write(part)
+def matching(patterns: Iterable[str]) -> list[str]:
+    """Return the files that match paths and patterns (``results/**/*.csv``), without duplicates, sorted by pattern.
+
+    Raises:
+        InputError: a pattern matches no file, or would search the whole machine.
+    """
+    files: dict[str, None] = {}
+    for pattern in patterns:
+        if os.path.exists(pattern) or not has_magic(pattern):  # noqa: PTH110 (Path.exists may raise)
+            files[pattern] = None
+            continue
+        parts = Path(pattern).parts
+        if Path(pattern).is_absolute() and "**" in parts[1:2]:
+            raise InputError(f"{pattern}: this searches the whole machine: a folder was expected before the first **")
+        found = sorted(file for file in glob(pattern, recursive=True) if os.path.isfile(file))  # noqa: PTH113, PTH207
+        if not found:
+            folder = Path(*takewhile(lambda part: not has_magic(part), parts))
+            closed = os.path.isdir(folder) and not os.access(folder, os.R_OK | os.X_OK)  # noqa: PTH112
+            problem = f"the folder {folder} cannot be read" if closed else "no file matches this pattern"
+            raise InputError(f"{pattern}: {problem}")
+        files.update(dict.fromkeys(found))
+    return list(files)
+
+
+@contextmanager
+def temporary_folder(
+    prefix: str = "calibration-", parent: Path | str | None = None, *, ignore_cleanup_errors: bool = False
+) -> Iterator[Path]:
+    """Yield a new folder (mode 0700), and remove it at the end of the block.
+
+    Unlike `tempfile.TemporaryDirectory`, a signal interrupts neither its creation nor its removal.
+
+    Args:
+        prefix: beginning of its name.
+        parent: folder that it is created in; that of the system for temporary files by default.
+        ignore_cleanup_errors: leave what cannot be removed, such as files of another user.
+
+    Raises:
+        OSError: it cannot be created or removed.
+    """
+    folder: TemporaryDirectory[str] | None = None
+    try:
+        with held_back():
+            folder = TemporaryDirectory(prefix=prefix, dir=parent, ignore_cleanup_errors=ignore_cleanup_errors)
+        yield Path(folder.name)
+    finally:
+        if folder is not None:
+            with held_back():
+                folder.cleanup()

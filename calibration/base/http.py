@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urljoin, urlsplit
 
 from calibration.base.errors import InfrastructureError
-from calibration.base.secret_forms import redact
+from calibration.base.redaction import redact
 from calibration.base.text import one_line, shorten
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from calibration.base.signals import held_back
+from calibration.base.process import held_back
 
 STOP_SECONDS = 4.0
 """Seconds between SIGTERM and SIGKILL; a runner that cancels allows 7.5."""

@@ -1,5 +1,6 @@
-"""Text for messages: escaping of untrusted text, and suggestions for misspelt words."""
+"""Text: escaping of untrusted text, suggestions for misspelt words, and numbers."""
 
+import math
 import re
 from collections.abc import Iterable, Sequence
 
@@ -70,3 +71,23 @@ def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def count_of(number: int, noun: str) -> str:
     """Return a number with its noun: ``1 table``, ``2 tables``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+_DECIMAL_TEXT = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+
+def parse_number(text: str) -> float | None:
+    """Parse a finite decimal number (``-1.5e3``); None for anything else.
+
+    NaN, infinity, overflow, an empty text, ``1,5``, ``0x1f`` and ``1_000`` are rejected.
+    """
+    if not _DECIMAL_TEXT.fullmatch(text):
+        return None
+    number = float(text)
+    return number if math.isfinite(number) else None
+
+
+def number_text(number: float) -> str:
+    """Format a number with all its digits, whole numbers without a point."""
+    text = repr(float(number))
+    return text.removesuffix(".0")

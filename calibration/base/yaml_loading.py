@@ -1,4 +1,4 @@
-"""Parsing of untrusted YAML. `base.yaml_file` imports this at its first use, as PyYAML is slow to import."""
+"""Parsing of untrusted YAML. `base.documents` imports this at its first use, as PyYAML is slow to import."""
 
 from collections.abc import Hashable, Iterator, Sequence
 from pathlib import Path
@@ -103,7 +103,7 @@ def parse_yaml(data: bytes, path: Path) -> object:
 
 
 def line_in(data: bytes, keys: Sequence[str], value: str | None) -> int | None:
-    """Return the line number of a key, see `calibration.base.yaml_file.line_of`."""
+    """Return the line number of a key, see `calibration.base.documents.line_of`."""
     try:
         node = yaml.compose(data, yaml.SafeLoader)
     except (yaml.YAMLError, RecursionError):

@@ -10,11 +10,10 @@ from typing import Annotated, Any
 
 import click
 
+from calibration.base.documents import read_yaml, with_variables
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
 from calibration.base.records import Place, at_least, changed, field, read, record
-from calibration.base.variables import with_variables
-from calibration.base.yaml_file import read_yaml
 from calibration.ci.execution.backends import (
     BACKEND_KINDS,
     CONTAINER_BACKENDS,

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from calibration.base.errors import ExitCode, InputError
-from calibration.base.file_patterns import matching
+from calibration.base.files import matching
 from calibration.base.records import flat_fields, read
 from calibration.base.tables.rule_set import RuleEntry, RuleSet, checked
 from calibration.base.tables.table import parse_delimiter, read_table

@@ -5,10 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.base.errors import InputError
-from calibration.base.tables.numbers import parse_number
 from calibration.base.tables.selection import KeyedTable, LabelledRow
 from calibration.base.tables.table import read_table
-from calibration.base.text import did_you_mean, shorten
+from calibration.base.text import did_you_mean, parse_number, shorten
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.document import BASELINE_VERSION, Baseline
 from calibration.engine.diagnosis.finding import FindingKind

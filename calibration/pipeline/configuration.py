@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from calibration.base.documents import read_yaml, with_variables
 from calibration.base.errors import InputError
 from calibration.base.records import (
     ByName,
@@ -18,8 +19,6 @@ from calibration.base.records import (
     record,
 )
 from calibration.base.text import did_you_mean
-from calibration.base.variables import with_variables
-from calibration.base.yaml_file import read_yaml
 from calibration.ci.execution.backends import (
     SECTIONS,
     ContainerBackend,

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from calibration.base.arrays import Array
+from calibration.base.documents import parse_json
 from calibration.base.errors import InputError
-from calibration.base.json_file import parse_json
 from calibration.base.optional import optional
 from calibration.base.records import computed, field, result
 from calibration.base.text import one_line, shorten

@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Annotated
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import read_bytes
+from calibration.base.files import read_bytes, temporary_folder
 from calibration.base.records import Converted, Place, field, length, record
-from calibration.base.temporary_folder import temporary_folder
 from calibration.base.text import one_line, shorten
 
 ENDING = ".xacro"

@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import follow_no_links, link_or_copy, write_atomically
-from calibration.base.signals import Terminated, terminate_cleanly
-from calibration.base.temporary_folder import temporary_folder
+from calibration.base.files import follow_no_links, link_or_copy, temporary_folder, write_atomically
+from calibration.base.process import Terminated, terminate_cleanly
 
 
 def names(folder: Path) -> list[str]:

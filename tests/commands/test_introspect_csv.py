@@ -9,7 +9,7 @@ from defusedxml.ElementTree import parse
 
 from calibration.__main__ import main, run_action
 from calibration.base.errors import InputError
-from calibration.base.file_patterns import matching
+from calibration.base.files import matching
 from calibration.commands.introspect_csv import command
 
 RMS = "RMS (pix)"

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-RUN = "from calibration.base.process_end import run_process; import atexit, ctypes, sys\n"
+RUN = "from calibration.base.process import run_process; import atexit, ctypes, sys\n"
 
 
 def ended(code: str) -> subprocess.CompletedProcess[str]:

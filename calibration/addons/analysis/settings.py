@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Annotated
 
 from calibration.addons.analysis.results import CATEGORIES, SEVERITIES, CodeFinding
+from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.records import Converted, field, length, read, record
 from calibration.base.text import did_you_mean, shorten
-from calibration.base.yaml_file import read_yaml
 from calibration.ci.report import Check, at_most
 
 SUPPRESSIONS_FILE = ".static-analysis.yml"

@@ -32,8 +32,8 @@ from calibration.addons.analysis.settings import (
     sift,
 )
 from calibration.base.errors import ExitCode, InputError
+from calibration.base.files import temporary_folder
 from calibration.base.records import field, record
-from calibration.base.temporary_folder import temporary_folder
 from calibration.base.text import did_you_mean, shorten
 from calibration.ci.execution.sizes import parse_seconds
 from calibration.ci.git.changes import find_base

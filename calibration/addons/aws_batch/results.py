@@ -23,7 +23,7 @@ from calibration.addons.aws_batch.wire import (
 )
 from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError
 from calibration.base.files import write_atomically
-from calibration.base.secret_forms import redact
+from calibration.base.redaction import redact
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.copying_out import complete_or_not_at_all
 from calibration.ci.execution.job import Container, Job

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
-from calibration.base import json_file
+from calibration.base import documents
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.base.records import Converted, Place, between, document_of, field, length, read, record
 from calibration.base.text import one_line, shorten
@@ -206,7 +206,7 @@ def parse_json(data: bytes, most: int, where: str) -> object:
     if len(data) > most:
         raise InfrastructureError(f"{where}: found {len(data)} bytes, at most {most} were expected")
     try:
-        return json_file.parse_json(data)
+        return documents.parse_json(data)
     except (ValueError, RecursionError) as error:
         raise InfrastructureError(f"{where}: this is no JSON: {shorten(str(error), 200)}") from None
 

@@ -19,11 +19,9 @@ from calibration.addons.coverage.results import CoverageLimit, CoverageOfChange,
 from calibration.addons.coverage.sources import Sources, find_sources
 from calibration.addons.coverage.tests import Tests, measured_environment, measurement, run_tests
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
-from calibration.base.file_patterns import matching
-from calibration.base.files import write_atomically
+from calibration.base.files import matching, temporary_folder, write_atomically
 from calibration.base.programs import hide
 from calibration.base.records import between, field, record
-from calibration.base.temporary_folder import temporary_folder
 from calibration.base.text import one_line
 from calibration.ci.execution.sizes import parse_seconds
 from calibration.ci.git.changes import changed_lines, files_without_lines, find_base

@@ -23,7 +23,7 @@ from calibration.addons.recorder.scene import KEPT_COLOUR, LOST_COLOUR, UNKNOWN_
 from calibration.addons.recorder.session import Session, joined
 from calibration.base.arrays import Array
 from calibration.base.errors import CalibrationError, InputError
-from calibration.base.temporary_folder import temporary_folder
+from calibration.base.files import temporary_folder
 from calibration.base.text import count_of
 from calibration.engine.geometry.transforms import from_quaternion
 from calibration.robot.labelling.detection import Image

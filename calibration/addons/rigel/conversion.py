@@ -24,8 +24,7 @@ from calibration.addons.rigel.systems import (
 )
 from calibration.addons.rigel.test_jobs import is_test_of_messages, requirements_section
 from calibration.base.errors import InputError
-from calibration.base.tables.numbers import parse_number
-from calibration.base.text import one_line, shorten
+from calibration.base.text import one_line, parse_number, shorten
 
 MAX_NOISE = 1000.0
 

@@ -29,37 +29,36 @@ is not part of the document.
   are ignored. ``@property`` above ``@computed()`` is a key that is written and never read.
 
 All imports are fast, so that a command may declare its options by a record. No validation library is used:
-pydantic takes longer to import than all of this command line, and needs as many lines as `reading` to tell an absent
+pydantic takes longer to import than all of this command line, and needs as many lines as `conversion` to tell an absent
 key from null, a list from a text, and to name the key.
 """
 
-from calibration.base.records.constraints import (
+from calibration.base.records.conversion import changed, document_of, read, read_as, text_of, value_of
+from calibration.base.records.declaration import (
     UNIQUE,
     ByName,
     Constraint,
     Converted,
+    Misfit,
+    Place,
     above,
     at_least,
     between,
-    length,
-    matching,
-)
-from calibration.base.records.declaration import (
     computed,
     exactly_one,
     excludes,
     field,
     flat_fields,
+    length,
+    matching,
     needs,
     one_of,
     record,
     result,
+    shown,
     unknown_key,
     with_fields,
 )
-from calibration.base.records.place import Misfit, Place, shown
-from calibration.base.records.reading import changed, read, read_as
-from calibration.base.records.writing import document_of, text_of, value_of
 
 __all__ = [
     "UNIQUE",

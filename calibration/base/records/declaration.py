@@ -1,14 +1,156 @@
 """Declaration of records: frozen dataclasses whose fields define the content of a document."""
 
 import dataclasses
+import math
+import re
 import typing
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, replace
 from functools import cache, cached_property
+from pathlib import Path
 from typing import Any, Literal, TypeVar, dataclass_transform
 
-from calibration.base.records.constraints import Converted
+from calibration.base.errors import CalibrationError, InputError
 from calibration.base.text import did_you_mean, shorten
+
+_MAX_LISTED_NUMBERS = 3
+"""Limit of the numbers of a list in a message."""
+
+
+class Misfit(ValueError):  # noqa: N818 (it becomes an error for users where the place is known)
+    """Error for values that are valid alone and contradict each other; ``key`` is the one to change."""
+
+    def __init__(self, message: str, key: str = "") -> None:
+        super().__init__(message)
+        self.key = key
+
+
+@dataclass(frozen=True)
+class Place:
+    """Position in a document, for messages, with the context of reading."""
+
+    where: str
+    """The file, and the key in it if the document is a part of one."""
+    keys: tuple[str, ...] = ()
+    folder: Path = Path()
+    """Base folder of relative paths."""
+    error: type[CalibrationError] = InputError
+
+    def __str__(self) -> str:
+        return ": ".join(filter(None, (self.where, ".".join(self.keys))))
+
+    def below(self, key: object) -> "Place":
+        """Return the position of a key or an item in this one."""
+        return replace(self, keys=(*self.keys, str(key)))
+
+    def fault(self, message: str) -> CalibrationError:
+        """Return the error with this message."""
+        return self.error(f"{self}: {message}")
+
+    def unexpected(self, value: object, expected: str) -> CalibrationError:
+        """Return the error with the found and the expected value."""
+        return self.fault(f"found {shown(value)}, expected {expected}")
+
+    def misfit(self, misfit: Misfit) -> CalibrationError:
+        """Return the error about contradicting values."""
+        return (self.below(misfit.key) if misfit.key else self).fault(str(misfit))
+
+
+def shown(value: object) -> str:
+    """Format a value for a message, shortened."""
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, dict):
+        return f"a mapping of {len(value)} keys" if value else "an empty mapping"
+    if isinstance(value, list) and not (1 < len(value) <= _MAX_LISTED_NUMBERS and all(map(is_number, value))):
+        return f"a list of {len(value)}" if value else "an empty list"
+    return shorten(repr(value))
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a finite number, not true or false."""
+    try:
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # integers beyond the range of floats
+        return False
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint:
+    """Condition on a value of the right type."""
+
+    holds: Callable[[Any], bool]
+    expected: str
+    """Text after "expected" in messages: ``a number of at least 0``; for numbers and lists without the type."""
+    schema: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """The condition as keywords of JSON Schema."""
+    whole: bool = False
+    """Whether ``expected`` names the type too, so that messages do not."""
+    secret: bool = False
+    """Whether a wrong value may be a secret and must not be repeated in a message."""
+
+
+@dataclass(frozen=True, eq=False)
+class Converted:
+    """Value whose form in the document differs from that in the record.
+
+    ``make`` takes the value read as ``accepts``, and the position for messages; it raises an error for users.
+    """
+
+    accepts: Any
+    make: Callable[[Any, Place], Any]
+    described_as: Any = dataclasses.field(default=None, kw_only=True)
+    """Additional keywords of the schema, beyond ``accepts``."""
+
+
+@dataclass(frozen=True, eq=False)
+class ByName:
+    """Tuple of records that is a mapping in the document, whose keys are their dataclass_field ``name``."""
+
+    names: Constraint | None = None
+
+
+def between(least: float, most: float) -> Constraint:
+    """Constrain numbers to ``least`` to ``most``, both included."""
+    schema = {"minimum": least, "maximum": most}
+    return Constraint(lambda value: least <= value <= most, f"from {least:g} to {most:g}", schema)
+
+
+def at_least(least: float) -> Constraint:
+    """Constrain numbers to at least ``least``."""
+    return Constraint(lambda value: value >= least, f"of at least {least:g}", {"minimum": least})
+
+
+def above(limit: float, most: float | None = None) -> Constraint:
+    """Constrain numbers to more than ``limit``, and at most ``most``."""
+    schema = {"exclusiveMinimum": limit} | ({} if most is None else {"maximum": most})
+    text = f"above {limit:g}" if most is None else f"above {limit:g} and of at most {most:g}"
+    return Constraint(lambda value: limit < value and (most is None or value <= most), text, schema)
+
+
+def matching(pattern: str, expected: str, *, secret: bool = False) -> Constraint:
+    """Constrain text to full matches of a regular expression."""
+    schema = {"pattern": f"^(?:{pattern})$" if "|" in pattern else f"^{pattern}$"}
+    fits = lambda value: re.fullmatch(pattern, value) is not None  # noqa: E731 (compiled for the first value)
+    return Constraint(fits, expected, schema, whole=True, secret=secret)
+
+
+def length(least: int = 0, most: int | None = None) -> Constraint:
+    """Constrain the length of text, lists and mappings to ``least`` to ``most``."""
+
+    def holds(value: Any) -> bool:
+        return least <= len(value) and (most is None or len(value) <= most)
+
+    if most is None:
+        expected = "that is not empty" if least == 1 else f"of at least {least}"
+    else:
+        expected = f"of {least}" if least == most else f"of {least} to {most}" if least else f"of at most {most}"
+    return Constraint(holds, expected, {"length": (least, most)})
+
+
+UNIQUE = Constraint(lambda value: len(set(value)) == len(value), "without duplicates", {"uniqueItems": True})
+"""Lists without duplicates."""
+
 
 _Class = TypeVar("_Class", bound=type)
 _Getter = TypeVar("_Getter", bound=Callable[[Any], Any])

@@ -9,9 +9,17 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any
 
-from calibration.base.records.constraints import ByName, Constraint, Converted
-from calibration.base.records.declaration import Declared, fields_of, flat_record, is_record, settings_of
-from calibration.base.records.writing import value_of
+from calibration.base.records.conversion import value_of
+from calibration.base.records.declaration import (
+    ByName,
+    Constraint,
+    Converted,
+    Declared,
+    fields_of,
+    flat_record,
+    is_record,
+    settings_of,
+)
 
 SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _SCHEMA_OF_TYPE = {

@@ -8,10 +8,9 @@ Rule files are read by :mod:`calibration.ci.introspection.rules_file`, which nee
 Independent of calibration: any table with a header can be judged.
 """
 
-from calibration.base.tables.result import RuleResult, TableResult, Violation
 from calibration.base.tables.rule_set import RuleSet, parse_rules
 from calibration.base.tables.table import Table, read_table
-from calibration.base.tables.table_verdict import judge
+from calibration.base.tables.table_verdict import RuleResult, TableResult, Violation, judge
 
 __all__ = [
     "RuleResult",

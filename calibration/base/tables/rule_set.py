@@ -26,9 +26,7 @@ from typing import Annotated, Any
 
 from calibration.base.errors import InputError
 from calibration.base.records import Constraint, Converted, Misfit, Place, at_least, field, length, read, record
-from calibration.base.tables.allowance import Allowance, parse_allowance
-from calibration.base.tables.numbers import parse_number
-from calibration.base.tables.rules import ChangeRule, LimitRule, Limits, Rule, TextRule
+from calibration.base.tables.rules import Allowance, ChangeRule, LimitRule, Limits, Rule, TextRule, parse_allowance
 from calibration.base.tables.selection import (
     Aggregate,
     EveryRow,
@@ -38,6 +36,7 @@ from calibration.base.tables.selection import (
     parse_aggregate,
     parse_row,
 )
+from calibration.base.text import parse_number
 
 SUMMARY_ROWS = ("Averages",)
 """Default labels of rows that summarise others."""

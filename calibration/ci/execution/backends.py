@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar
 
 from calibration.base.addons import BackendKind, import_attribute, of_addons
+from calibration.base.documents import read_yaml, with_variables
 from calibration.base.errors import InputError
 from calibration.base.records import field, flat_fields, read, record, with_fields
 from calibration.base.text import did_you_mean
-from calibration.base.variables import with_variables
-from calibration.base.yaml_file import read_yaml
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.workflow.streams import LogDisplay

@@ -7,8 +7,8 @@ from types import TracebackType
 from typing import Self
 
 from calibration.base.errors import InfrastructureError
+from calibration.base.redaction import Redactor
 from calibration.base.text import shorten
-from calibration.ci.execution.redaction import Redactor
 from calibration.ci.workflow.streams import tame
 
 MOST_BYTES = 64 * 1024**2

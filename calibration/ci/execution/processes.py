@@ -15,7 +15,7 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from calibration.base.errors import ExitCode, InfrastructureError
-from calibration.base.signals import held_back
+from calibration.base.process import held_back
 
 Result = TypeVar("Result")
 

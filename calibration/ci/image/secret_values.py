@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
-from calibration.base.temporary_folder import temporary_folder
+from calibration.base.files import read_bytes, temporary_folder
 from calibration.ci.image.specification import Secret
 from calibration.ci.workflow import Runner, add_mask
 

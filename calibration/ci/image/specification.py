@@ -37,6 +37,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal, cast
 
+from calibration.base.documents import read_yaml, with_variables
 from calibration.base.errors import InputError
 from calibration.base.records import (
     UNIQUE,
@@ -50,8 +51,6 @@ from calibration.base.records import (
     read,
     record,
 )
-from calibration.base.variables import with_variables
-from calibration.base.yaml_file import read_yaml
 from calibration.ci.image.recipe.repositories import Repository, read_repositories
 from calibration.ci.image.recipe.user_text import check_line, check_text, package_name
 from calibration.ci.registries.credentials import RegistrySettings, VariableName

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from calibration.base.records import document_of
-from calibration.base.tables.result import Results, RuleResult, TableResult, Violation
+from calibration.base.tables.table_verdict import Results, RuleResult, TableResult, Violation
 from calibration.base.text import shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, count_of, verdict_of
 from calibration.ci.workflow.annotation import Annotation

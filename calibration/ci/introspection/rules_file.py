@@ -9,10 +9,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.tables.rule_set import RuleSet, parse_rules
 from calibration.base.text import did_you_mean
-from calibration.base.yaml_file import read_yaml
 
 COLUMNS_KEY = "introspection_target_columns"
 """Key that distinguishes a Rigelfile from a rule set."""

@@ -9,7 +9,7 @@ import docker.errors
 import requests
 
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
-from calibration.base.secret_forms import redact
+from calibration.base.redaction import redact
 from calibration.base.text import one_line, shorten
 from calibration.ci.registries.credentials import Credentials
 from calibration.ci.registries.promotion import tag_image

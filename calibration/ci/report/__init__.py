@@ -4,9 +4,8 @@ A command describes its results in a :class:`Report`: its verdict, a :class:`Che
 :class:`Outcome` for each unit of work, tables and notes. :func:`publish` writes and shows all of it.
 """
 
-from calibration.base.check import Check, at_least, at_most, expectation
 from calibration.base.text import count_of
-from calibration.base.verdict import VERDICTS, Verdict, verdict_of, worst_verdict
+from calibration.base.verdict import VERDICTS, Check, Verdict, at_least, at_most, expectation, verdict_of, worst_verdict
 from calibration.ci.report.blocks import Block, Code, Lines, Text
 from calibration.ci.report.outcome import Outcome, outcome_of_check
 from calibration.ci.report.publishing import publish, remove_results, show

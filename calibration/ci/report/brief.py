@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 from typing import Literal
 
+from calibration.base.documents import parse_json
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
-from calibration.base.json_file import parse_json
 from calibration.base.records import field, read, result, value_of
 from calibration.base.verdict import Verdict
 

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from calibration.base.check import Check
 from calibration.base.errors import ExitCode
 from calibration.base.records import Converted
-from calibration.base.verdict import Verdict, verdict_of
+from calibration.base.verdict import Check, Verdict, verdict_of
 
 ErrorCode = Annotated[ExitCode, Converted(Literal[2, 3], lambda code, _place: ExitCode(code))]
 """Exit code of work that failed because of bad input (2) or infrastructure (3), in results.json."""

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from calibration.base.documents import parse_json
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.files import read_bytes
-from calibration.base.json_file import parse_json
 from calibration.base.records import field, read, result, value_of
 from calibration.base.verdict import Verdict
 

@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from typing import TextIO
 
 from calibration.base.errors import brief
-from calibration.base.secret_forms import derived_forms
+from calibration.base.redaction import derived_forms
 from calibration.base.text import one_line
 from calibration.ci.workflow.annotation import Annotation
 from calibration.ci.workflow.runner import Runner
@@ -47,7 +47,7 @@ def report_error(runner: Runner, message: str) -> None:
 def add_mask(runner: Runner, secret: str) -> None:
     """Mask a secret in the service's log, in every form in which it may be printed.
 
-    Call it before any other output. On a terminal it does nothing: use `calibration.base.secret_forms.redact`.
+    Call it before any other output. On a terminal it does nothing: use `calibration.base.redaction.redact`.
     """
     runner.service.mask(runner, derived_forms(secret))
 

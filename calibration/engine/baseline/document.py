@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from calibration.base.documents import parse_json
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes, write_atomically
-from calibration.base.json_file import parse_json
 from calibration.base.records import document_of, field, length, read, record
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 

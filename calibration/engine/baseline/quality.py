@@ -15,10 +15,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from calibration.base.check import Check, at_most
-from calibration.base.tables.allowance import Allowance
-from calibration.base.tables.numbers import number_text
-from calibration.base.text import shorten
+from calibration.base.tables.rules import Allowance
+from calibration.base.text import number_text, shorten
+from calibration.base.verdict import Check, at_most
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineComparison
 from calibration.engine.baseline.settings import BaselineSettings

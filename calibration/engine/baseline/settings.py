@@ -5,7 +5,7 @@ from typing import Annotated
 
 from calibration.base.errors import InputError
 from calibration.base.records import Converted, Place, at_least, field, length, record
-from calibration.base.tables.allowance import Allowance, parse_allowance
+from calibration.base.tables.rules import Allowance, parse_allowance
 
 BASELINE_FILE = "calibration-baseline.json"
 Least = Annotated[float, at_least(0)]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.base.check import at_most
+from calibration.base.verdict import at_most
 from calibration.engine.baseline.calibration_document import CalibrationDocument, SoftwareStart
 from calibration.engine.baseline.comparison import BaselineChange, BaselineComparison, compare
 from calibration.engine.baseline.quality import HOW_TO_ACCEPT, largest_standard_deviations, quality, worse_than_baseline

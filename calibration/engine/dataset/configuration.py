@@ -10,9 +10,9 @@ from typing import Any, get_args
 
 import numpy as np
 
+from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.records import read
-from calibration.base.yaml_file import read_yaml
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.modalities import MODALITIES
 from calibration.engine.dataset.model import Edge

@@ -11,9 +11,9 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
+from calibration.base.documents import RepeatedKeyError, parse_json
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
-from calibration.base.json_file import RepeatedKeyError, parse_json
 
 MAX_BYTES = 1 << 30
 """Limit of a file's size in bytes."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
-from calibration.base.garbage_collector import no_collector
+from calibration.base.process import no_collector
 from calibration.engine.dataset.changes import CHANGES_KEY, changed_document
 from calibration.engine.dataset.configuration import Configuration, parse_configuration
 from calibration.engine.dataset.document import Node, read_json, shown

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.tables.numbers import parse_number
 from calibration.base.tables.selection import KeyedTable
 from calibration.base.tables.table import Table as Csv
+from calibration.base.text import parse_number
 from calibration.engine.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, PoseLabels
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits

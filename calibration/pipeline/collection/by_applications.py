@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from calibration.base.documents import parse_json
 from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError, InputError
-from calibration.base.files import read_bytes, write_atomically
-from calibration.base.json_file import parse_json
-from calibration.base.temporary_folder import temporary_folder
+from calibration.base.files import read_bytes, temporary_folder, write_atomically
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER, LOGS_FOLDER

@@ -14,9 +14,8 @@ import numpy as np
 
 from calibration import __version__
 from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import read_bytes, write_atomically
+from calibration.base.files import read_bytes, temporary_folder, write_atomically
 from calibration.base.records import read, text_of
-from calibration.base.temporary_folder import temporary_folder
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Mount
 from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER, LOGS_FOLDER

@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from calibration import __version__
+from calibration.base.documents import parse_json
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
-from calibration.base.files import read_bytes, write_atomically
-from calibration.base.json_file import parse_json
+from calibration.base.files import read_bytes, temporary_folder, write_atomically
 from calibration.base.records import document_of, field, length, read, record
-from calibration.base.temporary_folder import temporary_folder
 from calibration.base.text import one_line
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.job import Job

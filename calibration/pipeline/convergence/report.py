@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.optional import optional
-from calibration.base.tables.numbers import number_text
-from calibration.base.text import one_line, shorten
+from calibration.base.text import number_text, one_line, shorten
 from calibration.ci.report import FILES, Lines, Outcome, Report, Table, outcome_of_check
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, ConvergenceResults, without_noise
 from calibration.pipeline.matrix.cell import noise_text

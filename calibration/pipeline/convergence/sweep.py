@@ -18,8 +18,8 @@ import numpy as np
 
 from calibration import __version__
 from calibration.base.errors import InputError
+from calibration.base.files import temporary_folder
 from calibration.base.records import document_of, read
-from calibration.base.temporary_folder import temporary_folder
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.tasks import run_tasks
 from calibration.ci.execution.workspace import identity, workspace

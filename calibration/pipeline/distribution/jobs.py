@@ -10,7 +10,7 @@ from pathlib import Path
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.files import read_bytes
 from calibration.base.records import computed, field, result
-from calibration.base.tables.numbers import number_text
+from calibration.base.text import number_text
 from calibration.ci.report import Table
 from calibration.pipeline.distribution.plan import WorkflowPlan
 

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from calibration.base.errors import InputError
-from calibration.base.tables.numbers import number_text
-from calibration.base.text import did_you_mean
+from calibration.base.text import did_you_mean, number_text
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.configuration import PipelineConfiguration

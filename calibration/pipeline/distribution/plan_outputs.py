@@ -9,7 +9,7 @@ from typing import Any
 
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import read_bytes
-from calibration.base.tables.numbers import number_text
+from calibration.base.text import number_text
 from calibration.pipeline.distribution.plan import PLAN_SLUG, JobCell, WorkflowPlan
 
 MAX_OUTPUT_BYTES = 400 * 1024

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from calibration.base.tables.numbers import number_text
+from calibration.base.text import number_text
 from calibration.engine.estimation.solve.options import Loss, Start
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 

@@ -8,10 +8,10 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from calibration.base.errors import CalibrationError, ExitCode, InputError
-from calibration.base.tables.numbers import number_text, parse_number
+from calibration.base.files import temporary_folder
 from calibration.base.tables.selection import KeyedTable, LabelledRow
 from calibration.base.tables.table import read_table
-from calibration.base.temporary_folder import temporary_folder
+from calibration.base.text import number_text, parse_number
 from calibration.ci.execution.job import OUTPUT, Job, Mount
 from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER
 from calibration.ci.execution.outcome import JobOutcome

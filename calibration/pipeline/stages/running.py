@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.base.addons import AddonStage, import_attribute, of_addons
+from calibration.base.documents import line_of
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.text import did_you_mean
-from calibration.base.yaml_file import line_of
 from calibration.ci.execution.backends import ExecutionTarget, Sections
 from calibration.ci.execution.folder_lock import locked
 from calibration.ci.report import Report, publish

@@ -13,10 +13,10 @@ import numpy as np
 
 from calibration import __version__
 from calibration.base.arrays import Array
+from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.files import link_or_copy, write_atomically
 from calibration.base.records import read, text_of
-from calibration.base.yaml_file import read_yaml
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.execution.workspace import identity, workspace
 from calibration.engine.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration

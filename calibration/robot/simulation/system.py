@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from calibration.base.arrays import Array
+from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 from calibration.base.records import Converted, Place, between, field, read, read_as, record, unknown_key
-from calibration.base.yaml_file import read_yaml
 from calibration.engine.dataset.configuration import Configuration, SensorConfiguration, read_configuration
 from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.pattern import Pattern

@@ -106,7 +106,7 @@ PROGRAM = """
 import sys
 from pathlib import Path
 from calibration.addons.aws_batch.backend import BatchBackend
-from calibration.base.signals import terminate_cleanly
+from calibration.base.process import terminate_cleanly
 from tests.addons.aws_batch.client import SETTINGS, jobs
 
 with terminate_cleanly(), BatchBackend(SETTINGS, "killed") as backend:

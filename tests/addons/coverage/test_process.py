@@ -87,7 +87,7 @@ from pathlib import Path
 from typing import Any
 from calibration.base import programs
 from calibration.addons.coverage import tests as process
-from calibration.base.signals import terminate_cleanly
+from calibration.base.process import terminate_cleanly
 programs.GRACE = 0.2
 try:
     with terminate_cleanly():

@@ -37,8 +37,8 @@ from calibration.base.records import (
     result,
     text_of,
 )
+from calibration.base.records.conversion import value_of
 from calibration.base.records.schema import schema_of, schema_text
-from calibration.base.records.writing import value_of
 
 NAME = matching("[a-z]+", "small letters")
 

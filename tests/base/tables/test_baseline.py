@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.errors import InputError
-from calibration.base.tables.allowance import Allowance, parse_allowance
+from calibration.base.tables.rules import Allowance, parse_allowance
 
 
 @pytest.mark.parametrize(

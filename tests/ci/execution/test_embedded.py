@@ -120,7 +120,7 @@ def test_a_signal_while_a_worker_is_forked_is_not_lost(number: signal.Signals) -
 import os, signal
 from calibration.ci.execution import processes
 from calibration.ci.execution.embedded import Embedded
-from calibration.base.signals import terminate_cleanly
+from calibration.base.process import terminate_cleanly
 asked = []
 def ask():
     if not asked:

@@ -7,8 +7,8 @@ from defusedxml.ElementTree import fromstring
 
 from calibration.base import tables as introspection
 from calibration.base.tables import Table, TableResult, judge, parse_rules
-from calibration.base.tables.result import MOST_LISTED
 from calibration.base.tables.table import parse_table
+from calibration.base.tables.table_verdict import MOST_LISTED
 from calibration.ci.introspection.report import report
 
 SCHEMA = json.loads((Path(introspection.__file__).parent / "results.schema.json").read_text())

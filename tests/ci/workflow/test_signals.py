@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from calibration.base.signals import Terminated, held_back, terminate_cleanly
+from calibration.base.process import Terminated, held_back, terminate_cleanly
 
 
 def be_stopped(first: signal.Signals, second: signal.Signals, cleaned: list[bool]) -> None:

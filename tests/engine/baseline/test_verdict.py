@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from calibration.base.tables.allowance import parse_allowance
+from calibration.base.tables.rules import parse_allowance
 from calibration.engine.baseline.calibration_document import (
     CalibratedParameter,
     CalibrationDocument,

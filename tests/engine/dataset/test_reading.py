@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.base.garbage_collector import no_collector
+from calibration.base.process import no_collector
 from calibration.engine.dataset.configuration import parse_configuration
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.modalities import LIDAR3D, RGB

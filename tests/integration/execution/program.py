@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.base.errors import CalibrationError
-from calibration.base.signals import Terminated, terminate_cleanly
+from calibration.base.process import Terminated, terminate_cleanly
 from calibration.ci.execution.docker import backend
 from calibration.ci.execution.docker.container_run import ContainerRun
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Readiness

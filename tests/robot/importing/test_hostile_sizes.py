@@ -226,7 +226,7 @@ def test_a_signal_leaves_no_unpacked_files(tmp_path: Path) -> None:
 import sys, time
 from pathlib import Path
 from calibration.robot.importing.bags.bag import open_bag
-from calibration.base.signals import terminate_cleanly
+from calibration.base.process import terminate_cleanly
 with terminate_cleanly(), open_bag([Path(sys.argv[1])]):
     print("open", flush=True)
     time.sleep(60)

@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.results import Category, CodeFinding, Severity
 from calibration.base.errors import InfrastructureError
-from calibration.base.temporary_folder import temporary_folder
+from calibration.base.files import temporary_folder
 from calibration.base.text import one_line, shorten
 
 MAX_OUTPUT = 200_000_000

@@ -40,7 +40,7 @@ from calibration.addons.aws_batch.wire import (
 )
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
 from calibration.base.files import write_atomically
-from calibration.base.signals import terminate_cleanly
+from calibration.base.process import terminate_cleanly
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.extraction import RefusedError, path_parts
 from calibration.ci.execution.job import OUTPUT

@@ -9,7 +9,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from calibration.base.errors import CalibrationError, InfrastructureError
-from calibration.base.secret_forms import redact
+from calibration.base.redaction import redact
 from calibration.base.text import one_line
 from calibration.ci.docker.engine import Engine, EngineLostError, engine_errors
 from calibration.ci.execution.copying_out import Opener

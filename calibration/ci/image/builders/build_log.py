@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Iterable, Sequence
 
-from calibration.base.secret_forms import redact
+from calibration.base.redaction import redact
 from calibration.base.text import one_line, shorten, without_escapes
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.progress import Advance

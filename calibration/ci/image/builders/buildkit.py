@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.temporary_folder import temporary_folder
+from calibration.base.files import temporary_folder
 from calibration.ci.image.builders.build_log import MAX_LAST_LINES, BuildLog
 from calibration.ci.image.builders.failure import build_problem
 from calibration.ci.image.builders.programs import Program, docker_environment, lines_of

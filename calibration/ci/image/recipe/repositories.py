@@ -7,9 +7,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import urlsplit
 
+from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.text import shorten
-from calibration.base.yaml_file import read_yaml
 from calibration.ci.image.recipe.user_text import check_line
 
 _SCP_FORM = re.compile(r"[A-Za-z0-9_.-]+@[A-Za-z0-9.-]+:(?!:).+")

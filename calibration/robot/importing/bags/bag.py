@@ -17,11 +17,10 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from calibration.base.documents import read_yaml
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
-from calibration.base.files import read_bytes
+from calibration.base.files import read_bytes, temporary_folder
 from calibration.base.optional import optional
-from calibration.base.temporary_folder import temporary_folder
-from calibration.base.yaml_file import read_yaml
 from calibration.engine.dataset.document import Node
 from calibration.robot.importing.bags.unpacking import (
     MAX_CHUNK,

@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
 from calibration.base.errors import CalibrationError
-from calibration.base.temporary_folder import temporary_folder
+from calibration.base.files import temporary_folder
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from calibration.base.errors import InputError
-from calibration.base.file_patterns import matching
-from calibration.base.files import read_bytes
+from calibration.base.files import matching, read_bytes
 
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 """Endings of image files, in lower case."""

@@ -13,8 +13,7 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
-from calibration.base.file_patterns import matching
-from calibration.base.files import read_bytes
+from calibration.base.files import matching, read_bytes
 from calibration.engine.dataset.document import Node
 from calibration.robot.importing.files.pictures import MAX_CSV, MOST_IMAGES
 from calibration.robot.importing.files.pose_form import QUATERNION_CONVENTIONS, PoseForm

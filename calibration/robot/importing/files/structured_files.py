@@ -14,10 +14,9 @@ import defusedxml
 import numpy as np
 from defusedxml.ElementTree import fromstring
 
+from calibration.base.documents import MAX_BYTES, RepeatedKeyError, parse_json
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
-from calibration.base.json_file import RepeatedKeyError, parse_json
-from calibration.base.yaml_file import MAX_BYTES
 from calibration.base.yaml_loading import parse_yaml
 from calibration.engine.dataset.document import Node
 

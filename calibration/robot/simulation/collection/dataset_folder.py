@@ -7,8 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import link_or_copy, write_atomically
-from calibration.base.temporary_folder import temporary_folder
+from calibration.base.files import link_or_copy, temporary_folder, write_atomically
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.dataset.writing import write_document

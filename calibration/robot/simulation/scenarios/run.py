@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from calibration.base.errors import InputError
-from calibration.base.temporary_folder import temporary_folder
+from calibration.base.files import temporary_folder
 from calibration.ci.execution.tasks import Task
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.reading import FILE_NAME

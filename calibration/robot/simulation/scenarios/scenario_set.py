@@ -24,10 +24,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.records import Place, read
 from calibration.base.text import shorten
-from calibration.base.yaml_file import read_yaml
 from calibration.robot.simulation.scenarios.constraints import CLEARANCE_KEY, Constraint, ConstraintEntry, broken
 from calibration.robot.simulation.scenarios.parameters import Parameters, ScenarioSetFile, parameters_of
 from calibration.robot.simulation.scenarios.scenario import Scenario

@@ -1,15 +1,45 @@
-"""Redaction of secrets in a stream of bytes, also across chunks."""
+"""Redaction of secrets, in every form in which they may be printed: in texts, and in streams of bytes."""
 
+import base64
+import json
 import re
 from collections.abc import Iterable
+from urllib.parse import quote
 
-from calibration.base.secret_forms import derived_forms
+MIN_PART_LENGTH = 4
+"""Minimum length in characters; shorter lines of a secret (a brace, a bracket) would mask half the log."""
+
+
+def redact(text: str, secrets: Iterable[str]) -> str:
+    """Replace secrets, in every form of :func:`derived_forms`, by ``***``."""
+    forms = {form for secret in secrets for form in derived_forms(secret)}
+    for form in sorted(forms, key=len, reverse=True):
+        text = text.replace(form, "***")
+    return text
+
+
+def derived_forms(secret: str) -> list[str]:
+    """Return the forms in which a secret may be printed.
+
+    Unchanged, stripped of white space, each of its lines, as a JSON string, in a URL, and
+    in base64; parts shorter than :data:`MIN_PART_LENGTH` are omitted unless they are the whole secret.
+    """
+    whole = secret.strip()
+    if not whole:
+        return []
+    encoded = whole.encode("utf-8", "surrogateescape")
+    standard = base64.b64encode(encoded).decode("ascii")
+    forms = [secret, whole, json.dumps(whole)[1:-1], quote(encoded, safe=""), quote(encoded)]
+    forms += [standard, standard.rstrip("="), base64.urlsafe_b64encode(encoded).decode("ascii")]
+    forms += [line.strip() for line in whole.splitlines() if len(line.strip()) >= MIN_PART_LENGTH]
+    return list(dict.fromkeys(forms))
+
 
 REDACTED_BYTES = b"***"
 
 
 class Redactor:
-    """Replaces secrets in a stream, in every form of :func:`calibration.base.secret_forms.derived_forms`.
+    """Replaces secrets in a stream, in every form of :func:`calibration.base.redaction.derived_forms`.
 
     Bytes that may be the beginning of a secret are delayed until this is known.
     """

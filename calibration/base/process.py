@@ -1,12 +1,25 @@
-"""Handling of the runner's cancellation: SIGINT, then SIGTERM, then SIGKILL."""
+"""This process: its signals, its end, and its garbage collector.
 
+The runner cancels with SIGINT, then SIGTERM, then SIGKILL.
+
+Exit code 1 always means the verdict, even if a library calls exit: OpenBLAS calls C's ``exit(1)`` if it finds no memory
+for its buffers, which Python code cannot catch. So a handler of C's exit ends the process with 3 instead, and a command
+that has returned ends the process without these handlers.
+"""
+
+import atexit
+import ctypes
+import gc
+import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
+
+from calibration.base.errors import ExitCode
 
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _SECONDS_BEFORE_REPEAT = 0.001
@@ -87,3 +100,41 @@ def held_back() -> Iterator[None]:
             signal.signal(number, handler)
         if arrived:
             signal.raise_signal(arrived[0])
+
+
+def run_process(command: Callable[[], int]) -> NoReturn:
+    """Run a command, and end the process with its exit code."""
+    _mark_exits_of_libraries()
+    _end_process(command())
+
+
+def _mark_exits_of_libraries() -> None:
+    """Make C's exit(), with any argument, end the process with the exit code of an infrastructure error.
+
+    ``__cxa_atexit`` of the C++ ABI calls a function with an argument at exit: here ``_exit(3)``.
+    """
+    libc = ctypes.CDLL(None)
+    with suppress(AttributeError):  # some C libraries lack it
+        libc.__cxa_atexit(libc._exit, ctypes.c_void_p(int(ExitCode.INFRASTRUCTURE)), None)
+
+
+def _end_process(code: int) -> NoReturn:
+    """End the process as Python does (threads, exit handlers, streams), but without C's exit handlers."""
+    threading._shutdown()  # type: ignore[attr-defined]  # waits for threads other than daemons
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
+
+
+@contextmanager
+def no_collector() -> Iterator[None]:
+    """Disable the garbage collector while objects are made that stay: it would look through all of them repeatedly."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
