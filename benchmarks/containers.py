@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmarks.rows import Bar, Row
 from benchmarks.timing import interleaved
-from calibration.ci.docker.engine import connect, engine_available
+from calibration.ci.docker_engine import connect, engine_available
 from calibration.ci.execution.docker.backend import DockerBackend
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from benchmarks import AS_FOUND
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
-from calibration.ci.docker.engine import connect, engine_available
+from calibration.ci.docker_engine import connect, engine_available
 
 BASE = "debian:bookworm"
 FILES = 2000

@@ -1,8 +1,7 @@
 """The CI services that are known."""
 
-from calibration.ci.git.event import Event
 from calibration.ci.github.service import GITHUB
-from calibration.ci.workflow.runner import TERMINAL, Environment, Service
+from calibration.ci.workflow.runner import TERMINAL, Environment, Event, Service
 
 SERVICES: list[Service] = [GITHUB]
 

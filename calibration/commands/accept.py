@@ -8,7 +8,7 @@ import click
 
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.text import one_line
-from calibration.ci.execution.folder_lock import locked
+from calibration.ci.execution.workspace import locked
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.engine.baseline.document import read_baseline, write_baseline

@@ -10,7 +10,7 @@ import click
 
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.base.records import field, record
-from calibration.ci.image.builders.failure import BuildFailedError
+from calibration.ci.image.build_request import BuildFailedError
 from calibration.ci.image.building import BuilderName, build_image
 from calibration.ci.image.context import Context
 from calibration.ci.image.plan import add_recipe
@@ -23,7 +23,7 @@ from calibration.ci.image.specification import (
 )
 from calibration.ci.registries.credentials import RegistrySettings
 from calibration.ci.registries.login import registry_login
-from calibration.ci.registries.promotion import promote
+from calibration.ci.registries.push import promote
 from calibration.ci.registries.reference import check_tag
 from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.workflow import Runner, stop_commands

@@ -19,7 +19,7 @@ from calibration.ci.execution.backends import (
     ExecutionTarget,
     check_backend,
 )
-from calibration.ci.introspection.rules_file import read_rules
+from calibration.ci.introspection import read_rules
 from calibration.ci.registries.credentials import RegistrySettings
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import PASSWORD_VARIABLE, password_variable, registry_password_option

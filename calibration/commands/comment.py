@@ -9,9 +9,9 @@ import click
 
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.records import field, record
-from calibration.ci.github.comment_text import comment_text
+from calibration.ci.github.comments import comment_text
 from calibration.ci.report import count_of
-from calibration.ci.report.brief import BRIEF_FILE, Brief, read_brief
+from calibration.ci.report.results_json import BRIEF_FILE, Brief, read_brief
 from calibration.ci.workflow import Annotation, Level, Runner, add_mask, annotate, set_outputs
 from calibration.ci.workflow.runner import PullRequestComments
 from calibration.commands.record_options import chosen, record_options

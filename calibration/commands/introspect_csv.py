@@ -13,8 +13,7 @@ from calibration.base.records import flat_fields, read
 from calibration.base.tables.rule_set import RuleEntry, RuleSet, checked
 from calibration.base.tables.table import parse_delimiter, read_table
 from calibration.base.tables.table_verdict import judge
-from calibration.ci.introspection.report import report
-from calibration.ci.introspection.rules_file import read_rules
+from calibration.ci.introspection import introspection_report, read_rules
 from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import TEXT_LIST, path, text
@@ -85,7 +84,7 @@ def settings_from(options: dict[str, Any]) -> IntrospectionSettings:
 
 
 def introspect(settings: IntrospectionSettings, runner: Runner) -> ExitCode:
-    """Check the tables, report every violation, and return the exit code.
+    """Check the tables, introspection_report every violation, and return the exit code.
 
     Raises :class:`InputError` if a file, a column or a labelled row is missing or a file is not a
     table, and :class:`calibration.base.errors.InfrastructureError` if a result cannot be written. Results of
@@ -97,7 +96,7 @@ def introspect(settings: IntrospectionSettings, runner: Runner) -> ExitCode:
     baseline = None
     if settings.baseline is not None:
         baseline = read_table(settings.baseline, settings.delimiter, settings.encoding)
-    found = report([judge(table, settings.rules, baseline) for table in tables])
+    found = introspection_report([judge(table, settings.rules, baseline) for table in tables])
     publish(found, runner, settings.output)
     return found.exit_code
 

@@ -10,9 +10,9 @@ import click
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
 from calibration.base.records import read
-from calibration.ci.git.event import Event
 from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner, set_outputs, stop_commands
+from calibration.ci.workflow.runner import Event
 from calibration.commands.parameters import (
     DEFAULT_ARTIFACT_NAME,
     PATH_LIST,

@@ -34,7 +34,7 @@ SHIPPED_SCHEMAS = {
     "label-results": SchemaFile("calibration.robot.importing", "label.schema.json", "results:LabelResults", "label"),
     "scenario-set": SchemaFile(_SCENARIOS_PACKAGE, "scenario_set.schema.json", "parameters:ScenarioSetFile"),
     "image-results": SchemaFile("calibration.ci.image", _RESULTS_FILE, "report:BuildResult", "build-image"),
-    "introspection": SchemaFile("calibration.base.tables", _RESULTS_FILE, "result:Results", "introspect-csv"),
+    "introspection": SchemaFile("calibration.base.tables", _RESULTS_FILE, "table_verdict:Results", "introspect-csv"),
     **of_addons(lambda addon: addon.schemas),
 }
 """JSON Schemas by name."""

@@ -18,7 +18,7 @@ from calibration.base.errors import InputError
 from calibration.base.optional import optional
 from calibration.base.records import computed, field, result
 from calibration.base.text import one_line, shorten
-from calibration.ci.git.repository import Commit, Repository
+from calibration.ci.git import Commit, Repository
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
 from calibration.engine.baseline.change_points import change_points, creeps, noise_of
 from calibration.engine.baseline.comparison import covariance_of_difference

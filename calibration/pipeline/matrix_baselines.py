@@ -5,9 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.base.errors import CalibrationError
-from calibration.ci.git.event import Event
-from calibration.ci.git.repository import Repository
+from calibration.ci.git import Repository
 from calibration.ci.services import event_of
+from calibration.ci.workflow.runner import Event
 from calibration.engine.baseline.document import MAX_BASELINE_BYTES, Baseline, parse_baseline, read_baseline
 from calibration.engine.baseline.settings import BaselineSettings
 from calibration.engine.baseline.update import BaselineUpdate, updates

@@ -13,8 +13,8 @@ from calibration.base.records import computed, field, result, with_fields
 from calibration.base.text import shorten
 from calibration.ci.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
 from calibration.ci.report.badge import BADGE_FILE as BADGE
-from calibration.ci.report.brief import BRIEF_FILE
-from calibration.ci.report.outcome import ErrorCode
+from calibration.ci.report.junit import ErrorCode
+from calibration.ci.report.results_json import BRIEF_FILE
 from calibration.engine.baseline.update import BaselineUpdate
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME

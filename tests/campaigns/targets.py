@@ -17,15 +17,15 @@ import numpy as np
 from calibration.__main__ import main
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.tables import judge, parse_rules, read_table
+from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.extraction import Budget, extract
-from calibration.ci.execution.globs import Glob
-from calibration.ci.git.changes import changed_lines
-from calibration.ci.github.comment_text import comment_text
+from calibration.ci.git import changed_lines
+from calibration.ci.github.comments import comment_text
 from calibration.ci.image.context import read_ignore_file
-from calibration.ci.image.recipe.repositories import read_repositories
+from calibration.ci.image.repositories import read_repositories
 from calibration.ci.image.specification import read_image_specification
-from calibration.ci.introspection.rules_file import read_rules
-from calibration.ci.report.brief import read_brief
+from calibration.ci.introspection import read_rules
+from calibration.ci.report.results_json import read_brief
 from calibration.engine.baseline.document import read_baseline
 from calibration.engine.dataset.configuration import read_configuration as read_atom_configuration
 from calibration.engine.dataset.depth_image import read_depth_image

@@ -9,7 +9,7 @@ import pytest
 
 from calibration.__main__ import main, run_action
 from calibration.ci.image import building
-from calibration.ci.image.builders.failure import BuildFailedError
+from calibration.ci.image.build_request import BuildFailedError
 from calibration.ci.image.building import BuiltImage
 from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
 from calibration.ci.registries.credentials import Credentials

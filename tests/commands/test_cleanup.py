@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.__main__ import main
-from calibration.ci.execution.docker.labels import JOB_LABEL, RUN_LABEL, Owner
+from calibration.ci.execution.docker.labels import JOB_LABEL, RUN_LABEL, Owner, new_run
 from calibration.ci.execution.docker.leftovers import Leftover, find_leftovers, remove
-from calibration.ci.execution.run_names import new_run
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -12,7 +12,7 @@ import yaml
 
 from calibration.__main__ import load_command
 from calibration.base.errors import InputError
-from calibration.ci.registries.promotion import promote
+from calibration.ci.registries.push import promote
 from calibration.ci.workflow import Runner
 from calibration.commands.plan_matrix import artifact_name
 from calibration.pipeline.distribution.jobs import ERROR_OUTPUT, SECONDS_FILE, SECONDS_OUTPUT, parse_needs

@@ -11,7 +11,7 @@ from defusedxml.ElementTree import fromstring
 
 from calibration.base.errors import ExitCode, InputError
 from calibration.ci.report import Report
-from calibration.ci.workflow.annotation import Level
+from calibration.ci.workflow.runner import Level
 from calibration.engine.diagnosis.finding import Finding
 from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, ParameterResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix

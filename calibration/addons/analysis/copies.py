@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath
 
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
-from calibration.ci.git.repository import Repository
+from calibration.ci.git import Repository
 
 MAX_BYTES = 1_000_000
 """Limit of a file's size in bytes; larger ones are generated."""

@@ -18,7 +18,7 @@ from calibration.addons.analysis.results import (
 from calibration.addons.analysis.sarif import SARIF_FILE
 from calibration.base.text import shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, count_of, outcome_of_check, verdict_of
-from calibration.ci.workflow.annotation import Annotation, Level
+from calibration.ci.workflow.runner import Annotation, Level
 
 TITLE = "static-analysis"
 MAX_FINDINGS_SHOWN = 100

@@ -36,8 +36,7 @@ from calibration.base.files import temporary_folder
 from calibration.base.records import field, record
 from calibration.base.text import did_you_mean, shorten
 from calibration.ci.execution.sizes import parse_seconds
-from calibration.ci.git.changes import find_base
-from calibration.ci.git.repository import Repository
+from calibration.ci.git import Repository, find_base
 from calibration.ci.report import FILES, Report, count_of, publish, remove_results
 from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner, annotate

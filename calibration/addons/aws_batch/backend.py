@@ -19,12 +19,11 @@ from calibration.addons.aws_batch.submitting import CloudLeftover, deregister, f
 from calibration.addons.aws_batch.wire import check_run_name
 from calibration.base.errors import InputError
 from calibration.ci.execution.backends import ExecutionTarget, Left, Leftovers, read_sections
-from calibration.ci.execution.docker.labels import Owner
+from calibration.ci.execution.docker.labels import Owner, new_run
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.job_check import check_jobs
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.ros import on_one_address
-from calibration.ci.execution.run_names import new_run
 from calibration.ci.workflow.streams import LogDisplay
 
 

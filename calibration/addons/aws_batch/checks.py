@@ -18,7 +18,7 @@ from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.wire import JOB_FOLDER, MOUNTS_FOLDER, PREPARE_CONTAINER, WATCH_CONTAINER
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.text import one_line, shorten
-from calibration.ci.execution.globs import Glob
+from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.job import OUTPUT, Container, Job, Relaxations
 from calibration.ci.registries.reference import ecr_host, parse_reference
 

@@ -25,11 +25,19 @@ from calibration.base.errors import CalibrationError, ExitCode, InfrastructureEr
 from calibration.base.files import write_atomically
 from calibration.base.redaction import redact
 from calibration.base.text import one_line, shorten
-from calibration.ci.execution.copying_out import complete_or_not_at_all
+from calibration.ci.execution.artifacts import complete_or_not_at_all
 from calibration.ci.execution.job import Container, Job
-from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER, LOGS_FOLDER, make_job_folder, write_manifest
-from calibration.ci.execution.job_verdict import failure_of, how_it_ended
-from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
+from calibration.ci.execution.outcome import (
+    ARTIFACTS_FOLDER,
+    LOGS_FOLDER,
+    ArtifactFile,
+    ContainerOutcome,
+    End,
+    JobOutcome,
+    make_job_folder,
+    write_manifest,
+)
+from calibration.ci.execution.supervision import failure_of, how_it_ended
 
 _HOST_LOST = ("Host EC2", "Your Spot Task was interrupted")
 _TIMEOUT_REASON = "Job attempt duration exceeded timeout"

@@ -34,9 +34,9 @@ from calibration.addons.aws_batch.submitting import (
 )
 from calibration.addons.aws_batch.wire import Location
 from calibration.base.errors import CalibrationError
+from calibration.ci.execution.docker.labels import new_run
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.outcome import JobOutcome
-from calibration.ci.execution.run_names import new_run
 from calibration.ci.workflow.streams import LogDisplay
 
 MAX_JOBS_WITH_LOGS = 16

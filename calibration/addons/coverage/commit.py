@@ -6,8 +6,8 @@ from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.addons.coverage.results import Span
 from calibration.base.errors import InputError
 from calibration.base.text import one_line, shorten
-from calibration.ci.git.event import Event
-from calibration.ci.git.repository import Repository, is_commit
+from calibration.ci.git import Repository, is_commit
+from calibration.ci.workflow.runner import Event
 
 
 def find_commit(given: str | None, event: Event, repository: Repository) -> tuple[str, str]:

@@ -24,12 +24,11 @@ from calibration.base.programs import hide
 from calibration.base.records import between, field, record
 from calibration.base.text import one_line
 from calibration.ci.execution.sizes import parse_seconds
-from calibration.ci.git.changes import changed_lines, files_without_lines, find_base
-from calibration.ci.git.event import Event
-from calibration.ci.git.repository import Repository
+from calibration.ci.git import Repository, changed_lines, files_without_lines, find_base
 from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner, add_mask, set_outputs
+from calibration.ci.workflow.runner import Event
 from calibration.commands.record_options import chosen, record_options
 
 TOKEN_VARIABLES = {"project_token": "CODACY_PROJECT_TOKEN", "api_token": "CODACY_API_TOKEN"}

@@ -15,7 +15,7 @@ from calibration.addons.coverage.lines import FileCoverage, combined
 from calibration.addons.coverage.sources import Sources, language_of
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
-from calibration.ci.git.repository import Repository
+from calibration.ci.git import Repository
 
 MAX_COPY = 8 * 1024 * 1024
 """Largest file that is compared with tracked files to find its original, in bytes."""

@@ -12,7 +12,7 @@ from calibration.base.errors import ExitCode
 from calibration.base.text import one_line, shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, outcome_of_check, verdict_of
 from calibration.ci.report.badge import BAD, FAIR, GOOD, NONE, drawn_badge
-from calibration.ci.workflow.annotation import Annotation, Level
+from calibration.ci.workflow.runner import Annotation, Level
 
 TITLE = "coverage-upload"
 LCOV_FILE = "lcov.info"

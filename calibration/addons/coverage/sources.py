@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from calibration.base.errors import InputError
-from calibration.ci.git.repository import Repository
+from calibration.ci.git import Repository
 
 SUFFIXES_OF_LANGUAGE = {
     "c": (".c",),

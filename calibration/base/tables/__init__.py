@@ -4,7 +4,7 @@
     rules = parse_rules([{"column": "RMS (pix)", "row": "Averages", "max": 3}], where="calibration.yml: rules")
     verdict = judge(table, rules)
 
-Rule files are read by :mod:`calibration.ci.introspection.rules_file`, which needs YAML.
+Rule files are read by :mod:`calibration.ci.introspection`, which needs YAML.
 Independent of calibration: any table with a header can be judged.
 """
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from calibration.base.errors import InputError
 from calibration.base.text import did_you_mean, shorten
-from calibration.ci.execution.globs import Glob
+from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.job import CONTAINER_NAME, OUTPUT, Container, Job, Limits, Mount, Readiness
 
 _JOB_NAME_PART = r"[A-Za-z0-9_+=,@][A-Za-z0-9_+=,@ .:-]{0,127}"

@@ -1,13 +1,19 @@
-"""Comment on a pull request, identified by a hidden marker, and updated by every run."""
+"""Comments of a workflow run on its pull request: found by a hidden marker, updated by every run, and their Markdown.
+
+The Markdown has no active mentions, references or links from untrusted text.
+"""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import quote
 
 from calibration.base.errors import InputError
-from calibration.ci.github.api import GitHubApi, MissingError
+from calibration.ci.github.api import API_URL, GitHubApi, MissingError
+from calibration.ci.github.service import GitHubEvent
+from calibration.ci.report.results_json import Brief
+from calibration.ci.workflow.markdown import escape_markdown, markdown_table
 
 MAX_COMMENT_CHARACTERS = 65_536
 """GitHub's limit of characters in a comment."""
@@ -147,3 +153,167 @@ class Comments:
             self.api.request("DELETE", f"/repos/{self.repository}/issues/comments/{comment}")
         except MissingError:  # another run has deleted it already
             return
+
+
+@dataclass(frozen=True)
+class WorkflowRun:
+    """The run that a comment reports: the current one, or the one that triggered it."""
+
+    workflow: str
+    """Name of the workflow."""
+    number: tuple[int, int]
+    """Numbers of the run and its attempt."""
+    url: str
+    """URL of the run's page."""
+    commit: str | None
+    """Hash of the tested commit, the head of the pull request."""
+
+
+@dataclass(frozen=True)
+class RunComments:
+    """Comments of a run on its pull request."""
+
+    comments: Comments
+    run: WorkflowRun
+
+    @property
+    def number(self) -> int:
+        """Number of the pull request."""
+        return self.comments.number
+
+    @property
+    def run_url(self) -> str:
+        """Address of the run's page."""
+        return self.run.url
+
+    @property
+    def commit(self) -> str | None:
+        """Hash of the tested commit."""
+        return self.run.commit
+
+    def keep(self, name: str, text: str) -> str:
+        """Write the workflow's comment of this name; raises as `Comments.keep`."""
+        return self.comments.keep(Marker(self._key_of(name), self.run.number), text)
+
+    def remove(self, name: str) -> int:
+        """Delete the workflow's comment of this name; raises as `Comments.remove`."""
+        return self.comments.remove(self._key_of(name))
+
+    def _key_of(self, name: str) -> str:
+        return f"{self.run.workflow}/{name}"
+
+
+def run_comments(environment: Mapping[str, str], token: str | None, api_url: str | None) -> RunComments | None:
+    """Return the comments on the pull request of the event; None if it has none that is open at this commit.
+
+    Raises:
+        InputError: there is no token, or it is refused, or the run has no number.
+        InfrastructureError: GitHub cannot be reached.
+    """
+    if token is None:
+        raise InputError("token: found none, expected ${{ github.token }} (on a command line: GITHUB_TOKEN)")
+    event = GitHubEvent.from_environment(environment)
+    api = GitHubApi.open(token, api_url or environment.get("GITHUB_API_URL") or API_URL)
+    number, run = pull_request_of(event, api), tested_run(event, environment)
+    if number is None or event.repository is None:
+        return None
+    return RunComments(Comments(api, event.repository, number), run)
+
+
+def pull_request_of(event: GitHubEvent, api: GitHubApi) -> int | None:
+    """Return the number of an event's pull request; None if there is none, or it is closed or has newer commits.
+
+    For an event ``workflow_run`` it is found by that run's branch and commit as GitHub reports them, never by
+    the artifacts of that run, which may be untrusted.
+
+    Raises:
+        InputError, InfrastructureError: as `GitHubApi.request`.
+    """
+    if event.name != "workflow_run":
+        number = event.at("pull_request", "number")
+        return number if isinstance(number, int) else None
+    owner = event.at("workflow_run", "head_repository", "owner", "login")
+    branch, commit = event.at("workflow_run", "head_branch"), event.at("workflow_run", "head_sha")
+    if not all(isinstance(part, str) and part for part in (owner, branch, commit)) or event.repository is None:
+        return None
+    head = quote(f"{owner}:{branch}", safe="")
+    for pull_request in api.pages(f"/repos/{event.repository}/pulls?state=open&head={head}&"):
+        tip, number = pull_request.get("head"), pull_request.get("number")
+        if isinstance(tip, dict) and tip.get("sha") == commit and isinstance(number, int):
+            return number
+    return None
+
+
+def tested_run(event: GitHubEvent, environment: Mapping[str, str]) -> WorkflowRun:
+    """Return the run that an event reports.
+
+    Raises:
+        InputError: the runner does not provide the number of the run.
+    """
+    if event.name == "workflow_run":
+        keys = ("id", "run_attempt", "name", "html_url", "head_sha")
+        run, attempt, name, url, commit = (event.at("workflow_run", key) for key in keys)
+    else:
+        run, attempt = (environment.get(f"GITHUB_RUN_{key}") for key in ("ID", "ATTEMPT"))
+        name, commit = environment.get("GITHUB_WORKFLOW"), event.at("pull_request", "head", "sha")
+        url = f"{environment.get('GITHUB_SERVER_URL')}/{event.repository}/actions/runs/{run}"
+    number = _parse_number(run, "GITHUB_RUN_ID"), _parse_number(attempt or 1, "GITHUB_RUN_ATTEMPT")
+    return WorkflowRun(str(name), number, str(url), commit if isinstance(commit, str) else None)
+
+
+def _parse_number(value: Any, variable: str) -> int:
+    text = str(value)
+    if not text.isascii() or not text.isdigit() or len(text) > 18:
+        raise InputError(f"{variable}: found {text!r:.40}, expected the number of a run: is this a GitHub runner?")
+    return int(text)
+
+
+MAX_ROWS_OF_TABLE = 40
+MAX_TEXT_CHARACTERS = MAX_COMMENT_CHARACTERS - 4096
+"""Characters; leaves room for the marker, and for characters that GitHub counts differently."""
+_CUT_NOTE = "\n\n*Truncated: the full report is on the page of the run.*\n"
+_SAFE_IN_ADDRESS = "/:?&=#%~"
+"""Characters that are not escaped in an address, beside letters and digits."""
+_ZERO_WIDTH_SPACE = "\u200b"
+"""Zero-width space."""
+_ACTIVE_POSITION = re.compile(r"(?<=@)|(?<=\\#)|(?<=:)(?=//)|(?<=[wW]{3})(?=\.)|(?<=[Gg][Hh])(?=-[0-9])")
+"""Positions in mentions, references and links where `_ZERO_WIDTH_SPACE` deactivates them."""
+
+
+def comment_text(brief: Brief, name: str, links: Mapping[str, str], commit: str | None = None) -> str:
+    """Return the Markdown of a comment: verdict, reasons, tables, links.
+
+    Args:
+        brief: results of the run, which may contain untrusted text.
+        name: name of the comment for its heading, which distinguishes it from others; may be empty.
+        links: trusted addresses by their title.
+        commit: hash of the tested commit.
+    """
+    mark = {"pass": "✅", "undecided": "🟡", "fail": "❌"}[brief.verdict]
+    title = f"Calibration{f' ({name})' if name else ''}: {brief.verdict}"
+    parts = [f"### {mark} {_literal_text(title)}\n\n{_literal_text(brief.sentence)}\n"]
+    if brief.about:
+        parts.append(f"{_literal_text(brief.about)}\n")
+    if brief.reasons:
+        parts.append("".join(f"- {_literal_text(reason)}\n" for reason in brief.reasons))
+    for table in brief.tables:
+        text = _deactivate_links(markdown_table(table.columns, table.rows[:MAX_ROWS_OF_TABLE]))
+        if (more := len(table.rows) - MAX_ROWS_OF_TABLE) > 0:
+            text += f"\nand {more} more\n"
+        parts.append(text)
+    ends = [f"[{name}]({quote(address, safe=_SAFE_IN_ADDRESS)})" for name, address in links.items()]
+    end = " · ".join([*ends, _literal_text(commit[:7])] if commit else ends)
+    text = "\n".join(parts)
+    if len(text) > MAX_TEXT_CHARACTERS:
+        text = text[: text.rfind("\n", 0, MAX_TEXT_CHARACTERS)] + _CUT_NOTE
+    return f"{text}\n{end}\n"
+
+
+def _literal_text(text: str) -> str:
+    """Escape a text to one line of Markdown that shows it literally; indented, it would be a block of code."""
+    return _deactivate_links(escape_markdown(text).strip())
+
+
+def _deactivate_links(markdown: str) -> str:
+    """Deactivate mentions, references and automatic links in Markdown."""
+    return _ACTIVE_POSITION.sub(_ZERO_WIDTH_SPACE, markdown)

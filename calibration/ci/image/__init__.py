@@ -1,8 +1,9 @@
 """Container images: from a specification to a Dockerfile, an image and a registry. Independent of calibration.
 
 - ``specification``: content of an image, as the user declares it;
-- ``recipe``: conversion to a Dockerfile;
+- ``dockerfile``, ``repositories``, ``user_text``: conversion to a Dockerfile;
 - ``context``, ``bases``, ``plan``, ``content_key``: input of the build, and its hash;
 - ``building``: search by the hash, build, and push;
-- ``builders``: the engine's classic builder, and BuildKit. Login, push and promotion are in `ci.registries`.
+- ``build_request``, ``buildkit``, ``engine_builder``: BuildKit, and the engine's classic builder. Login, push and
+  promotion are in `ci.registries`.
 """

@@ -10,8 +10,8 @@ import docker.errors
 
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.text import one_line, shorten
-from calibration.ci.docker.engine import connect, engine_errors
-from calibration.ci.image.builders.build_log import BuildLog
+from calibration.ci.docker_engine import connect, engine_errors
+from calibration.ci.image.build_request import BuildLog
 from calibration.ci.registries.credentials import Credentials, RegistrySettings
 from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.reference import Reference, parse_reference

@@ -1,7 +1,11 @@
-"""Plan of a build: context, Dockerfile and content key, determined before the build."""
+"""Plan of a build: context, Dockerfile and content key, determined before the build.
+
+A user's Dockerfile is analysed for its base images, and whether it needs BuildKit.
+"""
 
 import platform
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,14 +15,102 @@ from calibration.base.files import read_bytes
 from calibration.ci.image.bases import Base, Login, find_base
 from calibration.ci.image.content_key import content_key
 from calibration.ci.image.context import NO_SOURCES, Context, Ignored, read_ignore_file
-from calibration.ci.image.dockerfile_reading import bases_of, needs_buildkit
-from calibration.ci.image.recipe import layout
-from calibration.ci.image.recipe.dockerfile import Rendered, render
-from calibration.ci.image.recipe.repositories import Repository
+from calibration.ci.image.dockerfile import (
+    DOCKERFILE_NAME,
+    ENTRYPOINT_NAME,
+    Rendered,
+    copied_path,
+    manifests_path,
+    render,
+    requirements_path,
+    source_path,
+)
+from calibration.ci.image.repositories import Repository
 from calibration.ci.image.specification import ImageSpecification, OwnDockerfile, Recipe
 
 if TYPE_CHECKING:
     from docker import DockerClient
+
+
+_ESCAPE_DIRECTIVE = re.compile(r"#\s*escape\s*=\s*(\S)\s*$", re.IGNORECASE)
+_HERE_DOCUMENT = re.compile(r"""<<-?(["']?)([A-Za-z_][A-Za-z0-9_]*)\1""")
+_VARIABLE_USE = re.compile(r"\$(?:(\w+)|\{(\w+)(?::?-([^}]*))?\})")
+_NEEDS_BUILDKIT = re.compile(
+    r"^\s*#\s*syntax\s*=|^\s*RUN\s+--(mount|network|security)=|^\s*(COPY|ADD)\s.*--(link|chmod|checksum|exclude|parents)\b"
+    r"|^\s*(RUN|COPY|ADD)\s.*<<-?[\"']?[A-Za-z_]",
+    re.IGNORECASE | re.MULTILINE,
+)
+
+
+@dataclass(frozen=True)
+class Bases:
+    """Images of a Dockerfile's FROM and COPY --from."""
+
+    images: tuple[str, ...]
+    unresolved: tuple[str, ...] = ()
+    """Names with variables that only the builder knows."""
+
+
+def needs_buildkit(dockerfile: str) -> bool:
+    """Return whether a Dockerfile needs BuildKit, as opposed to the classic builder."""
+    return _NEEDS_BUILDKIT.search(dockerfile) is not None
+
+
+def bases_of(dockerfile: str, arguments: Mapping[str, str]) -> Bases:
+    """Return the images of ``FROM`` and ``COPY --from``, with values of ``ARG`` substituted."""
+    values: dict[str, str] = {}
+    stages: list[str] = []
+    images: list[str] = []
+    for word, rest in _read_instructions(dockerfile):
+        if word == "ARG" and not stages:
+            for item in rest.split():
+                name, _, default = item.partition("=")
+                values[name] = arguments.get(name, _fill_variables(default.strip("\"'"), values))
+        elif word == "FROM":
+            words = [item for item in rest.split() if not item.startswith("--")]
+            image = _fill_variables(words[0], values) if words else ""
+            if image.lower() not in (*stages, "scratch", ""):
+                images.append(image)
+            stages.append(words[2].lower() if len(words) == 3 and words[1].lower() == "as" else "")
+        elif found := re.search(r"(?:--from=|--mount=\S*\bfrom=)([^\s,]+)", rest):
+            image = _fill_variables(found[1], values)
+            if not image.isdecimal() and image.lower() not in stages:
+                images.append(image)
+    known = dict.fromkeys(images)
+    return Bases(tuple(i for i in known if "$" not in i), tuple(i for i in known if "$" in i))
+
+
+def _read_instructions(dockerfile: str) -> Iterator[tuple[str, str]]:
+    """Yield instructions and their arguments on one line, without comments and here-documents."""
+    lines = iter(dockerfile.lstrip("\ufeff").split("\n"))
+    escape = "\\"
+    part = ""
+    for number, line in enumerate(lines):
+        if number < 2 and (found := _ESCAPE_DIRECTIVE.match(line)):
+            escape = found[1]
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        part += line.strip()
+        if part.endswith(escape):
+            part = part[:-1] + " "
+            continue
+        word, _, rest = part.partition(" ")
+        yield word.upper(), rest.strip()
+        if word.upper() in ("RUN", "COPY", "ADD"):
+            for _, end in _HERE_DOCUMENT.findall(part):
+                for inside in lines:
+                    if inside.strip() == end:
+                        break
+        part = ""
+
+
+def _fill_variables(text: str, values: Mapping[str, str]) -> str:
+    def value(match: re.Match[str]) -> str:
+        name, default = match[1] or match[2], match[3]
+        return values.get(name) or (match[0] if default is None else default)
+
+    return _VARIABLE_USE.sub(value, text)
+
 
 MANIFEST_NAMES = frozenset({"package.xml", "CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE"})
 """Files that describe the packages of a workspace; rosdep reads no others."""
@@ -75,7 +167,7 @@ def make_plan(
     else:
         base = find_base(client, source.base, login, ask_registry=ask_registry)
         rendered = add_recipe(specification, context, base.digest)
-        name, text, buildkit = layout.DOCKERFILE_NAME, rendered.dockerfile, rendered.needs_buildkit
+        name, text, buildkit = DOCKERFILE_NAME, rendered.dockerfile, rendered.needs_buildkit
         bases, notes = (base,), tuple(_moving_parts(source))
     platforms = specification.platforms or (_own_platform(client),)
     identities = {base.name: base.identity for base in bases}
@@ -93,20 +185,20 @@ def add_recipe(specification: ImageSpecification, context: Context, base_digest:
     if not isinstance(recipe, Recipe):
         raise AssertionError("only a recipe is rendered")
     for number, file in enumerate(recipe.requirements):
-        context.add_file(layout.requirements(number), file, "pip")
+        context.add_file(requirements_path(number), file, "pip")
     for number, copied in enumerate(recipe.files):
         if copied.source.is_dir():
-            context.add_folder(layout.copied(number), copied.source, "files", _ignored_files(copied.source))
+            context.add_folder(copied_path(number), copied.source, "files", _ignored_files(copied.source))
         else:
-            context.add_file(layout.copied(number), copied.source, "files")
+            context.add_file(copied_path(number), copied.source, "files")
     for number, folder in enumerate(recipe.workspace.sources if recipe.workspace else ()):
         ignored = _ignored_files(folder)
-        context.add_folder(layout.manifests(number), folder, "workspace.sources", ignored, only=MANIFEST_NAMES)
-        context.add_folder(layout.source(number), folder, "workspace.sources", ignored)
+        context.add_folder(manifests_path(number), folder, "workspace.sources", ignored, only=MANIFEST_NAMES)
+        context.add_folder(source_path(number), folder, "workspace.sources", ignored)
     rendered = render(specification, base_digest)
-    context.add_bytes(layout.DOCKERFILE_NAME, rendered.dockerfile.encode())
+    context.add_bytes(DOCKERFILE_NAME, rendered.dockerfile.encode())
     if rendered.entrypoint is not None:
-        context.add_bytes(layout.ENTRYPOINT_NAME, rendered.entrypoint.encode(), executable=True)
+        context.add_bytes(ENTRYPOINT_NAME, rendered.entrypoint.encode(), executable=True)
     return rendered
 
 

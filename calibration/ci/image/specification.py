@@ -51,8 +51,8 @@ from calibration.base.records import (
     read,
     record,
 )
-from calibration.ci.image.recipe.repositories import Repository, read_repositories
-from calibration.ci.image.recipe.user_text import check_line, check_text, package_name
+from calibration.ci.image.repositories import Repository, read_repositories
+from calibration.ci.image.user_text import check_line, check_text, package_name
 from calibration.ci.registries.credentials import RegistrySettings, VariableName
 from calibration.ci.registries.reference import Reference, parse_reference
 

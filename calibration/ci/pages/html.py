@@ -1,6 +1,11 @@
-"""HTML elements; strings are escaped unless they are markup."""
+"""HTML page: its elements, tables sorted by a click on a header, sections, head, style and script.
 
+Strings are escaped unless they are markup.
+"""
+
+import re
 from collections.abc import Sequence
+from pathlib import Path
 
 from calibration.base.text import escape_markup
 
@@ -40,3 +45,89 @@ def join(parts: Sequence[str]) -> Html:
 def number(value: str | float) -> str:
     """Format an attribute's value; numbers with the precision of a picture."""
     return value if isinstance(value, str) else f"{value:.6g}" if isinstance(value, int) else f"{round(value, 2):g}"
+
+
+MOST_ROWS = 500
+NO_BREAK = "\u00a0"
+BETWEEN_VALUES = re.compile(r"(?<=[^\W\d]|\)), ")
+"""Between two values: after a unit or a bracket, as the numbers of a vector belong together."""
+VERDICT_WORD = re.compile(r"\b(FAIL|UNDECIDED)\b")
+LONGEST_VALUE = 40
+"""Characters: what is longer is no value, and breaks over lines."""
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
+    """Return a table whose first column names the rows; empty if there are no rows."""
+    if not rows:
+        return Html("")
+    head = element("tr", *(element("th", name, scope="col") for name in columns))
+    body = [
+        element(
+            "tr",
+            element("th", _keep_values_unbroken(row[0]), scope="row"),
+            *(element("td", _keep_values_unbroken(text), class_=_class_of_verdict(text)) for text in row[1:]),
+        )
+        for row in rows[:MOST_ROWS]
+    ]
+    more = f"The first {MOST_ROWS} of {len(rows)} rows." if len(rows) > MOST_ROWS else ""
+    whole = element("table", element("thead", head), element("tbody", *body), class_="sortable")
+    return join([element("div", whole, class_="scroll", tabindex="0", role="group", aria_label=columns[0]), more])
+
+
+def _class_of_verdict(text: str) -> str | None:
+    """Return the class of a cell whose text has a verdict that is not pass."""
+    found = VERDICT_WORD.search(text)
+    return found[0].lower() if found else None
+
+
+def _keep_values_unbroken(text: str) -> str:
+    """Return a cell's text with no-break spaces inside its values, and the sign ±, after which no line breaks."""
+    parts = BETWEEN_VALUES.split(text.replace(" +- ", " ± "))
+    whole = (len(part) <= LONGEST_VALUE and any(map(str.isdigit, part)) for part in parts)
+    return ", ".join(part.replace(" ", NO_BREAK) if keep else part for part, keep in zip(parts, whole, strict=True))
+
+
+_SECURITY_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
+"""Content security policy: no external resources."""
+
+
+def page(title: str, sections: list[Html]) -> str:
+    """Return a self-contained page: the same bytes for the same sections."""
+    style, script = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    head = join(
+        [
+            element("meta", charset="utf-8"),
+            element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+            element("meta", http_equiv="Content-Security-Policy", content=_SECURITY_POLICY),
+            element("title", title),
+            Html(f"<style>\n{style}</style>"),
+        ]
+    )
+    body = join([element("main", *sections), Html(f"<script>\n{script}</script>")])
+    return f'<!doctype html>\n<html lang="en">\n<head>{head}</head>\n<body>{body}</body>\n</html>\n'
+
+
+def section(title: str, *content: str, level: int = 2, anchor: str | None = None) -> Html:
+    """Return a section with its heading."""
+    return element("section", element(f"h{level}", title), *content, id_=anchor)
+
+
+def figure(drawing: Html, caption: str) -> Html:
+    """Return a figure with its caption."""
+    return element("figure", drawing, element("figcaption", caption))
+
+
+def folded(title: str, *content: str, opened: bool = False) -> Html:
+    """Return a section that a reader can open."""
+    return element("details", element("summary", title), *content, open_="open" if opened else None)
+
+
+def verdict_line(verdict: str, sentence: str) -> Html:
+    """Return a paragraph with the highlighted verdict and its numbers."""
+    return element("p", element("span", verdict, class_=f"verdict {verdict}"), f" {sentence}")
+
+
+def bullets(lines: Sequence[str]) -> Html:
+    """Return a list; empty if there are no lines."""
+    items = (element("li", line.replace(" +- ", " ± ")) for line in lines)
+    return element("ul", *items, class_="reasons") if lines else Html("")

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.base.arrays import Array
+from calibration.ci.pages.charts import drawing, path
 from calibration.ci.pages.html import Html, element, join
-from calibration.ci.pages.svg import drawing, path
 
 FIGURE_WIDTH, FIGURE_HEIGHT = 900.0, 520.0
 FILLED_FRACTION = 0.92

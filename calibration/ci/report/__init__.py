@@ -6,10 +6,9 @@ A command describes its results in a :class:`Report`: its verdict, a :class:`Che
 
 from calibration.base.text import count_of
 from calibration.base.verdict import VERDICTS, Check, Verdict, at_least, at_most, expectation, verdict_of, worst_verdict
-from calibration.ci.report.blocks import Block, Code, Lines, Text
-from calibration.ci.report.outcome import Outcome, outcome_of_check
-from calibration.ci.report.publishing import publish, remove_results, show
-from calibration.ci.report.report import FILES, Report
+from calibration.ci.report.blocks import Block, Code, Lines, Table, Text, shown
+from calibration.ci.report.junit import Outcome, outcome_of_check
+from calibration.ci.report.report import FILES, Report, publish, remove_results, show
 from calibration.ci.report.results_json import (
     RESULTS_FILE,
     Head,
@@ -17,7 +16,6 @@ from calibration.ci.report.results_json import (
     reasons_in,
     results_text,
 )
-from calibration.ci.report.table import Table, shown
 
 __all__ = [
     "FILES",

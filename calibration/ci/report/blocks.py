@@ -1,12 +1,14 @@
-"""Blocks of a report, each of which can be formatted for the log and as Markdown."""
+"""Blocks of a report: texts, lists, code and tables, each formatted for the log and as Markdown."""
 
+import csv
+import io
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from calibration.base.text import one_line
-from calibration.ci.workflow.markdown import code_block, escape_markdown
+from calibration.base.text import aligned, one_line
+from calibration.ci.workflow.markdown import code_block, escape_markdown, markdown_table
 
 MOST_LINES = 1000
 """Default limit of lines or rows of a block; files of results contain all."""
@@ -85,3 +87,63 @@ class Code(Block):
     def markdown(self) -> str:
         """Return a fenced code block."""
         return code_block(self.text) if self.text else ""
+
+
+@dataclass(frozen=True)
+class Table(Block):
+    """A table of strings with a header."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    most_rows: int = MOST_LINES
+    """Maximum number of rows in the log and the summary; CSV contains all."""
+    rest: str = "results.json"
+    """File that contains the remaining rows."""
+    most_columns: int | None = None
+    """Maximum number of columns beside the first in the log; the remaining ones follow below."""
+    empty: str = "-"
+    """Text for a missing value; when the log splits columns, rows of missing values are omitted."""
+
+    def plain(self) -> str:
+        """Return the table with aligned columns."""
+        return "\n\n".join(aligned(part.columns, part._shown_rows()) for part in self.parts() if part.rows)
+
+    def markdown(self) -> str:
+        """Return a Markdown table."""
+        return markdown_table(self.columns, self._shown_rows()) if self.rows else ""
+
+    def csv(self) -> str:
+        r"""Return the table as CSV; lines end in ``\n``."""
+        return csv_text(self.columns, self.rows)
+
+    def parts(self) -> "list[Table]":
+        """Split the table into parts that are narrow enough for the log, each with the first column."""
+        if self.most_columns is None:
+            return [self]
+        parts = []
+        for first in range(1, max(len(self.columns), 2), self.most_columns):
+            side = slice(first, first + self.most_columns)
+            rows = tuple((row[0], *row[side]) for row in self.rows if set(row[side]) - {self.empty})
+            parts.append(Table((self.columns[0], *self.columns[side]), rows, self.most_rows, self.rest))
+        return parts
+
+    def _shown_rows(self) -> tuple[tuple[str, ...], ...]:
+        labels = cut([row[0] for row in self.rows], self.most_rows, self.rest)
+        more = ((labels[-1], *[""] * (len(self.columns) - 1)),) if len(self.rows) > self.most_rows else ()
+        return (*self.rows[: self.most_rows], *more)
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    r"""Return a header and rows as CSV; lines end in ``\n``, None is an empty cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def shown(value: float | None, form: str, unit: str = "", empty: str = "-") -> str:
+    """Format a number for a table: ``0.42 mm``."""
+    if value is None:
+        return empty
+    return f"{value:{form}} {unit}" if unit else format(value, form)

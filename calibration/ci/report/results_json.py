@@ -1,4 +1,7 @@
-"""results.json, which begins with the same keys for every command: schema, verdict and reasons."""
+"""Documents of a report: results.json, which begins with the same keys for every command, and comment.json.
+
+comment.json is the content of a comment on a pull request, which a job with a token writes later.
+"""
 
 import json
 from collections.abc import Sequence
@@ -66,3 +69,49 @@ def reasons_in(folder: Path) -> tuple[str, ...]:
         return read_results_file(Head, folder / RESULTS_FILE, "a command")[0].reasons
     except CalibrationError:
         return ()
+
+
+BRIEF_FILE = "comment.json"
+MAX_BRIEF_BYTES = 4 * 1024**2
+
+
+@result
+class BriefTable:
+    """A table of strings."""
+
+    columns: tuple[str, ...] = field("The header.")
+    rows: tuple[tuple[str, ...], ...] = field("Rows with as many cells as the header.", default=())
+
+
+@result(kw_only=True)
+class Brief:
+    """Brief results of a command."""
+
+    schema: Literal[1] = field("Version of this format.", default=1)
+    verdict: Verdict = field("Whether all requirements are met; undecided if the data cannot tell.")
+    sentence: str = field("The verdict's numbers in one line.")
+    about: str = field("What the results are of: the commit and its date.", default="")
+    reasons: tuple[str, ...] = field("Why the verdict is not pass, worst first.", default=())
+    tables: tuple[BriefTable, ...] = field("Tables of the comment.", default=())
+
+    @property
+    def text(self) -> str:
+        """Content of the file."""
+        return json.dumps(value_of(self), indent=1) + "\n"
+
+
+def read_brief(path: Path) -> Brief:
+    """Read a brief report, which may be untrusted.
+
+    Raises:
+        InputError: it cannot be read, is too large, or is not a brief report.
+    """
+    try:
+        document = parse_json(read_bytes(path, MAX_BRIEF_BYTES, "a report in brief"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: this is not a report in brief: {error}") from None
+    brief = read(Brief, document, str(path))
+    for table in brief.tables:
+        if any(len(row) != len(table.columns) for row in table.rows):
+            raise InputError(f"{path}: tables: found a row that is not as long as its header")
+    return brief

@@ -3,9 +3,10 @@
 `runner.py` has the interface of a service, and the plain terminal; `calibration.ci.services` names the others.
 """
 
-from calibration.ci.workflow.annotation import Annotation, Level
-from calibration.ci.workflow.runner import Runner
-from calibration.ci.workflow.step import (
+from calibration.ci.workflow.runner import (
+    Annotation,
+    Level,
+    Runner,
     add_mask,
     add_summary,
     annotate,

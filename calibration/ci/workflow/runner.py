@@ -1,18 +1,136 @@
-"""The runner of a step, and the interface of the CI service that runs it: a plain terminal, if there is none."""
+"""The runner of a step, and the interface of the CI service that runs it: a plain terminal, if there is none.
 
+Outputs and summary are handed over by files in GitHub's form.
+"""
+
+import enum
+import json
 import os
+import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TextIO, TypeAlias
 
-from calibration.base.errors import InputError, brief
+from calibration.base.errors import InfrastructureError, InputError, brief
+from calibration.base.redaction import derived_forms
 from calibration.base.text import one_line
-from calibration.ci.git.event import Event
-from calibration.ci.workflow.annotation import Annotation
-from calibration.ci.workflow.step_files import OutputValue, append_outputs, append_summary
+
+
+class Level(enum.StrEnum):
+    """Severity of an annotation."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    NOTICE = "notice"
+
+
+@dataclass(frozen=True)
+class Annotation:
+    """Message of an annotation, with its file and line if it has them."""
+
+    message: str
+    level: Level = Level.ERROR
+    file: str | Path | None = None
+    line: int | None = None
+    """Line number, the first is 1."""
+    title: str | None = None
+
+
+OutputValue: TypeAlias = str | Path | bool | int | float | Sequence[object] | Mapping[str, object]
+"""Booleans are written as true and false, lists and mappings as JSON on one line."""
+MAX_SUMMARY_BYTES = 1024 * 1024
+"""GitHub's limit of the summary of a step; a longer one is dropped completely."""
+
+_OUTPUT_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+_CUT_NOTE = b"\n\n*The summary was cut here: GitHub takes 1 MiB. Everything is in the log.*\n"
+
+
+def append_outputs(path: Path | None, values: Mapping[str, OutputValue]) -> None:
+    """Append outputs of the step to a file; check them only, if there is none.
+
+    Raises:
+        ValueError: GitHub rejects a name, or a number is not finite.
+        InfrastructureError: the file cannot be written.
+    """
+    lines = "".join(_format_assignment(name, _output_text(value)) for name, value in values.items())
+    if path is None:
+        return
+    try:
+        with path.open("a", encoding="utf-8", errors="backslashreplace", newline="") as file:
+            file.write(lines)
+    except OSError as error:
+        raise InfrastructureError(f"{path}: the step's outputs cannot be written: {error.strerror}") from error
+
+
+def append_summary(path: Path | None, markdown: str) -> None:
+    """Append Markdown to the step's summary, if there is a file for it; beyond the limit it is cut with a remark.
+
+    Raises:
+        InfrastructureError: the file cannot be written.
+    """
+    if path is None:
+        return
+    try:
+        with path.open("ab") as file:
+            text = (markdown.rstrip("\n") + "\n").encode("utf-8", "replace")
+            file.write(_cut_to_bytes(text, MAX_SUMMARY_BYTES - file.tell()))
+    except OSError as error:
+        raise InfrastructureError(f"{path}: the step's summary cannot be written: {error.strerror}") from error
+
+
+def _output_text(value: OutputValue) -> str:
+    if isinstance(value, str | Path):
+        return str(value)
+    return json.dumps(value, allow_nan=False)
+
+
+def _format_assignment(name: str, value: str) -> str:
+    if not _OUTPUT_NAME.fullmatch(name):
+        raise ValueError(f"{name!r} is not the name of an output")
+    if "\n" not in value and "\r" not in value:
+        return f"{name}={value}\n"
+    # A random end, which the value cannot contain: otherwise untrusted text could set another output.
+    delimiter = f"end-{os.urandom(16).hex()}"
+    return f"{name}<<{delimiter}\n{value}\n{delimiter}\n"
+
+
+def _cut_to_bytes(text: bytes, room: int) -> bytes:
+    """Cut a text at the end of a line, so that it fits with a note."""
+    if len(text) <= room:
+        return text
+    if room < len(_CUT_NOTE):
+        return b""
+    kept = text[: room - len(_CUT_NOTE)]
+    kept = kept[: kept.rfind(b"\n")] if b"\n" in kept else kept.decode("utf-8", "ignore").encode()
+    return kept + _CUT_NOTE
+
+
+@dataclass(frozen=True)
+class Event:
+    """What started the run, as its CI service tells; nothing is known on a terminal."""
+
+    name: str = ""
+    """The service's own name: push, pull_request; empty on a terminal."""
+    commit: str = ""
+    """Hash of the commit that the service runs on; of a pull request it may be a merge made for testing."""
+    pull_request_commit: str | None = None
+    """Hash of the last commit of the pull request's branch."""
+    followed_commit: str | None = None
+    """Hash of the commit of the earlier run that this one follows."""
+    checks_out_base: bool = False
+    """Whether the checkout of a pull request is its base, unless the workflow asks for another commit."""
+    by_stranger: str | None = None
+    """Reason why the run has neither secrets nor a write token; None if it has."""
+    without_secrets: str | None = None
+    """Reason why the run has no access to the team's secrets; None if it has."""
+    without_comment: str | None = None
+    """Reason why the run cannot write comments; None if it can."""
+    bases: tuple[str, ...] = ()
+    """Commits or branches that a change may be compared with, in order of preference."""
+
 
 MAX_PLAIN_ANNOTATIONS = 1000
 """Maximum number of annotations that are printed as plain lines."""
@@ -225,3 +343,62 @@ class Runner:
 
 
 TERMINAL: Service = Terminal()
+
+
+def group(runner: Runner, title: str) -> AbstractContextManager[None]:
+    """Fold the output of the block under a title; a terminal shows the title only.
+
+    GitHub does not support nested groups. Print the verdict outside.
+    """
+    return runner.service.group(runner, one_line(title))
+
+
+def stop_commands(runner: Runner, stream: TextIO | None = None) -> AbstractContextManager[None]:
+    """Disable the service's commands in the output of the block, for output of other programs.
+
+    ``stream`` is the stream of the output, by default stdout.
+    """
+    return runner.service.stop_commands(runner, stream or runner.stdout)
+
+
+def annotate(runner: Runner, annotations: Iterable[Annotation]) -> None:
+    """Print annotations, which the service shows at their files; a terminal has lines ``error: file:line: message``.
+
+    A service may show only the first ones: print everything in the log or the summary as well, and call this
+    once per step.
+    """
+    runner.service.annotate(runner, annotations)
+
+
+def report_error(runner: Runner, message: str) -> None:
+    """Print the error that ends the command in one line on stderr, and announce it to the service."""
+    message = brief(one_line(message))
+    print(f"error: {message}", file=runner.stderr, flush=True)
+    runner.service.announce_error(runner, message)
+
+
+def add_mask(runner: Runner, secret: str) -> None:
+    """Mask a secret in the service's log, in every form in which it may be printed.
+
+    Call it before any other output. On a terminal it does nothing: use `calibration.base.redaction.redact`.
+    """
+    runner.service.mask(runner, derived_forms(secret))
+
+
+def set_outputs(runner: Runner, values: Mapping[str, OutputValue]) -> None:
+    """Set outputs of the step; does nothing if the runner has no place for them.
+
+    Raises:
+        ValueError: the service rejects a name, or a number is not finite.
+        InfrastructureError: they cannot be written.
+    """
+    runner.service.set_outputs(runner, values)
+
+
+def add_summary(runner: Runner, markdown: str) -> None:
+    """Append Markdown to the step's summary; does nothing if the runner has no place for it.
+
+    Raises:
+        InfrastructureError: it cannot be written.
+    """
+    runner.service.add_summary(runner, markdown)

@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from calibration.base.text import one_line, shorten, without_escapes
-from calibration.ci.workflow.runner import Runner
-from calibration.ci.workflow.step import group, stop_commands
+from calibration.ci.workflow.runner import Runner, group, stop_commands
 
 MAX_SHOWN_CHARACTERS = 4 * 1024**2
 """Limit of characters of one stream; the rest is not shown."""

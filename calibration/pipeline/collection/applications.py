@@ -13,9 +13,18 @@ from typing import Annotated, Literal
 
 from calibration.base.errors import InputError
 from calibration.base.records import ByName, Converted, Place, between, field, length, matching, record
-from calibration.ci.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network, with_secrets
+from calibration.ci.execution.job import (
+    NETWORK_HELP,
+    OUTPUT,
+    Artifact,
+    Container,
+    Job,
+    Mount,
+    Network,
+    fill,
+    with_secrets,
+)
 from calibration.ci.execution.job_check import check_job
-from calibration.ci.execution.placeholders import fill
 from calibration.ci.execution.ros import ROS_HELP, Ros, with_ros
 from calibration.ci.execution.sizes import Seconds
 

@@ -16,8 +16,7 @@ from calibration.base.errors import CalibrationError, ExitCode, InfrastructureEr
 from calibration.base.files import read_bytes, temporary_folder, write_atomically
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import Job
-from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER, LOGS_FOLDER
-from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, JobOutcome
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.model import CornerLabels, Dataset, label_count

@@ -18,8 +18,7 @@ from calibration.base.files import read_bytes, temporary_folder, write_atomicall
 from calibration.base.records import read, text_of
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Mount
-from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER, LOGS_FOLDER
-from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, JobOutcome
 from calibration.ci.execution.tasks import run_tasks
 from calibration.ci.execution.workspace import identity, workspace
 from calibration.pipeline.collection.applications import INPUT_FOLDER

@@ -9,9 +9,7 @@ import numpy as np
 
 from calibration import __version__
 from calibration.base.records import value_of
-from calibration.ci.pages.html import Html, element, join
-from calibration.ci.pages.page import bullets, figure, page, verdict_line
-from calibration.ci.pages.tables import table
+from calibration.ci.pages.html import Html, bullets, element, figure, join, page, table, verdict_line
 from calibration.ci.report import Lines, Outcome, Report, Table, Text, outcome_of_check
 from calibration.pipeline.collection.results import CollectionDocument, CollectionResults, LostPose, SensorNumbers
 from calibration.robot.simulation.collection.proof import Proof

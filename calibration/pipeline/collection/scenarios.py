@@ -19,8 +19,7 @@ from calibration.base.records import document_of, field, length, read, record
 from calibration.base.text import one_line
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.job import Job
-from calibration.ci.execution.job_folder import LOGS_FOLDER
-from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.outcome import LOGS_FOLDER, JobOutcome
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.pipeline.collection.scenario_report import REPORT_FILES
 from calibration.robot.simulation.scenarios.scenario import Amount, ScenarioResult

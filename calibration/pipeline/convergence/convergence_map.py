@@ -8,7 +8,7 @@ from itertools import product, takewhile
 from calibration.base.errors import ExitCode, exit_code_of
 from calibration.base.records import computed, field, result
 from calibration.ci.report import Check, Verdict, at_least, verdict_of
-from calibration.ci.report.outcome import ErrorCode
+from calibration.ci.report.junit import ErrorCode
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.system import NoiseGrid
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from calibration.base.records import computed, field, record, result
 from calibration.ci.report import Verdict
-from calibration.ci.report.outcome import ErrorCode
+from calibration.ci.report.junit import ErrorCode
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineChange
 from calibration.engine.diagnosis.finding import Finding, FindingKind

@@ -13,8 +13,7 @@ from calibration.base.tables.selection import KeyedTable, LabelledRow
 from calibration.base.tables.table import read_table
 from calibration.base.text import number_text, parse_number
 from calibration.ci.execution.job import OUTPUT, Job, Mount
-from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER
-from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, JobOutcome
 from calibration.ci.execution.tasks import Task
 from calibration.engine.baseline.calibration_document import SoftwareStart
 from calibration.engine.baseline.verdict import against_baseline, nothing_accepted, software_against_baseline

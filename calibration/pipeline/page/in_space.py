@@ -6,9 +6,9 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.errors import CalibrationError
+from calibration.ci.pages.charts import thinned
 from calibration.ci.pages.html import Html, element, join
 from calibration.ci.pages.scene import Line, scene
-from calibration.ci.pages.svg import thinned
 from calibration.engine.dataset.model import Dataset, Sensor
 from calibration.engine.geometry.transforms import apply
 

@@ -9,13 +9,9 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.base.errors import CalibrationError
 from calibration.base.optional import optional
-from calibration.ci.pages.heat_map import heat_map
-from calibration.ci.pages.histogram import histogram
-from calibration.ci.pages.html import Html, element
-from calibration.ci.pages.image_map import image_map
-from calibration.ci.pages.overlay import overlay
-from calibration.ci.pages.page import figure
-from calibration.ci.pages.residual_plane import residual_plane
+from calibration.ci.pages.charts import heat_map, histogram
+from calibration.ci.pages.html import Html, element, figure
+from calibration.ci.pages.image_figures import image_map, overlay, residual_plane
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.model import Dataset, Sensor
 from calibration.engine.dataset.payload import locate

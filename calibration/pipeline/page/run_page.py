@@ -8,12 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.base.errors import CalibrationError
-from calibration.ci.pages.ellipses import ellipses
-from calibration.ci.pages.heat_map import heat_map
-from calibration.ci.pages.html import Html, element, join
-from calibration.ci.pages.page import bullets, figure, folded, page, section, verdict_line
-from calibration.ci.pages.tables import table
-from calibration.ci.pages.trend import trend
+from calibration.ci.pages.charts import ellipses, heat_map, trend
+from calibration.ci.pages.html import Html, bullets, element, figure, folded, join, page, section, table, verdict_line
 from calibration.ci.report import VERDICTS, Report, Verdict
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset

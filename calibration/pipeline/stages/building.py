@@ -5,7 +5,7 @@ from dataclasses import replace
 from calibration.base.errors import InfrastructureError
 from calibration.ci.image.building import build_image
 from calibration.ci.registries.login import registry_login
-from calibration.ci.registries.promotion import promote
+from calibration.ci.registries.push import promote
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.results import ImageResult
 from calibration.pipeline.stages.running import PipelineRun

@@ -14,7 +14,7 @@ from calibration.base.documents import line_of
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.text import did_you_mean
 from calibration.ci.execution.backends import ExecutionTarget, Sections
-from calibration.ci.execution.folder_lock import locked
+from calibration.ci.execution.workspace import locked
 from calibration.ci.report import Report, publish
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay

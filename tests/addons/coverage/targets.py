@@ -4,7 +4,7 @@ from pathlib import Path
 
 from calibration.addons.coverage.reading import read_reports
 from calibration.addons.coverage.sources import Sources
-from calibration.ci.git.repository import Repository
+from calibration.ci.git import Repository
 from calibration.ci.report.xunit_reading import read_test_report
 from tests.campaigns.target import Target, files_of
 

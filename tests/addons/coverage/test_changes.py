@@ -9,8 +9,7 @@ from calibration.addons.coverage.commit import coverage_of_change
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.addons.coverage.results import Span
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.ci.git.changes import changed_lines, files_without_lines, find_base
-from calibration.ci.git.repository import Repository
+from calibration.ci.git import Repository, changed_lines, files_without_lines, find_base
 from tests.repositories import commit, git
 
 LINE = st.sampled_from(
@@ -35,7 +34,7 @@ def test_files_of_which_git_tells_no_lines(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="needs prlimit")
 def test_the_memory_of_git_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The attribute ``diff`` makes text of a file of any size: 60 MB of line breaks took 2.4 GB."""
-    monkeypatch.setattr("calibration.ci.git.repository.MAX_MEMORY_BYTES", 200 * 1024**2)
+    monkeypatch.setattr("calibration.ci.git.MAX_MEMORY_BYTES", 200 * 1024**2)
     base = commit(tmp_path, {"large.txt": "1\n", ".gitattributes": "* diff\n"})
     commit(tmp_path, {"large.txt": "\n" * 11_000_000})
     with pytest.raises(InfrastructureError, match=r"git diff .*: Out of memory"):

@@ -6,10 +6,10 @@ import pytest
 
 from calibration.addons.coverage.commit import find_commit
 from calibration.base.errors import InputError
-from calibration.ci.git.event import Event
-from calibration.ci.git.repository import Repository
-from calibration.ci.github.event import GitHubEvent
+from calibration.ci.git import Repository
+from calibration.ci.github.service import GitHubEvent
 from calibration.ci.services import event_of
+from calibration.ci.workflow.runner import Event
 from tests.repositories import commit, git
 
 A, B, C = "a" * 40, "b" * 40, "c" * 40

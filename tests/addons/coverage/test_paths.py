@@ -5,7 +5,7 @@ import pytest
 from calibration.addons.coverage.formats import CoverageReport
 from calibration.addons.coverage.lines import FileCoverage
 from calibration.addons.coverage.reading import MAX_COPY, PathMap, mapped
-from calibration.ci.git.repository import Repository
+from calibration.ci.git import Repository
 from tests.repositories import commit, write
 
 FILES = {

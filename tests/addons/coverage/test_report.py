@@ -18,7 +18,7 @@ from calibration.ci.github.service import GITHUB
 from calibration.ci.report.junit import junit_xml
 from calibration.ci.report.xunit_reading import CaseOutcome, Tally
 from calibration.ci.workflow import Runner, annotate
-from calibration.ci.workflow.annotation import Level
+from calibration.ci.workflow.runner import Level
 
 SCHEMA = json.loads(Path(coverage.__file__ or "").with_name("results.schema.json").read_text())
 FILES = {

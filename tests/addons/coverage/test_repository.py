@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
+import calibration.ci.git
 from calibration.addons.coverage.sources import Sources, find_sources, language_of
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.ci.git import repository
-from calibration.ci.git.repository import Repository, is_commit
+from calibration.ci.git import Repository, is_commit
 from tests.conftest import NEEDS_ROOT
 from tests.repositories import commit, git
 
@@ -38,7 +38,7 @@ def test_git_that_takes_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     (tmp_path / "git").write_text("#!/bin/sh\nexec sleep 30\n")
     (tmp_path / "git").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    monkeypatch.setattr(repository, "COMMAND_SECONDS", 0.3)
+    monkeypatch.setattr(calibration.ci.git, "COMMAND_SECONDS", 0.3)
     with pytest.raises(InfrastructureError, match=r"git rev-parse took longer than 0.3 s"):
         Repository.around(tmp_path)
 

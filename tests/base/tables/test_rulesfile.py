@@ -6,7 +6,7 @@ from calibration.base.errors import InputError
 from calibration.base.tables.rule_set import RuleSet
 from calibration.base.tables.rules import LimitRule, Limits, TextRule
 from calibration.base.tables.selection import EveryRow, IndexedRow, LabelledRow
-from calibration.ci.introspection.rules_file import read_rules
+from calibration.ci.introspection import read_rules
 
 COLUMNS = """
 introspection_target_columns:

@@ -10,12 +10,7 @@ import docker.errors
 import requests
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.ci.docker.engine import (
-    EngineLostError,
-    connect,
-    engine_available,
-    engine_errors,
-)
+from calibration.ci.docker_engine import EngineLostError, connect, engine_available, engine_errors
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ import threading
 
 import pytest
 
-from calibration.ci.execution.admission import Admission, Need
+from calibration.ci.execution.docker.backend import Admission, Need
 from calibration.ci.execution.job import Container, Job, Limits
 
 GIB = 1024**3

@@ -14,7 +14,7 @@ from typing import TypeVar
 import pytest
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.ci.execution import processes
+from calibration.ci.execution import embedded
 from calibration.ci.execution.embedded import Embedded
 
 Item = TypeVar("Item")
@@ -45,8 +45,8 @@ def test_the_size_of_a_batch_follows_the_pace(
     monkeypatch: pytest.MonkeyPatch, finished: int, seconds: float, batch: int
 ) -> None:
     now = iter([5.0, 5.0 + seconds])
-    monkeypatch.setattr(processes, "time", SimpleNamespace(monotonic=lambda: next(now)))
-    pace = processes._Pace(2)
+    monkeypatch.setattr(embedded, "time", SimpleNamespace(monotonic=lambda: next(now)))
+    pace = embedded._Pace(2)
     pace.finished = finished
     assert pace.batch_size() == batch
 
@@ -54,14 +54,14 @@ def test_the_size_of_a_batch_follows_the_pace(
 def test_the_pace_counts_functions_not_batches(monkeypatch: pytest.MonkeyPatch) -> None:
     paces = []
 
-    class Kept(processes._Pace):
+    class Kept(embedded._Pace):
         """Of which we know."""
 
         def __init__(self, workers: int) -> None:
             super().__init__(workers)
             paces.append(self)
 
-    monkeypatch.setattr(processes, "_Pace", Kept)
+    monkeypatch.setattr(embedded, "_Pace", Kept)
     assert len(list(in_parallel(str, range(400), 2))) == 400
     assert [pace.finished for pace in paces] == [400]
 
@@ -118,7 +118,7 @@ def test_who_stops_early_leaves_no_process() -> None:
 def test_a_signal_while_a_worker_is_forked_is_not_lost(number: signal.Signals) -> None:
     program = f"""
 import os, signal
-from calibration.ci.execution import processes
+from calibration.ci.execution import embedded
 from calibration.ci.execution.embedded import Embedded
 from calibration.base.process import terminate_cleanly
 asked = []

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from calibration.base.errors import ExitCode
 from calibration.base.text import one_line
 from calibration.ci.execution.job import Container, Job, Limits, Readiness
-from calibration.ci.execution.job_verdict import Judge, failure_of, how_it_ended, signal_of, unmet
 from calibration.ci.execution.outcome import End
+from calibration.ci.execution.supervision import Judge, failure_of, how_it_ended, signal_of, unmet
 
 
 @dataclass

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.errors import InputError
-from calibration.ci.execution.placeholders import fill, split_command
+from calibration.ci.execution.job import fill, split_command
 
 
 def test_each_argument_by_itself() -> None:

@@ -9,11 +9,10 @@ from typing import Any
 import pytest
 
 from calibration.base.errors import ExitCode, InfrastructureError
-from calibration.ci.execution.copying_out import Archive, NothingThereError, Opener
+from calibration.ci.execution.artifacts import Archive, NothingThereError, Opener
 from calibration.ci.execution.job import Artifact, Container, Job, Readiness
-from calibration.ci.execution.job_verdict import how_it_ended
 from calibration.ci.execution.outcome import End
-from calibration.ci.execution.supervision import Supervised, Supervisor
+from calibration.ci.execution.supervision import Supervised, Supervisor, how_it_ended
 
 
 class Played(Supervised):

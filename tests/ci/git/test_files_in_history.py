@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.ci.git.repository import Repository
+from calibration.ci.git import Repository
 from tests.repositories import git
 
 FILE = "calibration-baseline.json"

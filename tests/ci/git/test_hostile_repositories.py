@@ -17,8 +17,8 @@ from pathlib import Path
 import pytest
 
 from calibration.base.errors import CalibrationError, InputError
-from calibration.ci.git.repository import Repository
-from calibration.ci.image.labels import build_labels
+from calibration.ci.git import Repository
+from calibration.ci.image.content_key import build_labels
 from tests.repositories import WHO, commit, git
 
 MISSING = "1" * 40

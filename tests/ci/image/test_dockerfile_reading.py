@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.ci.image.dockerfile_reading import Bases, bases_of, needs_buildkit
+from calibration.ci.image.plan import Bases, bases_of, needs_buildkit
 
 
 def test_bases_of_all_stages() -> None:

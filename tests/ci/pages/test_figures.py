@@ -6,10 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from calibration.ci.pages.ellipses import ellipses
+from calibration.ci.pages.charts import ellipses, trend
+from calibration.ci.pages.html import table
 from calibration.ci.pages.scene import LETTER_HEIGHT, LETTER_WIDTH, Line, scene
-from calibration.ci.pages.tables import table
-from calibration.ci.pages.trend import trend
 
 TEXT = re.compile(r'<text x="([-\d.]+)" y="([-\d.]+)" class="small label">(\w+)</text>')
 PATH = re.compile(r'<path d="M([^"]*)"')

@@ -7,17 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.ci.pages.ellipses import ellipses
-from calibration.ci.pages.heat_map import heat_map
-from calibration.ci.pages.histogram import histogram
-from calibration.ci.pages.html import Html, element
-from calibration.ci.pages.overlay import overlay
-from calibration.ci.pages.page import figure, page, section
-from calibration.ci.pages.residual_plane import residual_plane
+from calibration.ci.pages.charts import Axis, ellipses, heat_map, histogram, ticks, trend
+from calibration.ci.pages.html import Html, element, figure, page, section, table
+from calibration.ci.pages.image_figures import overlay, residual_plane
 from calibration.ci.pages.scene import Line, scene
-from calibration.ci.pages.svg import Axis, ticks
-from calibration.ci.pages.tables import table
-from calibration.ci.pages.trend import trend
 
 HOSTILE = st.one_of(
     st.text(),

@@ -3,7 +3,7 @@ import threading
 import pytest
 
 from calibration.ci.workflow import Runner, annotate
-from calibration.ci.workflow.annotation import Annotation
+from calibration.ci.workflow.runner import Annotation
 from calibration.ci.workflow.streams import MAX_LINE_CHARACTERS, MAX_SHOWN_CHARACTERS, LogDisplay, tame
 from tests.ci.workflow.conftest import printed
 from tests.ci.workflow.test_groups import obeyed

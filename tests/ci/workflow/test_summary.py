@@ -11,7 +11,7 @@ from calibration.base.errors import InfrastructureError
 from calibration.base.text import visible
 from calibration.ci.workflow import Runner, add_summary
 from calibration.ci.workflow.markdown import code_block, escape_markdown, markdown_table
-from calibration.ci.workflow.step_files import MAX_SUMMARY_BYTES
+from calibration.ci.workflow.runner import MAX_SUMMARY_BYTES
 
 
 def written(runner: Runner) -> str:

@@ -8,11 +8,9 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.ci.git.event import Event
 from calibration.ci.services import SERVICES, event_of
 from calibration.ci.workflow import Runner, add_mask, group
-from calibration.ci.workflow.runner import PullRequestComments, Terminal
-from calibration.ci.workflow.step_files import OutputValue
+from calibration.ci.workflow.runner import Event, OutputValue, PullRequestComments, Terminal
 
 
 class KeptComments:

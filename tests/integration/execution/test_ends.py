@@ -13,11 +13,10 @@ from docker.errors import APIError, NotFound
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.ci.execution.docker.backend import DockerBackend
 from calibration.ci.execution.docker.container_run import attach
-from calibration.ci.execution.docker.labels import RUN_LABEL
+from calibration.ci.execution.docker.labels import RUN_LABEL, new_run
 from calibration.ci.execution.docker.networks import Networks
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Limits, Readiness
 from calibration.ci.execution.outcome import End
-from calibration.ci.execution.run_names import new_run
 from tests.docker_engine import PYTHON_IMAGE, only_sleep
 from tests.integration.execution.jobs import left, python, run_job, run_jobs, shell
 

@@ -16,10 +16,9 @@ import pytest
 
 from calibration.base.errors import InfrastructureError
 from calibration.ci.execution.docker.backend import DockerBackend
-from calibration.ci.execution.docker.labels import RUN_LABEL
+from calibration.ci.execution.docker.labels import RUN_LABEL, new_run
 from calibration.ci.execution.docker.leftovers import find_leftovers, remove
 from calibration.ci.execution.job import Job
-from calibration.ci.execution.run_names import new_run
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay
 from tests.docker_engine import wait_until

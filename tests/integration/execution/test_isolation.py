@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.ci.docker.engine import find_engine
+from calibration.ci.docker_engine import find_engine
 from calibration.ci.execution.docker import backend as backend_module
-from calibration.ci.execution.docker.container_settings import container_settings
-from calibration.ci.execution.docker.labels import RUN_LABEL
+from calibration.ci.execution.docker.container_run import container_settings
+from calibration.ci.execution.docker.labels import RUN_LABEL, new_run
 from calibration.ci.execution.docker.leftovers import find_leftovers, remove
 from calibration.ci.execution.docker.networks import Networks
 from calibration.ci.execution.job import (
@@ -24,7 +24,6 @@ from calibration.ci.execution.job import (
     Readiness,
     Relaxations,
 )
-from calibration.ci.execution.run_names import new_run
 from tests.integration.execution.jobs import python, run_job, run_jobs, shell
 
 if TYPE_CHECKING:

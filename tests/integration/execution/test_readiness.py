@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from calibration.base.errors import ExitCode
-from calibration.ci.execution.docker import readiness
+from calibration.ci.execution.docker import container_run
 from calibration.ci.execution.job import Job, Readiness
 from calibration.ci.execution.outcome import End
 from tests.integration.execution.jobs import python, run_job, run_jobs, shell
@@ -46,7 +46,7 @@ def test_a_port_out_of_reach_is_looked_up_in_the_container(
         def unreachable(*_: object) -> None:
             raise TimeoutError
 
-        monkeypatch.setattr(readiness.socket, "create_connection", unreachable)
+        monkeypatch.setattr(container_run.socket, "create_connection", unreachable)
     server = python(SERVE, "server", readiness=Readiness(port=8000), essential=False)
     never = python(SERVE, "server", readiness=Readiness(port=8001, seconds=2), essential=False)
     after = shell("true", "client", after=("server",))

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
-from calibration.ci.image.builders.failure import BuildFailedError
+from calibration.ci.image.build_request import BuildFailedError
 from tests.ci.image.builders.test_several_platforms import SCRIPT as SEVERAL
 from tests.docker_engine import Registry
 from tests.integration.image.builds import Builds, builds
@@ -33,7 +33,7 @@ FAKE_ROS = {
 
 
 def buildkit_or_skip() -> None:
-    from calibration.ci.image.builders.programs import find_buildkit
+    from calibration.ci.image.buildkit import find_buildkit
 
     if find_buildkit(os.environ["PATH"]) is None:
         pytest.skip("needs a docker that does BuildKit (Debian's docker.io has one)")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from calibration.base.errors import InfrastructureError
 from calibration.base.text import one_line, shorten
-from calibration.ci.execution.copying_out import Archive, NothingThereError, Opener
+from calibration.ci.execution.artifacts import Archive, NothingThereError, Opener
 from calibration.ci.execution.extraction import RefusedError
 from calibration.ci.execution.job import OUTPUT
 

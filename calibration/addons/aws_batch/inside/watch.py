@@ -15,13 +15,12 @@ from calibration.addons.aws_batch.inside.script import GRACE_SECONDS, LOG_FILE, 
 from calibration.addons.aws_batch.wire import ARRIVAL_SECONDS, TaskOutcome
 from calibration.base.errors import CalibrationError, ExitCode
 from calibration.base.text import one_line
-from calibration.ci.execution.copying_out import Opener
+from calibration.ci.execution.artifacts import Opener
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.job_check import start_order
-from calibration.ci.execution.job_verdict import how_it_ended, is_running, unmet
 from calibration.ci.execution.log_file import LONGEST_LINE, MOST_BYTES
 from calibration.ci.execution.outcome import End
-from calibration.ci.execution.supervision import Supervised, Supervisor
+from calibration.ci.execution.supervision import Supervised, Supervisor, how_it_ended, is_running, unmet
 
 METADATA_VARIABLE = "ECS_CONTAINER_METADATA_URI_V4"
 """Environment variable with the URL of ECS's task metadata."""

@@ -1,4 +1,7 @@
-"""Backend that runs concurrent jobs in containers of a Docker Engine, and removes everything afterwards."""
+"""Backend that runs concurrent jobs in containers of a Docker Engine, and removes everything afterwards.
+
+Jobs start in order, as soon as the machine has free resources.
+"""
 
 import re
 import threading
@@ -12,19 +15,91 @@ from types import TracebackType
 from typing import Self
 
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
-from calibration.ci.docker.engine import EngineLostError, engine_errors, find_engine, lost
-from calibration.ci.execution.admission import Admission, Need
+from calibration.ci.docker_engine import EngineLostError, engine_errors, find_engine, find_images, lost
 from calibration.ci.execution.backends import ExecutionTarget
-from calibration.ci.execution.docker.images import find_images
 from calibration.ci.execution.docker.job_run import Interrupted, JobRun, Run, lost_job
-from calibration.ci.execution.docker.labels import RUN_LABEL, Owner
+from calibration.ci.execution.docker.labels import RUN_LABEL, Owner, new_run
 from calibration.ci.execution.docker.leftovers import counts_of, find_leftovers, remove, remove_of_dead_runs
 from calibration.ci.execution.docker.networks import Networks
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.job_check import check_jobs
 from calibration.ci.execution.outcome import JobOutcome
-from calibration.ci.execution.run_names import new_run
 from calibration.ci.workflow.streams import LogDisplay
+
+
+@dataclass(frozen=True)
+class Need:
+    """Resources that a job needs while it runs."""
+
+    cores: float
+    memory: int
+    """Bytes; 0 if not specified."""
+
+    @classmethod
+    def of(cls, job: Job) -> Self:
+        """Return the sum of a job's container limits; one core if no container has a limit."""
+        limits = [container.limits for container in job.containers]
+        return cls(sum(limit.cpus or 0.0 for limit in limits) or 1.0, sum(limit.memory or 0 for limit in limits))
+
+
+class Admission:
+    """Schedules the start of jobs. Thread-safe.
+
+    A job that needs more than the whole machine starts when no other job runs: a limit is not its actual use.
+    """
+
+    def __init__(self, needs: Sequence[Need], cores: float, memory: int, workers: int | None = None) -> None:
+        """Create a scheduler.
+
+        Args:
+            needs: needs of the jobs, in order.
+            cores: cores of the machine; ignored if ``workers`` is given.
+            memory: memory of the machine, bytes; 0 if unknown.
+            workers: maximum number of concurrent jobs.
+        """
+        self._needs = needs
+        self._cores = float("inf") if workers is not None else cores
+        self._memory = memory or float("inf")
+        self._most = workers or len(needs)
+        self._next = 0
+        self._running: set[int] = set()
+        self._stopped = False
+        self._changed = threading.Condition()
+
+    def wait(self) -> int | None:
+        """Wait for the next job that may start, and return its index; None after the last one, or when stopped."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._stopped or self._next >= len(self._needs) or self._next_job_fits())
+            if self._stopped or self._next >= len(self._needs):
+                return None
+            index = self._next
+            self._next += 1
+            self._running.add(index)
+            self._changed.notify_all()
+            return index
+
+    def release(self, index: int) -> None:
+        """Report that a job has ended."""
+        with self._changed:
+            self._running.discard(index)
+            self._changed.notify_all()
+
+    def stop(self) -> None:
+        """Prevent further jobs from starting."""
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+
+    def _next_job_fits(self) -> bool:
+        if not self._running:
+            return True
+        needs = [self._needs[index] for index in (*self._running, self._next)]
+        return (
+            len(needs) <= self._most
+            and sum(need.cores for need in needs) <= self._cores
+            and sum(need.memory for need in needs) <= self._memory
+        )
+
 
 _RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
 _MOST_THREADS = 64

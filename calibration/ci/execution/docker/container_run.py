@@ -1,5 +1,12 @@
-"""A container of a job on the engine, from its creation to its removal."""
+"""A container of a job on the engine: its settings, its readiness, and its run from the creation to the removal.
 
+Privileges are dropped by default. Readiness is checked from outside where possible, so that images need no tools: ports
+by a connection to the container's address. If it is unreachable (Docker Desktop, a remote engine, no network), the
+kernel's list of listening ports is read by ``cat`` in the container, which is the only tool required in the image.
+"""
+
+import re
+import socket
 import struct
 import threading
 import time
@@ -11,20 +18,164 @@ from typing import Any
 import docker.errors
 import requests
 from docker import APIClient, DockerClient
+from docker.types import DeviceRequest, LogConfig, Mount
 from requests import Response
 
 from calibration.base.errors import CalibrationError
-from calibration.ci.docker.engine import Engine, engine_errors, lost
-from calibration.ci.execution.docker.readiness import Probe
-from calibration.ci.execution.job import Container
-from calibration.ci.execution.job_verdict import how_it_ended
+from calibration.ci.docker_engine import Engine, engine_errors, lost
+from calibration.ci.execution.docker.copying import exists
+from calibration.ci.execution.docker.labels import new_run
+from calibration.ci.execution.docker.networks import Network
+from calibration.ci.execution.job import OUTPUT, Container, Readiness
 from calibration.ci.execution.log_file import LogFile
 from calibration.ci.execution.outcome import End
-from calibration.ci.execution.run_names import new_run
-from calibration.ci.execution.supervision import Supervised
+from calibration.ci.execution.supervision import Supervised, how_it_ended, unmet
 
+_CONNECT_SECONDS = 0.5
+"""Seconds; local containers answer much faster."""
+_LISTENING_SOCKET = re.compile(r"^\s*\d+: [0-9A-F]+:([0-9A-F]{4}) [0-9A-F]+:0000 0A ", re.MULTILINE)
+
+
+class Probe:
+    """Repeated check of a container, until every condition has been met once."""
+
+    def __init__(self, api: APIClient, container: str, readiness: Readiness, host_network: bool) -> None:
+        self._api = api
+        self._container = container
+        self._readiness = readiness
+        self._host_network = host_network
+        self._by_address = True
+        self._command: str | None = None
+        """Id of the command that is currently running."""
+        self._open = {
+            name
+            for name, asked in (("port", readiness.port), ("file", readiness.file), ("command", readiness.command))
+            if asked
+        }
+
+    def holds(self, log_has_line: bool) -> bool:
+        """Check the conditions; return whether all have been met. Takes less than a second."""
+        checks = {"port": self._port_answers, "file": self._file_is_there, "command": self._command_answers}
+        for name in sorted(self._open):
+            if checks[name]():
+                self._open.discard(name)
+        return not self._open and (log_has_line or not self._readiness.log)
+
+    def missing(self, log_has_line: bool) -> str:
+        """Return the unmet conditions, for a message."""
+        return unmet(self._readiness, self._open, log_has_line)
+
+    def _port_answers(self) -> bool:
+        port = self._readiness.port or 0
+        address = "127.0.0.1" if self._host_network else self._container_address()
+        if self._by_address and address:
+            try:
+                with socket.create_connection((address, port), _CONNECT_SECONDS):
+                    return True
+            except ConnectionError:
+                return False
+            except OSError:
+                self._by_address = False  # unreachable from here
+        return port in self._listening_ports()
+
+    def _container_address(self) -> str:
+        networks = self._api.inspect_container(self._container)["NetworkSettings"]["Networks"] or {}
+        return next((str(found["IPAddress"]) for found in networks.values() if found.get("IPAddress")), "")
+
+    def _listening_ports(self) -> set[int]:
+        command = ["cat", "/proc/net/tcp", "/proc/net/tcp6"]
+        started = self._api.exec_create(self._container, command, stdin=False)
+        listing = self._api.exec_start(started["Id"])
+        return {int(port, 16) for port in _LISTENING_SOCKET.findall(listing.decode("ascii", "replace"))}
+
+    def _file_is_there(self) -> bool:
+        return exists(self._api, self._container, str(self._readiness.file))
+
+    def _command_answers(self) -> bool:
+        """Check the result of the running command, which may take long, or start it again."""
+        if self._command is None:
+            command = list(self._readiness.command)
+            self._command = self._api.exec_create(self._container, command, stdout=False, stderr=False)["Id"]
+            self._api.exec_start(self._command, detach=True)
+            time.sleep(0.05)  # most commands end immediately
+        state = self._api.exec_inspect(self._command)
+        if state["Running"]:
+            return False
+        self._command = None
+        return bool(state["ExitCode"] == 0)
+
+
+DEFAULT_BRIDGE = "bridge"
+"""Default network of the engine."""
+_DOCKER_SOCKET = "/var/run/docker.sock"
 STOP_SECONDS = 5
 """Seconds between SIGTERM and SIGKILL."""
+
+
+def container_settings(
+    api: APIClient, container: Container, network: Network | str, volume: str, labels: Mapping[str, str], binds: bool
+) -> dict[str, Any]:
+    """Return the arguments that create a container, except for name and image.
+
+    Args:
+        api: client, for parts that depend on the engine's version.
+        container: the container.
+        network: its network, or a network mode of the engine.
+        volume: name of the job's volume.
+        labels: labels of the run, the job and the container.
+        binds: whether the engine can access our file system; otherwise mounts are copied later.
+    """
+    relaxed = container.relaxations
+    mounts = [Mount(OUTPUT, volume, type="volume", no_copy=True)]
+    if binds:
+        mounts += [
+            Mount(mount.target, str(mount.source.resolve()), type="bind", read_only=not mount.writable)
+            for mount in container.mounts
+        ]
+    if relaxed.docker_socket:
+        mounts.append(Mount(_DOCKER_SOCKET, _DOCKER_SOCKET, type="bind"))
+    limits = container.limits
+    host: dict[str, Any] = {
+        "init": True,  # forwards signals and reaps zombies
+        "network_mode": network if isinstance(network, str) else network.name,
+        "mounts": mounts,
+        "cap_add": list(relaxed.capabilities),
+        "devices": list(relaxed.devices),
+        "pids_limit": limits.processes,
+        "log_config": LogConfig(type="none"),  # read while it runs; the engine stores nothing, because of secrets
+        "privileged": relaxed.privileged,
+    }
+    if not relaxed.privileged:
+        host["cap_drop"] = ["ALL"]
+        if not relaxed.new_privileges:
+            host["security_opt"] = ["no-new-privileges:true"]
+    if limits.memory is not None:
+        host |= {"mem_limit": limits.memory, "memswap_limit": limits.memory}
+    if limits.cpus is not None:
+        host["nano_cpus"] = round(limits.cpus * 1e9)
+    if relaxed.gpus:
+        host["device_requests"] = [DeviceRequest(count=-1, capabilities=[["gpu"]])]
+    settings: dict[str, Any] = {
+        "command": list(container.command) or None,
+        "environment": dict(container.environment),
+        "labels": dict(labels),
+        "host_config": api.create_host_config(**host),
+        "stop_timeout": STOP_SECONDS,
+    }
+    if container.entrypoint is not None:
+        settings["entrypoint"] = list(container.entrypoint) or [""]  # the engine's notation for none
+    if container.working_directory is not None:
+        settings["working_dir"] = container.working_directory
+    if container.user is not None:
+        settings["user"] = container.user
+    if network != "host":
+        settings["hostname"] = container.name
+    if isinstance(network, Network) and not network.shared:
+        endpoint = api.create_endpoint_config(aliases=[container.name])
+        settings["networking_config"] = {"EndpointsConfig": {network.name: endpoint}}
+    return settings
+
+
 _MAX_NAME_TRIES = 5
 """Attempts to find a free name: the engine answers 409 to one that another run has taken by chance."""
 _FRAME_HEADER = struct.Struct(">BxxxL")

@@ -17,8 +17,8 @@ import requests
 from docker import APIClient
 
 from calibration.base.errors import InputError
-from calibration.ci.docker.engine import engine_errors
-from calibration.ci.execution.copying_out import Archive, NothingThereError, Opener
+from calibration.ci.docker_engine import engine_errors
+from calibration.ci.execution.artifacts import Archive, NothingThereError, Opener
 from calibration.ci.execution.job import OUTPUT, Mount
 
 _CHUNK_BYTES = 1024**2

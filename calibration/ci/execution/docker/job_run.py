@@ -11,20 +11,25 @@ from queue import Empty, SimpleQueue
 from calibration.base.errors import CalibrationError, InfrastructureError
 from calibration.base.redaction import redact
 from calibration.base.text import one_line
-from calibration.ci.docker.engine import Engine, EngineLostError, engine_errors
-from calibration.ci.execution.copying_out import Opener
-from calibration.ci.execution.docker.container_run import STOP_SECONDS, ContainerRun
-from calibration.ci.execution.docker.container_settings import DEFAULT_BRIDGE, container_settings
+from calibration.ci.docker_engine import Engine, EngineLostError, engine_errors
+from calibration.ci.execution.artifacts import Opener
+from calibration.ci.execution.docker.container_run import DEFAULT_BRIDGE, STOP_SECONDS, ContainerRun, container_settings
 from calibration.ci.execution.docker.copying import copy_in, open_output, opener_of
-from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL
+from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL, new_run
 from calibration.ci.execution.docker.leftovers import Leftover, remove
 from calibration.ci.execution.docker.networks import Network, Networks
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.job_check import start_order
-from calibration.ci.execution.job_folder import ARTIFACTS_FOLDER, LOGS_FOLDER, make_job_folder, write_manifest
 from calibration.ci.execution.log_file import LogFile
-from calibration.ci.execution.outcome import ContainerOutcome, End, JobOutcome
-from calibration.ci.execution.run_names import new_run
+from calibration.ci.execution.outcome import (
+    ARTIFACTS_FOLDER,
+    LOGS_FOLDER,
+    ContainerOutcome,
+    End,
+    JobOutcome,
+    make_job_folder,
+    write_manifest,
+)
 from calibration.ci.execution.supervision import Supervisor
 from calibration.ci.workflow.streams import LogDisplay
 

@@ -1,4 +1,4 @@
-"""Labels of all created objects, which identify their run and process, to find and remove those of dead processes."""
+"""Unique names of runs and of what they create, and labels of run and process, to find what dead processes left."""
 
 import os
 import socket
@@ -6,6 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
+
+
+def new_run() -> str:
+    """Return a unique name for a run."""
+    return os.urandom(4).hex()
+
 
 LABEL_PREFIX = "ci.calibration."
 RUN_LABEL, JOB_LABEL, CONTAINER_LABEL = f"{LABEL_PREFIX}run", f"{LABEL_PREFIX}job", f"{LABEL_PREFIX}container"

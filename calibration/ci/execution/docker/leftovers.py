@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import docker.errors
 
 from calibration.base.errors import InfrastructureError
-from calibration.ci.docker.engine import connect, engine_errors, engine_message
+from calibration.ci.docker_engine import connect, engine_errors, engine_message
 from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL, RUN_LABEL, Owner
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ import docker.errors
 from docker import APIClient
 
 from calibration.base.errors import CalibrationError, InfrastructureError
-from calibration.ci.docker.engine import EngineLostError, engine_errors
-from calibration.ci.execution.run_names import new_run
+from calibration.ci.docker_engine import EngineLostError, engine_errors
+from calibration.ci.execution.docker.labels import new_run
 
 _NO_TALKING = {"com.docker.network.bridge.enable_icc": "false"}
 

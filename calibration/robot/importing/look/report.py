@@ -4,7 +4,7 @@ from pathlib import Path
 
 from calibration.base.verdict import verdict_of
 from calibration.ci.report import Outcome, Report, Table, count_of
-from calibration.ci.report.table import shown
+from calibration.ci.report.blocks import shown
 from calibration.robot.importing.look.results import CameraSummary, FramesSummary, LookResults
 from calibration.robot.simulation.collection.record import COVERAGE_COLUMNS, COVERAGE_ROWS
 

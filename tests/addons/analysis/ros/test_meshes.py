@@ -10,7 +10,7 @@ from calibration.addons.analysis.copies import copied
 from calibration.addons.analysis.ros.__main__ import check
 from calibration.addons.analysis.ros.description_checks import stl_size
 from calibration.addons.analysis.ros.tree import Tree
-from calibration.ci.git.repository import Repository
+from calibration.ci.git import Repository
 from tests.repositories import commit
 
 

@@ -9,9 +9,8 @@ import pytest
 
 from calibration.addons.aws_batch.inside.local_archive import opener_of
 from calibration.base.errors import InfrastructureError
-from calibration.ci.execution.copying_out import NothingThereError
+from calibration.ci.execution.artifacts import Glob, NothingThereError
 from calibration.ci.execution.extraction import Budget, Extraction, RefusedError, extract
-from calibration.ci.execution.globs import Glob
 from calibration.ci.execution.job import OUTPUT
 
 

@@ -4,9 +4,14 @@ import pytest
 
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
-from calibration.ci.image.builders.build_log import MAX_LAST_LINES, MAX_LINE_CHARACTERS, BuildLog
-from calibration.ci.image.builders.buildkit import BuildKitOutput
-from calibration.ci.image.builders.failure import BuildFailedError, build_problem
+from calibration.ci.image.build_request import (
+    MAX_LAST_LINES,
+    MAX_LINE_CHARACTERS,
+    BuildFailedError,
+    BuildLog,
+    build_problem,
+)
+from calibration.ci.image.buildkit import BuildKitOutput
 from calibration.ci.workflow import Runner
 
 OLD = """#1 [internal] load build definition from Dockerfile

@@ -8,11 +8,9 @@ import pytest
 from calibration.base.errors import InfrastructureError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.image.bases import fetch
-from calibration.ci.image.builders.build_log import BuildLog
-from calibration.ci.image.builders.engine import build_by_engine
-from calibration.ci.image.builders.failure import BuildFailedError
-from calibration.ci.image.builders.request import BuildRequest
+from calibration.ci.image.build_request import BuildFailedError, BuildLog, BuildRequest
 from calibration.ci.image.context import Context
+from calibration.ci.image.engine_builder import build_by_engine
 from calibration.ci.registries.credentials import Credentials
 from calibration.ci.workflow import Runner
 from tests.ci.registries.server import Reply, serve

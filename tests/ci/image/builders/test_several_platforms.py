@@ -12,11 +12,8 @@ import pytest
 
 from calibration.base.errors import InfrastructureError
 from calibration.ci.github.service import GITHUB
-from calibration.ci.image.builders.build_log import BuildLog
-from calibration.ci.image.builders.buildkit import build_and_push, build_by_buildkit
-from calibration.ci.image.builders.failure import BuildFailedError
-from calibration.ci.image.builders.programs import Program
-from calibration.ci.image.builders.request import BuildRequest
+from calibration.ci.image.build_request import BuildFailedError, BuildLog, BuildRequest
+from calibration.ci.image.buildkit import Program, build_and_push, build_by_buildkit
 from calibration.ci.image.context import Context
 from calibration.ci.image.secret_values import SecretValue
 from calibration.ci.registries.credentials import Credentials

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.errors import InputError
-from calibration.ci.image.recipe.dockerfile import Rendered, render
+from calibration.ci.image.dockerfile import Rendered, render
 from calibration.ci.image.specification import parse_image_specification
 
 INSTRUCTION = re.compile(

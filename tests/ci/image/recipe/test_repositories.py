@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.errors import InputError
-from calibration.ci.image.recipe.repositories import Repository, read_repositories
+from calibration.ci.image.repositories import Repository, read_repositories
 
 
 def read(tmp_path: Path, text: str) -> tuple[Repository, ...]:

@@ -17,12 +17,11 @@ import requests
 import urllib3
 
 from calibration.base.errors import CalibrationError, InfrastructureError
-from calibration.ci.image.builders.build_log import BuildLog
-from calibration.ci.image.builders.failure import build_problem
-from calibration.ci.image.builders.request import BuildRequest
+from calibration.ci.image.build_request import BuildLog, BuildRequest, build_problem
 
 if TYPE_CHECKING:
     from docker import DockerClient
+
 
 _STEP_LINE = re.compile(r"^Step (\d+)/(\d+) : (.*)", re.DOTALL)
 _LAYER_GONE = "unknown parent image ID"

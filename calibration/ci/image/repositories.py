@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.text import shorten
-from calibration.ci.image.recipe.user_text import check_line
+from calibration.ci.image.user_text import check_line
 
 _SCP_FORM = re.compile(r"[A-Za-z0-9_.-]+@[A-Za-z0-9.-]+:(?!:).+")
 """git@github.com:team/robot.git"""

@@ -1,18 +1,55 @@
 """Generation of a Dockerfile from a recipe; deterministic, byte for byte.
 
 Layers are ordered by how often they change: packages first, sources last. Both builders can
-build it; with secrets or SSH only BuildKit, which keeps them out of the layers.
+build it; with secrets or SSH only BuildKit, which keeps them out of the layers. Paths in the build context do not
+depend on the names of the user's files, which may need quoting.
 """
 
 import re
 import shlex
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
-from calibration.ci.image.recipe import layout
-from calibration.ci.image.recipe.repositories import Repository
-from calibration.ci.image.recipe.user_text import json_words, path_words, quoted
-from calibration.ci.image.specification import ImageSpecification, Recipe, Secret, Workspace
+from calibration.ci.image.repositories import Repository
+from calibration.ci.image.specification import CopiedFile, ImageSpecification, Recipe, Secret, Workspace
+from calibration.ci.image.user_text import json_words, path_words, quoted
+
+DOCKERFILE_NAME = "Dockerfile"
+ENTRYPOINT_NAME = "entrypoint.sh"
+
+
+def requirements_path(number: int) -> str:
+    """Return the path of a requirements file for pip."""
+    return f"requirements/{number}.txt"
+
+
+def copied_path(number: int) -> str:
+    """Return the path of a file or folder to copy."""
+    return f"files/{number}"
+
+
+def source_path(number: int) -> str:
+    """Return the path of a folder of the workspace's sources."""
+    return f"sources/{number}"
+
+
+def manifests_path(number: int) -> str:
+    """Return the path of a copy of such a folder that contains only its package.xml files."""
+    return f"manifests/{number}"
+
+
+def folder_name(path: Path) -> str:
+    """Return the name of a source folder in the workspace, which is its own."""
+    return path.resolve().name or "source"
+
+
+def target_of(file: CopiedFile) -> str:
+    """Return the path of a file or folder in the image."""
+    if file.target.endswith("/") and not file.source.is_dir():
+        return file.target + file.source.name
+    return file.target
+
 
 APT_INSTALL = "DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends -o Acquire::Retries=3"
 APT_CLEAN = "rm -rf /var/lib/apt/lists/*"
@@ -110,8 +147,8 @@ def _image_stage(base: str, recipe: Recipe, mounts: str) -> Iterator[str]:
     for number, file in enumerate(recipe.files):
         owner = f"--chown={file.owner} " if file.owner else ""
         slash = "/" if file.source.is_dir() else ""
-        target = layout.target_of(file).rstrip("/") + slash
-        yield f"COPY {owner}{path_words(layout.copied(number) + slash, target or '/')}"
+        target = target_of(file).rstrip("/") + slash
+        yield f"COPY {owner}{path_words(copied_path(number) + slash, target or '/')}"
     for command in recipe.commands:
         yield _run_step(command.strip(), mounts=mounts)
     if recipe.workspace is not None:
@@ -127,8 +164,8 @@ def _install_pip_packages(recipe: Recipe, mounts: str) -> Iterator[str]:
         return
     files = []
     for number in range(len(recipe.requirements)):
-        files.append(f"/tmp/{layout.requirements(number)}")  # noqa: S108 (in the image)
-        yield f"COPY {path_words(layout.requirements(number), files[-1])}"
+        files.append(f"/tmp/{requirements_path(number)}")  # noqa: S108 (in the image)
+        yield f"COPY {path_words(requirements_path(number), files[-1])}"
     packages = [shlex.quote(package) for package in recipe.pip]
     options = [f"--requirement {file}" for file in files]
     yield _run_step(
@@ -146,8 +183,8 @@ def _install_dependencies(recipe: Recipe, workspace: Workspace) -> Iterator[str]
     if workspace.repositories:
         yield f"COPY --from=repositories --chown={user} {path_words(CLONES_FOLDER + '/', path + '/src/')}"
     for number, source in enumerate(workspace.sources):
-        target = f"{path}/src/{layout.folder_name(source)}/"
-        yield f"COPY --chown={user} {path_words(layout.manifests(number) + '/', target)}"
+        target = f"{path}/src/{folder_name(source)}/"
+        yield f"COPY --chown={user} {path_words(manifests_path(number) + '/', target)}"
     steps = []
     if workspace.rosdep:
         distro = f" --rosdistro {recipe.ros}" if recipe.ros else ""
@@ -173,8 +210,8 @@ def _build_workspace(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
     if recipe.user != "root":
         yield f"USER {recipe.user}"
     for number, source in enumerate(workspace.sources):
-        target = f"{workspace.path}/src/{layout.folder_name(source)}/"
-        yield f"COPY --chown={recipe.user} {path_words(layout.source(number) + '/', target)}"
+        target = f"{workspace.path}/src/{folder_name(source)}/"
+        yield f"COPY --chown={recipe.user} {path_words(source_path(number) + '/', target)}"
     arguments = [shlex.quote(f"-D{name}={value}") for name, value in sorted(workspace.cmake_arguments.items())]
     only = "--packages-up-to" if workspace.tool == "colcon" else "--only-pkg-with-deps"
     command = ["colcon build"] if workspace.tool == "colcon" else ["catkin_make"]
@@ -185,7 +222,7 @@ def _build_workspace(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
 
 def _start_instructions(recipe: Recipe, *, has_entrypoint: bool) -> Iterator[str]:
     if has_entrypoint:
-        yield f"COPY {path_words(layout.ENTRYPOINT_NAME, ENTRYPOINT_PATH)}"
+        yield f"COPY {path_words(ENTRYPOINT_NAME, ENTRYPOINT_PATH)}"
         yield f"ENTRYPOINT {json_words(ENTRYPOINT_PATH)}"
     if recipe.user != "root" and recipe.workspace is None:
         yield f"USER {recipe.user}"

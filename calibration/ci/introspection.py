@@ -1,18 +1,23 @@
-"""Rule files: YAML, or a Rigelfile, so that existing ones keep working.
+"""Introspection of tables: rule files, and the report of ``introspect-csv``.
 
-Rigelfiles have rules in the form of Rigel's file introspection plugin. The keys are the plugin's, with these
-differences: limits are inclusive, every column is judged, and a violated limit fails the verdict. ``validation_min``
-and ``validation_max`` apply to every row, ``acceptable_min`` and ``acceptable_max`` to the selected one.
+Rule files are YAML, or a Rigelfile, so that existing ones keep working. Rigelfiles have rules in the form of Rigel's
+file introspection plugin. The keys are the plugin's, with these differences: limits are inclusive, every column is
+judged, and a violated limit fails the verdict. ``validation_min`` and ``validation_max`` apply to every row,
+``acceptable_min`` and ``acceptable_max`` to the selected one.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
+from calibration.base.records import document_of
 from calibration.base.tables.rule_set import RuleSet, parse_rules
-from calibration.base.text import did_you_mean
+from calibration.base.tables.table_verdict import Results, RuleResult, TableResult, Violation
+from calibration.base.text import did_you_mean, shorten
+from calibration.ci.report import Lines, Outcome, Report, Table, count_of, verdict_of
+from calibration.ci.workflow.runner import Annotation
 
 COLUMNS_KEY = "introspection_target_columns"
 """Key that distinguishes a Rigelfile from a rule set."""
@@ -107,3 +112,71 @@ def _rule_of_column(column: str, limits: Mapping[str, Any], where: str) -> dict[
             raise InputError(f"{where}: the limits are for one row: choose it with value_row or use_latest_row")
         rule["row"] = "last" if latest else f"label:{label}"
     return rule
+
+
+REPORT_TITLE = "introspect-csv"
+
+
+def introspection_report(tables: Sequence[TableResult]) -> Report:
+    """Return the introspection_report of ``introspect-csv``."""
+    results = Results(tuple(tables))
+    violations = [violation for table in tables for violation in table.violations]
+    checks = [(table, check) for table in tables for check in table.checks]
+    notes = tuple(
+        f"{table.file}: {check.column}, {check.rows}: {count_of(check.unlisted, 'more violation')} not listed"
+        for table, check in checks
+        if check.unlisted
+    )
+    return Report(
+        title=REPORT_TITLE,
+        verdict=verdict_of(not violations),
+        notes=notes,
+        sentence=results.sentence,
+        results=results,
+        outputs={
+            "violations": results.count,
+            "values": [{"file": table.file, **document_of(check)} for table, check in checks],
+        },
+        annotations=tuple(
+            Annotation(violation.message, file=violation.file, line=violation.line) for violation in violations
+        ),
+        blocks=(
+            Table(_VIOLATION_HEADER, tuple(map(_violation_row, violations))),
+            Lines(notes),
+            Table(_CHECK_HEADER, tuple(_check_row(*each) for each in checks), title="What was checked", folded=True),
+        ),
+        suites={table.file: [_outcome_of_rule(table, check) for check in table.checks] for table in tables},
+    )
+
+
+_CHECK_HEADER = ("verdict", "file", "column", "rows", "value", "expected")
+_VIOLATION_HEADER = ("file", "line", "column", "row", "found", "expected")
+
+
+def _check_row(table: TableResult, check: RuleResult) -> tuple[str, ...]:
+    if check.value is not None:
+        value = str(check.value)
+    elif check.smallest is not None:
+        value = f"{check.smallest} to {check.largest}"
+    else:
+        value = count_of(check.judged, "value")
+    return check.verdict, table.file, check.column or "", check.rows, shorten(value), check.expected
+
+
+def _violation_row(violation: Violation) -> tuple[str, ...]:
+    line = "" if violation.line is None else str(violation.line)
+    return violation.file, line, violation.column or "", violation.row, violation.found, violation.expected
+
+
+def _outcome_of_rule(table: TableResult, check: RuleResult) -> Outcome:
+    lines = [
+        f"{violation.file}:{violation.line or ''}{':' if violation.line else ''} {violation.message}"
+        for violation in check.violations
+    ]
+    return Outcome(
+        name=f"{check.rows if check.column is None else f'{check.column}, {check.rows}'}: {check.expected}",
+        group=table.file,
+        reasons=() if not check.violations else (count_of(check.count, "violation"), *lines),
+        file=table.file,
+        line=next((violation.line for violation in check.violations), None),
+    )

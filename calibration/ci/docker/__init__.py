@@ -1,1 +1,0 @@
-"""Docker Engine: client, and conversion of its errors to messages for users."""

@@ -1,1 +1,0 @@
-"""The git repository of a run, and the commits that are compared."""

@@ -1,1 +1,0 @@
-"""Builders: build an image from a Dockerfile and its context."""

@@ -1,1 +1,0 @@
-"""Conversion of a recipe (packages, files, workspace) to a Dockerfile and a start script."""

@@ -1,1 +1,0 @@
-"""Rule files, and the report of rules over tables."""
