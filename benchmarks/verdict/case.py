@@ -27,8 +27,7 @@ from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.evaluation.truth import truth_error
 from calibration.engine.geometry.transforms import inverse, local
-from calibration.pipeline.matrix.cell import Cell
-from calibration.pipeline.matrix.cell_result import CellResult, nothing_yet
+from calibration.pipeline.matrix.cell_result import Cell, CellResult, nothing_yet
 from calibration.pipeline.matrix.cell_verdict import judge_cells
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import calibrate_cell, table_of

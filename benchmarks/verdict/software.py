@@ -20,8 +20,7 @@ from calibration.engine.estimation.start.guesses import guess_with_patterns
 from calibration.engine.estimation.start.starting_noise import StartingNoise, with_starting_noise
 from calibration.engine.evaluation.specification import Evaluation, parse_evaluation
 from calibration.engine.geometry.transforms import translation
-from calibration.pipeline.matrix.cell import Cell
-from calibration.pipeline.matrix.cell_result import CellResult
+from calibration.pipeline.matrix.cell_result import Cell, CellResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.matrix.software_cell import judged, software_result

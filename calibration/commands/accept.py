@@ -12,7 +12,7 @@ from calibration.ci.execution.workspace import locked
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.engine.baseline.document import read_baseline, write_baseline
-from calibration.pipeline.accepting import accept
+from calibration.pipeline.baselines import accept
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.pipeline.matrix.cell_verdict import judge_results
 from calibration.pipeline.results import read_results

@@ -27,8 +27,13 @@ from calibration.ci.registries.push import promote
 from calibration.ci.registries.reference import check_tag
 from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.workflow import Runner, stop_commands
-from calibration.commands.parameters import password_variable, registry_password_option
-from calibration.commands.record_options import chosen, option_keys, record_options
+from calibration.commands.parameters import (
+    chosen,
+    option_keys,
+    password_variable,
+    record_options,
+    registry_password_option,
+)
 
 DEFAULT_SPECIFICATION = Path("calibration.yml")
 

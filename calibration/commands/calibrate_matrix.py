@@ -22,8 +22,14 @@ from calibration.ci.execution.backends import (
 from calibration.ci.introspection import read_rules
 from calibration.ci.registries.credentials import RegistrySettings
 from calibration.ci.workflow import Runner
-from calibration.commands.parameters import PASSWORD_VARIABLE, password_variable, registry_password_option
-from calibration.commands.record_options import chosen, given, record_options
+from calibration.commands.parameters import (
+    PASSWORD_VARIABLE,
+    chosen,
+    given,
+    password_variable,
+    record_options,
+    registry_password_option,
+)
 from calibration.commands.target import execution_target
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import Software, adjusted_software

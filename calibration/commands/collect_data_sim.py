@@ -26,8 +26,7 @@ from calibration.ci.report import publish, show
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.ci.workflow.progress import progress
 from calibration.ci.workflow.streams import LogDisplay
-from calibration.commands.parameters import find_system, system_folder
-from calibration.commands.record_options import chosen, given, option_keys, record_options
+from calibration.commands.parameters import chosen, find_system, given, option_keys, record_options, system_folder
 from calibration.commands.target import execution_target
 from calibration.pipeline.collection import report, scenario_report
 from calibration.pipeline.collection.applications import checked_applications

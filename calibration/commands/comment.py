@@ -14,7 +14,7 @@ from calibration.ci.report import count_of
 from calibration.ci.report.results_json import BRIEF_FILE, Brief, read_brief
 from calibration.ci.workflow import Annotation, Level, Runner, add_mask, annotate, set_outputs
 from calibration.ci.workflow.runner import PullRequestComments
-from calibration.commands.record_options import chosen, record_options
+from calibration.commands.parameters import chosen, record_options
 
 COMMAND_NAME = "comment"
 NO_RESULTS = Brief(verdict="fail", sentence="The run ended without results: see its log.")

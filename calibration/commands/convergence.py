@@ -29,10 +29,10 @@ from calibration.commands.parameters import (
     count,
     integer,
     non_negative,
+    option_keys,
     password_variable,
     path,
 )
-from calibration.commands.record_options import option_keys
 from calibration.engine.estimation.solve.options import Start
 from calibration.pipeline.configuration import DEFAULT_FILE
 from calibration.pipeline.convergence.convergence_map import ConvergenceResults, Minimums, maps_of

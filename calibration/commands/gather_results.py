@@ -15,7 +15,7 @@ from calibration.ci.workflow import Runner
 from calibration.commands.parameters import DEFAULT_ARTIFACT_NAME, artifact_name, path, text
 from calibration.pipeline.distribution.gathering import gather, report_of_run
 from calibration.pipeline.distribution.jobs import JOB_SUCCESS, cost_of_run, parse_needs, parse_seconds
-from calibration.pipeline.distribution.plan_outputs import name_folders_by_slug, read_plan
+from calibration.pipeline.distribution.plan import name_folders_by_slug, read_plan
 from calibration.pipeline.page.run_page import report_page
 from calibration.pipeline.results import PAGE_FILE, clear_results
 

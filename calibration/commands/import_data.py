@@ -11,7 +11,7 @@ from calibration.base.records import at_least, field, record
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.progress import progress
-from calibration.commands.record_options import chosen, record_options
+from calibration.commands.parameters import chosen, record_options
 from calibration.robot.importing.bags.recordings import SeenImages
 from calibration.robot.importing.importing import import_data
 from calibration.robot.importing.patterns.image_views import LabelledMoment

@@ -16,8 +16,7 @@ from calibration.base.tables.table_verdict import judge
 from calibration.ci.introspection import introspection_report, read_rules
 from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.workflow import Runner
-from calibration.commands.parameters import TEXT_LIST, path, text
-from calibration.commands.record_options import record_options
+from calibration.commands.parameters import TEXT_LIST, path, record_options, text
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ def settings_from(options: dict[str, Any]) -> IntrospectionSettings:
 
 
 def introspect(settings: IntrospectionSettings, runner: Runner) -> ExitCode:
-    """Check the tables, introspection_report every violation, and return the exit code.
+    """Check the tables, report every violation, and return the exit code.
 
     Raises :class:`InputError` if a file, a column or a labelled row is missing or a file is not a
     table, and :class:`calibration.base.errors.InfrastructureError` if a result cannot be written. Results of

@@ -19,14 +19,21 @@ from calibration.commands.parameters import (
     TEXT_LIST,
     artifact_name,
     boolean_option,
+    given,
     non_negative,
     path,
+    record_options,
     text,
 )
-from calibration.commands.record_options import given, record_options
 from calibration.pipeline.configuration import DEFAULT_FILE, PipelineConfiguration, read_configuration
-from calibration.pipeline.distribution.plan import JobInputs, WorkflowPlan, datasets_as_configuration, plan_jobs
-from calibration.pipeline.distribution.plan_outputs import plan_outputs, plan_text
+from calibration.pipeline.distribution.plan import (
+    JobInputs,
+    WorkflowPlan,
+    datasets_as_configuration,
+    plan_jobs,
+    plan_outputs,
+    plan_text,
+)
 from calibration.pipeline.system import Noise
 
 NOISE_OPTION_OF_KEY = {"translation": "translation-noise", "rotation": "rotation-noise"}

@@ -5,6 +5,6 @@
 - ``collection``: simulated datasets, collected by our simulation or by the team's software, and judged;
 - ``convergence``: the matrix swept over the noise of the initial guess;
 - ``results``: what a run has found; ``report``: its report, of ``report_blocks``; ``page``: the page;
-- ``matrix_baselines``, ``accepting``: the accepted calibration that results are compared with, and its update;
+- ``baselines``: the accepted calibration that results are compared with, and its update;
 - ``stages``: the stages in order; ``distribution``: spread over the jobs of a workflow, and gathered again.
 """

@@ -24,8 +24,7 @@ from calibration.engine.estimation.start.lens_choice import LensChoice
 from calibration.engine.estimation.start.single_views import noise_inside_views
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.engine.evaluation.specification import TABLE_KINDS, Suggestion
-from calibration.pipeline.matrix.cell import Cell
-from calibration.pipeline.matrix.cell_result import CellResult
+from calibration.pipeline.matrix.cell_result import Cell, CellResult
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.system import System

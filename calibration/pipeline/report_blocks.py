@@ -14,8 +14,15 @@ from calibration.engine.baseline.settings import SameData
 from calibration.engine.baseline.verdict import exceeds
 from calibration.engine.diagnosis.finding import Severity
 from calibration.engine.evaluation.specification import FILES_WITHOUT_RMS
-from calibration.pipeline.matrix.cell import REPROJECTION_FILE, noise_text
-from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, Details, Deviation, TransformResult
+from calibration.pipeline.matrix.cell_result import (
+    OUR_METHOD,
+    REPROJECTION_FILE,
+    CellResult,
+    Details,
+    Deviation,
+    TransformResult,
+    noise_text,
+)
 from calibration.pipeline.results import Collected, ImageResult, PipelineResults
 
 NOT_CONVERGED = "it has not converged"

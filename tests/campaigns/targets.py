@@ -40,7 +40,7 @@ from calibration.engine.evaluation.annotation import read_annotation
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import translation
 from calibration.pipeline.configuration import read_configuration
-from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.matrix.cell_result import Cell
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.results import read_results

@@ -16,8 +16,7 @@ from calibration.ci.registries.push import promote
 from calibration.ci.workflow import Runner
 from calibration.commands.plan_matrix import artifact_name
 from calibration.pipeline.distribution.jobs import ERROR_OUTPUT, SECONDS_FILE, SECONDS_OUTPUT, parse_needs
-from calibration.pipeline.distribution.plan import WorkflowPlan
-from calibration.pipeline.distribution.plan_outputs import plan_outputs
+from calibration.pipeline.distribution.plan import WorkflowPlan, plan_outputs
 from tests.actions.write_inputs import options
 
 WORKFLOWS = Path(__file__).resolve().parents[2] / ".github" / "workflows"

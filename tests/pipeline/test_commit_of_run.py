@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 
-from calibration.pipeline.matrix_baselines import commit_of_run
+from calibration.pipeline.baselines import commit_of_run
 from tests.repositories import git
 
 

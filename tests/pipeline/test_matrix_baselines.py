@@ -14,9 +14,9 @@ from calibration.engine.baseline.document import Baseline, write_baseline
 from calibration.engine.baseline.settings import BaselineSettings
 from calibration.engine.baseline.update import BaselineUpdate
 from calibration.engine.baseline.verdict import Accepted, against_baseline
+from calibration.pipeline.baselines import with_accepted
 from calibration.pipeline.matrix.cell_result import Details
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.matrix_baselines import with_accepted
 from calibration.pipeline.report_blocks import baseline_line, changes_table
 from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import NoiseGrid, System

@@ -40,7 +40,7 @@ from calibration.ci.git import Repository, find_base
 from calibration.ci.report import FILES, Report, count_of, publish, remove_results
 from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner, annotate
-from calibration.commands.record_options import chosen, record_options
+from calibration.commands.parameters import chosen, record_options
 
 if TYPE_CHECKING:  # the engine, which the command does without
     from calibration.pipeline.stages.running import PipelineRun

@@ -29,7 +29,7 @@ from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner, add_mask, set_outputs
 from calibration.ci.workflow.runner import Event
-from calibration.commands.record_options import chosen, record_options
+from calibration.commands.parameters import chosen, record_options
 
 TOKEN_VARIABLES = {"project_token": "CODACY_PROJECT_TOKEN", "api_token": "CODACY_API_TOKEN"}
 """Environment variables of tokens."""

@@ -14,7 +14,7 @@ from calibration.base.optional import optional
 from calibration.base.text import number_text, one_line, shorten
 from calibration.ci.report import FILES, Lines, Outcome, Report, Table, outcome_of_check
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, ConvergenceResults, without_noise
-from calibration.pipeline.matrix.cell import noise_text
+from calibration.pipeline.matrix.cell_result import noise_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

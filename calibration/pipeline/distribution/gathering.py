@@ -13,8 +13,7 @@ from calibration.ci.report.badge import BADGE_FILE as BADGE
 from calibration.ci.report.badge import verdict_badge
 from calibration.pipeline.distribution.jobs import JOB_SUCCESS, Cost, Needs, jobs_table, money
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, WorkflowPlan
-from calibration.pipeline.matrix.cell import Cell
-from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, nothing_yet
+from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, nothing_yet
 from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 from calibration.pipeline.report import report
 from calibration.pipeline.results import CELLS_FILE, Collected, PipelineResults, own_details, own_file, read_results

@@ -1,10 +1,11 @@
-"""Result of a cell, as it stands in results.json."""
+"""Cell of the matrix, one system from one noisy initial guess; comparison with a method on its data; their results."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from calibration.base.records import computed, field, record, result
+from calibration.base.text import number_text
 from calibration.ci.report import Verdict
 from calibration.ci.report.junit import ErrorCode
 from calibration.engine.baseline.calibration_document import CalibrationDocument
@@ -12,8 +13,58 @@ from calibration.engine.baseline.comparison import BaselineChange
 from calibration.engine.diagnosis.finding import Finding, FindingKind
 from calibration.engine.estimation.covariance.result import DroppedView, RejectedLabel
 from calibration.engine.estimation.solve.noise_levels import NoiseLevels
-from calibration.pipeline.matrix.cell import Cell, Comparison, noise_text
+from calibration.engine.estimation.solve.options import Loss, Start
+from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.matrix.software import SOFTWARE_METHOD
+
+REPROJECTION_FILE = "reprojection.csv"
+"""Default table, of a system that names none."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """System and initial guess of a cell."""
+
+    system: str
+    noise: StartingNoise
+    start: Start = "linear"
+    loss: Loss = "huber"
+
+    @property
+    def folder(self) -> str:
+        """Folder of its files, relative to the output folder."""
+        return f"{self.system}/{noise_folder(self.noise)}"
+
+    def __str__(self) -> str:
+        n = self.noise
+        return f"{self.system}, {noise_text(n.translation, n.rotation)}, seed {n.seed}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Comparison method on a system's data."""
+
+    system: str
+    method: str
+    noise: StartingNoise | None
+    """Noise of the initial guess, of a method that uses one; else None."""
+
+    @property
+    def folder(self) -> str:
+        """Folder of its files, relative to the output folder."""
+        folder = f"{self.system}/{self.method}"
+        return folder if self.noise is None else f"{folder}/{noise_folder(self.noise)}"
+
+
+def noise_folder(noise: StartingNoise) -> str:
+    """Return the name of the folder for results of an initial guess."""
+    return f"translation-{number_text(noise.translation)}_rotation-{number_text(noise.rotation)}_seed-{noise.seed}"
+
+
+def noise_text(translation: float, rotation: float) -> str:
+    """Format a pair of noises with all digits: "0.5 m, 0.1 rad"."""
+    return f"{number_text(translation)} m, {number_text(rotation)} rad"
+
 
 OUR_METHOD = "calibration-ci"
 REASSURING_KINDS: tuple[FindingKind, ...] = ("nothing-suspicious", "baseline-unmoved")

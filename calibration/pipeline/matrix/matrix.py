@@ -24,8 +24,7 @@ from calibration.engine.diagnosis.copies import without_copies
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.start.chosen_lenses import with_chosen_lenses
 from calibration.engine.estimation.start.starting_noise import StartingNoise
-from calibration.pipeline.matrix.cell import Cell, Comparison, noise_folder
-from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
+from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, Comparison, noise_folder
 from calibration.pipeline.matrix.cell_verdict import check_rules
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import other_method, run_cell, run_comparison

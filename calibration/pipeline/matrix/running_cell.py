@@ -26,10 +26,12 @@ from calibration.engine.estimation.start.starting_noise import StartingNoise, wi
 from calibration.engine.evaluation.reprojection import reprojection
 from calibration.engine.evaluation.table import RMS_PIX, Table
 from calibration.engine.evaluation.truth import truth_error
-from calibration.pipeline.matrix.cell import REPROJECTION_FILE, Cell, Comparison
 from calibration.pipeline.matrix.cell_details import described, finite_deviation
 from calibration.pipeline.matrix.cell_result import (
+    REPROJECTION_FILE,
+    Cell,
     CellResult,
+    Comparison,
     Deviation,
     for_cell,
     nothing_by_other_method,

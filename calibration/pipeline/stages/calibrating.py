@@ -6,6 +6,7 @@ from pathlib import Path
 
 from calibration.base.text import shorten
 from calibration.ci.workflow.progress import progress
+from calibration.pipeline.baselines import commit_of_run, with_accepted
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.cell_verdict import judge_results
 from calibration.pipeline.matrix.matrix import run_matrix
@@ -23,12 +24,8 @@ def calibrate_stage(run: PipelineRun) -> PipelineRun:
         InputError: a dataset, an evaluation, a truth or the baseline is wrong.
         InfrastructureError: a file cannot be written, a process died, or there is no engine.
     """
-    from calibration.pipeline.matrix_baselines import commit_of_run  # brings git
-
     matrix, update = run.matrix, None
     if run.baseline is not None:
-        from calibration.pipeline.matrix_baselines import with_accepted  # brings git
-
         matrix, update = with_accepted(run.matrix, run.baseline, os.environ)
     with progress(run.runner, run.title, bar=not run.matrix.software) as advance:
 

@@ -17,13 +17,16 @@ from calibration.pipeline.configuration import PipelineConfiguration
 from calibration.pipeline.distribution.jobs import Needs, parse_needs
 from calibration.pipeline.distribution.plan import (
     MAX_JOBS,
+    MAX_OUTPUT_BYTES,
     JobCell,
     JobInputs,
     WorkflowPlan,
     datasets_as_configuration,
     plan_jobs,
+    plan_of_text,
+    plan_outputs,
+    plan_text,
 )
-from calibration.pipeline.distribution.plan_outputs import MAX_OUTPUT_BYTES, plan_of_text, plan_outputs, plan_text
 from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.system import NoiseGrid, System
 

@@ -26,9 +26,8 @@ from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.geometry.rotations import from_rpy, to_rpy
 from calibration.engine.geometry.transforms import retract, translation
 from calibration.pipeline.matrix import running_cell
-from calibration.pipeline.matrix.cell import Cell, Comparison
 from calibration.pipeline.matrix.cell_details import described, finite_deviation
-from calibration.pipeline.matrix.cell_result import CellResult, Details, ParameterResult
+from calibration.pipeline.matrix.cell_result import Cell, CellResult, Comparison, Details, ParameterResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.matrix.running_cell import run_cell, run_comparison

@@ -11,8 +11,7 @@ from calibration.base.errors import InputError
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.first_configuration import first_configuration
-from calibration.pipeline.matrix.cell import Cell
-from calibration.pipeline.matrix.cell_result import CellResult
+from calibration.pipeline.matrix.cell_result import Cell, CellResult
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.running_cell import run_cell
 from calibration.pipeline.system import Copies, System

@@ -9,7 +9,7 @@ from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.matrix import running_cell
-from calibration.pipeline.matrix.cell import Cell
+from calibration.pipeline.matrix.cell_result import Cell
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.running_cell import run_cell
 from tests.pipeline.conftest import T2RGB
