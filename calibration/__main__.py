@@ -158,7 +158,7 @@ def _execute(command: click.Command | str, name: str, arguments: Sequence[str], 
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a test may have replaced the stream
             stream.reconfigure(errors="backslashreplace", line_buffering=True)
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
     try:
         return _answer(runner, command, name, arguments, **settings)
     except MemoryError:

@@ -1,12 +1,12 @@
 """The CI services that are known."""
 
 from calibration.ci.github.service import GITHUB
-from calibration.ci.workflow.runner import TERMINAL, Environment, Event, Service
+from calibration.ci.workflow.runner import TERMINAL, Environment, Event, Terminal
 
-SERVICES: list[Service] = [GITHUB]
+SERVICES: list[Terminal] = [GITHUB]
 
 
-def service_of(environment: Environment) -> Service:
+def service_of(environment: Environment) -> Terminal:
     """Return the service that runs this step; the terminal if none does."""
     return next((service for service in SERVICES if service.runs_here(environment)), TERMINAL)
 

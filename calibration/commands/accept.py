@@ -1,6 +1,5 @@
 """``accept``: make the results of a run the accepted baseline of later runs."""
 
-import os
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -29,7 +28,7 @@ def command(config: Path, output: Path, systems: tuple[str, ...] | None, althoug
     Later runs are compared with it. Results that fail by the rules and limits of the configuration, except by a
     change from the baseline, are refused unless --although gives a reason to accept them.
     """
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
     if although is not None and not although.strip():
         raise InputError("--although: found nothing, expected the reason")
     configuration = read_configuration(config)

@@ -1,6 +1,5 @@
 """``build-image``: build an image from a specification or a Dockerfile, and push it to a registry on request."""
 
-import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -76,7 +75,7 @@ _OPTION_KEYS = option_keys(BuildSettings)
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Build an image from a specification or a Dockerfile, unless nothing has changed."""
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
     password = password_variable(click_context, options.pop("registry_password"), runner)
     return build(chosen(BuildSettings, options, password_variable=password), runner)
 

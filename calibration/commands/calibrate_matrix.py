@@ -1,6 +1,5 @@
 """``calibrate-matrix``: calibrate every system from every noisy start, with a verdict."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import field as dataclass_field
 from dataclasses import replace
@@ -23,6 +22,7 @@ from calibration.ci.introspection import read_rules
 from calibration.ci.registries.credentials import RegistrySettings
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import (
+    NOISE_OPTION_OF_KEY,
     PASSWORD_VARIABLE,
     chosen,
     given,
@@ -40,10 +40,6 @@ if TYPE_CHECKING:
     from calibration.pipeline.configuration import PipelineConfiguration
 
 COMMAND_NAME = "calibrate-matrix"
-
-
-NOISE_OPTION_OF_KEY = {"translation": "translation-noise", "rotation": "rotation-noise"}
-"""Options of the noise whose names differ from its keys."""
 OF_SOFTWARE = {
     "image": "Image with the team's own calibration, used instead of our engine.",
     "command": "Command, without a shell: calibrate {start} {output} --seed {seed}.",
@@ -109,7 +105,7 @@ class MatrixSettings:
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Calibrate systems from every noisy start; the verdict is fail if one of them fails."""
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
     options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
     settings = MatrixSettings.of_options(options)
     return calibrate_matrix(settings, runner)

@@ -1,6 +1,5 @@
 """``cleanup``: remove objects of killed runs from the Docker Engine or the cloud."""
 
-import os
 from typing import Any
 
 import click
@@ -31,7 +30,7 @@ def command(**options: Any) -> ExitCode:
 
     By default those of processes that ran on this machine and are dead.
     """
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
     for name in ("config", "queue", "region", "definitions"):
         if options[name] and not options["cloud"]:
             raise InputError(f"{name} is of use with --cloud only")

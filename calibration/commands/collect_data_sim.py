@@ -1,6 +1,5 @@
 """``collect-data-sim``: collect a dataset of a system and a motion in simulation, and check it by calibrating it."""
 
-import os
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import field as dataclass_field
@@ -183,7 +182,7 @@ def command(**options: Any) -> ExitCode:
     """Collect a dataset in simulation: images, point clouds, labels and ground truth; and calibrate it."""
     keys = given(CollectionRequest, options, *OF_DATASET, *OF_APPLICATIONS)
     settings = chosen(CollectionSettings, options, keys=keys)
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
     return collect_data_sim(settings, runner)
 
 

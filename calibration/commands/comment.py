@@ -44,7 +44,7 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
 
     For pull requests (events pull_request and workflow_run). Outside of GitHub the comment is printed.
     """
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
     variable = runner.service.token_variable
     if click_context.get_parameter_source("token") is click.core.ParameterSource.COMMANDLINE:
         raise InputError(f"token: found on the command line, where every process reads it: put it into {variable}")

@@ -1,6 +1,5 @@
 """``convergence``: map how large errors of the starting guess may be, by a sweep over the start noise."""
 
-import os
 import shlex
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -142,7 +141,7 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
 
     The verdict is fail if the start without noise does not converge, or a minimum is not reached.
     """
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
     options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
     own = {
         each.name: options.pop(each.name) for each in fields(ConvergenceSettings) if options.get(each.name) is not None

@@ -1,6 +1,5 @@
 """``export``: write a calibrated dataset in the file formats of robots."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -42,7 +41,7 @@ def command(
     In the URDF only calibrated origins are changed; every other byte of the robot's file, or of the expanded xacro, is
     kept.
     """
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
     inputs = XacroInputs(xacro or {}, packages)
     return export(dataset, robot_description, formats or (), output, runner, although, inputs)
 

@@ -1,6 +1,5 @@
 """``gather-results``: merge the results of a workflow's jobs into one table and one verdict, in its last job."""
 
-import os
 import re
 import time
 from dataclasses import dataclass, replace
@@ -48,7 +47,7 @@ class GatherSettings:
 @click.option("--began", type=text, help="Start time of this job, in seconds since 1970: date +%s.")
 def command(**options: Any) -> ExitCode:
     """Merge the results of a plan's jobs; the verdict is fail if one failed, or has no results."""
-    return gather_results(GatherSettings(**options), Runner.from_environment(os.environ))
+    return gather_results(GatherSettings(**options), Runner.from_environment())
 
 
 def gather_results(settings: GatherSettings, runner: Runner) -> ExitCode:

@@ -1,6 +1,5 @@
 """``history``: accepted calibrations over the commits of a repository."""
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -28,7 +27,7 @@ def command(config: Path, systems: tuple[str, ...] | None, since: str | None, ou
 
     Nothing is checked out. The verdict is always pass: changes in commits were accepted.
     """
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
     file = read_configuration(config).baseline.file
     found = history_of(file, systems or (), since, MAX_COMMITS)
     try:

@@ -1,6 +1,5 @@
 """``import-data``: convert recorded images and poses to a dataset."""
 
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,7 +32,7 @@ class ImportSettings:
 def command(**options: Any) -> ExitCode:
     """Make a dataset of recordings: pair the images, detect the patterns in them, read poses and intrinsics."""
     settings = chosen(ImportSettings, options)
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
 
     def done(count: int, total: int, part: LabelledMoment | SeenImages) -> None:
         if isinstance(part, SeenImages):

@@ -1,6 +1,5 @@
 """``init``: create calibration.yml and a workflow for a dataset."""
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -27,7 +26,7 @@ CONFIGURATION_FILE = Path("calibration.yml")
 @boolean_option("--although", help="Write them although the recording does not pass; it will be red.")
 def command(dataset: Path, output: Path, suite: str, overwrite: bool, although: bool) -> ExitCode:
     """Write a first calibration.yml for a dataset, and the workflow that runs it on every push."""
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
     return init(dataset, output, suite, runner, overwrite=overwrite, although=although)
 
 

@@ -1,6 +1,5 @@
 """``introspect-csv``: check tables against rules."""
 
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -55,7 +54,7 @@ def command(**options: Any) -> ExitCode:
 
     Rules are read from a file, from the options (one column), or both.
     """
-    return introspect(settings_from(options), Runner.from_environment(os.environ))
+    return introspect(settings_from(options), Runner.from_environment())
 
 
 def settings_from(options: dict[str, Any]) -> IntrospectionSettings:

@@ -1,6 +1,5 @@
 """``label``: label the images of a dataset with our detectors."""
 
-import os
 from pathlib import Path
 
 import click
@@ -23,7 +22,7 @@ from calibration.robot.importing.report import label_report
 @click.option("--jobs", type=count, help="Processes (one a core).")
 def command(dataset: Path, output: Path, again: bool, overwrite: bool, jobs: int | None) -> ExitCode:
     """Detect the patterns in the images of a dataset's cameras; labels of other sensors are kept."""
-    runner = Runner.from_environment(os.environ)
+    runner = Runner.from_environment()
 
     def done(number: int, total: int, moment: LabelledMoment) -> None:
         found = [f"{name} {sum(len(f.ids) for f in view.found.values())}" for name, view in moment.views.items()]

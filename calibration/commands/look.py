@@ -1,6 +1,5 @@
 """``look``: what is in a recording, and what it lacks for a calibration."""
 
-import os
 from pathlib import Path
 
 import click
@@ -25,5 +24,5 @@ def command(recording: Path, pattern: Path | None, output: Path | None) -> ExitC
     if output is not None:
         remove_results(output, FILES)
     found = report(look(recording, pattern), output)
-    publish(found, Runner.from_environment(os.environ), output)
+    publish(found, Runner.from_environment(), output)
     return found.exit_code

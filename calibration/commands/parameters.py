@@ -24,6 +24,8 @@ SYSTEMS_FOLDER = Path("datasets")
 PASSWORD_VARIABLE, PASSWORD_VARIABLE_IN_ACTIONS = "CALIBRATION_REGISTRY_PASSWORD", "INPUT_REGISTRY_PASSWORD"
 """Variables with a registry password; the first is also read by the command line."""
 DEFAULT_ARTIFACT_NAME = "calibration"
+NOISE_OPTION_OF_KEY = {"translation": "translation-noise", "rotation": "rotation-noise"}
+"""Options of the noise whose names differ from its keys."""
 _TRUTH_OF_WORD = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _LIST_SEPARATOR = re.compile(r"[,\r\n]")
 _Item = TypeVar("_Item")

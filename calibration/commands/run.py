@@ -1,44 +1,39 @@
 """``run``: run the whole pipeline of ``calibration.yml``, with one verdict."""
 
-import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
 from calibration.base.errors import ExitCode
+from calibration.base.records import at_least, field, record
 from calibration.ci.image.specification import ImageSpecification
 from calibration.ci.workflow import Runner, set_outputs
-from calibration.commands.parameters import TEXT_LIST, boolean_option, count, path
-from calibration.pipeline.configuration import read_configuration
+from calibration.commands.parameters import chosen, record_options
+from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.stages import STAGES, PipelineRun, run_stages
 
 
-@dataclass(frozen=True)
+@record(kw_only=True)
 class RunSettings:
     """Inputs of ``run``."""
 
-    config: Path = Path("calibration.yml")
-    output: Path = Path("output")
-    only: tuple[str, ...] = ()
-    """Stages to run; empty for all."""
-    jobs: int | None = None
-    push: bool | None = None
-    """Whether to push the image; None as in the configuration."""
+    config: Path = field("The configuration (calibration.yml).", default=DEFAULT_FILE)
+    output: Path = field("Folder for results, tables and datasets (output).", default=Path("output"))
+    only: tuple[str, ...] = field(f"Only these stages: {', '.join(STAGES)}.", default=())
+    jobs: Annotated[int, at_least(1)] | None = field(
+        "Number of parallel processes or containers (one per core).", default=None
+    )
+    push: bool | None = field("Push the image; if false, it is not promoted either (as in config).", default=None)
 
 
 @click.command("run")
-@click.option("--config", type=path, help="The configuration (calibration.yml).")
-@click.option("--output", type=path, help="Folder for results, tables and datasets (output).")
-@click.option("--only", type=TEXT_LIST, help=f"Only these stages: {', '.join(STAGES)}.")
-@click.option("--jobs", type=count, help="Number of parallel processes or containers (one per core).")
-@boolean_option("--push", default=None, help="Push the image; if false, it is not promoted either (as in config).")
+@record_options(RunSettings)
 def command(**options: Any) -> ExitCode:
     """Run the pipeline of calibration.yml, stage by stage; the verdict is fail if one of them fails."""
-    settings = RunSettings(**{name: value for name, value in options.items() if value is not None})
-    return run(settings, Runner.from_environment(os.environ))
+    return run(chosen(RunSettings, options), Runner.from_environment())
 
 
 def run(settings: RunSettings, runner: Runner) -> ExitCode:

@@ -5,7 +5,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.artifacts import ArtifactCopier, Opener, complete_or_not_at_all
@@ -18,43 +18,46 @@ _SIGNAL_EXIT_CODES = 128  # a shell reports the end by signal N as 128 + N
 _HINT_OF_EXIT_CODE = {126: "its command is not executable", 127: "its command was not found"}
 
 
-class Watched(Protocol):
-    """A container before, during or after its run, as the verdict sees it."""
+class Supervised(ABC):
+    """Container of a job before, during or after its run."""
 
-    @property
-    def container(self) -> Container:
-        """Definition of the container."""
+    image = ""
+    log: Path | None = None
 
-    @property
-    def started(self) -> float | None:
-        """Start time of the monotonic clock."""
+    def __init__(self, container: Container) -> None:
+        self.container = container
+        self.name = container.name
+        self.started: float | None = None
+        self.ended: float | None = None
+        self.ready = False
+        self.end: End = End.NOT_STARTED
+        self.exit_code: int | None = None
+        self.signal: str | None = None
 
-    @property
-    def ended(self) -> float | None:
-        """End time of the monotonic clock."""
+    @abstractmethod
+    def poll(self) -> None:
+        """Update ``ready``, and ``ended`` unless it is updated elsewhere.
 
-    @property
-    def ready(self) -> bool:
-        """Whether it has been ready."""
+        Raises:
+            InfrastructureError: the container cannot be polled.
+        """
 
-    @property
-    def end(self) -> End:
-        """Way in which it ended, once known."""
-
-    @property
-    def exit_code(self) -> int | None:
-        """Exit code, once known."""
-
-    @property
-    def signal(self) -> str | None:
-        """Signal that killed it, once known."""
+    @abstractmethod
+    def not_ready_for(self) -> str:
+        """Return the unmet conditions of its readiness, for a message."""
 
     @property
     def last_line(self) -> str:
-        """Last line of its log, safe for a message; empty if unknown."""
+        """Last line of its output, safe for a message; empty if unknown."""
+        return ""
 
-    def not_ready_for(self) -> str:
-        """Return the unmet conditions of its readiness, for a message."""
+    def outcome(self) -> ContainerOutcome:
+        """Outcome of the container; its end is lost if it was started and its end is unknown."""
+        began = self.started is not None
+        seconds = 0.0 if self.started is None else (self.ended or time.monotonic()) - self.started
+        end = End.LOST if began and self.end == End.NOT_STARTED else self.end
+        log = self.log if began else None
+        return ContainerOutcome(self.name, end, self.exit_code, self.signal, seconds, log, self.image)
 
 
 class Judge:
@@ -84,7 +87,7 @@ class Judge:
             self.exit_code = code
         self.reasons.append(self._clean(reason))
 
-    def is_over(self, containers: Sequence[Watched], waiting: Sequence[Watched]) -> bool:
+    def is_over(self, containers: Sequence[Supervised], waiting: Sequence[Supervised]) -> bool:
         """Return whether the job is over: by the end of a container, or by a time limit of the job or a container.
 
         Args:
@@ -101,7 +104,7 @@ class Judge:
                 return True
         return self._is_too_late(containers, waiting)
 
-    def seconds_left(self, containers: Sequence[Watched]) -> list[float]:
+    def seconds_left(self, containers: Sequence[Supervised]) -> list[float]:
         """Return the seconds until each time limit."""
         now = time.monotonic()
         left = [] if self._job.seconds is None else [self.began + self._job.seconds - now]
@@ -113,13 +116,13 @@ class Judge:
                 left += [container.started + limit - now for limit in limits if limit is not None]
         return left
 
-    def stop(self, containers: Sequence[Watched]) -> None:
+    def stop(self, containers: Sequence[Supervised]) -> None:
         """Record that the remaining containers are stopped because the job is over."""
         for container in containers:
             if is_running(container):
                 self.stopped_for.setdefault(container.container.name, End.STOPPED)
 
-    def judge(self, containers: Sequence[Watched]) -> None:
+    def judge(self, containers: Sequence[Supervised]) -> None:
         """Determine whether and why the job has failed, after the ends of all containers are known."""
         essential = [c for c in containers if c.container.essential]
         for container in essential:
@@ -139,7 +142,7 @@ class Judge:
             others = [c for c in containers if not c.container.essential and c is not early]
             self.reasons += [self._clean(failure) for c in others if (failure := failure_of(c)) is not None]
 
-    def _is_too_late(self, containers: Sequence[Watched], waiting: Sequence[Watched]) -> bool:
+    def _is_too_late(self, containers: Sequence[Supervised], waiting: Sequence[Supervised]) -> bool:
         now = time.monotonic()
         if self._job.seconds is not None and now - self.began >= self._job.seconds:
             running = [c.container.name for c in containers if is_running(c)]
@@ -168,7 +171,7 @@ class Judge:
         return False
 
 
-def is_running(container: Watched) -> bool:
+def is_running(container: Supervised) -> bool:
     """Return whether a container was started, and has not ended."""
     return container.started is not None and container.ended is None
 
@@ -192,7 +195,7 @@ def how_it_ended(container: Container, exit_code: int, out_of_memory: bool, ours
     return (End.SIGNALLED if killed_by else End.EXITED), killed_by
 
 
-def failure_of(watched: Watched) -> str | None:
+def failure_of(watched: Supervised) -> str | None:
     """Failure message of a container, or None if it succeeded."""
     container = f"container '{watched.container.name}'"
     if watched.end == End.OUT_OF_MEMORY:
@@ -234,54 +237,12 @@ def signal_of(exit_code: int) -> str | None:
         return None
 
 
-def _quote_last_line(watched: Watched) -> str:
+def _quote_last_line(watched: Supervised) -> str:
     return f": {watched.last_line}" if watched.last_line else ""
 
 
 _POLL_SECONDS = 0.2
 """Interval of readiness polls, seconds."""
-
-
-class Supervised(ABC):
-    """Container of a job; a :class:`calibration.ci.execution.supervision.Watched`."""
-
-    image = ""
-    log: Path | None = None
-
-    def __init__(self, container: Container) -> None:
-        self.container = container
-        self.name = container.name
-        self.started: float | None = None
-        self.ended: float | None = None
-        self.ready = False
-        self.end: End = End.NOT_STARTED
-        self.exit_code: int | None = None
-        self.signal: str | None = None
-
-    @abstractmethod
-    def poll(self) -> None:
-        """Update ``ready``, and ``ended`` unless it is updated elsewhere.
-
-        Raises:
-            InfrastructureError: the container cannot be polled.
-        """
-
-    @abstractmethod
-    def not_ready_for(self) -> str:
-        """Return the unmet conditions of its readiness, for a message."""
-
-    @property
-    def last_line(self) -> str:
-        """Last line of its output, safe for a message; empty if unknown."""
-        return ""
-
-    def outcome(self) -> ContainerOutcome:
-        """Outcome of the container; its end is lost if it was started and its end is unknown."""
-        began = self.started is not None
-        seconds = 0.0 if self.started is None else (self.ended or time.monotonic()) - self.started
-        end = End.LOST if began and self.end == End.NOT_STARTED else self.end
-        log = self.log if began else None
-        return ContainerOutcome(self.name, end, self.exit_code, self.signal, seconds, log, self.image)
 
 
 C = TypeVar("C", bound=Supervised)

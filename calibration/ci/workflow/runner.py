@@ -161,74 +161,29 @@ class PullRequestComments(Protocol):
         """Delete the comment of this name; return how many there were."""
 
 
-class Service(Protocol):
-    """A CI service: how a step talks to it. It has no state; streams and files are the runner's.
+class Terminal:
+    """No CI service, and the interface of one: how a step talks to it. It has no state; streams are the runner's.
 
-    Subclass `Terminal` and override what differs; a line in `calibration.ci.services.SERVICES` makes it known.
+    A service subclasses it and overrides what differs; a line in `calibration.ci.services.SERVICES` makes it known.
+    Here are plain lines and no commands; outputs and summary are written if the environment names a file.
     """
 
-    @property
-    def interactive(self) -> bool:
-        """Whether somebody may watch a terminal: progress bars, and lines of concurrent programs side by side."""
-
-    @property
-    def annotates_lines(self) -> bool:
-        """Whether annotations are shown at a line of a file, and may have several lines themselves."""
-
-    @property
-    def token_variable(self) -> str:
-        """Environment variable with a token that may write comments."""
-
-    def runs_here(self, environment: Environment) -> bool:
-        """Return whether this service runs the step."""
-
-    def runner(self, environment: Environment) -> "Runner":
-        """Return the runner that the environment describes; an empty variable counts as unset."""
-
-    def event(self, environment: Environment) -> Event:
-        """Return what started the run; raises `InputError` if the service's description of it is unreadable."""
-
-    def origin(self, environment: Environment) -> tuple[str, str]:
-        """Return the repository's address and the hash of the commit; empty if they are not known."""
-
-    def group(self, runner: "Runner", title: str) -> AbstractContextManager[None]:
-        """Fold the output of the block under a title of one line."""
-
-    def stop_commands(self, runner: "Runner", stream: TextIO) -> AbstractContextManager[None]:
-        """Let no line of the block's output be executed as a command of the service."""
-
-    def annotate(self, runner: "Runner", annotations: Iterable[Annotation]) -> None:
-        """Show messages at files and lines of the commit."""
-
-    def announce_error(self, runner: "Runner", message: str) -> None:
-        """Announce the error that ends the command, which stands on stderr already."""
-
-    def mask(self, runner: "Runner", forms: Iterable[str]) -> None:
-        """Hide every form of a secret in the log from now on."""
-
-    def set_outputs(self, runner: "Runner", values: Mapping[str, OutputValue]) -> None:
-        """Set outputs of the step, for later steps."""
-
-    def add_summary(self, runner: "Runner", markdown: str) -> None:
-        """Add Markdown to the page of the run."""
-
-    def comments(self, environment: Environment, token: str | None, api_url: str | None) -> PullRequestComments | None:
-        """Return the comments on the pull request of the run; None if it has none that is open at this commit."""
-
-
-class Terminal:
-    """No CI service: plain lines, and no commands. Outputs and summary are written if the environment names a file."""
-
     interactive = True
+    """Whether somebody may watch a terminal: progress bars, and lines of concurrent programs side by side."""
     annotates_lines = False
+    """Whether annotations are shown at a line of a file, and may have several lines themselves."""
     token_variable = "GITHUB_TOKEN"  # noqa: S105 (the name of a variable)
+    """Environment variable with a token that may write comments."""
 
     def runs_here(self, environment: Environment) -> bool:
-        """Return True: it is what remains."""
+        """Return whether this service runs the step: the terminal is what remains."""
         return True
 
     def runner(self, environment: Environment) -> "Runner":
-        """Read GitHub's variables, by which a caller without a service can have the files too."""
+        """Return the runner that the environment describes; an empty variable counts as unset.
+
+        GitHub's variables are read, by which a caller without a service can have the files too.
+        """
 
         def path(name: str) -> Path | None:
             return Path(environment[name]) if environment.get(name) else None
@@ -243,46 +198,53 @@ class Terminal:
         )
 
     def event(self, environment: Environment) -> Event:
-        """Return that nothing is known."""
+        """Return what started the run; raises `InputError` if the service's description of it is unreadable."""
         return Event()
 
     def origin(self, environment: Environment) -> tuple[str, str]:
-        """Return that nothing is known."""
+        """Return the repository's address and the hash of the commit; empty if they are not known."""
         return "", ""
 
     @contextmanager
     def group(self, runner: "Runner", title: str) -> Iterator[None]:
-        """Print the title only."""
+        """Fold the output of the block under a title of one line; a terminal prints the title only."""
         runner.log(title)
         yield
 
     def stop_commands(self, runner: "Runner", stream: TextIO) -> AbstractContextManager[None]:
-        """Do nothing: no line is a command."""
+        """Let no line of the block's output be executed as a command of the service; a terminal has none."""
         return nullcontext()
 
     def annotate(self, runner: "Runner", annotations: Iterable[Annotation]) -> None:
-        """Print lines ``error: file:line: message`` on stderr."""
+        """Show messages at files and lines of the commit: lines ``error: file:line: message`` on stderr."""
         lines = [_plain_line(annotation) for annotation in annotations]
         if (dropped := len(lines) - MAX_PLAIN_ANNOTATIONS) > 0:
             lines[MAX_PLAIN_ANNOTATIONS:] = [f"and {dropped} more"]
         print("".join(f"{line}\n" for line in lines), end="", file=runner.stderr, flush=True)
 
     def announce_error(self, runner: "Runner", message: str) -> None:
-        """Do nothing: stderr has it."""
+        """Announce the error that ends the command, which stands on stderr already."""
 
     def mask(self, runner: "Runner", forms: Iterable[str]) -> None:
-        """Do nothing: a terminal hides nothing, so secrets are redacted before they are printed."""
+        """Hide every form of a secret in the log from now on.
+
+        A terminal hides nothing, so secrets are redacted before they are printed.
+        """
 
     def set_outputs(self, runner: "Runner", values: Mapping[str, OutputValue]) -> None:
-        """Append ``NAME=VALUE`` to the runner's file, if it has one."""
+        """Set outputs of the step, for later steps: ``NAME=VALUE`` in the runner's file, if it has one."""
         append_outputs(runner.output_file, values)
 
     def add_summary(self, runner: "Runner", markdown: str) -> None:
-        """Append it to the runner's file, if it has one."""
+        """Add Markdown to the page of the run: to the runner's file, if it has one."""
         append_summary(runner.summary_file, markdown)
 
     def comments(self, environment: Environment, token: str | None, api_url: str | None) -> PullRequestComments | None:
-        """Raise `InputError`: the service has no comments, or we do not know them."""
+        """Return the comments on the pull request of the run; None if it has none that is open at this commit.
+
+        Raises:
+            InputError: the service has no comments, or we do not know them.
+        """
         raise InputError("comment: this CI service has no comments that we can write, expected GitHub Actions")
 
 
@@ -296,7 +258,7 @@ def _plain_line(annotation: Annotation) -> str:
 class Runner:
     """Runner of a step: its CI service, what its environment variables name, and its output streams."""
 
-    service: Service = field(default_factory=lambda: TERMINAL)  # which is made below, as its methods take a runner
+    service: Terminal = field(default_factory=lambda: TERMINAL)  # which is made below, as its methods take a runner
     workspace: Path | None = None
     """The checkout; annotations name files relative to it."""
     output_file: Path | None = None
@@ -313,11 +275,12 @@ class Runner:
     """Stream of errors, one line each."""
 
     @classmethod
-    def from_environment(cls, environment: Environment) -> "Runner":
-        """Return the runner of the service that runs this step."""
+    def from_environment(cls, environment: Environment | None = None) -> "Runner":
+        """Return the runner of the service that runs this step, by default of this process."""
         from calibration.ci.services import service_of  # here, as the services import this module
 
-        return service_of(environment).runner(environment)
+        variables = os.environ if environment is None else environment
+        return service_of(variables).runner(variables)
 
     @property
     def on_terminal(self) -> bool:
@@ -342,7 +305,7 @@ class Runner:
         return str(path)
 
 
-TERMINAL: Service = Terminal()
+TERMINAL = Terminal()
 
 
 def group(runner: Runner, title: str) -> AbstractContextManager[None]:

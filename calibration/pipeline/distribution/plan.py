@@ -6,10 +6,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import read_bytes
+from calibration.base.records import between, field, record
 from calibration.base.text import did_you_mean, number_text
 from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.pipeline.collection.request import CollectionRequest
@@ -30,6 +31,8 @@ megabyte in 0.1 to 0.3 s on one core, on GitHub's machines in less than a second
 """
 COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS = "collected-data", "unit-tests", "static-analysis"
 """Slugs of the artifacts of these jobs."""
+MAX_MINUTE_RATE = 1000.0
+"""Limit of the price of a minute, in any currency, to find typing errors."""
 PLAN_SLUG = "plan"
 """Slug of the plan's own artifact."""
 CALIBRATING_JOBS = ("calibrate", "calibrate-in-image", "calibrate-collected", "calibrate-collected-in-image")
@@ -120,27 +123,24 @@ class WorkflowPlan:
         }
 
 
-@dataclass(frozen=True)
+@record(kw_only=True)
 class JobInputs:
     """Inputs of the workflow that select the jobs."""
 
-    jobs: tuple[str, ...] = ()
-    """Empty for all that the configuration and the inputs describe."""
-    noise_inside_cells: bool | None = None
-    """Whether one job calibrates a system from all its noises; None to decide by the duration of its cells."""
-    image: bool = False
-    """Whether an image is given."""
-    command: bool = False
-    """Whether a command is given, which calibrates in place of our engine."""
-    tests: bool = False
-    """Whether unit tests are given."""
-    analyse: bool = False
-    """Whether the repository is to be analysed."""
+    noise_inside_cells: bool | None = field(
+        "Calibrate a system from all its noises in one job (if that takes about a minute).", default=None
+    )
+    image: str | None = field("Image with the team's own calibration.", default=None)
+    command: str | None = field("Command of this image.", default=None)
+    tests: str | None = field("The command that runs the unit tests.", default=None)
+    analyse: bool = field("Analyse the code of the repository (no).", default=False)
+    jobs: tuple[str, ...] = field(f"Only these jobs: {', '.join(CHOOSABLE_JOBS)}.", default=())
+    promote: bool = field("An image that passes may get its release tags (yes).", default=True)
+    minute_rate: Annotated[float, between(0, MAX_MINUTE_RATE)] | None = field(
+        "Price of a minute of a job, in your currency: 0.006.", default=None
+    )
     push: bool = True
     """False without credentials to push, as in a fork."""
-    promote: bool = True
-    """False to give the image no release tags, whatever the verdict."""
-    minute_rate: float | None = None
 
 
 def datasets_as_configuration(datasets: Sequence[Path]) -> PipelineConfiguration:
@@ -223,7 +223,7 @@ def _wanted_jobs(inputs: JobInputs, systems: bool, simulations: bool) -> list[st
     possible = {
         "calibrate": systems,
         "collect-data": simulations,
-        "unit-tests": inputs.tests,
+        "unit-tests": bool(inputs.tests),
         "static-analysis": inputs.analyse,
     }
     missing = {
