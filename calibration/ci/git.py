@@ -152,9 +152,7 @@ class Repository:
 
     def _tracked_entries(self, *patterns: str) -> Iterator[tuple[str, str]]:
         """Yield path and mode of everything that is tracked."""
-        code, output, problem = self._run_git("ls-files", "-s", "-z", "--", ":(top)", *patterns)
-        if code:
-            raise InfrastructureError(f"git ls-files: {_quote_problem(problem)}")
+        output = self._git_output("ls-files", "-s", "-z", "--", ":(top)", *patterns)
         for entry in output.decode("utf-8", "surrogateescape").split("\0"):
             mode, _, path = entry.partition("\t")
             if path:
@@ -200,10 +198,7 @@ class Repository:
             raise InputError(f"{commit[:12]}:{path}: expected a regular file, found a link or a folder")
         if int(size) > most:
             raise InputError(f"{commit[:12]}:{path}: found {size} bytes, expected at most {most}")
-        code, output, problem = self._run_git("cat-file", "blob", name)
-        if code:
-            raise InfrastructureError(f"git cat-file: {_quote_problem(problem)}")
-        return output
+        return self._git_output("cat-file", "blob", name)
 
     def contents(self, commits: Sequence[str], path: str, most: int) -> Iterator[tuple[str, bytes | None]]:
         """Yield a file's content in each commit; None if it is not a file or is larger than ``most`` bytes.
@@ -241,10 +236,7 @@ class Repository:
     def _cat_files(self, option: str, names: Sequence[str]) -> bytes:
         """Return what ``git cat-file`` writes about objects."""
         given = "".join(f"{name}\n" for name in names).encode("utf-8", "surrogateescape")
-        code, output, problem = self._run_git("cat-file", option, given=given)
-        if code:
-            raise InfrastructureError(f"git cat-file: {_quote_problem(problem)}")
-        return output
+        return self._git_output("cat-file", option, given=given)
 
     def origin(self) -> str | None:
         """Return the URL of the origin; None if there is none."""
@@ -300,13 +292,7 @@ class Repository:
         Raises:
             InfrastructureError: git fails.
         """
-        code, output, problem = self._run_git(
-            *("diff", "--unified=0", "--no-color", "--no-ext-diff", "--no-textconv", "--find-renames"),
-            *("--src-prefix=a/", "--dst-prefix=b/", "--ignore-submodules", commit, "--"),
-        )
-        if code:
-            raise InfrastructureError(f"git diff {commit}: {_quote_problem(problem)}")
-        return output
+        return self._diff(commit, "--unified=0", "--no-color", "--find-renames", "--src-prefix=a/", "--dst-prefix=b/")
 
     def changed(self, commit: str) -> list[str]:
         """Return the files that differ between the working tree and a commit, sorted; both names of a renamed file.
@@ -314,20 +300,23 @@ class Repository:
         Raises:
             InfrastructureError: git fails.
         """
-        code, output, problem = self._run_git(
-            "diff",
-            "--name-only",
-            "--no-renames",
-            "--no-ext-diff",
-            "--no-textconv",
-            "-z",
-            "--ignore-submodules",
-            commit,
-            "--",
-        )
-        if code:
-            raise InfrastructureError(f"git diff {commit}: {_quote_problem(problem)}")
+        output = self._diff(commit, "--name-only", "--no-renames", "-z")
         return sorted(filter(None, output.decode("utf-8", "surrogateescape").split("\0")))
+
+    def _diff(self, commit: str, *options: str) -> bytes:
+        """Return what ``git diff`` writes about the working tree and a commit; see `_run_git` for its fixed options."""
+        return self._git_output("diff", *options, "--no-ext-diff", "--no-textconv", "--ignore-submodules", commit, "--")
+
+    def _git_output(self, *arguments: str, given: bytes = b"") -> bytes:
+        """Run git as `_run_git`, and return its output.
+
+        Raises:
+            InfrastructureError: git fails.
+        """
+        code, output, problem = self._run_git(*arguments, given=given)
+        if code:
+            raise InfrastructureError(f"git {arguments[0]}: {_quote_problem(problem)}")
+        return output
 
     def _run_git(
         self, *arguments: str, given: bytes = b"", variables: Mapping[str, str] = MappingProxyType({})

@@ -77,18 +77,8 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Build an image from a specification or a Dockerfile, unless nothing has changed."""
     runner = Runner.from_environment()
     password = password_variable(click_context, options.pop("registry_password"), runner)
-    return build(chosen(BuildSettings, options, password_variable=password), runner)
-
-
-def build(settings: BuildSettings, runner: Runner) -> ExitCode:
-    """Build or find the image, push and promote it on request, and report.
-
-    Raises:
-        InputError: an input, a file or a base is wrong or missing, or access is denied.
-        InfrastructureError: the engine, a registry or the network failed. Results of an earlier run are removed
-            first, so that they are not mistaken for current ones.
-    """
-    if settings.output is not None:
+    settings = chosen(BuildSettings, options, password_variable=password)
+    if settings.output is not None:  # so that they are not mistaken for current ones
         remove_results(settings.output, FILES)
     begin = time.monotonic()
     specification = _read_specification(settings)

@@ -108,16 +108,6 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     runner = Runner.from_environment()
     options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
     settings = MatrixSettings.of_options(options)
-    return calibrate_matrix(settings, runner)
-
-
-def calibrate_matrix(settings: MatrixSettings, runner: Runner) -> ExitCode:
-    """Run the matrix and report it.
-
-    Raises:
-        InputError: the settings are inconsistent, or the data are wrong.
-        InfrastructureError: a result cannot be written.
-    """
     configuration = configuration_of(settings)
     matrix = matrix_of(settings, configuration)
     target = target_of(settings, configuration, matrix, runner)

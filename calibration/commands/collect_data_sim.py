@@ -183,16 +183,6 @@ def command(**options: Any) -> ExitCode:
     keys = given(CollectionRequest, options, *OF_DATASET, *OF_APPLICATIONS)
     settings = chosen(CollectionSettings, options, keys=keys)
     runner = Runner.from_environment()
-    return collect_data_sim(settings, runner)
-
-
-def collect_data_sim(settings: CollectionSettings, runner: Runner) -> ExitCode:
-    """Collect a dataset, or datasets of many scenarios; calibrate and report them.
-
-    Raises:
-        InputError: an input is missing or wrong, or the folder already contains a dataset.
-        InfrastructureError: the folder cannot be written, or a process died; an existing dataset is unchanged.
-    """
     applications = described_applications(settings)
     backend = settings.backend or (str(applications.get("backend", DOCKER)) if applications else EMBEDDED)
     check_backend(backend)

@@ -1,7 +1,6 @@
 """``comment``: keep one comment on the pull request with the results of the last run."""
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -51,24 +50,15 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     options["token"] = options["token"] or os.environ.get(variable, "").strip() or None
     if options["token"]:
         add_mask(runner, options["token"])
-    return comment(chosen(CommentSettings, options), runner, os.environ)
-
-
-def comment(settings: CommentSettings, runner: Runner, environment: Mapping[str, str]) -> ExitCode:
-    """Write or delete the comment on the pull request of the run.
-
-    Raises:
-        InputError: the results are invalid, or the token lacks a permission.
-        InfrastructureError: the service cannot be reached.
-    """
+    settings = chosen(CommentSettings, options)
     name = settings.name or ""
-    event = runner.service.event(environment)
+    event = runner.service.event(os.environ)
     if not event.name:
         runner.log(comment_text(read_brief(settings.results / BRIEF_FILE), name, {}))
         return ExitCode.PASS
     if reason := event.without_comment:
         return _note_absence(runner, f"{reason}; a workflow of your own can write it (docs/comment.md)")
-    comments = runner.service.comments(environment, settings.token, settings.api_url)
+    comments = runner.service.comments(os.environ, settings.token, settings.api_url)
     if comments is None:
         return _note_absence(runner, f"the event {event.name} is about no open pull request at this commit")
     set_outputs(runner, {"number": comments.number})

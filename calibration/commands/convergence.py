@@ -1,9 +1,9 @@
 """``convergence``: map how large errors of the starting guess may be, by a sweep over the start noise."""
 
 import shlex
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import click
 
@@ -95,17 +95,6 @@ def starts(value: str) -> tuple[str, ...]:
     return found
 
 
-@dataclass(frozen=True)
-class ConvergenceSettings:
-    """Inputs of ``convergence``."""
-
-    matrix: MatrixSettings
-    """Inputs of the matrix, including the levels of the noise, and the seeds."""
-    start: tuple[str, ...] = KINDS_OF_START
-    minimum_translation_noise: float | None = None
-    minimum_rotation_noise: float | None = None
-
-
 @click.command(COMMAND_NAME, params=[option for option in calibrate_matrix.params if option.name in SHARED_OPTIONS])
 @click.option(
     "--translation-noise",
@@ -136,31 +125,25 @@ class ConvergenceSettings:
 )
 @click.option("--output", type=path, default=Path("output"), help="Folder for results, tables and figures (output).")
 @click.pass_context
-def command(click_context: click.Context, /, **options: Any) -> ExitCode:
+def command(
+    click_context: click.Context,
+    /,
+    start: tuple[Start, ...],
+    minimum_translation_noise: float | None,
+    minimum_rotation_noise: float | None,
+    **options: Any,
+) -> ExitCode:
     """Sweep the noise of the start, and map the share of starts that converge.
 
     The verdict is fail if the start without noise does not converge, or a minimum is not reached.
     """
     runner = Runner.from_environment()
     options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
-    own = {
-        each.name: options.pop(each.name) for each in fields(ConvergenceSettings) if options.get(each.name) is not None
-    }
-    return convergence(ConvergenceSettings(MatrixSettings.of_options(options), **own), runner)
-
-
-def convergence(settings: ConvergenceSettings, runner: Runner) -> ExitCode:
-    """Run the sweep, and write and report the results.
-
-    Raises:
-        InputError: the settings are inconsistent, or the data are wrong.
-        InfrastructureError: a result cannot be written, a process died, or there is no engine.
-        InfrastructureError: a result cannot be written, a process died, or there is no engine.
-    """
-    asked = _with_seeds(settings)
+    minimums = Minimums(minimum_translation_noise, minimum_rotation_noise)
+    asked = _with_seeds(MatrixSettings.of_options(options), start, minimums)
     configuration = configuration_of(asked)
     matrix = matrix_of(asked, configuration)
-    matrices = sweep_matrices(matrix, cast("tuple[Start, ...]", settings.start))
+    matrices = sweep_matrices(matrix, start)
     target = target_of(asked, configuration, matrix, runner)
     pull(asked, runner)
     remove_results(asked.output, ALL_FILES)
@@ -179,7 +162,6 @@ def convergence(settings: ConvergenceSettings, runner: Runner) -> ExitCode:
             )
 
         cells = run_sweep(matrices, asked.output, asked.jobs, done, replace(target, show=LogDisplay(runner)))
-    minimums = Minimums(settings.minimum_translation_noise, settings.minimum_rotation_noise)
     source = (
         f"--dataset {shlex.quote(str(asked.dataset))}" if asked.dataset else f"--config {asked.config or DEFAULT_FILE}"
     )
@@ -188,19 +170,18 @@ def convergence(settings: ConvergenceSettings, runner: Runner) -> ExitCode:
     return found.exit_code
 
 
-def _with_seeds(settings: ConvergenceSettings) -> MatrixSettings:
+def _with_seeds(asked: MatrixSettings, start: tuple[Start, ...], minimums: Minimums) -> MatrixSettings:
     """Return the inputs of the matrix with its noise; the noise of a configuration is not used for sweeps.
 
     Raises:
         InputError: the sweep is too large, or ends below a minimum.
     """
-    asked = settings.matrix
     for axis in ("translation", "rotation"):
         last = max(getattr(asked.noise, axis))
-        minimum = getattr(settings, f"minimum_{axis}_noise")
+        minimum = getattr(minimums, axis)
         if minimum is not None and minimum > last:
             raise InputError(f"minimum-{axis}-noise: found {minimum:g}, but the sweep ends at {last:g}")
-    if not settings.start:
+    if not start:
         raise InputError(f"start is empty: expected {' or '.join(KINDS_OF_START)}, or both")
     if asked.noise.seeds is None and asked.noise.seed_list is None:
         asked = replace(asked, noise=replace(asked.noise, seeds=DEFAULT_SEEDS))

@@ -14,7 +14,7 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.pipeline.results import cell_that_wrote, refuse_what_has_not_passed
 from calibration.robot.exports.files import exported
 from calibration.robot.exports.names import FORMATS, URDF
-from calibration.robot.robot_description import NO_INPUTS, XacroInputs
+from calibration.robot.robot_description import XacroInputs
 
 
 @click.command("export")
@@ -41,50 +41,21 @@ def command(
     In the URDF only calibrated origins are changed; every other byte of the robot's file, or of the expanded xacro, is
     kept.
     """
-    runner = Runner.from_environment()
-    inputs = XacroInputs(xacro or {}, packages)
-    return export(dataset, robot_description, formats or (), output, runner, although, inputs)
-
-
-def export(
-    dataset: Path,
-    description: Path | None,
-    formats: tuple[str, ...],
-    output: Path,
-    runner: Runner,
-    although: str | None = None,
-    inputs: XacroInputs = NO_INPUTS,
-) -> ExitCode:
-    """Write the files of the formats.
-
-    Args:
-        dataset: the calibrated dataset.
-        description: URDF of the robot, or None.
-        formats: names of formats; empty for all that are possible with these data.
-        output: folder to write.
-        runner: runner for the log.
-        although: reason for exporting what has not passed its verdict; None to refuse that.
-        inputs: what the expansion of a xacro needs.
-
-    Raises:
-        InputError: unknown format, a dataset that is not calibrated or has not passed, or a URDF that does not match
-            it.
-        InfrastructureError: a file cannot be written.
-    """
     known = (URDF, *FORMATS)
-    for each in formats:
+    for each in formats or ():
         if each not in known:
             raise InputError(f"--formats: found '{each}', expected {', '.join(known)}{did_you_mean(each, known)}")
     read = read_dataset(dataset)
     cell = cell_that_wrote(dataset)
     if not although:
         refuse_what_has_not_passed(dataset, read, cell)
-    files, notes = exported(read, formats, description, inputs)
+    files, notes = exported(read, formats or (), robot_description, XacroInputs(xacro or {}, packages))
     notes += [each.text for each in cell.findings if each.kind == "after-move"] if cell else []
     if cell is not None and cell.verdict == "undecided" and not although:
         notes.append(f"undecided, which passes here (undecided: pass): {cell.undecided[0]}")
     for name, content in files.items():
         write_atomically(output / name, content)
+    runner = Runner.from_environment()
     with stop_commands(runner):
         for line in (*(f"{output / name}" for name in files), *notes):
             runner.log(one_line(line))

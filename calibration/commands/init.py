@@ -25,22 +25,10 @@ CONFIGURATION_FILE = Path("calibration.yml")
 @boolean_option("--overwrite", help="Replace files that are there.")
 @boolean_option("--although", help="Write them although the recording does not pass; it will be red.")
 def command(dataset: Path, output: Path, suite: str, overwrite: bool, although: bool) -> ExitCode:
-    """Write a first calibration.yml for a dataset, and the workflow that runs it on every push."""
-    runner = Runner.from_environment()
-    return init(dataset, output, suite, runner, overwrite=overwrite, although=although)
+    """Write a first calibration.yml for a dataset, and the workflow that runs it on every push.
 
-
-def init(
-    dataset: Path, output: Path, suite: str, runner: Runner, *, overwrite: bool = False, although: bool = False
-) -> ExitCode:
-    """Calibrate a dataset, judge it without limits, and write those of a good robot for later runs.
-
-    Returns:
-        FAIL if the dataset does not pass; the log has the reasons. Nothing is written then, but for ``although``.
-
-    Raises:
-        InputError: a file exists, or the dataset is wrong or cannot be calibrated.
-        InfrastructureError: a file cannot be written.
+    The dataset is calibrated, and judged without limits; those of a good robot are written for later runs. If it does
+    not pass, nothing is written without --although.
     """
     repository, at, version = suite.partition("@")
     if not at or repository.count("/") != 1 or any(not (c.isalnum() or c in "/._-@") for c in suite):
@@ -55,6 +43,7 @@ def init(
         write_atomically(configuration, first.text)
         write_atomically(workflow, first_workflow(repository, version))
         read_configuration(configuration)
+    runner = Runner.from_environment()
     with stop_commands(runner):
         for each in _messages_of_init(first, dataset, configuration, workflow, suite=suite, written=written):
             runner.log(one_line(each))

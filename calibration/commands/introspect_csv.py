@@ -1,7 +1,6 @@
 """``introspect-csv``: check tables against rules."""
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import click
@@ -16,20 +15,6 @@ from calibration.ci.introspection import introspection_report, read_rules
 from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import TEXT_LIST, path, record_options, text
-
-
-@dataclass(frozen=True)
-class IntrospectionSettings:
-    """Inputs of ``introspect-csv``."""
-
-    files: tuple[str, ...]
-    """Paths and patterns of the tables."""
-    rules: RuleSet
-    baseline: Path | None = None
-    delimiter: str | None = None
-    encoding: str | None = None
-    output: Path | None = None
-    """Folder for results.json, junit.xml and summary.md."""
 
 
 @click.command("introspect-csv")
@@ -54,14 +39,6 @@ def command(**options: Any) -> ExitCode:
 
     Rules are read from a file, from the options (one column), or both.
     """
-    return introspect(settings_from(options), Runner.from_environment())
-
-
-def settings_from(options: dict[str, Any]) -> IntrospectionSettings:
-    """Create the settings from the options, with the rules of the file and of the options.
-
-    Raises :class:`InputError` if there is no rule or no file, or one of them is wrong.
-    """
     given = {name.replace("_", "-"): value for name, value in options.items() if value not in (None, ())}
     rules = _rules_of_options(given)
     files = given.get("file") or ((rules.file,) if rules.file else ())
@@ -71,31 +48,15 @@ def settings_from(options: dict[str, Any]) -> IntrospectionSettings:
         raise InputError("baseline is not given: max-increase and max-decrease need one to compare with")
     if not rules.compares and "baseline" in given:
         raise InputError("baseline is given but no max-increase or max-decrease, so nothing would be compared with it")
-    return IntrospectionSettings(
-        files,
-        rules,
-        baseline=given.get("baseline"),
-        delimiter=parse_delimiter(given["delimiter"]) if "delimiter" in given else None,
-        encoding=given.get("encoding"),
-        output=given.get("output"),
-    )
-
-
-def introspect(settings: IntrospectionSettings, runner: Runner) -> ExitCode:
-    """Check the tables, report every violation, and return the exit code.
-
-    Raises :class:`InputError` if a file, a column or a labelled row is missing or a file is not a
-    table, and :class:`calibration.base.errors.InfrastructureError` if a result cannot be written. Results of
-    an earlier run are removed first, so that they are not mistaken for current ones.
-    """
-    if settings.output is not None:
-        remove_results(settings.output, FILES)
-    tables = [read_table(file, settings.delimiter, settings.encoding) for file in matching(settings.files)]
-    baseline = None
-    if settings.baseline is not None:
-        baseline = read_table(settings.baseline, settings.delimiter, settings.encoding)
-    found = introspection_report([judge(table, settings.rules, baseline) for table in tables])
-    publish(found, runner, settings.output)
+    output = given.get("output")
+    if output is not None:  # so that they are not mistaken for current ones
+        remove_results(output, FILES)
+    delimiter = parse_delimiter(given["delimiter"]) if "delimiter" in given else None
+    encoding = given.get("encoding")
+    tables = [read_table(file, delimiter, encoding) for file in matching(files)]
+    baseline = read_table(given["baseline"], delimiter, encoding) if "baseline" in given else None
+    found = introspection_report([judge(table, rules, baseline) for table in tables])
+    publish(found, Runner.from_environment(), output)
     return found.exit_code
 
 

@@ -11,31 +11,8 @@ from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.report import Lines, Outcome, Report, Text, results_text
 from calibration.ci.report.badge import BADGE_FILE as BADGE
 from calibration.ci.report.badge import verdict_badge
+from calibration.pipeline import report_blocks
 from calibration.pipeline.matrix.cell_result import CellResult
-from calibration.pipeline.report_blocks import (
-    baseline_line,
-    cameras_table,
-    cells_table,
-    changes_table,
-    collections_table,
-    export_lines,
-    failures,
-    findings_of,
-    grid,
-    hangs_on_table,
-    image_line,
-    origin_of_rms,
-    other_methods,
-    parameters_table,
-    precision_table,
-    recordings_table,
-    transforms_table,
-    truth_table,
-    undecided_limits,
-    updates_table,
-    verdict_sentence,
-    without_result,
-)
 from calibration.pipeline.results import CELLS_FILE, Collected, PipelineResults, own_file
 
 NOTES_SHOWN = 30
@@ -77,43 +54,43 @@ def report(results: PipelineResults, output: Path, title: str) -> Report:
         output: the folder of the results.
         title: of the report and its annotations.
     """
-    left_out = tuple(without_result(results))
+    left_out = tuple(report_blocks.without_result(results))
     numbers = results.summary.all
-    main = grid(results)
+    main = report_blocks.grid(results)
     return Report(
         title=title,
         verdict=results.verdict,
         error=results.exit_code,
-        sentence=verdict_sentence(results),
+        sentence=report_blocks.verdict_sentence(results),
         reasons=(
-            *failures(results),
+            *report_blocks.failures(results),
             *(results.baseline.reasons if results.baseline else ()),
             *(reason for each in results.exports for reason in each.reasons),
             *(reason for each in results.of_stages.all for reason in each.reasons),
         ),
-        undecided=tuple(undecided_limits(results, results.systems)),
+        undecided=tuple(report_blocks.undecided_limits(results, results.systems)),
         about=f"Commit {results.commit}" if results.commit else "",
-        warnings=(*findings_of(results, "warning"), *left_out),
+        warnings=(*report_blocks.findings_of(results, "warning"), *left_out),
         blocks=(
-            recordings_table(results),
+            report_blocks.recordings_table(results),
             main,
             Text(_UNDER_GRID if main.rows else "", only="summary"),
-            *map(Text, origin_of_rms(results)),
-            truth_table(results),
-            precision_table(results),
-            Lines(tuple(other_methods(results)), only="summary"),
-            transforms_table(results),
-            cameras_table(results),
-            hangs_on_table(results),
-            parameters_table(results),
-            changes_table(results),
-            updates_table(results),
-            Text(baseline_line(results)),
-            collections_table(results),
-            Lines(findings_of(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),
-            Lines(findings_of(results, "note"), NOTES_SHOWN, title="Notes"),
-            Lines(tuple(export_lines(results, output)), NOTES_SHOWN, title="For the robot"),
-            Text(image_line(results.image) if results.image else ""),
+            *map(Text, report_blocks.origin_of_rms(results)),
+            report_blocks.truth_table(results),
+            report_blocks.precision_table(results),
+            Lines(tuple(report_blocks.other_methods(results)), only="summary"),
+            report_blocks.transforms_table(results),
+            report_blocks.cameras_table(results),
+            report_blocks.hangs_on_table(results),
+            report_blocks.parameters_table(results),
+            report_blocks.changes_table(results),
+            report_blocks.updates_table(results),
+            Text(report_blocks.baseline_line(results)),
+            report_blocks.collections_table(results),
+            Lines(report_blocks.findings_of(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),
+            Lines(report_blocks.findings_of(results, "note"), NOTES_SHOWN, title="Notes"),
+            Lines(tuple(report_blocks.export_lines(results, output)), NOTES_SHOWN, title="For the robot"),
+            Text(report_blocks.image_line(results.image) if results.image else ""),
             *(Text(each.line(output)) for each in results.of_stages.all),
             Lines(left_out, title="Methods without a result", only="summary"),
         ),
@@ -126,7 +103,10 @@ def report(results: PipelineResults, output: Path, title: str) -> Report:
             "worst-rms-px": numbers.worst_rms_px,
             "worst-translation-mm": numbers.worst_translation_mm,
         },
-        files={CELLS_FILE: cells_table(results).csv(), BADGE: verdict_badge("calibration", results.verdict)},
+        files={
+            CELLS_FILE: report_blocks.cells_table(results).csv(),
+            BADGE: verdict_badge("calibration", results.verdict),
+        },
     )
 
 

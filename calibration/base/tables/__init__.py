@@ -11,14 +11,3 @@ Independent of calibration: any table with a header can be judged.
 from calibration.base.tables.rule_set import RuleSet, parse_rules
 from calibration.base.tables.table import Table, read_table
 from calibration.base.tables.table_verdict import RuleResult, TableResult, Violation, judge
-
-__all__ = [
-    "RuleResult",
-    "RuleSet",
-    "Table",
-    "TableResult",
-    "Violation",
-    "judge",
-    "parse_rules",
-    "read_table",
-]

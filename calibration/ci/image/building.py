@@ -17,6 +17,7 @@ from calibration.ci.image.buildkit import Program, build_and_push, build_by_buil
 from calibration.ci.image.content_key import KEY_LABEL, build_labels, key_tag
 from calibration.ci.image.engine_builder import build_by_engine
 from calibration.ci.image.plan import Plan, make_plan
+from calibration.ci.image.report import WORDS_OF_PLACE
 from calibration.ci.image.secret_values import SecretValue, read_secrets, refuse_secrets_in
 from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
 from calibration.ci.registries.credentials import Credentials
@@ -124,7 +125,7 @@ class _Work:
         reference = f"{specification.name}:{key_tag(plan.key)}"
         found = None if force else self._find_image(reference, plan.key)
         if found is not None:
-            runner.log(f"{reference}: nothing has changed, found {_PLACES[found.found_in]}")
+            runner.log(f"{reference}: nothing has changed, found {WORDS_OF_PLACE[found.found_in]}")
         image = found or self._build_image(plan, reference, builder, force)
         return self._set_tags(image)
 
@@ -297,4 +298,3 @@ class _Work:
 
 
 _BUILDKIT_ONLY = "secrets, ssh, several platforms and RUN --mount"
-_PLACES = {"local": "on the engine", "registry": "in the registry", None: ""}

@@ -8,7 +8,8 @@ from calibration.ci.report import Code, Outcome, Report, Table, verdict_of
 from calibration.ci.workflow import Annotation, Runner
 
 REPORT_TITLE = "build-image"
-_WORDS_OF_PLACE = {"local": "on the engine", "registry": "in the registry", None: ""}
+WORDS_OF_PLACE = {"local": "on the engine", "registry": "in the registry", None: ""}
+"""Where an image was found."""
 
 
 @result
@@ -100,6 +101,6 @@ def _result_sentence(result: BuildResult) -> str:
     names = ", ".join(result.promoted)
     if result.key is None:
         return f"{result.reference} is promoted to {names}"
-    how = "built" if result.built else f"unchanged, found {_WORDS_OF_PLACE[result.found_in]}"
+    how = "built" if result.built else f"unchanged, found {WORDS_OF_PLACE[result.found_in]}"
     promoted = f", promoted to {names}" if names else ""
     return f"{result.reference}: {how}{promoted} ({result.seconds:.1f} s)"

@@ -6,9 +6,9 @@ import json
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
-from urllib.parse import quote, urlencode, urlsplit
+from urllib.parse import urlencode, urlsplit
 
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.http import Answer, Http, Timeouts, is_loopback
@@ -104,7 +104,6 @@ MEDIA_TYPES = (
     "application/vnd.docker.distribution.manifest.v2+json",
 )
 """Manifests of images for one platform, and indexes of images for several platforms."""
-MAX_TAGS = 10_000
 _DENIED_STATUSES = (401, 403)
 
 
@@ -211,33 +210,6 @@ class RegistryClient:
         kept = answer.headers.get("Docker-Content-Digest", manifest.digest).strip()
         if kept != manifest.digest:
             raise InfrastructureError(f"{reference}: the registry keeps {one_line(kept)}, not {manifest.digest}")
-
-    def tags(self, reference: Reference | str) -> list[str]:
-        """Return the tags of a repository, in the registry's order; empty if the repository does not exist.
-
-        Raises:
-            InputError: the user has no access, or there are more than :data:`MAX_TAGS`.
-            InfrastructureError: the registry cannot be reached, or gives an invalid answer.
-        """
-        reference = replace(_as_reference(reference), tag=None, digest=None)
-        found: list[str] = []
-        while len(found) <= MAX_TAGS:
-            last = f"&last={quote(found[-1], safe='')}" if found else ""
-            answer = self._request_with_login(
-                "GET", reference, f"tags/list?n=1000{last}", {"Accept": "application/json"}
-            )
-            if self._is_missing(answer, reference):
-                return found
-            try:
-                page = json.loads(answer.body)["tags"] or []
-            except (ValueError, TypeError, KeyError, RecursionError):
-                page = None
-            if not isinstance(page, list) or not all(isinstance(tag, str) for tag in page):
-                raise InfrastructureError(f"{reference}: the registry answers with something else than a list of tags")
-            found += page
-            if not page or 'rel="next"' not in answer.headers.get("Link", ""):
-                return found
-        raise InputError(f"{reference}: there are more than {MAX_TAGS} tags")
 
     def _request_with_login(
         self, method: str, reference: Reference, path: str, headers: dict[str, str], body: bytes | None = None

@@ -15,16 +15,3 @@ from calibration.ci.workflow.runner import (
     set_outputs,
     stop_commands,
 )
-
-__all__ = [
-    "Annotation",
-    "Level",
-    "Runner",
-    "add_mask",
-    "add_summary",
-    "annotate",
-    "group",
-    "report_error",
-    "set_outputs",
-    "stop_commands",
-]

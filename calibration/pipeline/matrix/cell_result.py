@@ -307,14 +307,27 @@ class CellResult:
 
 def nothing_yet(cell: Cell, method: str = OUR_METHOD, start: str | None = None) -> CellResult:
     """Empty result, for a cell that has not run."""
+    loss = cell.loss if method == OUR_METHOD else None
+    return _empty_result(cell.system, method, cell.noise, start or cell.start, loss)
+
+
+def nothing_by_other_method(comparison: Comparison) -> CellResult:
+    """Empty result, for a comparison method that has not run."""
+    start = "given" if comparison.noise else None
+    return _empty_result(comparison.system, comparison.method, comparison.noise, start, None)
+
+
+def _empty_result(
+    system: str, method: str, noise: StartingNoise | None, start: str | None, loss: str | None
+) -> CellResult:
     return CellResult(
-        system=cell.system,
+        system=system,
         method=method,
-        translation_noise=cell.noise.translation,
-        rotation_noise=cell.noise.rotation,
-        seed=cell.noise.seed,
-        start=start or cell.start,
-        loss=cell.loss if method == OUR_METHOD else None,
+        translation_noise=noise.translation if noise else None,
+        rotation_noise=noise.rotation if noise else None,
+        seed=noise.seed if noise else None,
+        start=start,
+        loss=loss,
         converged=False,
         rms_px=None,
         table=None,
@@ -342,24 +355,4 @@ def for_cell(result: CellResult, cell: Cell, iterations: int) -> CellResult:
         rotation_noise=noise.rotation,
         seed=noise.seed,
         details=details,
-    )
-
-
-def nothing_by_other_method(comparison: Comparison) -> CellResult:
-    """Empty result, for a comparison method that has not run."""
-    noise = comparison.noise
-    return CellResult(
-        system=comparison.system,
-        method=comparison.method,
-        translation_noise=noise.translation if noise else None,
-        rotation_noise=noise.rotation if noise else None,
-        seed=noise.seed if noise else None,
-        start="given" if noise else None,
-        loss=None,
-        converged=False,
-        rms_px=None,
-        table=None,
-        dataset=None,
-        truth=None,
-        seconds=0.0,
     )

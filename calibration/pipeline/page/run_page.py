@@ -14,27 +14,11 @@ from calibration.ci.report import VERDICTS, Report, Verdict
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import Limits
+from calibration.pipeline import report_blocks
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
 from calibration.pipeline.page.label_residuals import label_residuals, projection_figures
-from calibration.pipeline.report_blocks import (
-    cameras_table,
-    changes_table,
-    collections_table,
-    failures,
-    failures_of_cells,
-    grid,
-    hangs_on_table,
-    parameters_table,
-    precision_table,
-    recordings_table,
-    transforms_table,
-    truth_table,
-    undecided_limits,
-    updates_table,
-    verdict_sentence,
-)
 from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import System
 
@@ -81,13 +65,24 @@ def report_page(
         )
 
     sections = _sections_within_limit(verdicts, section_of)
-    in_sections = {*failures_of_cells(results, sections), *undecided_limits(results, sections)} if several else set()
+    in_sections = (
+        {*report_blocks.failures_of_cells(results, sections), *report_blocks.undecided_limits(results, sections)}
+        if several
+        else set()
+    )
     links = [
         element("li", element("a", name, href=f"#{_anchor_of_system(name)}"), *_unless_passed(verdicts[name]))
         for name in sections
     ]
     left_out = len(shown) - len(sections)
-    tables = (recordings_table, grid, truth_table, precision_table, updates_table, collections_table)
+    tables = (
+        report_blocks.recordings_table,
+        report_blocks.grid,
+        report_blocks.truth_table,
+        report_blocks.precision_table,
+        report_blocks.updates_table,
+        report_blocks.collections_table,
+    )
     title = "Calibration" if several or not shown else f"Calibration of {next(iter(shown))}"
     head = [
         element("h1", title),
@@ -123,8 +118,8 @@ def _of_system(results: PipelineResults, name: str) -> PipelineResults:
 
 def _verdict_of_system(results: PipelineResults) -> Html:
     """Return the verdict of a system, and the reasons of its cells."""
-    reasons = (*failures(results), *undecided_limits(results, results.systems))
-    return join([verdict_line(results.verdict, verdict_sentence(results)), bullets(reasons)])
+    reasons = (*report_blocks.failures(results), *report_blocks.undecided_limits(results, results.systems))
+    return join([verdict_line(results.verdict, report_blocks.verdict_sentence(results)), bullets(reasons)])
 
 
 def _unless_passed(verdict: Verdict) -> tuple[str, ...]:
@@ -159,7 +154,13 @@ def _system_section(
     given: Dataset | None,
 ) -> Html:
     """Return the sections of one system, by one of its cells, below its verdict and reasons."""
-    tables = (transforms_table, cameras_table, hangs_on_table, parameters_table, changes_table)
+    tables = (
+        report_blocks.transforms_table,
+        report_blocks.cameras_table,
+        report_blocks.hangs_on_table,
+        report_blocks.parameters_table,
+        report_blocks.changes_table,
+    )
     of_cell = PipelineResults((cell,))
     notes = tuple(each.text for each in cell.uncontradicted_findings if each.severity in ("warning", "note"))
     content = [

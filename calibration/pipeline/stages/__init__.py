@@ -1,5 +1,3 @@
 """Stages of a pipeline, run in order; they communicate by files, so each can run alone."""
 
 from calibration.pipeline.stages.running import STAGES, PipelineRun, run_stages
-
-__all__ = ["STAGES", "PipelineRun", "run_stages"]

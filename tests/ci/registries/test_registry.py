@@ -69,7 +69,6 @@ def test_missing_objects(client: RegistryClient) -> None:
     with serve(lambda _: missing) as server:
         assert client.find_manifest(f"{server.address}/robot") is None
         assert client.read_manifest(f"{server.address}/robot") is None
-        assert client.tags(f"{server.address}/robot") == []
 
 
 def test_denied_anonymous_access_counts_as_missing(client: RegistryClient) -> None:
@@ -429,41 +428,6 @@ def test_a_tag_for_an_image(
             client.put_manifest(name, manifest)
     assert str(caught.value).startswith(f"{name}: ")
     assert message in str(caught.value)
-
-
-def test_tags(client: RegistryClient) -> None:
-    pages = {
-        "/v2/robot/tags/list?n=1000": (["a", "b c"], '</v2/x>; rel="next"'),
-        "/v2/robot/tags/list?n=1000&last=b%20c": (["d"], ""),
-    }
-
-    def answer(request: Request) -> Reply:
-        tags, link = pages[request.path]
-        return Reply(200, json.dumps({"name": "robot", "tags": tags}).encode(), {"Link": link})
-
-    with serve(answer) as server:
-        assert client.tags(f"{server.address}/robot:v1") == ["a", "b c", "d"]
-    with serve(lambda _: Reply(200, b'{"tags": null}')) as server:
-        assert client.tags(f"{server.address}/robot") == []
-
-
-@pytest.mark.parametrize("body", [b"<html>", b"[]", b"{}", b'{"tags": "a"}', b'{"tags": [1]}'])
-def test_something_else_than_tags(client: RegistryClient, body: bytes) -> None:
-    with (
-        serve(lambda _: Reply(200, body)) as server,
-        pytest.raises(InfrastructureError, match="else than a list of tags"),
-    ):
-        client.tags(f"{server.address}/robot")
-
-
-def test_tags_without_end(client: RegistryClient) -> None:
-    page = json.dumps({"tags": [f"t{number}" for number in range(4000)]}).encode()
-    with (
-        serve(lambda _: Reply(200, page, {"Link": '<x>; rel="next"'})) as server,
-        pytest.raises(InputError, match="more than 10000 tags"),
-    ):
-        client.tags(f"{server.address}/robot")
-    assert len(server.requests) == 3
 
 
 @pytest.mark.parametrize("status", [400, 401, 403, 418, 500])
