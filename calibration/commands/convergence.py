@@ -106,7 +106,7 @@ def starts(value: str) -> tuple[str, ...]:
     "--rotation-noise",
     type=levels,
     default="0:3:7",
-    help="Levels of the errors of the starting Euler angles, rad, likewise (0:3:7).",
+    help="Levels of the errors of the starting Euler angles, rad: numbers or FIRST:LAST:COUNT, and always 0 (0:3:7).",
 )
 @click.option("--seeds", type=count, help="How many seeds for each pair of noises (10).")
 @click.option("--seed-list", type=INTEGER_LIST, help="The seeds themselves, instead of their number: 3,7.")

@@ -57,11 +57,11 @@ def command(
     """
     runner = Runner.from_environment()
     inputs = chosen(JobInputs, options, push=event_of(os.environ).by_stranger is None)
+    noise = read(Noise, given(Noise, options, names=NOISE_OPTION_OF_KEY), "options")
     if config is not None and datasets:
         raise InputError("config and datasets exclude each other: a calibration.yml, or the datasets themselves")
     configuration = datasets_as_configuration(datasets) if datasets else _read_configuration(config, inputs)
     chosen_systems = configuration.only(systems or ()) if configuration else ()
-    noise = read(Noise, given(Noise, options, names=NOISE_OPTION_OF_KEY), "options")
     grid = noise.grid(configuration.noise if configuration else None)
     plan = plan_jobs(configuration, chosen_systems, grid, inputs, by_path=bool(datasets))
     outputs = plan_outputs(plan)

@@ -38,9 +38,11 @@ class Collected:
     corner_rms_px: float | None = field("Detected corners against the true ones.", unit="px", default=None)
     rms_px: float | None = field("RMS of the dataset's calibration.", unit="px", default=None)
     translation_mm: float | None = field(
-        "The worst error of a calibrated sensor against the truth.", unit="mm", default=None
+        "The worst translation error of a calibrated sensor against the truth.", unit="mm", default=None
     )
-    rotation_deg: float | None = field("Likewise.", unit="deg", default=None)
+    rotation_deg: float | None = field(
+        "The worst rotation error of a calibrated sensor against the truth.", unit="deg", default=None
+    )
     dataset: str | None = field("Its folder, relative to the output folder.", default=None)
     reasons: tuple[str, ...] = field("Reasons of a fail verdict.", default=())
     error: ErrorCode | None = field("Exit code of a collection that could not be made.", default=None)

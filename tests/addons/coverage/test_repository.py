@@ -107,7 +107,7 @@ def test_commits(tmp_path: Path) -> None:
     assert checkout.commit("--all") is None
     assert checkout.parents("0" * 40) == []
     assert checkout.merge_base("0" * 40, "HEAD") is None
-    with pytest.raises(InfrastructureError, match="git diff: .*000"):
+    with pytest.raises(InfrastructureError, match=r"git diff: .*000"):
         checkout.difference("0" * 40)
     shallow = tmp_path / "shallow"
     git(tmp_path, "clone", "-q", "--depth", "1", f"file://{root}", str(shallow))

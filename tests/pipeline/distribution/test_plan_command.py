@@ -105,7 +105,7 @@ def test_an_analysis_needs_no_configuration(monkeypatch: pytest.MonkeyPatch) -> 
         (["--datasets", "b", "--minute-rate", "-0.1"], "'-0.1' is below 0"),
         (["--datasets", "b", "--minute-rate", "nan"], "'nan' is not a finite number"),
         (["--datasets", "b", "--minute-rate", "0,006"], "'0,006' is not a finite number"),
-        (["--datasets", "b", "--minute-rate", "6e3"], "'6e3' is above 1000"),
+        (["--datasets", "b", "--minute-rate", "6e3"], "minute-rate: found 6000.0, expected"),
     ],
 )
 def test_what_cannot_be_planned_is_bad_input(
