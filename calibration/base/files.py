@@ -90,6 +90,24 @@ def link_or_copy(source: Path | str, target: Path | str) -> None:
 
 
 @contextmanager
+def writing(place: object, what: str = "") -> Iterator[None]:
+    """Convert an OSError of the block to the error that something cannot be written.
+
+    Args:
+        place: file or folder, for the message.
+        what: what of it is written, for the message; by default it.
+
+    Raises:
+        InfrastructureError: instead of OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise InfrastructureError(f"{place}: {what}{' ' if what else ''}cannot be written: {reason}") from error
+
+
+@contextmanager
 def _replace_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside a file, which replaces the file if the block succeeds."""
     _refuse_links(path)

@@ -7,37 +7,15 @@ from typing import Annotated, Any, Literal
 
 from calibration.base.documents import read_yaml, with_variables
 from calibration.base.errors import InputError
-from calibration.base.records import (
-    ByName,
-    Converted,
-    Place,
-    field,
-    flat_fields,
-    matching,
-    one_of,
-    read,
-    record,
-)
+from calibration.base.records import ByName, Converted, Place, field, flat_fields, matching, one_of, read, record
 from calibration.base.text import did_you_mean
-from calibration.ci.execution.backends import (
-    SECTIONS,
-    ContainerBackend,
-    ExecutionTarget,
-    Sections,
-)
+from calibration.ci.execution.backends import SECTIONS, ContainerBackend, ExecutionTarget, Sections
 from calibration.ci.image.specification import ImageDocument, ImageSpecification, parse_image_specification
 from calibration.engine.baseline.settings import BASELINE_FILE, BaselineSettings
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.solve.options import Options
 from calibration.pipeline.collection.request import CollectionRequest
-from calibration.pipeline.system import (
-    Exports,
-    Noise,
-    NoiseGrid,
-    System,
-    Undecided,
-    chosen_systems,
-)
+from calibration.pipeline.system import Exports, Noise, NoiseGrid, System, Undecided, chosen_systems
 
 DEFAULT_FILE = Path("calibration.yml")
 _NAME_PATTERN = matching("[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", "letters, digits and _ . -, at most 64 of them")

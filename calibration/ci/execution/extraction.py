@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO, cast
 
 from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError
+from calibration.base.files import writing
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.sizes import describe_bytes
 
@@ -253,10 +254,8 @@ def _write_file(entry: tarfile.TarInfo, content: IO[bytes], folder: Path, parts:
         while chunk := _read_chunk(content):
             digest.update(chunk)
             size += len(chunk)
-            try:
+            with writing(folder, "an artifact"):
                 file.write(chunk)
-            except OSError as error:
-                raise InfrastructureError(f"{folder}: an artifact cannot be written: {error.strerror}") from error
     if size != entry.size:
         raise InfrastructureError("the archive of the artifacts ends too early")
     return Extracted("/".join(parts), size, digest.hexdigest())

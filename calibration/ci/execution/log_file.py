@@ -6,7 +6,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from calibration.base.errors import InfrastructureError
+from calibration.base.files import writing
 from calibration.base.redaction import Redactor
 from calibration.base.text import shorten
 from calibration.ci.workflow.streams import tame
@@ -52,10 +52,8 @@ class LogFile:
         self._written = 0
         self._left_out = 0
         self._rest = b""
-        try:
+        with writing(path, "the log"):
             self._file = path.open("wb", buffering=0)
-        except OSError as error:
-            raise InfrastructureError(f"{path}: the log cannot be written: {error.strerror}") from error
 
     def __enter__(self) -> Self:
         return self
@@ -113,8 +111,6 @@ class LogFile:
             self.last_line = shorten(line, 200)
 
     def _write_bytes(self, data: bytes) -> None:
-        try:
+        with writing(self.path, "the log"):
             if data:
                 self._file.write(data)
-        except OSError as error:
-            raise InfrastructureError(f"{self.path}: the log cannot be written: {error.strerror}") from error

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.base.errors import ExitCode, InfrastructureError
-from calibration.base.files import write_atomically
+from calibration.base.errors import ExitCode
+from calibration.base.files import write_atomically, writing
 from calibration.base.records import Converted, between, field, length, matching, record
 
 
@@ -102,7 +102,7 @@ def make_job_folder(folder: Path) -> None:
     Raises:
         InfrastructureError: it cannot be written.
     """
-    try:
+    with writing(folder):
         for name in (ARTIFACTS_FOLDER, LOGS_FOLDER, FILE_NAME):
             place = folder / name
             if place.is_dir() and not place.is_symlink():
@@ -110,8 +110,6 @@ def make_job_folder(folder: Path) -> None:
             else:
                 place.unlink(missing_ok=True)
         (folder / LOGS_FOLDER).mkdir(parents=True)
-    except OSError as error:
-        raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
 
 
 def write_manifest(outcome: JobOutcome, run: str) -> None:

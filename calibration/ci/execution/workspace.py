@@ -17,7 +17,7 @@ from typing import Generic, TypeVar
 from urllib.parse import quote
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import write_atomically
+from calibration.base.files import write_atomically, writing
 from calibration.ci.execution.tasks import Task
 
 _NO_LOCKS = (errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOTSUP)
@@ -154,22 +154,19 @@ def workspace(
         InfrastructureError: the folder cannot be created or written.
     """
     folder = output / UNFINISHED_FOLDER
-    try:
-        with locked(output):
-            if not _is_of(folder, identity):
-                if folder.exists():
-                    shutil.rmtree(folder)
-                folder.mkdir()
-                write_atomically(folder / _IDENTITY_FILE, json.dumps(identity))
-            work, finished = Workspace(folder, encode, decode), False
-            try:
-                yield work
-                finished = True
-            finally:
-                if finished or not work.count():
-                    shutil.rmtree(folder, ignore_errors=True)
-    except OSError as error:
-        raise InfrastructureError(f"{output}: cannot be written: {error.strerror or error}") from error
+    with writing(output), locked(output):
+        if not _is_of(folder, identity):
+            if folder.exists():
+                shutil.rmtree(folder)
+            folder.mkdir()
+            write_atomically(folder / _IDENTITY_FILE, json.dumps(identity))
+        work, finished = Workspace(folder, encode, decode), False
+        try:
+            yield work
+            finished = True
+        finally:
+            if finished or not work.count():
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _is_of(folder: Path, identity: str) -> bool:

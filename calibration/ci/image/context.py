@@ -13,7 +13,7 @@ from typing import IO
 from docker.utils.build import Pattern
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import read_bytes, write_atomically
+from calibration.base.files import read_bytes, write_atomically, writing
 
 MAX_BYTES = 2 * 1024**3
 """Limit of the size, because the context is hashed on every push and sent to the engine for every build."""
@@ -174,7 +174,7 @@ class Context:
         """
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder}: an empty folder was expected: existing files would be mixed with the context")
-        try:
+        with writing(folder, "the context"):
             folder.mkdir(parents=True, exist_ok=True)
             for path, entry in sorted(self.entries.items()):
                 target = folder / path
@@ -187,8 +187,6 @@ class Context:
                     with _open_content(path, entry) as file:
                         write_atomically(target, file.read())
                     target.chmod(entry.mode)
-        except OSError as error:
-            raise InfrastructureError(f"{folder}: the context cannot be written: {error.strerror}") from error
 
     def _put_entry(self, path: str, entry: Entry) -> None:
         self.entries[path] = entry
@@ -275,9 +273,5 @@ def _open_content(path: str, entry: Entry) -> BytesIO | BufferedReader:
 
 
 def _add_to_archive(archive: tarfile.TarFile, info: tarfile.TarInfo, file: IO[bytes]) -> None:
-    try:
+    with writing(info.name, "the build context"):  # also raised by tarfile for a file that was truncated meanwhile
         archive.addfile(info, file)
-    except OSError as error:  # also raised by tarfile for a file that was truncated meanwhile
-        raise InfrastructureError(
-            f"{info.name}: the build context cannot be written: {error.strerror or error}"
-        ) from error

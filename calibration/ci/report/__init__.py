@@ -9,10 +9,4 @@ from calibration.base.verdict import VERDICTS, Check, Verdict, at_least, at_most
 from calibration.ci.report.blocks import Block, Code, Lines, Table, Text, shown
 from calibration.ci.report.junit import Outcome, outcome_of_check
 from calibration.ci.report.report import FILES, Report, publish, remove_results, show
-from calibration.ci.report.results_json import (
-    RESULTS_FILE,
-    Head,
-    read_results_file,
-    reasons_in,
-    results_text,
-)
+from calibration.ci.report.results_json import RESULTS_FILE, Head, read_results_file, reasons_in, results_text

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TextIO, TypeAlias
 
-from calibration.base.errors import InfrastructureError, InputError, brief
+from calibration.base.errors import InputError, brief
+from calibration.base.files import writing
 from calibration.base.redaction import derived_forms
 from calibration.base.text import one_line
 
@@ -58,11 +59,9 @@ def append_outputs(path: Path | None, values: Mapping[str, OutputValue]) -> None
     lines = "".join(_format_assignment(name, _output_text(value)) for name, value in values.items())
     if path is None:
         return
-    try:
+    with writing(path, "the step's outputs"):
         with path.open("a", encoding="utf-8", errors="backslashreplace", newline="") as file:
             file.write(lines)
-    except OSError as error:
-        raise InfrastructureError(f"{path}: the step's outputs cannot be written: {error.strerror}") from error
 
 
 def append_summary(path: Path | None, markdown: str) -> None:
@@ -73,12 +72,10 @@ def append_summary(path: Path | None, markdown: str) -> None:
     """
     if path is None:
         return
-    try:
+    with writing(path, "the step's summary"):
         with path.open("ab") as file:
             text = (markdown.rstrip("\n") + "\n").encode("utf-8", "replace")
             file.write(_cut_to_bytes(text, MAX_SUMMARY_BYTES - file.tell()))
-    except OSError as error:
-        raise InfrastructureError(f"{path}: the step's summary cannot be written: {error.strerror}") from error
 
 
 def _output_text(value: OutputValue) -> str:

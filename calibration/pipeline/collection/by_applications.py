@@ -12,8 +12,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from calibration.base.documents import parse_json
-from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError, InputError
-from calibration.base.files import read_bytes, temporary_folder, write_atomically
+from calibration.base.errors import CalibrationError, ExitCode, InputError
+from calibration.base.files import read_bytes, temporary_folder, write_atomically, writing
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, JobOutcome
@@ -143,12 +143,10 @@ def write_inputs(folder: Path, plan: ApplicationPlan) -> Path | None:
 
 def _keep_logs(outcome: JobOutcome, output: Path) -> None:
     """Keep the containers' logs beside the dataset, and remove those of an earlier collection."""
-    try:
+    with writing(output / LOGS_FOLDER):
         shutil.rmtree(output / LOGS_FOLDER, ignore_errors=True)
         if (outcome.folder / LOGS_FOLDER).is_dir():
             shutil.move(outcome.folder / LOGS_FOLDER, output / LOGS_FOLDER)
-    except OSError as error:
-        raise InfrastructureError(f"{output / LOGS_FOLDER}: cannot be written: {error.strerror or error}") from error
 
 
 def judged(plan: ApplicationPlan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:

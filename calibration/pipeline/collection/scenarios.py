@@ -13,8 +13,8 @@ from typing import Annotated, Literal
 
 from calibration import __version__
 from calibration.base.documents import parse_json
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
-from calibration.base.files import read_bytes, temporary_folder, write_atomically
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.files import read_bytes, temporary_folder, write_atomically, writing
 from calibration.base.records import document_of, field, length, read, record
 from calibration.base.text import one_line
 from calibration.ci.execution.backends import ExecutionTarget
@@ -150,7 +150,7 @@ class ScenarioFolder:
             raise InputError(
                 f"{place}: exists already; --overwrite replaces the scenarios, --resume runs what is missing"
             )
-        try:
+        with writing(self.output):
             self.output.mkdir(parents=True, exist_ok=True)
             for name in REPORT_FILES:
                 (self.output / name).unlink(missing_ok=True)
@@ -158,8 +158,6 @@ class ScenarioFolder:
                 for folder in (place, self.output / LOGS_FOLDER):
                     if folder.exists():
                         shutil.rmtree(folder)
-        except OSError as error:
-            raise InfrastructureError(f"{self.output}: cannot be written: {error.strerror or error}") from error
 
     def task(self, scenarios: Scenarios, number: int, inputs: Path | None, work: Path) -> Task[Judged]:
         """Return the task of a scenario.
@@ -188,7 +186,7 @@ class ScenarioFolder:
     def _take_output(self, scenarios: Scenarios, number: int, outcome: JobOutcome, new: Path) -> Judged:
         """Judge a scenario, and move its output into place as a whole."""
         name = scenarios.pending[number].id
-        try:
+        with writing(self.output):
             judged = scenarios.judge(number, outcome, new)
             _move_folder(outcome.folder / LOGS_FOLDER, self.output / LOGS_FOLDER / name)
             if judged.complete:
@@ -197,8 +195,6 @@ class ScenarioFolder:
             for left in (new, outcome.folder):
                 if left.exists():
                     shutil.rmtree(left)
-        except OSError as error:
-            raise InfrastructureError(f"{self.output}: cannot be written: {error.strerror or error}") from error
         return judged
 
 
