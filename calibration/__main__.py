@@ -22,58 +22,44 @@ import click
 from calibration import __version__
 from calibration.base.addons import LazyCommand, of_addons
 from calibration.base.errors import CalibrationError, ExitCode, solvable
+from calibration.base.optional import PACKAGE_OF_MODULE
 from calibration.base.process import Terminated, no_collector, run_process, terminate_cleanly
 from calibration.base.text import did_you_mean
 from calibration.ci.workflow import Runner, report_error, stop_commands
 
+_HELP_OF_COMMAND = {
+    "run": "Run the whole pipeline of calibration.yml.",
+    "calibrate-matrix": "Calibrate systems from every noisy start.",
+    "accept": "Keep a run's results as the baseline of later ones.",
+    "history": "Follow the accepted calibrations through git.",
+    "convergence": "Map how large errors of the starting guess may be.",
+    "introspect-csv": "Check tables against rules.",
+    "collect-data-sim": "Collect a dataset in simulation.",
+    "build-image": "Build the image with the team's software, if anything changed.",
+    "plan-matrix": "Plan the jobs of a workflow.",
+    "gather-results": "Merge the results of a workflow's jobs.",
+    "comment": "Keep one comment on a pull request up to date.",
+    "look": "Look at a recording: what is in it, and what is missing for a calibration.",
+    "import-data": "Make a dataset of recorded images and poses.",
+    "label": "Find the patterns in the images of a dataset.",
+    "init": "Write a first calibration.yml and workflow.",
+    "export": "Write a calibration as URDF, launch files, camera_info and more.",
+    "cleanup": "Remove what killed runs left in the Docker Engine or the cloud.",
+    "pattern": "Write a board to print, true to size.",
+    "schema": "Print the JSON Schema of a file.",
+    "version": "Print the versions in use.",
+}
 COMMANDS: Mapping[str, LazyCommand] = {
-    "run": LazyCommand("calibration.commands.run:command", "Run the whole pipeline of calibration.yml."),
-    "calibrate-matrix": LazyCommand(
-        "calibration.commands.calibrate_matrix:command", "Calibrate systems from every noisy start."
-    ),
-    "accept": LazyCommand("calibration.commands.accept:command", "Keep a run's results as the baseline of later ones."),
-    "history": LazyCommand("calibration.commands.history:command", "Follow the accepted calibrations through git."),
-    "convergence": LazyCommand(
-        "calibration.commands.convergence:command", "Map how large errors of the starting guess may be."
-    ),
-    "introspect-csv": LazyCommand("calibration.commands.introspect_csv:command", "Check tables against rules."),
-    "collect-data-sim": LazyCommand(
-        "calibration.commands.collect_data_sim:command", "Collect a dataset in simulation."
-    ),
-    "build-image": LazyCommand(
-        "calibration.commands.build_image:command", "Build the image with the team's software, if anything changed."
-    ),
-    "plan-matrix": LazyCommand("calibration.commands.plan_matrix:command", "Plan the jobs of a workflow."),
-    "gather-results": LazyCommand(
-        "calibration.commands.gather_results:command", "Merge the results of a workflow's jobs."
-    ),
-    "comment": LazyCommand("calibration.commands.comment:command", "Keep one comment on a pull request up to date."),
-    "look": LazyCommand(
-        "calibration.commands.look:command",
-        "Look at a recording: what is in it, and what is missing for a calibration.",
-    ),
-    "import-data": LazyCommand(
-        "calibration.commands.import_data:command", "Make a dataset of recorded images and poses."
-    ),
-    "label": LazyCommand("calibration.commands.label:command", "Find the patterns in the images of a dataset."),
-    "init": LazyCommand("calibration.commands.init:command", "Write a first calibration.yml and workflow."),
-    "export": LazyCommand(
-        "calibration.commands.export:command", "Write a calibration as URDF, launch files, camera_info and more."
-    ),
-    "cleanup": LazyCommand(
-        "calibration.commands.cleanup:command", "Remove what killed runs left in the Docker Engine or the cloud."
-    ),
-    "pattern": LazyCommand("calibration.commands.pattern:command", "Write a board to print, true to size."),
-    "schema": LazyCommand("calibration.commands.schema:command", "Print the JSON Schema of a file."),
-    "version": LazyCommand("calibration.commands.version:command", "Print the versions in use."),
+    **{
+        name: LazyCommand(f"calibration.commands.{name.replace('-', '_')}:command", help_)
+        for name, help_ in _HELP_OF_COMMAND.items()
+    },
     **of_addons(lambda addon: addon.commands),
 }
 """Commands by name, in the order of ``--help``."""
 COMPLETION = "_CALIBRATION_COMPLETE"
 IMPORTED = 100 << 20
 """Bytes of address space required before a command starts: more than the import of numpy maps, mostly for OpenBLAS."""
-_PACKAGES = {"cv2": "opencv-python-headless", "yaml": "pyyaml"}
-"""PyPI names of packages whose module has another name."""
 
 
 class LazyGroup(click.Group):
@@ -203,7 +189,8 @@ def _answer(runner: Runner, command: click.Command | str, name: str, arguments: 
         if error.name is None or error.name.partition(".")[0] == "calibration":
             return _report_bug(runner, error)
         module = error.name.partition(".")[0]
-        report_error(runner, f"the package {module} is not installed: pip install {_PACKAGES.get(module, module)}")
+        _, source = PACKAGE_OF_MODULE.get(module, (module, module))
+        report_error(runner, f"the package {module} is not installed: pip install {source}")
         return ExitCode.INFRASTRUCTURE
     except ImportError as error:
         if "failed to map segment" in str(error):  # of a shared library, for which there is not enough memory

@@ -83,3 +83,19 @@ def solvable(where: object) -> Iterator[None]:
             f"{where}: found numbers that cannot be solved ({error}), expected labels and transforms of like size; "
             f"look for a point, a corner or a transform far away from the others"
         ) from error
+
+
+def innermost_message(error: BaseException) -> str:
+    """Return the message of the innermost cause of a failed request, without those of the exceptions around it."""
+    for _ in range(10):
+        inner = (
+            getattr(error, "reason", None)
+            or error.__cause__
+            or error.__context__
+            or next((part for part in error.args if isinstance(part, BaseException)), None)
+        )
+        if not isinstance(inner, BaseException) or isinstance(inner, NameError):  # a probe for optional packages
+            break
+        error = inner
+    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error).rpartition(": ")[2]
+    return re.sub(r"^\[Errno -?[0-9]+\] ", "", text or type(error).__name__)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from urllib.parse import urljoin, urlsplit
 
-from calibration.base.errors import InfrastructureError
+from calibration.base.errors import InfrastructureError, innermost_message
 from calibration.base.redaction import redact
 from calibration.base.text import one_line, shorten
 
@@ -210,7 +210,7 @@ class Http:
         """Return the exception to raise for a failed attempt."""
         if isinstance(error, InfrastructureError):
             return error
-        reason = shorten(one_line(redact(innermost_cause(error), self._secrets)), 200)
+        reason = shorten(one_line(redact(innermost_message(error), self._secrets)), 200)
         if isinstance(error, self._errors.SSLError):
             ca = "a proxy's own certificate: REQUESTS_CA_BUNDLE"
             return InfrastructureError(f"{host}: its TLS is not trusted: {reason} ({ca})")
@@ -234,18 +234,6 @@ def retry_after(header: str) -> float | None:
     """Parse ``Retry-After``: seconds to wait; None if it is empty or a date."""
     text = header.strip()
     return float(text) if text.isascii() and text.isdigit() and len(text) < 10 else None
-
-
-def innermost_cause(error: BaseException) -> str:
-    """Return the message of the innermost cause of a failed request, without the wrapping exceptions."""
-    seen: BaseException = error
-    while True:
-        inner = getattr(seen, "reason", None) or next((arg for arg in seen.args if isinstance(arg, Exception)), None)
-        if not isinstance(inner, BaseException):
-            break
-        seen = inner
-    text = getattr(seen, "strerror", None) or str(seen).rpartition(": ")[2] or type(seen).__name__
-    return re.sub(r"^\[Errno -?[0-9]+\] ", "", text)
 
 
 def _no_other_password(request: "requests.PreparedRequest") -> "requests.PreparedRequest":

@@ -9,6 +9,7 @@ PACKAGE_OF_MODULE = {
     "av": ("PyAV", "av"),
     "cv2": ("OpenCV", "opencv-python-headless"),
     "hpl": ("hpl-specs", "'calibration-ci[requirements]'"),
+    "yaml": ("PyYAML", "pyyaml"),
     "rosbags": ("rosbags", "'calibration-ci[bags]'"),
 }
 """Name of a package, and what pip installs, where they differ from its module."""

@@ -20,7 +20,7 @@ from docker import APIClient, DockerClient
 from docker.errors import APIError
 from docker.utils import parse_repository_tag
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.errors import InfrastructureError, InputError, innermost_message
 from calibration.base.text import one_line, shorten
 
 REQUEST_SECONDS = 60
@@ -77,7 +77,7 @@ def connect(seconds: int = REQUEST_SECONDS) -> DockerClient:
         client.ping()
     except (docker.errors.DockerException, requests.RequestException, OSError, ValueError) as error:
         raise InfrastructureError(
-            f"no Docker Engine answers at {address()}: {_innermost_message(error)}; start it, or set DOCKER_HOST"
+            f"no Docker Engine answers at {address()}: {_reason_of(error)}; start it, or set DOCKER_HOST"
         ) from None
     return client
 
@@ -144,8 +144,12 @@ def engine_errors(where: str = "") -> Iterator[None]:
 
 def lost(error: Exception | None = None) -> EngineLostError:
     """Return the error for a lost connection to the engine."""
-    cause = f": {_innermost_message(error)}" if error is not None else ""
+    cause = f": {_reason_of(error)}" if error is not None else ""
     return EngineLostError(f"the Docker Engine at {address()} does not answer any more{cause}")
+
+
+def _reason_of(error: Exception) -> str:
+    return shorten(one_line(innermost_message(error)), 200)
 
 
 def engine_message(error: APIError) -> str:
@@ -183,22 +187,6 @@ def _pid_listening_at(path: str) -> int:
             return -1
         credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
         return int(struct.unpack("3i", credentials)[0])
-
-
-def _innermost_message(error: Exception) -> str:
-    """Return the message of the innermost cause of an error, shortened."""
-    reason: BaseException = error
-    for _ in range(10):
-        inner = (
-            reason.__cause__
-            or reason.__context__
-            or next((part for part in getattr(reason, "args", ()) if isinstance(part, BaseException)), None)
-        )
-        if inner is None or isinstance(inner, NameError):  # NameError: the SDK's probe for optional packages
-            break
-        reason = inner
-    text = reason.strerror if isinstance(reason, OSError) and reason.strerror else str(reason)
-    return shorten(one_line(text or type(reason).__name__), 200)
 
 
 _NOT_THERE = (

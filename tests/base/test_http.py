@@ -3,17 +3,18 @@
 import pytest
 import requests
 
-from calibration.base.http import innermost_cause, is_loopback, retry_after
+from calibration.base.errors import innermost_message
+from calibration.base.http import is_loopback, retry_after
 
 
 def test_the_cause_is_the_message_of_the_system() -> None:
     with pytest.raises(requests.ConnectionError) as refused:
         requests.get("http://127.0.0.1:9", timeout=5)  # nothing listens on the port "discard"
-    assert innermost_cause(refused.value) == "Connection refused"
+    assert innermost_message(refused.value) == "Connection refused"
 
 
 def test_a_cause_without_words_is_named() -> None:
-    assert innermost_cause(requests.ConnectionError(ConnectionResetError())) == "ConnectionResetError"
+    assert innermost_message(requests.ConnectionError(ConnectionResetError())) == "ConnectionResetError"
 
 
 @pytest.mark.parametrize(

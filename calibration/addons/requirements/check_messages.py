@@ -11,12 +11,12 @@ from calibration.addons.requirements.judging import judge_bag
 from calibration.addons.requirements.report import TITLE, report
 from calibration.addons.requirements.results import MessageResults
 from calibration.addons.requirements.settings import RequirementSettings
+from calibration.base.documents import read_yaml
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.records import field, read, record
-from calibration.base.yaml_file import read_yaml
 from calibration.ci.report import FILES, Report, publish, remove_results
 from calibration.ci.workflow import Runner
-from calibration.commands.record_options import chosen, record_options
+from calibration.commands.parameters import chosen, record_options
 
 SECTION = "requirements"
 

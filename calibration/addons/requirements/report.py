@@ -5,10 +5,10 @@ from pathlib import Path
 
 from calibration.addons.requirements.requirement import Judgement, Requirement
 from calibration.addons.requirements.results import MessageResults
+from calibration.base.documents import line_of
 from calibration.base.text import shorten
-from calibration.base.yaml_file import line_of
 from calibration.ci.report import Outcome, Report, Table, verdict_of
-from calibration.ci.workflow.annotation import Annotation, Level
+from calibration.ci.workflow.runner import Annotation, Level
 
 TITLE = "check-messages"
 MAX_ROWS_SHOWN = 200

@@ -59,9 +59,11 @@ def append_outputs(path: Path | None, values: Mapping[str, OutputValue]) -> None
     lines = "".join(_format_assignment(name, _output_text(value)) for name, value in values.items())
     if path is None:
         return
-    with writing(path, "the step's outputs"):
-        with path.open("a", encoding="utf-8", errors="backslashreplace", newline="") as file:
-            file.write(lines)
+    with (
+        writing(path, "the step's outputs"),
+        path.open("a", encoding="utf-8", errors="backslashreplace", newline="") as file,
+    ):
+        file.write(lines)
 
 
 def append_summary(path: Path | None, markdown: str) -> None:
@@ -72,10 +74,9 @@ def append_summary(path: Path | None, markdown: str) -> None:
     """
     if path is None:
         return
-    with writing(path, "the step's summary"):
-        with path.open("ab") as file:
-            text = (markdown.rstrip("\n") + "\n").encode("utf-8", "replace")
-            file.write(_cut_to_bytes(text, MAX_SUMMARY_BYTES - file.tell()))
+    with writing(path, "the step's summary"), path.open("ab") as file:
+        text = (markdown.rstrip("\n") + "\n").encode("utf-8", "replace")
+        file.write(_cut_to_bytes(text, MAX_SUMMARY_BYTES - file.tell()))
 
 
 def _output_text(value: OutputValue) -> str:
