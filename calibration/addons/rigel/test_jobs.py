@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from calibration.addons.rigel.document import RigelJob
-from calibration.addons.rigel.fields import Fields, list_at
-from calibration.addons.rigel.notes import Notes
+from calibration.addons.rigel.fields import Fields, Notes, list_at
 from calibration.ci.execution.backends import SECTIONS
 
 TEST_PLUGIN = "TestPlugin"

@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 
 from calibration.addons.rigel.conversion import Conversion
-from calibration.addons.rigel.notes import NoteKind
+from calibration.addons.rigel.fields import NoteKind
 from calibration.addons.rigel.systems import ConvertedEntry
 from calibration.base.text import one_line
 
