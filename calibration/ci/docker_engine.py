@@ -8,10 +8,11 @@ import os
 import socket
 import struct
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import docker.errors
 import requests
@@ -191,6 +192,7 @@ def _pid_listening_at(path: str) -> int:
 
 _NOT_THERE = (
     "not found",
+    "no such image",
     "manifest unknown",
     "name unknown",
     "does not exist",
@@ -214,7 +216,13 @@ def find_images(api: APIClient, images: Iterable[str]) -> dict[str, str]:
         InputError: an image does not exist, or access is denied.
         InfrastructureError: the engine or the registry cannot be reached.
     """
-    return {image: _find_image(api, image) or _pull_image(api, image) for image in dict.fromkeys(images)}
+    found = {image: _find_image(api, image) for image in images}
+    for image in [name for name, identity in found.items() if identity is None]:
+        pull(api, image, *parse_repository_tag(image))
+        if (pulled := _find_image(api, image)) is None:
+            raise InfrastructureError(f"image '{image}': was pulled, but the engine does not have it")
+        found[image] = pulled
+    return {image: identity for image, identity in found.items() if identity is not None}
 
 
 def _find_image(api: APIClient, image: str) -> str | None:
@@ -225,26 +233,42 @@ def _find_image(api: APIClient, image: str) -> str | None:
             return None
 
 
-def _pull_image(api: APIClient, image: str) -> str:
-    repository, tag = parse_repository_tag(image)
+def pull(
+    api: APIClient,
+    image: str,
+    repository: str,
+    tag: str | None,
+    clean: Callable[[str], str] = one_line,
+    show: Callable[[str], None] = lambda _: None,
+    **options: Any,
+) -> None:
+    """Pull an image.
+
+    Args:
+        api: client of the engine.
+        image: its name, for messages.
+        repository: its name without tag and digest.
+        tag: its tag or digest; None for latest.
+        clean: makes a message of the engine safe to show.
+        show: receives the lines about its layers, without their progress.
+        options: those of docker-py's ``pull``.
+
+    Raises:
+        InputError: it does not exist, or access is denied.
+        InfrastructureError: the engine or the registry cannot be reached.
+    """
+    message = ""
     with engine_errors(f"image '{image}'"):
         try:
-            for event in api.pull(repository, tag=tag or "latest", stream=True, decode=True):
-                if "error" in event:
-                    raise _not_pulled(image, str(event["error"]))
+            for event in api.pull(repository, tag=tag or "latest", stream=True, decode=True, **options):
+                message = message or str(event.get("error", ""))
+                if not event.get("progressDetail"):  # skip progress events, hundreds per layer
+                    show(f"{event.get('id', '')} {event.get('status', '')}\n")
         except docker.errors.APIError as error:
-            raise _not_pulled(image, engine_message(error)) from None
-    found = _find_image(api, image)
-    if found is None:
-        raise InfrastructureError(f"image '{image}': was pulled, but the engine does not have it")
-    return found
-
-
-def _not_pulled(image: str, message: str) -> InputError | InfrastructureError:
-    message = shorten(one_line(message), 300)
+            message = str(error.explanation or error)
+    if not message:
+        return
+    problem = f"image '{image}': it cannot be pulled: {shorten(clean(message), 300)}"
     if any(sentence in message.lower() for sentence in _NOT_THERE):
-        return InputError(
-            f"image '{image}' is not on the engine, and cannot be pulled: {message}; "
-            "build it, log in to its registry, or correct its name"
-        )
-    return InfrastructureError(f"image '{image}' is not on the engine, and its registry cannot be reached: {message}")
+        raise InputError(f"{problem}: check the name, or log in, or build it")
+    raise InfrastructureError(problem)

@@ -1,6 +1,5 @@
 """Base images: resolving their names to digests, and pulling them."""
 
-import re
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -8,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import docker.errors
 
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.text import one_line, shorten
-from calibration.ci.docker_engine import connect, engine_errors
+from calibration.base.errors import InputError
+from calibration.base.text import one_line
+from calibration.ci.docker_engine import connect, engine_errors, pull
 from calibration.ci.image.build_request import BuildLog
 from calibration.ci.registries.credentials import Credentials, RegistrySettings
 from calibration.ci.registries.login import registry_login
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 
 Login = Callable[[str], Credentials]
 """Returns the credentials for the registry of an image."""
-
-_MISSING_IMAGE = re.compile(r"not found|manifest unknown|does not exist|denied|unauthorized|name unknown|no such image")
 
 
 @dataclass(frozen=True)
@@ -88,29 +85,8 @@ def fetch(client: "DockerClient", name: str, login: Login, platform: str | None,
         return
     reference = parse_reference(name)
     log.output(f"pulling {name}\n")
-    try:
-        events = client.api.pull(
-            reference.name,
-            tag=reference.digest or reference.tag or "latest",
-            stream=True,
-            decode=True,
-            auth_config=login(name).auth_config(),
-            platform=platform,
-        )
-        for event in events:
-            if "error" in event:
-                raise _pull_error(name, str(event["error"]), log)
-            if not event.get("progressDetail"):  # skip progress events, hundreds per layer
-                log.output(f"{event.get('id', '')} {event.get('status', '')}\n")
-    except docker.errors.APIError as error:
-        raise _pull_error(name, str(error.explanation or error), log) from None
-
-
-def _pull_error(name: str, message: str, log: BuildLog) -> InputError | InfrastructureError:
-    message = shorten(log.clean(message), 300)
-    if _MISSING_IMAGE.search(message.lower()):
-        return InputError(f"image {name}: it cannot be pulled: {message}: check the name, or log in")
-    return InfrastructureError(f"image {name}: it cannot be pulled: {message}")
+    login_options = {"auth_config": login(name).auth_config(), "platform": platform}
+    pull(client.api, name, reference.name, reference.digest or reference.tag, log.clean, log.output, **login_options)
 
 
 def _digest_in_registry(image: "Image", reference: Reference) -> str | None:

@@ -194,7 +194,7 @@ def test_an_essential_container_that_never_ran_is_no_success(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("image", "kind", "message"),
     [
-        ("127.0.0.1:1/nosuch:1", InfrastructureError, "is not on the engine, and its registry cannot be reached: "),
+        ("127.0.0.1:1/nosuch:1", InfrastructureError, "it cannot be pulled: "),
         ("UPPER case", InputError, "image 'UPPER case'"),
     ],
 )
@@ -212,8 +212,8 @@ def test_an_image_that_its_registry_does_not_have(tmp_path: Path, registry: Any)
     image = f"{registry.address}/team/nosuch:1"
     with pytest.raises(InputError) as caught:
         run_job(tmp_path, Container("a", image, ("true",)))
-    assert f"image '{image}' is not on the engine, and cannot be pulled: " in str(caught.value)
-    assert str(caught.value).endswith("build it, log in to its registry, or correct its name")
+    assert f"image '{image}': it cannot be pulled: " in str(caught.value)
+    assert str(caught.value).endswith("check the name, or log in, or build it")
 
 
 def test_an_image_that_only_its_registry_has_is_pulled(tmp_path: Path, registry: Any, engine: Any) -> None:

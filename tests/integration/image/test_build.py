@@ -221,7 +221,7 @@ def test_a_pinned_base_that_cannot_be_pulled(
     builds: Builds, registry: Registry, address: str, kind: type[Exception], message: str
 ) -> None:
     base = f"{address or registry.address}/no/such@sha256:{'e' * 64}"
-    with pytest.raises(kind, match=f"image {base}: .*{message}"):
+    with pytest.raises(kind, match=f"image '{base}': .*{message}"):
         builds.build(base=base)
 
 

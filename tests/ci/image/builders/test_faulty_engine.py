@@ -76,6 +76,6 @@ def test_a_pull_that_the_engine_refuses() -> None:
     replies = iter([message("no such image", 404), message("dial tcp: lookup r: no such host")])
     with serve(lambda _: next(replies)) as server:
         client = docker.DockerClient(base_url=f"tcp://{server.address}", version="1.41", timeout=60)
-        with pytest.raises(InfrastructureError, match=r"image r/x: it cannot be pulled: .*no such host"):
+        with pytest.raises(InfrastructureError, match=r"image 'r/x': it cannot be pulled: .*no such host"):
             fetch(client, "r/x", lambda _: Credentials("docker.io"), None, log())
         client.close()
