@@ -41,12 +41,6 @@ def visible(text: str) -> str:
     return text.replace("##[", "## [")
 
 
-def escape_markup(text: str) -> str:
-    """Escape a text for HTML and XML, as `html.escape` does, whose module has a large table to import."""
-    text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    return text.replace('"', "&quot;").replace("'", "&#x27;")
-
-
 def shorten(text: str, length: int = 80) -> str:
     """Truncate a text to ``length`` characters, with an ellipsis as the last one."""
     return text if len(text) <= length else text[: length - 1] + "…"

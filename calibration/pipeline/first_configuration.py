@@ -278,8 +278,7 @@ def _given_limits(limits: Limits) -> Mapping[str, float]:
 
 def _yaml_line(key: str, value: Any, why: str) -> str:
     shown = f"[{', '.join(map(_yaml_scalar, value))}]" if isinstance(value, list) else _yaml_scalar(value)
-    printable = "".join(c if c.isprintable() else "?" for c in why)
-    return f"    {_yaml_scalar(key)}: {shown}   # {printable}"
+    return f"    {_yaml_scalar(key)}: {shown}   # {_printable_text(why)}"
 
 
 def _printable_text(text: str) -> str:

@@ -110,23 +110,6 @@ _OUT_OF_MEMORY = "OutOfMemory"
 _LAST_CODE = 255
 
 
-@dataclass(frozen=True)
-class _Ended:
-    """An ended container, in the form that the verdict needs."""
-
-    container: Container
-    end: End
-    exit_code: int | None
-    signal: str | None
-    last_line: str = ""
-    ready: bool = True
-    started: float | None = 0.0
-    ended: float | None = 0.0
-
-    def not_ready_for(self) -> str:
-        raise AssertionError("nobody asks one that has ended")
-
-
 def with_ends(
     outcome: TaskOutcome, job: Job, ends: Iterable[ContainerEnd], last_lines: Mapping[str, str]
 ) -> TaskOutcome:
@@ -190,8 +173,7 @@ def _exit_code_of(end: ContainerEnd) -> int | None:
 def _failure_of_container(
     outcome: ContainerOutcome, container: Container, last_lines: Mapping[str, str] | None = None
 ) -> str | None:
-    last_line = (last_lines or {}).get(container.name, "")
-    return failure_of(_Ended(container, outcome.end, outcome.exit_code, outcome.signal, last_line))
+    return failure_of(container, outcome, (last_lines or {}).get(container.name, ""))
 
 
 T = TypeVar("T")

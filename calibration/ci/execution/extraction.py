@@ -110,9 +110,9 @@ def extract(
                 raise _refused_entry(
                     entry, f"is a hard link to '{_shortened_name(entry.linkname)}', which is not an artifact"
                 )
-            entry.size = _target_path(folder, written[first]).stat().st_size
+            entry.size = folder.joinpath(*written[first]).stat().st_size
             _charge_budget(entry, budget)
-            with _target_path(folder, written[first]).open("rb") as original:
+            with folder.joinpath(*written[first]).open("rb") as original:
                 result.files.append(_write_file(entry, original, folder, to))
         elif entry.isreg():
             _charge_budget(entry, budget)
@@ -239,7 +239,7 @@ def _pass_over(entry: tarfile.TarInfo, source: str, budget: Budget) -> None:
 
 def _make_folder(folder: Path, parts: tuple[str, ...]) -> None:
     try:
-        _target_path(folder, parts).mkdir(parents=True, exist_ok=True)
+        folder.joinpath(*parts).mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise RefusedError(f"artifact '{_shortened_name('/'.join(parts))}' is a folder and a file") from None
     except OSError as error:
@@ -250,7 +250,7 @@ def _write_file(entry: tarfile.TarInfo, content: IO[bytes], folder: Path, parts:
     _make_folder(folder, parts[:-1])
     digest = hashlib.sha256()
     size = 0
-    with _new_file(_target_path(folder, parts), entry) as file:
+    with _new_file(folder.joinpath(*parts), entry) as file:
         while chunk := _read_chunk(content):
             digest.update(chunk)
             size += len(chunk)
@@ -276,10 +276,6 @@ def _read_chunk(content: IO[bytes]) -> bytes:
         return content.read(_CHUNK_BYTES)
     except tarfile.TarError as error:
         raise _broken_archive(error) from None
-
-
-def _target_path(folder: Path, parts: tuple[str, ...]) -> Path:
-    return folder.joinpath(*parts)
 
 
 def _broken_archive(error: Exception) -> InfrastructureError:

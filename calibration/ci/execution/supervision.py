@@ -126,11 +126,11 @@ class Judge:
         """Determine whether and why the job has failed, after the ends of all containers are known."""
         essential = [c for c in containers if c.container.essential]
         for container in essential:
-            if (failure := failure_of(container)) is not None:
+            if (failure := _failure_of(container)) is not None:
                 self.fail(failure, ExitCode.FAIL)
         early = next((c for c in containers if c.container.name == self._too_early), None)
         if early is not None and not self.reasons:
-            how = failure_of(early) or f"container '{self._too_early}' ended with exit code {early.exit_code}"
+            how = _failure_of(early) or f"container '{self._too_early}' ended with exit code {early.exit_code}"
             self.fail(f"{how}; it was not ready yet ({early.not_ready_for()})", ExitCode.FAIL)
         for container in essential:
             if container.end == End.NOT_STARTED and not self.reasons:
@@ -140,7 +140,7 @@ class Judge:
             self.fail("the end of the job is unknown", ExitCode.INFRASTRUCTURE)
         if self.reasons:  # further failures may explain the first
             others = [c for c in containers if not c.container.essential and c is not early]
-            self.reasons += [self._clean(failure) for c in others if (failure := failure_of(c)) is not None]
+            self.reasons += [self._clean(failure) for c in others if (failure := _failure_of(c)) is not None]
 
     def _is_too_late(self, containers: Sequence[Supervised], waiting: Sequence[Supervised]) -> bool:
         now = time.monotonic()
@@ -195,22 +195,28 @@ def how_it_ended(container: Container, exit_code: int, out_of_memory: bool, ours
     return (End.SIGNALLED if killed_by else End.EXITED), killed_by
 
 
-def failure_of(watched: Supervised) -> str | None:
-    """Failure message of a container, or None if it succeeded."""
-    container = f"container '{watched.container.name}'"
-    if watched.end == End.OUT_OF_MEMORY:
-        limit = watched.container.limits.memory
+def failure_of(container: Container, ended: ContainerOutcome | Supervised, last_line: str) -> str | None:
+    """Return the failure message of a container that has ended, or None if it succeeded.
+
+    Args:
+        container: its definition.
+        ended: how it ended.
+        last_line: last line of its log, safe for a message; empty if unknown.
+    """
+    name, last = f"container '{container.name}'", f": {last_line}" if last_line else ""
+    if ended.end == End.OUT_OF_MEMORY:
+        limit = container.limits.memory
         known = "the machine had no free memory" if limit is None else f"its limit is {describe_bytes(limit)} (memory)"
-        return f"{container} ran out of memory: {known}{_quote_last_line(watched)}"
-    if watched.end == End.SIGNALLED:
-        return f"{container} was killed by {watched.signal}{_quote_last_line(watched)}"
-    if watched.end == End.LOST:
-        return f"{container} ended without an exit code: it was killed{_quote_last_line(watched)}"
-    if watched.end == End.EXITED and watched.exit_code not in watched.container.success:
-        hint = f" ({_HINT_OF_EXIT_CODE[watched.exit_code]})" if watched.exit_code in _HINT_OF_EXIT_CODE else ""
-        if not watched.container.success:
+        return f"{name} ran out of memory: {known}{last}"
+    if ended.end == End.SIGNALLED:
+        return f"{name} was killed by {ended.signal}{last}"
+    if ended.end == End.LOST:
+        return f"{name} ended without an exit code: it was killed{last}"
+    if ended.end == End.EXITED and ended.exit_code not in container.success:
+        hint = f" ({_HINT_OF_EXIT_CODE[ended.exit_code]})" if ended.exit_code in _HINT_OF_EXIT_CODE else ""
+        if not container.success:
             hint += ", before the job was done"
-        return f"{container} ended with exit code {watched.exit_code}{hint}{_quote_last_line(watched)}"
+        return f"{name} ended with exit code {ended.exit_code}{hint}{last}"
     return None
 
 
@@ -237,8 +243,12 @@ def signal_of(exit_code: int) -> str | None:
         return None
 
 
-def _quote_last_line(watched: Supervised) -> str:
-    return f": {watched.last_line}" if watched.last_line else ""
+def _failure_of(supervised: Supervised) -> str | None:
+    return failure_of(supervised.container, supervised, supervised.last_line)
+
+
+def _quote_last_line(supervised: Supervised) -> str:
+    return f": {supervised.last_line}" if supervised.last_line else ""
 
 
 _POLL_SECONDS = 0.2

@@ -156,51 +156,34 @@ class Comments:
 
 
 @dataclass(frozen=True)
-class WorkflowRun:
-    """The run that a comment reports: the current one, or the one that triggered it."""
-
-    workflow: str
-    """Name of the workflow."""
-    number: tuple[int, int]
-    """Numbers of the run and its attempt."""
-    url: str
-    """URL of the run's page."""
-    commit: str | None
-    """Hash of the tested commit, the head of the pull request."""
-
-
-@dataclass(frozen=True)
 class RunComments:
-    """Comments of a run on its pull request."""
+    """Comments on a pull request of the run that they report: the current one, or the one that triggered it."""
 
     comments: Comments
-    run: WorkflowRun
+    workflow: str
+    """Name of the workflow."""
+    run: tuple[int, int]
+    """Numbers of the run and its attempt."""
+    run_url: str
+    """Address of the run's page."""
+    commit: str | None
+    """Hash of the tested commit, the head of the pull request."""
 
     @property
     def number(self) -> int:
         """Number of the pull request."""
         return self.comments.number
 
-    @property
-    def run_url(self) -> str:
-        """Address of the run's page."""
-        return self.run.url
-
-    @property
-    def commit(self) -> str | None:
-        """Hash of the tested commit."""
-        return self.run.commit
-
     def keep(self, name: str, text: str) -> str:
         """Write the workflow's comment of this name; raises as `Comments.keep`."""
-        return self.comments.keep(Marker(self._key_of(name), self.run.number), text)
+        return self.comments.keep(Marker(self._key_of(name), self.run), text)
 
     def remove(self, name: str) -> int:
         """Delete the workflow's comment of this name; raises as `Comments.remove`."""
         return self.comments.remove(self._key_of(name))
 
     def _key_of(self, name: str) -> str:
-        return f"{self.run.workflow}/{name}"
+        return f"{self.workflow}/{name}"
 
 
 def run_comments(environment: Mapping[str, str], token: str | None, api_url: str | None) -> RunComments | None:
@@ -217,7 +200,7 @@ def run_comments(environment: Mapping[str, str], token: str | None, api_url: str
     number, run = pull_request_of(event, api), tested_run(event, environment)
     if number is None or event.repository is None:
         return None
-    return RunComments(Comments(api, event.repository, number), run)
+    return RunComments(Comments(api, event.repository, number), *run)
 
 
 def pull_request_of(event: GitHubEvent, api: GitHubApi) -> int | None:
@@ -244,8 +227,8 @@ def pull_request_of(event: GitHubEvent, api: GitHubApi) -> int | None:
     return None
 
 
-def tested_run(event: GitHubEvent, environment: Mapping[str, str]) -> WorkflowRun:
-    """Return the run that an event reports.
+def tested_run(event: GitHubEvent, environment: Mapping[str, str]) -> tuple[str, tuple[int, int], str, str | None]:
+    """Return the run that an event reports: workflow, numbers, address and commit of `RunComments`.
 
     Raises:
         InputError: the runner does not provide the number of the run.
@@ -258,7 +241,7 @@ def tested_run(event: GitHubEvent, environment: Mapping[str, str]) -> WorkflowRu
         name, commit = environment.get("GITHUB_WORKFLOW"), event.at("pull_request", "head", "sha")
         url = f"{environment.get('GITHUB_SERVER_URL')}/{event.repository}/actions/runs/{run}"
     number = _parse_number(run, "GITHUB_RUN_ID"), _parse_number(attempt or 1, "GITHUB_RUN_ATTEMPT")
-    return WorkflowRun(str(name), number, str(url), commit if isinstance(commit, str) else None)
+    return str(name), number, str(url), commit if isinstance(commit, str) else None
 
 
 def _parse_number(value: Any, variable: str) -> int:

@@ -5,9 +5,8 @@ Strings are escaped unless they are markup.
 
 import re
 from collections.abc import Sequence
+from html import escape
 from pathlib import Path
-
-from calibration.base.text import escape_markup
 
 VOID_ELEMENTS = frozenset(("br", "img", "meta", "line", "rect", "circle", "path", "polyline", "polygon", "ellipse"))
 """Elements without content."""
@@ -28,7 +27,7 @@ def element(tag: str, *children: str, **attributes: str | float | None) -> Html:
         attributes: by name, with ``_`` for ``-`` and a trailing ``_`` removed (``class_``); None omits an attribute.
     """
     given = "".join(
-        f' {name.rstrip("_").replace("_", "-")}="{escape_markup(number(value))}"'
+        f' {name.rstrip("_").replace("_", "-")}="{escape(number(value))}"'
         for name, value in attributes.items()
         if value is not None
     )
@@ -39,7 +38,7 @@ def element(tag: str, *children: str, **attributes: str | float | None) -> Html:
 
 def join(parts: Sequence[str]) -> Html:
     """Concatenate markup and texts, which are escaped."""
-    return Html("".join(part if isinstance(part, Html) else escape_markup(part) for part in parts))
+    return Html("".join(part if isinstance(part, Html) else escape(part) for part in parts))
 
 
 def number(value: str | float) -> str:

@@ -1,6 +1,7 @@
 """Badge: an SVG image for a README, made without an online service."""
 
-from calibration.base.text import escape_markup
+from html import escape
+
 from calibration.base.verdict import Verdict
 
 BADGE_FILE = "badge.svg"
@@ -11,7 +12,7 @@ GOOD, FAIR, BAD, NONE = "#3a7d1e", "#946200", "#b3261e", "#6b6b6b"
 def drawn_badge(label: str, text: str, colour: str) -> str:
     """Return a badge as SVG: a label, and a text on a coloured background."""
     left, right = _text_width(label), _text_width(text)
-    whole, label, text = left + right, escape_markup(label), escape_markup(text)
+    whole, label, text = left + right, escape(label), escape(text)
     return f"""<svg xmlns="http://www.w3.org/2000/svg" width="{whole}" height="20" role="img">
 <title>{label}: {text}</title>
 <clipPath id="r"><rect width="{whole}" height="20" rx="3"/></clipPath>

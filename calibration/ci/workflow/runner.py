@@ -303,7 +303,7 @@ class Runner:
         return str(path)
 
 
-TERMINAL = Terminal()
+TERMINAL: Terminal = Terminal()
 
 
 def group(runner: Runner, title: str) -> AbstractContextManager[None]:

@@ -88,7 +88,7 @@ def test_a_code_that_is_a_success_is_no_signal() -> None:
     ],
 )
 def test_failure_messages(fake: Fake, failure: str | None) -> None:
-    assert failure_of(fake) == failure
+    assert failure_of(fake.container, fake, fake.last_line) == failure
 
 
 def test_unmet_conditions() -> None:
