@@ -50,47 +50,33 @@ def artifact_name(value: str) -> str:
     return value
 
 
-def number(value: str | float) -> float:
-    """Parse a finite number; a usage error for text, NaN and infinity."""
-    try:
-        result = float(value)
-    except ValueError:
-        result = math.nan
-    if not math.isfinite(result):
-        raise click.BadParameter(f"{value!r} is not a finite number")
-    return result
+def _number_type(
+    name: str, kind: Callable[[Any], float], what: str, least: float | None = None, most: float | None = None
+) -> Callable[[str | float], Any]:
+    """Return a type for finite numbers within bounds; a usage error for anything else."""
+
+    def parse(value: str | float) -> float:
+        try:
+            found = kind(value)
+        except ValueError:
+            found = math.nan
+        if isinstance(found, float) and not math.isfinite(found):
+            raise click.BadParameter(f"{value!r} is not a {what}")
+        if least is not None and found < least:
+            raise click.BadParameter(f"{value!r} is below {least:g}")
+        if most is not None and found > most:
+            raise click.BadParameter(f"{value!r} is above {most:g}")
+        return found
+
+    parse.__name__ = name  # shown by --help
+    return parse
 
 
-def non_negative(value: str | float) -> float:
-    """Parse a finite number that is not below 0; a usage error for anything else."""
-    result = number(value)
-    if result < 0:
-        raise click.BadParameter(f"{value!r} is below 0")
-    return result
-
-
-def share(value: str | float) -> float:
-    """Parse a number from 0 to 1; a usage error for anything else."""
-    result = non_negative(value)
-    if result > 1:
-        raise click.BadParameter(f"{value!r} is above 1")
-    return result
-
-
-def integer(value: str | int) -> int:
-    """Parse an integer; a usage error for anything else."""
-    try:
-        return int(value)
-    except ValueError:
-        raise click.BadParameter(f"{value!r} is not a whole number") from None
-
-
-def count(value: str | int) -> int:
-    """Parse a positive integer; a usage error for anything else."""
-    result = integer(value)
-    if result < 1:
-        raise click.BadParameter(f"{value!r} is below 1")
-    return result
+number = _number_type("number", float, "finite number")
+non_negative = _number_type("non_negative", float, "finite number", 0)
+share = _number_type("share", float, "finite number", 0, 1)
+integer = _number_type("integer", int, "whole number")
+count = _number_type("count", int, "whole number", 1)
 
 
 def text(value: str) -> str:

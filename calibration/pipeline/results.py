@@ -1,7 +1,7 @@
 """Results of a pipeline: cells, comparisons, collections, the image; and their file between the stages."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -196,11 +196,11 @@ class PipelineResults:
     @property
     def without_details(self) -> "PipelineResults":
         """Return the results without the details in the cells' own results."""
+        return self.with_each_cell(lambda cell: replace(cell, details=None))
 
-        def less(cells: tuple[CellResult, ...]) -> tuple[CellResult, ...]:
-            return tuple(replace(cell, details=None) for cell in cells)
-
-        return replace(self, cells=less(self.cells), comparisons=less(self.comparisons))
+    def with_each_cell(self, change: Callable[[CellResult], CellResult]) -> "PipelineResults":
+        """Return the results with each cell and comparison changed."""
+        return replace(self, cells=tuple(map(change, self.cells)), comparisons=tuple(map(change, self.comparisons)))
 
     @property
     def judged(self) -> tuple[CellResult | Collected, ...]:
@@ -260,12 +260,7 @@ def results_of(output: Path) -> PipelineResults:
     Raises:
         InputError: a file cannot be read.
     """
-
-    def whole(cell: CellResult) -> CellResult:
-        return replace(cell, details=own_details(cell, output))
-
-    results = read_results(output)
-    return replace(results, cells=tuple(map(whole, results.cells)), comparisons=tuple(map(whole, results.comparisons)))
+    return read_results(output).with_each_cell(lambda cell: replace(cell, details=own_details(cell, output)))
 
 
 def without_verdicts(results: PipelineResults) -> PipelineResults:
@@ -278,7 +273,7 @@ def without_verdicts(results: PipelineResults) -> PipelineResults:
         )
         return replace(cell, reasons=red if cell.converged else cell.reasons, undecided=undecided)
 
-    return replace(results, cells=tuple(map(reset, results.cells)), comparisons=tuple(map(reset, results.comparisons)))
+    return results.with_each_cell(reset)
 
 
 def own_file(cell: CellResult) -> str | None:

@@ -196,9 +196,7 @@ def _read_results(folder: Path) -> PipelineResults:
         return replace(cell, table=table, dataset=dataset, folder=own, details=details)
 
     return replace(
-        results,
-        cells=tuple(map(moved, results.cells)),
-        comparisons=tuple(map(moved, results.comparisons)),
+        results.with_each_cell(moved),
         exports=tuple(replace(each, folder=f"{folder.name}/{each.folder}") for each in results.exports),
         collections=tuple(replace(each, dataset=below(each.dataset)) for each in results.collections),
     )
