@@ -9,7 +9,7 @@ import pytest
 
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.ci.image.build_request import BuildFailedError
-from tests.ci.image.builders.test_several_platforms import SCRIPT as SEVERAL
+from tests.ci.image.test_several_platforms import SCRIPT as SEVERAL
 from tests.docker_engine import Registry
 from tests.integration.image.builds import Builds, builds
 
