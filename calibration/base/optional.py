@@ -1,5 +1,8 @@
 """Packages that only some of the work needs: imported at their first use, as they are slow, or not installed."""
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -33,3 +36,23 @@ def optional(module: str, user: str) -> Any:
             raise
         name, source = PACKAGE_OF_MODULE.get(package, (package, package))
         raise InfrastructureError(f"{user} needs {name}: pip install {source}") from None
+
+
+@contextmanager
+def figures_of_matplotlib(font_size: int) -> Iterator[Any]:
+    """Yield ``matplotlib.figure``, in a style by which the same data give the same bytes on every machine.
+
+    Raises:
+        InfrastructureError: matplotlib is not installed.
+    """
+    style = {
+        "font.size": font_size,
+        "font.family": ["DejaVu Sans"],  # bundled with matplotlib: the same picture on every machine
+        "text.parse_math": False,  # names come from the user and may contain $
+        "svg.hashsalt": "calibration-ci",
+        "svg.fonttype": "path",
+    }
+    figures, rc_context = optional("matplotlib.figure", "the figure"), optional("matplotlib", "the figure").rc_context
+    with rc_context(style), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font lacks
+        yield figures

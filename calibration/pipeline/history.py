@@ -3,7 +3,6 @@
 import io
 import json
 import math
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,7 +14,7 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.base.documents import parse_json
 from calibration.base.errors import InputError
-from calibration.base.optional import optional
+from calibration.base.optional import figures_of_matplotlib
 from calibration.base.records import computed, field, result
 from calibration.base.text import one_line, shorten
 from calibration.ci.git import Commit, Repository
@@ -283,13 +282,6 @@ MAX_MARKED_POINTS = 60
 _PANEL_WIDTH, _PANEL_HEIGHT = 5.0, 2.2
 """Size of a panel in inches."""
 _LINE_COLOUR, _BAND_COLOUR, _CHANGE_COLOUR = "#1f5fa8", "#b9cfe8", "#c8102e"
-_FIGURE_STYLE: Any = {
-    "font.size": 8,
-    "font.family": ["DejaVu Sans"],  # bundled with matplotlib: the same picture on every machine
-    "text.parse_math": False,  # names come from the user and may contain $
-    "svg.hashsalt": "calibration-ci",
-    "svg.fonttype": "path",
-}
 
 
 def figure(found: History) -> bytes:
@@ -301,9 +293,7 @@ def figure(found: History) -> bytes:
     """
     if len(found.trends) > MAX_PANELS:
         raise InputError(f"no figure: found {len(found.trends)} trends, at most {MAX_PANELS} can be drawn: --systems")
-    figures, rc_context = optional("matplotlib.figure", "the figure"), optional("matplotlib", "the figure").rc_context
-    with rc_context(_FIGURE_STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font lacks
+    with figures_of_matplotlib(8) as figures:
         columns = min(PANEL_COLUMNS, len(found.trends))
         rows = math.ceil(len(found.trends) / columns)
         drawing = figures.Figure(figsize=(columns * _PANEL_WIDTH, rows * _PANEL_HEIGHT + 0.4), layout="constrained")

@@ -3,14 +3,13 @@
 import io
 import math
 import shlex
-import warnings
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from calibration.base.errors import CalibrationError, InputError
-from calibration.base.optional import optional
+from calibration.base.optional import figures_of_matplotlib, optional
 from calibration.base.text import number_text, one_line, shorten
 from calibration.ci.report import FILES, Lines, Outcome, Report, Table, outcome_of_check
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, ConvergenceResults, without_noise
@@ -32,13 +31,6 @@ _COLOUR_MAP = "cividis"
 _MAX_DARK_PERCENT = 55
 """Percent below which numbers are white."""
 _OUTLINE_COLOUR = "#c8102e"
-_FIGURE_STYLE: Any = {
-    "font.size": 9,
-    "font.family": ["DejaVu Sans"],  # bundled with matplotlib: the same picture on every machine
-    "text.parse_math": False,  # names come from the user and may contain $
-    "svg.hashsalt": "calibration-ci",
-    "svg.fonttype": "path",
-}
 
 
 def figures(results: ConvergenceResults) -> tuple[bytes, bytes]:
@@ -50,20 +42,18 @@ def figures(results: ConvergenceResults) -> tuple[bytes, bytes]:
     """
     if len(results.maps) > MAX_MAPS:
         raise InputError(f"no figure: found {len(results.maps)} maps, at most {MAX_MAPS} can be drawn")
-    figure, patches = (optional(f"matplotlib.{name}", "the figure") for name in ("figure", "patches"))
-    rc_context = optional("matplotlib", "the figure").rc_context
-    with rc_context(_FIGURE_STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # a name in a script that the font lacks
+    rectangle = optional("matplotlib.patches", "the figure").Rectangle
+    with figures_of_matplotlib(9) as matplotlib_figures:
         columns = min(PANEL_COLUMNS, len(results.maps))
         rows = math.ceil(len(results.maps) / columns)
         width = max(_CELL_SIDE * len(results.noise.rotations) + _MARGIN_WIDTH, _MIN_WIDTH)
         height = _CELL_SIDE * len(results.noise.translations) + _MARGIN_HEIGHT
         size = (columns * width, rows * height + 0.5)
-        drawing = figure.Figure(figsize=size, dpi=_DOTS_PER_INCH, layout="constrained")
+        drawing = matplotlib_figures.Figure(figsize=size, dpi=_DOTS_PER_INCH, layout="constrained")
         seeds = len(results.noise.seeds)
         drawing.suptitle(f"Starts that converge, % of {seeds} for each pair of noises", fontsize=11)
         for number, each in enumerate(results.maps):
-            _draw_panel(drawing.add_subplot(rows, columns, number + 1), each, patches.Rectangle)
+            _draw_panel(drawing.add_subplot(rows, columns, number + 1), each, rectangle)
         png, svg = io.BytesIO(), io.BytesIO()
         drawing.savefig(png, format="png", metadata={"Software": None})
         drawing.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
