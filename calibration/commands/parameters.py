@@ -29,6 +29,7 @@ NOISE_OPTION_OF_KEY = {"translation": "translation-noise", "rotation": "rotation
 _TRUTH_OF_WORD = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _LIST_SEPARATOR = re.compile(r"[,\r\n]")
 _Item = TypeVar("_Item")
+_Number = TypeVar("_Number", bound=float)
 _Callback = TypeVar("_Callback", bound=Callable[..., Any])
 
 
@@ -51,17 +52,18 @@ def artifact_name(value: str) -> str:
 
 
 def _number_type(
-    name: str, kind: Callable[[Any], float], what: str, least: float | None = None, most: float | None = None
-) -> Callable[[str | float], Any]:
+    name: str, kind: Callable[[Any], _Number], what: str, least: float | None = None, most: float | None = None
+) -> Callable[[str | float], _Number]:
     """Return a type for finite numbers within bounds; a usage error for anything else."""
 
-    def parse(value: str | float) -> float:
+    def parse(value: str | float) -> _Number:
+        problem = click.BadParameter(f"{value!r} is not a {what}")
         try:
             found = kind(value)
         except ValueError:
-            found = math.nan
-        if isinstance(found, float) and not math.isfinite(found):
-            raise click.BadParameter(f"{value!r} is not a {what}")
+            raise problem from None
+        if not -math.inf < found < math.inf:  # nor is NaN
+            raise problem
         if least is not None and found < least:
             raise click.BadParameter(f"{value!r} is below {least:g}")
         if most is not None and found > most:
