@@ -44,6 +44,7 @@ MODULES = {
     "verdict": "planted defects that a run without a truth finds and names, false alarms, error bars",
     "trust": "what a user who has set nothing is told of unforeseen defects, good robots, moves",
     "static_analysis": "a large repository, a change of it, refactorings without new findings",
+    "pseudo_tested": "planted functions that tests run and do not test: found, false ones, time of a change",
     "ros_defects": "planted defects of ROS packages that the static analysis finds at their line, false findings",
     "baseline": "the accepted baseline: false alarms and moves between two recordings, changes in histories",
     "mutants": "the engine with one line broken: what the accepted baseline finds that RMS limits do not",

@@ -8,6 +8,7 @@ Independent of calibration.
 - ``data_file``, ``formats``: the formats of coverage.py and other tools (Cobertura, LCOV);
 - ``sources``, ``reading``: coverage of the repository's files;
 - ``commit``, ``codacy``: the commit that the coverage belongs to, its changed lines, and the service that receives it;
+- ``functions``, ``pseudo_tested``, ``test_worker``: functions that tests run and do not test;
 - ``results``, ``report``: the verdict and its presentation.
 """
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from calibration.addons.coverage.lines import FileCoverage, Rate
-from calibration.addons.coverage.results import Span
+from calibration.addons.coverage.results import CoverageOfChange, Span
 from calibration.base.errors import InputError
 from calibration.base.text import one_line, shorten
 from calibration.ci.git import Repository, is_commit
@@ -40,14 +40,20 @@ def find_commit(given: str | None, event: Event, repository: Repository) -> tupl
 
 
 def coverage_of_change(
-    changed: Mapping[str, set[int]], files: Mapping[str, FileCoverage]
-) -> tuple[Rate, tuple[Span, ...]]:
-    """Return the coverage of the changed executable lines, and the spans that no test runs."""
-    total = Rate()
+    base: str, changed: Mapping[str, set[int]], files: Mapping[str, FileCoverage]
+) -> CoverageOfChange:
+    """Return the coverage of the changed executable lines and of the functions that have any, and what no test runs."""
+    total = functions = Rate()
     missing: list[Span] = []
     for path in sorted(changed.keys() & files.keys()):
         part = {line: hits for line, hits in files[path].hits.items() if line in changed[path]}
         coverage = FileCoverage(part)
         total += coverage.line_rate
         missing += [Span(path, *each) for each in files[path].ranges(coverage.missing)]
-    return total, tuple(missing)
+        spans = {
+            span: hits
+            for span, hits in files[path].functions.items()
+            if any(span[0] <= line <= span[1] for line in changed[path])
+        }
+        functions += FileCoverage(functions=spans).function_rate
+    return CoverageOfChange(base, total, tuple(missing), functions)

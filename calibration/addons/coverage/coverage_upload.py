@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,18 +10,20 @@ from typing import Annotated, Any, Literal
 import click
 
 from calibration.addons.coverage.codacy import API_URL, Account, Codacy, Request, Upload, parse_account, parse_api_url
-from calibration.addons.coverage.command import parse_command
+from calibration.addons.coverage.command import CommandOfTests, parse_command
 from calibration.addons.coverage.commit import coverage_of_change, find_commit
+from calibration.addons.coverage.functions import PythonFunction, functions_of
 from calibration.addons.coverage.injection import plain, team_settings
+from calibration.addons.coverage.pseudo_tested import LOG_FILE, OVER_BUDGET, PseudoTestedResults, find_pseudo_tested
 from calibration.addons.coverage.reading import Found, read_reports
 from calibration.addons.coverage.report import LCOV_FILE, TITLE, badge, report, what_is_left_out
-from calibration.addons.coverage.results import CoverageLimit, CoverageOfChange, CoverageResults, State, Uploaded
-from calibration.addons.coverage.sources import Sources, find_sources
+from calibration.addons.coverage.results import CoverageLimit, CoverageResults, PseudoTestedLimit, State, Uploaded
+from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, find_sources, language_of
 from calibration.addons.coverage.tests import Tests, measured_environment, measurement, run_tests
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.base.files import matching, temporary_folder, write_atomically
 from calibration.base.programs import hide
-from calibration.base.records import between, field, record
+from calibration.base.records import at_least, between, field, record
 from calibration.base.text import one_line
 from calibration.ci.execution.sizes import parse_seconds
 from calibration.ci.git import Repository, changed_lines, files_without_lines, find_base
@@ -69,6 +71,21 @@ class CoverageSettings:
     goal: Percent = field("Percent of its lines that every file is to have run; only shown (60).", default=60.0)
     minimum: Percent | None = field("Percent of all lines that must be run, or the verdict is fail.", default=None)
     minimum_change: Percent | None = field("Percent of the change's lines that must be run.", default=None)
+    minimum_functions: Percent | None = field("Percent of all functions of which a line must be run.", default=None)
+    minimum_functions_change: Percent | None = field(
+        "Percent of the functions that the change touches of which a line must be run.", default=None
+    )
+    pseudo_tested: Literal["none", "change", "all"] | None = field(
+        "Look for functions that tests run and do not test: none, of the change, or all (what a limit needs, or none).",
+        default=None,
+    )
+    max_pseudo_tested: Annotated[int, at_least(0)] | None = field(
+        "Most functions that tests run and do not test.", default=None
+    )
+    max_pseudo_tested_change: Annotated[int, at_least(0)] | None = field(
+        "Most functions of the change that tests run and do not test.", default=None
+    )
+    pseudo_tested_budget: str = field("How long to look for these, such as 10m (10m).", default="10m")
     base: str | None = field("Branch or commit that the change goes to (from the event).", default=None)
     badge: Path | None = field("Write a badge of the coverage to this SVG file.", default=None)
     service: Literal["codacy", "none"] | None = field(
@@ -98,8 +115,17 @@ class CoverageSettings:
     )
     dry_run: bool = field("Send nothing, and show the requests.", default=False)
     output: Path | None = field(
-        "Folder for results.json, junit.xml, summary.md, lcov.info, tests.xml and .log.", default=None
+        "Folder for results.json, junit.xml, summary.md, lcov.info, tests.xml and logs.", default=None
     )
+
+    @property
+    def pseudo_tested_scope(self) -> Literal["none", "change", "all"]:
+        """Which functions are judged by replacing them."""
+        if self.pseudo_tested is not None:
+            return self.pseudo_tested
+        if self.max_pseudo_tested is not None:
+            return "all"
+        return "none" if self.max_pseudo_tested_change is None else "change"
 
 
 def upload(settings: CoverageSettings, runner: Runner) -> ExitCode:
@@ -112,7 +138,7 @@ def upload(settings: CoverageSettings, runner: Runner) -> ExitCode:
     """
     if settings.output is not None:
         uploads = [file.name for file in settings.output.glob("upload-*.json")]
-        remove_results(settings.output, (*FILES, LCOV_FILE, "tests.xml", "tests.log", *uploads))
+        remove_results(settings.output, (*FILES, LCOV_FILE, "tests.xml", "tests.log", LOG_FILE, *uploads))
     _check_settings(settings)
     settings = replace(settings, service=settings.service or "none")
     repository = Repository.around(settings.directory)
@@ -139,6 +165,14 @@ def _check_settings(settings: CoverageSettings) -> None:
         raise InputError("neither run nor reports is given: set run to the test command, or reports to existing files")
     if settings.interpreter and settings.run is None:
         raise InputError("interpreter is given without run: it applies only to the command in run")
+    if settings.run is None and (wanted := settings.pseudo_tested_scope) != "none":
+        raise InputError(f"pseudo-tested: found {wanted} without run: functions are replaced while the tests run again")
+    parse_seconds(settings.pseudo_tested_budget, "pseudo-tested-budget")
+    limits = {"all": settings.max_pseudo_tested, "change": settings.max_pseudo_tested_change}
+    for scope, limit in limits.items():
+        if limit is not None and settings.pseudo_tested_scope not in (scope, "all"):
+            expected = "all" if scope == "all" else "change or all"
+            raise InputError(f"pseudo-tested: found {settings.pseudo_tested}, expected {expected} for its limit")
     given = [name for name in FOR_SERVICE if getattr(settings, name)]
     if settings.service is None and given:
         name = given[0].replace("_", "-")
@@ -194,6 +228,7 @@ def _measure_and_judge(
         found = Found.nothing()  # failed tests may have written no report
         runner.log(one_line(f"no coverage: {error}"))
     change = None
+    touched: dict[str, set[int]] = {}
     if base is not None:
         difference = repository.difference(base)
         if unread := sorted(files_without_lines(difference) & found.files.keys()):
@@ -201,17 +236,72 @@ def _measure_and_judge(
                 f"{unread[0]}: its changed lines are not known, as git takes it for a binary file: take it out of the "
                 "lines with -diff or binary in .gitattributes, or exclude it"
             )
-        change = CoverageOfChange(base, *coverage_of_change(changed_lines(difference), found.files))
+        touched = changed_lines(difference)
+        change = coverage_of_change(base, touched, found.files)
     results = CoverageResults(found, settings.goal, commit, tests, change, no_change)
     if results.lines.total == 0 and not failed:
         why = "; ".join(["the reports contain no file that counts (source, exclude)", *what_is_left_out(found)])
         raise InputError(f"no executable line was found: {why}")
-    limits = []
-    if settings.minimum is not None:
-        limits.append(CoverageLimit("minimum", settings.minimum, results.lines))
-    if settings.minimum_change is not None and change is not None:
-        limits.append(CoverageLimit("minimum-change", settings.minimum_change, change.rate, of_change=True))
-    return replace(results, limits=tuple(limits))
+    results = replace(results, limits=tuple(_coverage_limits(settings, results)))
+    if settings.pseudo_tested_scope == "none":
+        return results
+    if failed or (base is None and settings.pseudo_tested_scope == "change"):
+        return replace(results, no_pseudo_tested="the tests fail" if failed else no_change)
+    judged = _pseudo_tested(settings, sources, touched, folder, runner)
+    return replace(results, pseudo_tested=judged, pseudo_tested_limits=tuple(_pseudo_tested_limits(settings, judged)))
+
+
+def _coverage_limits(settings: CoverageSettings, results: CoverageResults) -> Iterator[CoverageLimit]:
+    for name, minimum, what, rate in (
+        ("minimum", settings.minimum, "lines", results.lines),
+        ("minimum-functions", settings.minimum_functions, "functions", results.functions),
+    ):
+        if minimum is not None:
+            yield CoverageLimit(name, minimum, rate, what)
+    if results.change is not None:
+        for name, minimum, what, rate in (
+            ("minimum-change", settings.minimum_change, "lines", results.change.rate),
+            ("minimum-functions-change", settings.minimum_functions_change, "functions", results.change.functions),
+        ):
+            if minimum is not None:
+                yield CoverageLimit(name, minimum, rate, what, of_change=True)
+
+
+def _pseudo_tested(
+    settings: CoverageSettings, sources: Sources, touched: Mapping[str, set[int]], folder: Path, runner: Runner
+) -> PseudoTestedResults:
+    """Find the functions that tests run and do not test, those that the change touches first."""
+    functions: list[PythonFunction] = []
+    changed: set[int] = set()
+    for path in sources.counted:
+        if language_of(path) == PYTHON_LANGUAGE:
+            for function in functions_of(path, (sources.repository.root / path).read_bytes()):
+                is_changed = any(function.first <= line <= function.last for line in touched.get(path, ()))
+                if not function.trivial and (is_changed or settings.pseudo_tested_scope == "all"):
+                    changed |= {len(functions)} if is_changed else set()
+                    functions.append(function)
+    seconds = parse_seconds(settings.pseudo_tested_budget, "pseudo-tested-budget")
+    return find_pseudo_tested(
+        functions,
+        frozenset(changed),
+        _parse_command(settings, folder),
+        sources,
+        seconds,
+        (settings.output or folder).absolute(),
+        runner,
+        _secrets(settings),
+    )
+
+
+def _pseudo_tested_limits(settings: CoverageSettings, judged: PseudoTestedResults) -> Iterator[PseudoTestedLimit]:
+    unjudged = [each for each in judged.unjudged if each.reason == OVER_BUDGET]
+    if settings.max_pseudo_tested_change is not None:
+        of_change = sum(each.changed for each in unjudged)
+        yield PseudoTestedLimit(
+            "max-pseudo-tested-change", settings.max_pseudo_tested_change, judged.found_in_change, of_change
+        )
+    if settings.max_pseudo_tested is not None:
+        yield PseudoTestedLimit("max-pseudo-tested", settings.max_pseudo_tested, len(judged.functions), len(unjudged))
 
 
 def _find_base(settings: CoverageSettings, repository: Repository, event: Event) -> tuple[str | None, str]:
@@ -223,7 +313,8 @@ def _find_base(settings: CoverageSettings, repository: Repository, event: Event)
     try:
         return find_base(repository, settings.base, event.bases), ""
     except InputError as error:
-        if settings.base is not None or settings.minimum_change is not None:
+        needed = (settings.minimum_change, settings.minimum_functions_change, settings.max_pseudo_tested_change)
+        if settings.base is not None or any(limit is not None for limit in needed):
             raise
         return None, str(error)
 
@@ -248,14 +339,11 @@ def _run_tests(
     seconds = parse_seconds(settings.timeout, "timeout")
     output = (settings.output or folder).absolute()
     environment = plain(os.environ)
-    called = parse_command(
-        settings.run or "", settings.directory, settings.interpreter, environment, output / "tests.xml"
-    )
+    called = _parse_command(settings, folder)
     if not settings.reports:  # otherwise the tests measure themselves
         environment = measured_environment(os.environ, options, sources.measured(), folder / "measuring")
     log = output / "tests.log"
-    secrets = tuple(filter(None, (settings.project_token, settings.api_token)))
-    tests = run_tests(called, settings.directory, environment, seconds, runner, log, secrets)
+    tests = run_tests(called, settings.directory, environment, seconds, runner, log, _secrets(settings))
     if settings.reports:
         return tests, [], None
     measured = measurement(folder / "measuring")
@@ -267,6 +355,15 @@ def _run_tests(
         )
         raise InputError(f"run: the tests passed, but no coverage was measured: {why}")
     return tests, list(measured.files), measured.executable
+
+
+def _parse_command(settings: CoverageSettings, folder: Path) -> CommandOfTests:
+    junit = (settings.output or folder).absolute() / "tests.xml"
+    return parse_command(settings.run or "", settings.directory, settings.interpreter, plain(os.environ), junit)
+
+
+def _secrets(settings: CoverageSettings) -> tuple[str, ...]:
+    return tuple(filter(None, (settings.project_token, settings.api_token)))
 
 
 def _only_final(

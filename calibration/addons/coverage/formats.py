@@ -4,6 +4,7 @@ import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NoReturn
 from xml.etree.ElementTree import Element
 
@@ -46,6 +47,8 @@ def parse_cobertura(data: bytes, name: str) -> CoverageReport:
     folders: list[str] = []
     file: str | None = None
     in_methods = 0
+    functions: dict[str, dict[tuple[int, int], int]] = {}
+    of_method: dict[int, int] = {}
     root: Element | None = None
     for event, element in elements(data, name):
         tag = element.tag
@@ -58,15 +61,21 @@ def parse_cobertura(data: bytes, name: str) -> CoverageReport:
                 raise InputError(f"{name}: a class has no filename")
             hits.setdefault(file, {})
             branches.setdefault(file, {})
+            functions.setdefault(file, {})
         elif tag == "methods":  # the class repeats their lines
             in_methods += 1 if event == "start" else -1
-        elif tag == "line" and event == "end" and file is not None and not in_methods:
-            _add_line(element, f"{name}: {file}", hits[file], branches[file])
+        elif tag == "line" and event == "end" and file is not None:
+            where = f"{name}: {file}"
+            _add_line(element, where, *((of_method, {}) if in_methods else (hits[file], branches[file])))
+        elif tag == "method" and event == "end" and file is not None and of_method:
+            span = (min(of_method), max(of_method))
+            functions[file][span] = functions[file].get(span, 0) + max(of_method.values())
+            of_method = {}
         elif tag == "source" and event == "end" and element.text and element.text.strip():
             folders.append(element.text.strip())
         if event == "end":
             element.clear()
-    found = {file: FileCoverage(lines, branches[file]) for file, lines in hits.items()}
+    found = {file: FileCoverage(lines, branches[file], functions[file]) for file, lines in hits.items()}
     return CoverageReport(name, found, tuple(folders))
 
 
@@ -103,6 +112,9 @@ def _refuse_value(where: str, key: str, found: str | None, expected: str) -> NoR
 
 _LINE_VALUE = re.compile(r"([0-9]{1,8}),([0-9]{1,19})(?:,[^,]*)?")
 _BRANCH_VALUE = re.compile(r"([0-9]{1,8}),([^,]+),([^,]+),(-|[0-9]{1,19})")
+_FUNCTION_VALUE = re.compile(r"([0-9]{1,8}),(?:([0-9]{1,8}),)?(.+)")
+"""First line, last line where the tool tells it, name."""
+_FUNCTION_HITS = re.compile(r"([0-9]{1,19}),(.+)")
 
 
 @dataclass
@@ -110,10 +122,20 @@ class _Record:
     hits: dict[int, int] = field(default_factory=dict)
     branches: dict[int, dict[tuple[str, str], bool]] = field(default_factory=dict)
     """Return which branches of a line were taken."""
+    spans: dict[str, tuple[int, int | None]] = field(default_factory=dict)
+    """First and last line of each function, by its name."""
+    calls: dict[str, int] = field(default_factory=dict)
 
     def coverage(self) -> FileCoverage:
         rates = {line: Rate(sum(taken.values()), len(taken)) for line, taken in self.branches.items()}
-        return FileCoverage(self.hits, rates)
+        begins = sorted({first for first, _ in self.spans.values()})
+        end = max([*self.hits, *begins[-1:]], default=0)
+        next_begins = dict(pairwise([*begins, end + 1]))
+        functions: dict[tuple[int, int], int] = {}
+        for name, (first, last) in self.spans.items():
+            span = (first, next_begins[first] - 1 if last is None else last)
+            functions[span] = functions.get(span, 0) + self.calls.get(name, 0)  # instances of one template
+        return FileCoverage(self.hits, rates, functions)
 
 
 def parse_lcov(data: bytes, name: str) -> CoverageReport:
@@ -138,6 +160,10 @@ def parse_lcov(data: bytes, name: str) -> CoverageReport:
             if record is None:
                 raise InputError(f"{name}:{number}: {kind} precedes the file that it belongs to (SF)")
             _add_to_record(record, kind, value.strip(), f"{name}:{number}")
+        elif record is not None and kind == "FN" and (span := _FUNCTION_VALUE.fullmatch(value.strip())):
+            record.spans[span[3]] = (int(span[1]), int(span[2]) if span[2] else None)
+        elif record is not None and kind == "FNDA" and (calls := _FUNCTION_HITS.fullmatch(value.strip())):
+            record.calls[calls[2]] = record.calls.get(calls[2], 0) + min(int(calls[1]), MAX_HITS)
     if record is not None:
         raise InputError(f"{name}: it ends in the middle of a record: end_of_record was expected")
     if not records:
@@ -152,6 +178,9 @@ def tracefile(files: Mapping[str, FileCoverage]) -> str:
         if len(path.splitlines()) != 1 or path != path.strip():
             continue  # LCOV cannot represent a file name with a line break
         lines += ["TN:", f"SF:{path}"]
+        for (first, last), hits in coverage.functions.items():
+            name = f"lines {first} to {last}"
+            lines += [f"FN:{first},{last},{name}", f"FNDA:{hits},{name}"]
         lines += [f"DA:{line},{hits}" for line, hits in coverage.hits.items()]
         for line, rate in coverage.branches.items():
             lines += [f"BRDA:{line},0,{branch},{int(branch < rate.covered)}" for branch in range(rate.total)]

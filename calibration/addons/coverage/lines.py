@@ -1,4 +1,4 @@
-"""Line and branch coverage of files, and the combination of reports of the same files."""
+"""Line, branch and function coverage of files, and the combination of reports of the same files."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -12,8 +12,8 @@ from calibration.base.records import computed, field, result
 class Rate:
     """A ratio of counts: covered and total."""
 
-    covered: int = field("Number of lines or branches that tests run.", default=0)
-    total: int = field("Number of executable lines or branches.", default=0)
+    covered: int = field("Number of lines, branches or functions that tests run.", default=0)
+    total: int = field("Number of executable lines, of branches or of functions.", default=0)
 
     def __add__(self, other: "Rate") -> "Rate":
         return Rate(self.covered + other.covered, self.total + other.total)
@@ -36,12 +36,14 @@ class Rate:
 
 @dataclass(frozen=True)
 class FileCoverage:
-    """Line and branch coverage of a file."""
+    """Line, branch and function coverage of a file."""
 
     hits: Mapping[int, int] = dataclass_field(default_factory=dict)
     """Hits of each executable line; the first line is 1."""
     branches: Mapping[int, Rate] = dataclass_field(default_factory=dict)
     """Branches taken, by the line that branches."""
+    functions: Mapping[tuple[int, int], int] = dataclass_field(default_factory=dict)
+    """Hits of each function, by its first and last line: those of the line of its that is run most."""
 
     @property
     def line_rate(self) -> Rate:
@@ -52,6 +54,11 @@ class FileCoverage:
     def branch_rate(self) -> Rate:
         """Rate of all branches."""
         return sum(self.branches.values(), Rate())
+
+    @property
+    def function_rate(self) -> Rate:
+        """Rate of functions of which a line was run."""
+        return Rate(sum(count > 0 for count in self.functions.values()), len(self.functions))
 
     @property
     def missing(self) -> list[int]:
@@ -70,13 +77,16 @@ def combined(parts: Iterable[FileCoverage]) -> FileCoverage:
     """
     hits: dict[int, int] = {}
     branches: dict[int, Rate] = {}
+    functions: dict[tuple[int, int], int] = {}
     for part in parts:
         for line, count in part.hits.items():
             hits[line] = hits.get(line, 0) + count
         for line, rate in part.branches.items():
             known = branches.get(line, Rate())
             branches[line] = Rate(max(known.covered, rate.covered), max(known.total, rate.total))
-    return FileCoverage(hits, branches)
+        for span, count in part.functions.items():
+            functions[span] = functions.get(span, 0) + count
+    return FileCoverage(hits, branches, functions)
 
 
 def ranges(lines: Iterable[int], others: Iterable[int]) -> list[tuple[int, int]]:

@@ -11,8 +11,9 @@ from typing import Any, Self
 
 from calibration.addons.coverage.data_file import SQLITE_MAGIC, copied, measured_names, merge, report_of
 from calibration.addons.coverage.formats import MAX_BYTES, CoverageReport, parse_cobertura, parse_lcov
+from calibration.addons.coverage.functions import functions_of
 from calibration.addons.coverage.lines import FileCoverage, combined
-from calibration.addons.coverage.sources import Sources, language_of
+from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, language_of
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 from calibration.ci.git import Repository
@@ -117,9 +118,21 @@ def mapped(reports: Iterable[CoverageReport], paths: PathMap, counted: Iterable[
         highest = max([*coverage.hits, *coverage.branches], default=0)
         if highest > _line_count(paths.repository.root / path):
             ill_fitting[path] = highest
+        elif language_of(path) == PYTHON_LANGUAGE:
+            source = (paths.repository.root / path).read_bytes()
+            files[path] = replace(coverage, functions=_python_functions(path, source, coverage.hits))
         else:
             files[path] = coverage
     return Mapped(files, tuple(names.unmatched), names.ambiguous, ill_fitting)
+
+
+def _python_functions(path: str, source: bytes, hits: Mapping[int, int]) -> dict[tuple[int, int], int]:
+    """Return the hits of the functions of a Python file; reports of coverage.py, of Cobertura's form, tell none."""
+    found = {}
+    for function in functions_of(path, source):
+        if own := function.own_lines & hits.keys():
+            found[function.first, function.last] = max(hits[line] for line in own)
+    return found
 
 
 class _Names:
@@ -163,7 +176,6 @@ def _read_content(path: Path) -> bytes:
 
 
 KINDS_OF_REPORTS = "a data file of coverage.py, Cobertura XML or LCOV"
-_PYTHON_LANGUAGE = "python"
 
 
 @dataclass(frozen=True)
@@ -214,10 +226,8 @@ def read_reports(
     measured = {name: file for name in measured_names(data) if (file := names.file(name))}
     others = mapped(reports, paths, sources.counted)
     known = {*others.files, *others.ill_fitting, *measured.values()}
-    languages = {language_of(path) for path in known} | ({_PYTHON_LANGUAGE} if data else set())
-    python = [
-        path for path in sources.counted if language_of(path) == _PYTHON_LANGUAGE and _PYTHON_LANGUAGE in languages
-    ]
+    languages = {language_of(path) for path in known} | ({PYTHON_LANGUAGE} if data else set())
+    python = [path for path in sources.counted if language_of(path) == PYTHON_LANGUAGE and PYTHON_LANGUAGE in languages]
     root = sources.repository.root
     wanted = {name: str(root / path) for name, path in measured.items() if path in set(python)}
     untouched = [str(root / path) for path in python if path not in known]

@@ -1,11 +1,13 @@
 """Report of ``coverage-upload``: log, summary, annotations and JUnit cases."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from calibration.addons.coverage.formats import tracefile
 from calibration.addons.coverage.lines import Rate
+from calibration.addons.coverage.pseudo_tested import PseudoTestedResults
 from calibration.addons.coverage.reading import Found
 from calibration.addons.coverage.results import CoverageResults
 from calibration.base.errors import ExitCode
@@ -20,7 +22,10 @@ MAX_ROWS = 200
 """Limit of rows of a table in the log, and of files below the goal; the summary and results.json have all."""
 MAX_NAMES = 20
 """Limit of names in a list."""
-_HEADER_OF_FILES = ("file", "lines", "branches", "goal", "not run")
+_HEADER_OF_FILES = ("file", "lines", "branches", "functions", "goal", "not run")
+_HEADER_OF_PSEUDO_TESTED = ("function", "place", "passes also when it", "only run by")
+MAX_TESTS = 3
+"""Limit of tests that are named for a function; results.json has all."""
 
 
 def report(results: CoverageResults, directory: Path = Path(), badge: Path | None = None) -> Report:
@@ -38,7 +43,9 @@ def report(results: CoverageResults, directory: Path = Path(), badge: Path | Non
     return Report(
         title=TITLE,
         verdict=verdict,
-        error=ExitCode.INFRASTRUCTURE if verdict == "pass" and results.upload.state == "failed" else None,
+        error=ExitCode.INFRASTRUCTURE
+        if verdict == "pass" and (results.upload.state == "failed" or results.undecided)
+        else None,
         sentence=_verdict_sentence(results),
         reasons=tuple(results.problems),
         annotations=tuple(_annotations_of(results, directory)),
@@ -46,6 +53,7 @@ def report(results: CoverageResults, directory: Path = Path(), badge: Path | Non
             Table(_HEADER_OF_FILES, (*total, *_rows_of_files(results, _by_rate(results))), MAX_ROWS, only="log"),
             Table(("", "run", "of"), tuple(_summary_rows(results)), only="summary"),
             Lines(tuple(remarks(results))),
+            *_pseudo_tested_table(results.pseudo_tested),
             Table(_HEADER_OF_FILES, _rows_of_files(results, below), MAX_ROWS, title=not_passed, only="summary"),
             Table(_HEADER_OF_FILES, (*total, *rows), title=f"All {len(rows)} files", only="summary", folded=True),
         ),
@@ -54,7 +62,11 @@ def report(results: CoverageResults, directory: Path = Path(), badge: Path | Non
         outputs={
             "line-rate": results.lines.percent,
             "branch-rate": results.branches.percent,
+            "function-rate": results.functions.percent,
             "change-rate": results.change.rate.percent if results.change else None,
+            "change-function-rate": results.change.functions.percent if results.change else None,
+            "pseudo-tested": len(results.pseudo_tested.functions) if results.pseudo_tested else None,
+            "pseudo-tested-change": results.pseudo_tested.found_in_change if results.pseudo_tested else None,
             "files-below-goal": len(below),
             "uploaded": results.upload.state,
             "commit": results.commit,
@@ -66,7 +78,7 @@ def report(results: CoverageResults, directory: Path = Path(), badge: Path | Non
 
 
 def _verdict_sentence(results: CoverageResults) -> str:
-    parts = results.problems or [f"{results.lines} of the lines are run"]
+    parts = results.problems or results.undecided or [f"{results.lines} of the lines are run"]
     state = {
         "uploaded": f"uploaded to {results.upload.service}",
         "skipped": f"not uploaded ({results.upload.reason})",
@@ -86,7 +98,39 @@ def remarks(results: CoverageResults) -> list[str]:
         lines.append(f"change since {results.change.base[:12]}: {results.change.rate} of its lines are run")
     elif results.no_change:
         lines.append(f"no coverage of the change: {results.no_change}")
-    return lines + what_is_left_out(results.found)
+    if results.no_pseudo_tested:
+        lines.append(f"no functions are looked for that tests run and do not test: {results.no_pseudo_tested}")
+    return lines + _remarks_on_pseudo_tested(results.pseudo_tested) + what_is_left_out(results.found)
+
+
+def _remarks_on_pseudo_tested(found: PseudoTestedResults | None) -> list[str]:
+    if found is None:
+        return []
+    lines = [
+        f"{len(found.functions)} of {found.judged} functions that tests run are not tested ({found.seconds:.0f} s)"
+    ]
+    if found.failing:
+        lines.append(
+            f"these tests do not pass in a copy of the checkout, and judge nothing: {_names_text(found.failing)}"
+        )
+    reasons = Counter(each.reason for each in found.unjudged)
+    lines += [f"{count} functions that tests run are not judged: {reason}" for reason, count in reasons.items()]
+    return lines
+
+
+def _pseudo_tested_table(found: PseudoTestedResults | None) -> Iterable[Table]:
+    if found is not None and found.functions:
+        rows = tuple(
+            (
+                each.name,
+                f"{each.path}:{each.line}{' (of the change)' if each.changed else ''}",
+                " or ".join(each.replacements),
+                _names_text(each.tests, MAX_TESTS),
+            )
+            for each in found.functions
+        )
+        title = f"{len(rows)} functions that tests run and do not test"
+        yield Table(_HEADER_OF_PSEUDO_TESTED, rows, MAX_ROWS, title=title)
 
 
 def what_is_left_out(found: Found) -> list[str]:
@@ -119,6 +163,14 @@ def _annotations_of(results: CoverageResults, directory: Path) -> Iterable[Annot
     for span in results.change.missing if results.change else ():
         message = f"no test runs {_lines_text(span.first, span.last)} of this change"
         yield Annotation(message, Level.WARNING, span.path, span.first, title="not covered")
+    for reason in results.undecided:
+        yield Annotation(reason)
+    for each in results.pseudo_tested.functions if results.pseudo_tested else ():
+        message = (
+            f"no test fails when {each.name} {' or '.join(each.replacements)} instead: "
+            f"{_names_text(each.tests, MAX_TESTS)} only run{'s' if len(each.tests) == 1 else ''} it"
+        )
+        yield Annotation(message, Level.WARNING, each.path, each.line, title="pseudo-tested")
 
 
 def _junit_cases(results: CoverageResults) -> Iterable[Outcome]:
@@ -128,6 +180,15 @@ def _junit_cases(results: CoverageResults) -> Iterable[Outcome]:
         yield Outcome(name="tests", group=TITLE, reasons=(problem,) if problem else (), seconds=results.tests.seconds)
     for limit in results.limits:
         yield replace(outcome_of_check(limit.check, TITLE), name=f"{limit.name} {limit.minimum:g} %")
+    for maximum in results.pseudo_tested_limits:
+        undecided = (maximum.undecided,) if maximum.undecided else ()
+        outcome = outcome_of_check(maximum.check, TITLE)
+        yield replace(
+            outcome,
+            name=f"{maximum.name} {maximum.maximum}",
+            reasons=outcome.reasons or undecided,
+            error=ExitCode.INFRASTRUCTURE if undecided else None,
+        )
     if results.upload.state != "none":
         failed, skipped = (results.upload.state == state for state in ("failed", "skipped"))
         yield Outcome(
@@ -140,9 +201,10 @@ def _junit_cases(results: CoverageResults) -> Iterable[Outcome]:
 
 
 def _summary_rows(results: CoverageResults) -> list[tuple[str, str, str]]:
-    rates = [("lines", results.lines), ("branches", results.branches)]
+    rates = [("lines", results.lines), ("branches", results.branches), ("functions", results.functions)]
     if results.change is not None:
         rates.append(("lines of the change", results.change.rate))
+        rates.append(("functions of the change", results.change.functions))
     rows = [(name, _percent_text(rate), f"{rate.covered} of {rate.total}") for name, rate in rates]
     tally = results.tests.tally if results.tests is not None else None
     if tally is not None:
@@ -158,6 +220,7 @@ def _rows_of_files(results: CoverageResults, paths: Sequence[str]) -> tuple[tupl
             path,
             str(results.files[path].line_rate),
             str(results.files[path].branch_rate),
+            str(results.files[path].function_rate),
             "" if not results.files[path].hits else "below" if path in below else "above",
             shorten(", ".join(_span_text(*part) for part in results.files[path].ranges(results.files[path].missing))),
         )
@@ -167,7 +230,8 @@ def _rows_of_files(results: CoverageResults, paths: Sequence[str]) -> tuple[tupl
 
 def _total_row(results: CoverageResults) -> tuple[str, ...]:
     below = len(results.below_goal)
-    return "total", str(results.lines), str(results.branches), f"{below} below {results.goal:g} %", ""
+    rates = (str(results.lines), str(results.branches), str(results.functions))
+    return "total", *rates, f"{below} below {results.goal:g} %", ""
 
 
 def _by_rate(results: CoverageResults) -> list[str]:
@@ -183,9 +247,9 @@ def _span_text(first: int, last: int) -> str:
     return str(first) if first == last else f"{first}-{last}"
 
 
-def _names_text(names: Sequence[str]) -> str:
-    shown = ", ".join(shorten(one_line(name), 200) for name in names[:MAX_NAMES])
-    return f"{shown} and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else shown
+def _names_text(names: Sequence[str], most: int = MAX_NAMES) -> str:
+    shown = ", ".join(shorten(one_line(name), 200) for name in names[:most])
+    return f"{shown} and {len(names) - most} more" if len(names) > most else shown
 
 
 def _percent_text(rate: Rate) -> str:

@@ -1,11 +1,14 @@
 """Results of ``coverage-upload`` and their document: tests, coverage, limits and upload."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.addons.coverage.pseudo_tested import OVER_BUDGET, PseudoTestedResults
 from calibration.addons.coverage.reading import Found
 from calibration.addons.coverage.tests import Tests
+from calibration.base.check import at_most
 from calibration.base.records import computed, field, result
 from calibration.ci.report import Check, Verdict, verdict_of
 
@@ -24,13 +27,14 @@ class Uploaded:
 
 @result
 class CoverageLimit:
-    """Lower limit of the percentage of covered lines."""
+    """Lower limit of the percentage of covered lines or functions."""
 
-    name: str = field("The option: minimum, minimum-change.")
+    name: str = field("The option: minimum, minimum-change, minimum-functions, minimum-functions-change.")
     minimum: float = field("The limit.", unit="percent")
-    rate: Rate = field("The lines that it is of.", key="lines")
+    rate: Rate = field("The lines, or the functions, that it is of.", key="lines")
+    what: str = "lines"
     of_change: bool = False
-    """Whether it applies to the lines of a change; then it passes if the change has no executable line."""
+    """Whether it applies to a change; then it passes if the change has no executable line, or no function."""
 
     @property
     @computed()
@@ -42,8 +46,8 @@ class CoverageLimit:
     def check(self) -> Check:
         """Comparison of the covered lines with the limit."""
         return Check(
-            subject="lines of the change that are run" if self.of_change else "lines that are run",
-            found=str(self.rate) if self.rate.total else "no line",
+            subject=f"{self.what}{' of the change' if self.of_change else ''} that are run",
+            found=str(self.rate) if self.rate.total else f"no {self.what.removesuffix('s')}",
             expected=f"at least {self.minimum:g} % ({self.name})",
             passed=self.rate.reaches(self.minimum) or (self.of_change and self.rate.total == 0),
             value=self.rate.percent,
@@ -51,6 +55,36 @@ class CoverageLimit:
             minimum=True,
             unit="%",
         )
+
+
+@result
+class PseudoTestedLimit:
+    """Upper limit of the number of functions that tests run and do not test."""
+
+    name: str = field("The option: max-pseudo-tested, max-pseudo-tested-change.")
+    maximum: int = field("The limit.")
+    found: int = field("How many there are.")
+    unjudged: int = field("Functions that the budget of time did not suffice for.")
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Verdict of the limit."""
+        return verdict_of(self.check.passed)
+
+    @property
+    def undecided(self) -> str | None:
+        """Why the limit is neither kept nor broken; None if it is one of these."""
+        if not self.check.passed or self.found + self.unjudged <= self.maximum:
+            return None
+        return f"{self.name} is undecided: {self.unjudged} functions are not judged, as {OVER_BUDGET}"
+
+    @property
+    def check(self) -> Check:
+        """Comparison of the number with the limit."""
+        of_change = " of the change" if self.name.endswith("-change") else ""
+        subject = f"functions{of_change} that tests run and do not test"
+        return replace(at_most(subject, self.found, self.maximum), expected=f"at most {self.maximum} ({self.name})")
 
 
 @result
@@ -69,6 +103,7 @@ class CoverageOfChange:
     base: str = field("The commit that it is compared with.")
     rate: Rate = field("The lines of the change.", key="lines")
     missing: tuple[Span, ...] = field("What no test runs of the change.")
+    functions: Rate = field("The functions that the change touches.", default_factory=Rate)
 
 
 @result
@@ -78,6 +113,7 @@ class FileResult:
     path: str = field("In the repository.")
     lines: Rate = field("The lines that can be run.")
     branches: Rate = field("The branches.")
+    functions: Rate = field("The functions.")
     missing: tuple[tuple[int, int], ...] = field("Lines that no test runs, as first and last.")
 
 
@@ -107,7 +143,13 @@ class CoverageResults:
     )
     no_change: str = ""
     """Reason why there is no base to compare with."""
-    limits: tuple[CoverageLimit, ...] = field("The limits that were asked for.", default=())
+    limits: tuple[CoverageLimit, ...] = field("The limits of coverage that were asked for.", default=())
+    pseudo_tested: PseudoTestedResults | None = field(
+        "Functions that tests run and do not test; null where none were looked for.", default=None
+    )
+    no_pseudo_tested: str = ""
+    """Reason why none were looked for, though it was asked for."""
+    pseudo_tested_limits: tuple[PseudoTestedLimit, ...] = field("The limits of these.", default=())
     upload: Uploaded = field("What came of the upload.", default_factory=Uploaded)
 
     @property
@@ -120,7 +162,13 @@ class CoverageResults:
     def file_results(self) -> tuple[FileResult, ...]:
         """Results of the files that count."""
         return tuple(
-            FileResult(path, each.line_rate, each.branch_rate, tuple(each.ranges(each.missing)))
+            FileResult(
+                path,
+                each.line_rate,
+                each.branch_rate,
+                each.function_rate,
+                tuple(each.ranges(each.missing)),
+            )
             for path, each in sorted(self.files.items())
         )
 
@@ -146,6 +194,12 @@ class CoverageResults:
 
     @property
     @computed()
+    def functions(self) -> Rate:
+        """Rate of the functions of all files of which a line was run."""
+        return sum((coverage.function_rate for coverage in self.files.values()), Rate())
+
+    @property
+    @computed()
     def files_below_goal(self) -> int:
         """Number of files below the goal."""
         return len(self.below_goal)
@@ -165,4 +219,10 @@ class CoverageResults:
     def problems(self) -> list[str]:
         """Reasons for the verdict fail, one line each; empty if it is pass."""
         tests = [self.tests.problem] if self.tests is not None and self.tests.problem else []
-        return tests + [str(limit.check) for limit in self.limits if not limit.check.passed]
+        checks = [limit.check for limit in self.limits] + [limit.check for limit in self.pseudo_tested_limits]
+        return tests + [str(check) for check in checks if not check.passed]
+
+    @property
+    def undecided(self) -> list[str]:
+        """Limits that are neither kept nor broken, one line each."""
+        return list(filter(None, (limit.undecided for limit in self.pseudo_tested_limits)))

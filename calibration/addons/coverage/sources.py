@@ -25,6 +25,7 @@ SUFFIXES_OF_LANGUAGE = {
     "typescript": (".ts", ".tsx"),
 }
 """Suffixes by language, in Codacy's names."""
+PYTHON_LANGUAGE = "python"
 _LANGUAGE_OF_SUFFIX = {suffix: language for language, suffixes in SUFFIXES_OF_LANGUAGE.items() for suffix in suffixes}
 NO_SOURCES = (
     *("**/test", "**/tests", "**/test_*.*", "**/*_test.*", "**/*_tests.*", "**/conftest.py"),

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from calibration.addons.coverage.commit import coverage_of_change
 from calibration.addons.coverage.lines import FileCoverage, Rate
-from calibration.addons.coverage.results import Span
+from calibration.addons.coverage.results import CoverageOfChange, Span
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.git import Repository, changed_lines, files_without_lines, find_base
 from tests.repositories import commit, git
@@ -97,10 +97,16 @@ def test_it_is_what_the_new_text_has_more(
 
 
 def test_what_is_covered_of_a_change() -> None:
-    files = {"a.py": FileCoverage({1: 1, 2: 0, 4: 0, 9: 3}), "b.py": FileCoverage({1: 1}), "c.py": FileCoverage({1: 0})}
+    functions = {(1, 2): 0, (4, 5): 1, (6, 8): 1}
+    files = {
+        "a.py": FileCoverage({1: 1, 2: 0, 4: 0, 9: 3}, {}, functions),
+        "b.py": FileCoverage({1: 1}),
+        "c.py": FileCoverage({1: 0}),
+    }
     changed = {"a.py": {2, 3, 4, 9}, "b.py": {1}, "README.md": {1}}
-    assert coverage_of_change(changed, files) == (Rate(2, 4), (Span("a.py", 2, 4),))
-    assert coverage_of_change({}, files) == (Rate(), ())
+    of_change = CoverageOfChange("base", Rate(2, 4), (Span("a.py", 2, 4),), Rate(1, 2))
+    assert coverage_of_change("base", changed, files) == of_change
+    assert coverage_of_change("base", {}, files) == CoverageOfChange("base", Rate(), ())
 
 
 def test_the_base_is_where_a_branch_left(tmp_path: Path) -> None:

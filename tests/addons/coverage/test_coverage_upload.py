@@ -128,6 +128,7 @@ def test_tests_are_run_and_their_coverage_uploaded(
     assert "1 passed" in Path("out/tests.log").read_text()
     assert TOKEN not in capsys.readouterr().out + Path("out/tests.log").read_text()
     assert git(Path(), "status", "--porcelain") == ""
+    assert results["functions"] == {"covered": 1, "total": 2, "percent": 50.0}
     # A job without tests uploads the same report.
     assert upload("--source", "robot", reports="out/lcov.info") == 0
     assert server.asked[1].body == server.asked[0].body
@@ -182,6 +183,17 @@ def test_tests_that_measure_themselves(server: projects.Codacy, capsys: pytest.C
             "fail: lines that are run: found 66.6 % (4 of 6), expected at least 66.67 %",
         ),
         (["--goal", "70"], 0, "pass"),
+        (["--minimum-functions", "50"], 0, "pass"),
+        (
+            ["--minimum-functions", "51"],
+            1,
+            "fail: functions that are run: found 50.0 % (1 of 2), expected at least 51 %",
+        ),
+        (
+            ["--base", "HEAD~1", "--minimum-functions-change", "51"],
+            1,
+            "fail: functions of the change that are run: found 5",
+        ),
         (["--base", "HEAD", "--minimum-change", "100"], 0, "pass"),  # nothing has changed
         (
             ["--base", "HEAD~1", "--minimum-change", "50"],
@@ -230,7 +242,11 @@ def test_on_github(
         "verdict": "pass",
         "line-rate": "66.66",
         "branch-rate": "",
+        "function-rate": "50.0",
         "change-rate": "0.0",
+        "change-function-rate": "0.0",
+        "pseudo-tested": "",
+        "pseudo-tested-change": "",
         "files-below-goal": "0",
         "uploaded": "uploaded",
         "commit": "c" * 40,
@@ -448,6 +464,18 @@ def test_as_an_action_the_inputs_go_before_the_environment(
         (["--source", "none"], "source: none: no source file was found there"),
         (["--base", "nowhere"], "base nowhere: no such commit is in this checkout"),
         (["--minimum-change", "80"], "there is no base to compare with"),
+        (["--minimum-functions-change", "80"], "there is no base to compare with"),
+        (["--max-pseudo-tested", "0"], "pseudo-tested: found all without run"),
+        (
+            ["--run", "x", "--max-pseudo-tested", "0", "--pseudo-tested", "change"],
+            "pseudo-tested: found change, expected all",
+        ),
+        (
+            ["--run", "x", "--max-pseudo-tested-change", "0", "--pseudo-tested", "none"],
+            "expected change or all for its limit",
+        ),
+        (["--run", "x", "--max-pseudo-tested-change", "0"], "there is no base to compare with"),
+        (["--run", "pytest", "--pseudo-tested", "all", "--pseudo-tested-budget", "soon"], "budget: found 'soon', exp"),
         (["--run", "pytest", "--timeout", "soon"], "timeout: found 'soon', expected a time such as 90s"),
         (["--run", "no-such-program"], "there is no program 'no-such-program'"),
         (["--api-url", "http://example.org"], "api-url: found 'http://example.org', expected https"),

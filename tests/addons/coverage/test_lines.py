@@ -12,13 +12,15 @@ FILES = st.builds(
     st.dictionaries(
         st.integers(1, 30), st.integers(1, 4).flatmap(lambda n: st.builds(Rate, st.integers(0, n), st.just(n)))
     ),
+    st.dictionaries(st.tuples(st.integers(1, 9), st.integers(1, 9)), st.integers(0, 5)),
 )
 
 
 def test_rates_of_a_file() -> None:
-    coverage = FileCoverage({1: 3, 2: 0, 5: 1, 9: 0}, {1: Rate(1, 2), 5: Rate(2, 3)})
+    coverage = FileCoverage({1: 3, 2: 0, 5: 1, 9: 0}, {1: Rate(1, 2), 5: Rate(2, 3)}, {(1, 2): 3, (5, 8): 0, (9, 9): 1})
     assert coverage.line_rate == Rate(2, 4)
     assert coverage.branch_rate == Rate(3, 5)
+    assert coverage.function_rate == Rate(2, 3)
     assert coverage.missing == [2, 9]
 
 

@@ -24,8 +24,8 @@ from .projects import NAMING, robot
 
 JUMPS = [(-1, 1), (1, 7), (7, -1), (-1, 2), (2, 4), (4, -1)]
 """Lines of naming.py that the project's test runs: 1, 2, 4 and 7."""
-NAMING_COVERAGE = FileCoverage({1: 1, 2: 1, 3: 0, 4: 1, 7: 1, 8: 0}, {2: Rate(1, 2)})
-NOT_RUN = FileCoverage({1: 0, 2: 0, 3: 0, 4: 0, 7: 0, 8: 0}, {2: Rate(0, 2)})
+NAMING_COVERAGE = FileCoverage({1: 1, 2: 1, 3: 0, 4: 1, 7: 1, 8: 0}, {2: Rate(1, 2)}, {(1, 4): 1, (7, 8): 0})
+NOT_RUN = FileCoverage({1: 0, 2: 0, 3: 0, 4: 0, 7: 0, 8: 0}, {2: Rate(0, 2)}, {(1, 4): 0, (7, 8): 0})
 
 
 @pytest.fixture
@@ -62,7 +62,9 @@ def test_a_data_file_with_jumps(root: Path, tmp_path: Path) -> None:
 
 def test_a_data_file_with_lines_of_another_checkout(root: Path, tmp_path: Path) -> None:
     file = write_data(tmp_path / ".coverage", lines={"/app/robot/naming.py": [1, 2, 4, 7]})
-    assert read(root, file).files["robot/naming.py"] == FileCoverage(NAMING_COVERAGE.hits)
+    assert read(root, file).files["robot/naming.py"] == FileCoverage(
+        NAMING_COVERAGE.hits, functions=NAMING_COVERAGE.functions
+    )
 
 
 def test_data_files_of_both_kinds_and_other_reports_together(root: Path, tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def test_cobertura() -> None:
     report = parse_cobertura(COBERTURA.encode(), "c.xml")
     assert report.folders == ("/build/src",)
     assert report.files == {
-        "robot/naming.py": FileCoverage({1: 2, 2: 3, 3: 2}, {3: Rate(2, 2)}),
+        "robot/naming.py": FileCoverage({1: 2, 2: 3, 3: 2}, {3: Rate(2, 2)}, {(1, 1): 9}),
         "robot/__init__.py": FileCoverage(),
     }
 
@@ -54,6 +54,7 @@ RATES = st.integers(1, 20).flatmap(lambda total: st.builds(Rate, st.integers(0, 
             FileCoverage,
             st.dictionaries(LINES, st.integers(0, 2**63 - 1)),
             st.dictionaries(LINES, RATES, max_size=5),
+            st.dictionaries(st.tuples(LINES, LINES), st.integers(0, 2**63 - 1), max_size=3),
         ),
         min_size=1,
         max_size=3,
@@ -151,7 +152,7 @@ end_of_record
 
 def test_lcov() -> None:
     report = parse_lcov(LCOV, "lcov.info")
-    arm = FileCoverage({3: 2, 4: 1, 5: 0}, {3: Rate(1, 2), 5: Rate(1, 1)})
+    arm = FileCoverage({3: 2, 4: 1, 5: 0}, {3: Rate(1, 2), 5: Rate(1, 1)}, {(3, 5): 2})
     assert report.files == {"src/arm.cpp": arm, "src/empty.cpp": FileCoverage()}
     assert report.folders == ()
 
@@ -160,6 +161,20 @@ def test_lcov_whose_branches_are_seen_by_different_tests() -> None:
     record = "SF:a.c\nBRDA:1,0,0,{}\nBRDA:1,0,1,{}\nend_of_record\n"
     report = parse_lcov((record.format(1, "-") + record.format(0, 7)).encode(), "lcov.info")
     assert report.files["a.c"].branches == {1: Rate(2, 2)}
+
+
+@pytest.mark.parametrize(
+    ("lines", "functions"),
+    [
+        ("FN:1,a\nFN:5,b\nFNDA:3,a\nDA:9,0\n", {(1, 4): 3, (5, 9): 0}),  # each ends before the next
+        ("FN:1,2,a\nFNDA:3,a\nFNDA:4,a\n", {(1, 2): 7}),  # as LCOV 2 and coverage.py write it
+        ("FN:1,f(int, int)\nFN:1,f<a>\nFNDA:1,f(int, int)\nFNDA:1,f<a>\n", {(1, 1): 2}),  # instances of a template
+        ("FN:x,a\nFNDA:-1,a\nFN:2\n", {}),
+    ],
+)
+def test_functions_of_lcov(lines: str, functions: dict[tuple[int, int], int]) -> None:
+    report = parse_lcov(f"SF:a.cpp\n{lines}end_of_record\n".encode(), "lcov.info")
+    assert report.files["a.cpp"].functions == functions
 
 
 @pytest.mark.parametrize(

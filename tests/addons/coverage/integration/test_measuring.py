@@ -14,7 +14,7 @@ from tests.repositories import commit, git, write
 
 from .conftest import Run
 
-NAMING_COVERAGE = FileCoverage({1: 1, 2: 1, 3: 0, 4: 1, 7: 1, 8: 0}, {2: Rate(1, 2)})
+NAMING_COVERAGE = FileCoverage({1: 1, 2: 1, 3: 0, 4: 1, 7: 1, 8: 0}, {2: Rate(1, 2)}, {(1, 4): 1, (7, 8): 0})
 OURS = sys.executable
 """With pytest and coverage.py of its own."""
 
