@@ -3,11 +3,11 @@
 Independent of calibration.
 
 - ``coverage_upload``: the command;
-- ``lines``: covered lines and branches of a file;
-- ``command``, ``tests``: the test command and its outcome; ``injection``: coverage.py in the team's own Python;
-- ``data_file``, ``formats``: the formats of coverage.py and other tools (Cobertura, LCOV);
-- ``sources``, ``reading``: coverage of the repository's files;
-- ``commit``, ``codacy``: the commit that the coverage belongs to, its changed lines, and the service that receives it;
+- ``lines``: covered lines, branches and functions of a file;
+- ``tests``: the test command and its outcome; ``coverage_py``: coverage.py in the team's own Python, and its data;
+- ``formats``: reports of other tools (Cobertura, LCOV);
+- ``sources``, ``reading``: the commit and the files that coverage is of, and their coverage;
+- ``codacy``: the service that receives it;
 - ``functions``, ``pseudo_tested``, ``test_worker``: functions that tests run and do not test;
 - ``results``, ``report``: the verdict and its presentation.
 """

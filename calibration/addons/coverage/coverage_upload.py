@@ -10,16 +10,28 @@ from typing import Annotated, Any, Literal
 import click
 
 from calibration.addons.coverage.codacy import API_URL, Account, Codacy, Request, Upload, parse_account, parse_api_url
-from calibration.addons.coverage.command import CommandOfTests, parse_command
-from calibration.addons.coverage.commit import coverage_of_change, find_commit
+from calibration.addons.coverage.coverage_py import plain, team_settings
 from calibration.addons.coverage.functions import PythonFunction, functions_of
-from calibration.addons.coverage.injection import plain, team_settings
 from calibration.addons.coverage.pseudo_tested import LOG_FILE, OVER_BUDGET, PseudoTestedResults, find_pseudo_tested
 from calibration.addons.coverage.reading import Found, read_reports
 from calibration.addons.coverage.report import LCOV_FILE, TITLE, badge, report, what_is_left_out
-from calibration.addons.coverage.results import CoverageLimit, CoverageResults, PseudoTestedLimit, State, Uploaded
-from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, find_sources, language_of
-from calibration.addons.coverage.tests import Tests, measured_environment, measurement, run_tests
+from calibration.addons.coverage.results import (
+    CoverageLimit,
+    CoverageResults,
+    PseudoTestedLimit,
+    State,
+    Uploaded,
+    coverage_of_change,
+)
+from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, find_commit, find_sources, language_of
+from calibration.addons.coverage.tests import (
+    CommandOfTests,
+    Tests,
+    measured_environment,
+    measurement,
+    parse_command,
+    run_tests,
+)
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.base.files import matching, temporary_folder, write_atomically
 from calibration.base.programs import hide

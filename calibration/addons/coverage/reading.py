@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from calibration.addons.coverage.data_file import SQLITE_MAGIC, copied, measured_names, merge, report_of
+from calibration.addons.coverage.coverage_py import SQLITE_MAGIC, copied, measured_names, merge, report_of
 from calibration.addons.coverage.formats import MAX_BYTES, CoverageReport, parse_cobertura, parse_lcov
 from calibration.addons.coverage.functions import functions_of
 from calibration.addons.coverage.lines import FileCoverage, combined

@@ -226,3 +226,23 @@ class CoverageResults:
     def undecided(self) -> list[str]:
         """Limits that are neither kept nor broken, one line each."""
         return list(filter(None, (limit.undecided for limit in self.pseudo_tested_limits)))
+
+
+def coverage_of_change(
+    base: str, changed: Mapping[str, set[int]], files: Mapping[str, FileCoverage]
+) -> CoverageOfChange:
+    """Return the coverage of the changed executable lines and of the functions that have any, and what no test runs."""
+    total = functions = Rate()
+    missing: list[Span] = []
+    for path in sorted(changed.keys() & files.keys()):
+        part = {line: hits for line, hits in files[path].hits.items() if line in changed[path]}
+        coverage = FileCoverage(part)
+        total += coverage.line_rate
+        missing += [Span(path, *each) for each in files[path].ranges(coverage.missing)]
+        spans = {
+            span: hits
+            for span, hits in files[path].functions.items()
+            if any(span[0] <= line <= span[1] for line in changed[path])
+        }
+        functions += FileCoverage(functions=spans).function_rate
+    return CoverageOfChange(base, total, tuple(missing), functions)

@@ -1,11 +1,13 @@
-"""Selection of the files that count: tracked source files that are not tests."""
+"""What coverage is of: a commit, and the files that count, which are tracked source files and no tests."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from calibration.base.errors import InputError
-from calibration.ci.git import Repository
+from calibration.base.text import one_line, shorten
+from calibration.ci.git import Repository, is_commit
+from calibration.ci.workflow.runner import Event
 
 SUFFIXES_OF_LANGUAGE = {
     "c": (".c",),
@@ -95,6 +97,35 @@ def find_sources(
             raise InputError(f"source: {folder}: no source file was found there that git tracks and exclude leaves in")
     counted = [path for path in candidates if any(_lies_in(path, folder) for folder in folders or (".",))]
     return Sources(repository, directory, tuple(folders), repository.tracked(), counted)
+
+
+def find_commit(given: str | None, event: Event, repository: Repository) -> tuple[str, str]:
+    """Return the commit to report coverage for, and the source of that information.
+
+    For a pull request it is the head commit, not the merge commit that GitHub creates for testing. For
+    ``pull_request_target`` it is the commit that is checked out, by default the base.
+
+    Raises:
+        InputError: the given commit is not a full hash, or no commit is known.
+    """
+    if given is not None:
+        if not is_commit(given.lower()):
+            raise InputError(f"commit: found {shorten(one_line(given))!r}, expected a hash of 40 hexadecimal digits")
+        return given.lower(), "as given"
+    head = repository.head()
+    pull_request = event.pull_request_commit
+    candidates = [
+        (None if event.checks_out_base else pull_request, "the pull request's last"),
+        (event.followed_commit, "that of the workflow that this one follows"),
+    ]
+    if event.checks_out_base and head is not None:
+        merged = pull_request is not None and pull_request in repository.parents(head)
+        candidates.append((pull_request if merged else head, "the one that is checked out"))
+    candidates += [(event.commit, "GITHUB_SHA"), (head, "the one that is checked out")]
+    for sha, source in candidates:
+        if sha is not None and is_commit(sha):
+            return sha, source
+    raise InputError("commit is not given, and there is no checkout: set commit, or check out the repository")
 
 
 def _lies_in(path: str, folder: str) -> bool:

@@ -253,7 +253,7 @@ class TestWorker:
             case {"tests": list() as tests}:
                 self.tests = tuple(map(str, tests))
                 self._send()
-            case {"child": int() as child} if self._process is not None and _session_of(child) == self._process.pid:
+            case {"child": int() as child}:
                 self._child = child
             case {"failed": str() as test}:
                 self._failed = test

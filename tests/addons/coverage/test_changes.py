@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.coverage.commit import coverage_of_change
 from calibration.addons.coverage.lines import FileCoverage, Rate
-from calibration.addons.coverage.results import CoverageOfChange, Span
+from calibration.addons.coverage.results import CoverageOfChange, Span, coverage_of_change
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.git import Repository, changed_lines, files_without_lines, find_base
 from tests.repositories import commit, git

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.coverage.command import CommandOfTests, parse_command
+from calibration.addons.coverage.tests import CommandOfTests, parse_command
 from calibration.base.errors import InputError
 from tests.repositories import write
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from calibration.addons.coverage.commit import find_commit
+from calibration.addons.coverage.sources import find_commit
 from calibration.base.errors import InputError
 from calibration.ci.git import Repository
 from calibration.ci.github.service import GitHubEvent

@@ -7,7 +7,7 @@ from pathlib import Path
 import coverage
 import pytest
 
-from calibration.addons.coverage.injection import (
+from calibration.addons.coverage.coverage_py import (
     _option_of_team,
     bring_coverage,
     measuring,

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from coverage import CoverageData
 
-from calibration.addons.coverage import data_file
+from calibration.addons.coverage import coverage_py
 from calibration.addons.coverage.formats import MAX_BYTES
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.addons.coverage.reading import Found, read_reports
@@ -91,7 +91,7 @@ def test_files_of_plugins_and_files_that_were_only_looked_at_are_kept(tmp_path: 
         data.add_file_tracers({"/app/page.html": "templates"})
         data.touch_files(["/app/idle.py"])
     names = {"/app/page.html": "/here/page.html", "/app/idle.py": "/here/idle.py"}
-    [merged] = data_file.merge([tmp_path / ".coverage"], names, [], tmp_path)
+    [merged] = coverage_py.merge([tmp_path / ".coverage"], names, [], tmp_path)
     with closing(CoverageData(basename=str(merged))) as data:
         data.read()
         assert data.measured_files() == {"/here/page.html", "/here/idle.py"}
@@ -214,12 +214,12 @@ def test_what_is_no_report(root: Path, tmp_path: Path, make: Any, message: str) 
 def test_a_python_that_cannot_report(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = write_data(tmp_path / "data", {str(root / "robot/naming.py"): JUMPS})
     with pytest.raises(InfrastructureError, match=r"x: /no/python cannot write a report of it: .*No such file"):
-        data_file.report_of(file, "x", {}, root, "/no/python")
+        coverage_py.report_of(file, "x", {}, root, "/no/python")
     with pytest.raises(InfrastructureError, match=r"x: coverage.py cannot report on it: .*no_such_plugin"):
-        data_file.report_of(file, "x", {"run:plugins": ["no_such_plugin"]}, root, sys.executable)
-    monkeypatch.setattr(data_file, "XML_TIMEOUT", 0.01)
+        coverage_py.report_of(file, "x", {"run:plugins": ["no_such_plugin"]}, root, sys.executable)
+    monkeypatch.setattr(coverage_py, "XML_TIMEOUT", 0.01)
     with pytest.raises(InfrastructureError, match=r"cannot write a report of it: .*timed out"):
-        data_file.report_of(file, "x", {}, root, sys.executable)
+        coverage_py.report_of(file, "x", {}, root, sys.executable)
 
 
 def test_data_of_which_nothing_can_be_reported(root: Path, tmp_path: Path) -> None:

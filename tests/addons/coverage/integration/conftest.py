@@ -8,11 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.coverage.command import parse_command
-from calibration.addons.coverage.injection import plain, team_settings
+from calibration.addons.coverage.coverage_py import plain, team_settings
 from calibration.addons.coverage.reading import Found, read_reports
 from calibration.addons.coverage.sources import find_sources
-from calibration.addons.coverage.tests import Measurement, Tests, measured_environment, measurement, run_tests
+from calibration.addons.coverage.tests import (
+    Measurement,
+    Tests,
+    measured_environment,
+    measurement,
+    parse_command,
+    run_tests,
+)
 from calibration.ci.git import Repository
 from calibration.ci.workflow import Runner
 from tests.addons.coverage.projects import TOKEN, robot
