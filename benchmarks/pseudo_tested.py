@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -247,12 +248,16 @@ def _large() -> Row:
     changed = files["robot/parts.py"]
     for kind in kinds[:: TESTS_OF_LARGE // CHANGED_OF_LARGE]:
         changed = changed.replace(kind.source, kind.source.rstrip() + "  # changed\n")
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
         commit(Path(folder), files)
         commit(Path(folder), {"robot/parts.py": changed})
         command = "pytest -q -p no:cacheprovider"
         results, seconds = judged(Path(folder), command, "--max-pseudo-tested-change", "0", "--base", "HEAD~1")
-    note = f"{results['judged']} functions of {len(kinds)}, {TESTS_OF_LARGE} tests, with their run and coverage"
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    counts = f"{results['judged']} functions of {len(kinds)}, {TESTS_OF_LARGE} tests"
+    note = f"{counts}, with their run and coverage; {busy:.1f} s of processors"
     return Row("pseudo_tested/change of ten", seconds, "s", Bar(high=60), note)
 
 

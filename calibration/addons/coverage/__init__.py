@@ -8,7 +8,7 @@ Independent of calibration.
 - ``formats``: reports of other tools (Cobertura, LCOV);
 - ``sources``, ``reading``: the commit and the files that coverage is of, and their coverage;
 - ``codacy``: the service that receives it;
-- ``functions``, ``pseudo_tested``, ``test_worker``: functions that tests run and do not test;
+- ``functions``, ``pseudo_tested``, ``workers``: functions that tests run and do not test;
 - ``results``, ``report``: the verdict and its presentation.
 """
 

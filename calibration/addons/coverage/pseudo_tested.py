@@ -21,7 +21,8 @@ from pathlib import Path, PurePosixPath
 from calibration.addons.coverage.coverage_py import INJECTED_FOLDER, plain
 from calibration.addons.coverage.functions import CACHES, PythonFunction
 from calibration.addons.coverage.sources import Sources
-from calibration.addons.coverage.test_worker import (
+from calibration.addons.coverage.tests import CommandOfTests
+from calibration.addons.coverage.workers import (
     JobOutcome,
     Judging,
     Replacement,
@@ -30,7 +31,6 @@ from calibration.addons.coverage.test_worker import (
     copy_of_checkout,
     run_on,
 )
-from calibration.addons.coverage.tests import CommandOfTests
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import read_bytes
 from calibration.base.records import computed, field, result

@@ -12,8 +12,10 @@ from typing import Any
 
 import pytest
 
+from benchmarks.pseudo_tested import PlantedProject
+from benchmarks.pseudo_tested import projects as planted_projects
 from calibration.__main__ import main
-from calibration.addons.coverage.test_worker import run_on
+from calibration.addons.coverage.workers import run_on
 from tests.addons.coverage.projects import robot
 from tests.processes import runs
 from tests.repositories import commit, git
@@ -179,6 +181,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("PYTHONPATH", raising=False)
     root = robot(tmp_path / "p")
     monkeypatch.chdir(root)
+    monkeypatch.setattr("calibration.addons.coverage.pseudo_tested.MAX_WORKERS", 1)  # the machine is shared
     return root
 
 
@@ -201,8 +204,9 @@ def names(found: dict[str, Any]) -> set[str]:
 
 @pytest.mark.parametrize("run", [PYTEST, f"{PYTEST} -n 2", "python3 -m unittest tests.test_arm"])
 def test_functions_that_tests_only_walk_through(
-    root: Path, judge: Judge, run: str, capsys: pytest.CaptureFixture[str]
+    root: Path, judge: Judge, run: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("calibration.addons.coverage.pseudo_tested.MAX_WORKERS", 2)
     commit(root, {"robot/arm.py": ARM, "tests/__init__.py": "", "tests/test_arm.py": TESTS})
     code, found = judge(run, "--pseudo-tested", "all", "--source", "robot/arm.py")
     assert code == 0
@@ -224,6 +228,14 @@ def test_functions_that_tests_only_walk_through(
         in capsys.readouterr().err
     )
     assert git(root, "status", "--porcelain") == ""
+
+
+@pytest.mark.parametrize("project", planted_projects(3, 3), ids=lambda project: project.style)
+def test_a_share_of_the_benchmark(root: Path, judge: Judge, project: PlantedProject) -> None:
+    commit(root, project.files)
+    code, found = judge(project.command, "--pseudo-tested", "all", "--source", "robot/parts.py")
+    assert code == 0
+    assert {name.rpartition(".")[2] for name in names(found)} == project.planted
 
 
 def test_limits_are_of_the_change_or_of_all(root: Path, judge: Judge) -> None:

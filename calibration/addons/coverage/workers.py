@@ -29,6 +29,8 @@ MAX_COPY_BYTES = 2 << 30
 MAX_MESSAGE_BYTES = 64 << 20
 """Largest message of a process of the tests: the names of all tests."""
 SECONDS_BETWEEN_POLLS = 0.05
+SECONDS_TO_COLLECT = 120.0
+"""How long the tests may take to be imported while a function is replaced that is run then."""
 CACHE_FOLDERS = (".mypy_cache", ".ruff_cache", ".pytest_cache", ".hypothesis")
 """Folders that are left out of a copy."""
 LINKED_FOLDERS = ("node_modules",)
@@ -149,7 +151,10 @@ class TestWorker:
         if self._child is not None and time.monotonic() > self._deadline:
             self._kill_child()
             self._deadline = time.monotonic() + 1
-        if self._process is not None and self._connection is None and has_ended(self._process):
+        if self._process is None or self._connection is not None:
+            return
+        stuck = "function" in self._preset and time.monotonic() > self._deadline
+        if stuck or has_ended(self._process):
             self._lose()
 
     def finish(self, seconds: float) -> None:
@@ -164,14 +169,14 @@ class TestWorker:
         self._connection.shutdown(socket.SHUT_WR)
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline and not has_ended(self._process):
-            for key, _ in self._selector.select(SECONDS_BETWEEN_POLLS):
-                key.data()
+            _handle_events(self._selector)
 
     def close(self) -> None:
         """End the process, and all that its jobs have started."""
         process = self._process
         if process is None:
             return
+        task, self.task = self.task, None  # what is still read goes on with nothing
         try:
             with suppress(OSError):
                 os.killpg(process.pid, signal.SIGKILL)  # from now on it starts no job
@@ -180,7 +185,7 @@ class TestWorker:
                     pass
             self._kill_child()
         finally:
-            self._process = self._connection = self._child = None
+            self.task, self._process, self._connection, self._child = task, None, None, None
             stack, self._stack = self._stack, ExitStack()
             stack.close()
 
@@ -201,6 +206,7 @@ class TestWorker:
         output = process.stdout
         os.set_blocking(output.fileno(), False)
         self._process = process
+        self._deadline = time.monotonic() + SECONDS_TO_COLLECT
         self._watch(listener, lambda: self._accept(listener))
         self._watch(output, lambda: self._read_output(output))
 
@@ -327,6 +333,13 @@ def _session_of(process: int) -> int | None:
         return None
 
 
+def _handle_events(selector: selectors.BaseSelector) -> None:
+    """Call what waits for what arrives within a moment."""
+    for key, _ in selector.select(SECONDS_BETWEEN_POLLS):
+        if selector.get_map().get(key.fd) == key:  # not closed by what was called before
+            key.data()
+
+
 def run_on(
     workers: Sequence[TestWorker], tasks: Iterable[Judging], deadline: float, selector: selectors.BaseSelector
 ) -> bool:
@@ -338,9 +351,7 @@ def run_on(
                 worker.begin(waiting.popleft())
         if not waiting and all(worker.task is None for worker in workers):
             return True
-        for key, _ in selector.select(SECONDS_BETWEEN_POLLS):
-            if key.fileobj in selector.get_map():  # not closed by what was called before
-                key.data()
+        _handle_events(selector)
         for worker in workers:
             worker.check()
     return False
