@@ -254,7 +254,7 @@ def _measure_and_judge(
     if results.lines.total == 0 and not failed:
         why = "; ".join(["the reports contain no file that counts (source, exclude)", *what_is_left_out(found)])
         raise InputError(f"no executable line was found: {why}")
-    results = replace(results, limits=tuple(_coverage_limits(settings, results)))
+    results = replace(results, limits=_coverage_limits(settings, results))
     if settings.pseudo_tested_scope == "none":
         return results
     if failed or (base is None and settings.pseudo_tested_scope == "change"):
@@ -263,20 +263,21 @@ def _measure_and_judge(
     return replace(results, pseudo_tested=judged, pseudo_tested_limits=tuple(_pseudo_tested_limits(settings, judged)))
 
 
-def _coverage_limits(settings: CoverageSettings, results: CoverageResults) -> Iterator[CoverageLimit]:
-    for name, minimum, what, rate in (
-        ("minimum", settings.minimum, "lines", results.lines),
-        ("minimum-functions", settings.minimum_functions, "functions", results.functions),
-    ):
-        if minimum is not None:
-            yield CoverageLimit(name, minimum, rate, what)
-    if results.change is not None:
-        for name, minimum, what, rate in (
-            ("minimum-change", settings.minimum_change, "lines", results.change.rate),
-            ("minimum-functions-change", settings.minimum_functions_change, "functions", results.change.functions),
-        ):
-            if minimum is not None:
-                yield CoverageLimit(name, minimum, rate, what, of_change=True)
+def _coverage_limits(settings: CoverageSettings, results: CoverageResults) -> tuple[CoverageLimit, ...]:
+    limits = [
+        ("minimum", settings.minimum, results.lines, "lines", False),
+        ("minimum-functions", settings.minimum_functions, results.functions, "functions", False),
+    ]
+    if (change := results.change) is not None:
+        limits += [
+            ("minimum-change", settings.minimum_change, change.rate, "lines", True),
+            ("minimum-functions-change", settings.minimum_functions_change, change.functions, "functions", True),
+        ]
+    return tuple(
+        CoverageLimit(name, minimum, rate, what, of_change)
+        for name, minimum, rate, what, of_change in limits
+        if minimum is not None
+    )
 
 
 def _pseudo_tested(

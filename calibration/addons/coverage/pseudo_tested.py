@@ -132,7 +132,7 @@ class Recording:
                         known[1].add(shown)
                     case ["arguments", int() as function, list() as kinds]:
                         self.arguments[function].add(tuple(map(str, kinds)))
-            except ValueError:
+            except (ValueError, RecursionError):
                 continue
         for function, context in entered:
             if context is None:
@@ -149,8 +149,8 @@ class Recording:
                 differs = len(gave) > 1 or kind == "builtins.NoneType"
                 found += [Replacement(value) for value in constants if differs or shown != {value}]
             else:
-                columns = enumerate(zip(*self.arguments.get(number, ()), strict=False))
-                same = [Replacement(argument=index) for index, kinds in columns if set(kinds) == {kind}]
+                columns = zip(function.parameters, zip(*self.arguments.get(number, ()), strict=False), strict=False)
+                same = [Replacement(argument=index) for index, (_, kinds) in enumerate(columns) if set(kinds) == {kind}]
                 found += same or ([] if function.generator else [Replacement()])
         if function.generator and not set(function.decorators) & {"contextmanager", "asynccontextmanager", "fixture"}:
             found.append(Replacement(nothing=True))

@@ -253,7 +253,7 @@ class TestWorker:
     def _handle(self, line: bytes) -> None:
         try:
             message = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             message = None
         match message:
             case {"tests": list() as tests}:

@@ -2,12 +2,21 @@
 
 from pathlib import Path
 
+from calibration.addons.coverage.functions import functions_of
+from calibration.addons.coverage.pseudo_tested import Recording
 from calibration.addons.coverage.reading import read_reports
 from calibration.addons.coverage.sources import Sources
 from calibration.ci.git import Repository
 from calibration.ci.report.xunit_reading import read_test_report
 from tests.campaigns.target import Target, files_of
 
+RECORD = b"""["entered", 0, null]
+["context", "fixture f of tests", ["a", "b"]]
+["entered", 1, "fixture f of tests"]
+["arguments", 1, ["builtins.int"]]
+["gave", 1, "builtins.tuple", ["(0, )", "(1, )"], "(2, )"]
+["outcome", "a", "passed", 0.25]
+"""
 LCOV = b"TN:\nSF:a.py\nDA:1,1\nDA:2,0\nBRDA:2,0,0,1\nLF:2\nLH:1\nend_of_record\n"
 COBERTURA = (
     b'<?xml version="1.0"?><coverage line-rate="0.5"><sources><source>.</source></sources><packages><package name="p">'
@@ -23,10 +32,19 @@ def _covered(path: Path) -> None:
     read_reports([path], sources, {}, path.parent / "meanwhile")
 
 
+def _recorded(path: Path) -> None:
+    recording = Recording()
+    recording.read(path, ["a", "b"])
+    [function] = functions_of("a.py", b"def f(x):\n    return x + 1\n")
+    for number in range(2):
+        recording.replacements(number, function)
+
+
 TARGETS = {
     "junit": Target(
         "junit.xml", files_of("datasets/*/junit.xml"), lambda path: read_test_report(path.read_bytes(), "junit.xml"), 4
     ),
+    "pseudo-tested": Target("record", lambda: [RECORD], _recorded, 10),
     "coverage": Target("report.info", lambda: [LCOV, COBERTURA], _covered, 10),
 }
 """By name."""
