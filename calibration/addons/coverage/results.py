@@ -8,8 +8,8 @@ from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.addons.coverage.pseudo_tested import OVER_BUDGET, PseudoTestedResults
 from calibration.addons.coverage.reading import Found
 from calibration.addons.coverage.tests import Tests
-from calibration.base.check import at_most
 from calibration.base.records import computed, field, result
+from calibration.base.verdict import at_most
 from calibration.ci.report import Check, Verdict, verdict_of
 
 State = Literal["uploaded", "skipped", "failed", "dry-run", "none"]
