@@ -10,7 +10,7 @@ import click
 from calibration.addons.requirements.judging import judge_bag
 from calibration.addons.requirements.report import TITLE, report
 from calibration.addons.requirements.results import MessageResults
-from calibration.addons.requirements.settings import RequirementSettings
+from calibration.addons.requirements.settings import RECORDED_PREFIX, RequirementSettings
 from calibration.base.documents import read_yaml
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.records import field, read, record
@@ -63,6 +63,8 @@ def judged(requirements: RequirementSettings, bag: Sequence[Path], config: Path)
         InputError: a requirement or the bag is wrong, or there is no bag.
         InfrastructureError: a library is not installed.
     """
+    if bag and str(bag[0]).startswith(RECORDED_PREFIX):
+        raise InputError(f"{config}: {SECTION}.bag: {bag[0]} is recorded by calibration run; name its bag by --bag")
     if not bag:
         raise InputError(f"{config}: {SECTION}: found no bag, expected the key 'bag', or the option --bag")
     pairs, seconds = judge_bag(requirements, bag, f"{config}: {SECTION}")

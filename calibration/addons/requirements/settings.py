@@ -4,12 +4,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
-from calibration.base.records import Misfit, above, field, length, matching, one_of, record
+from calibration.base.records import Converted, Misfit, Place, above, field, length, matching, one_of, record
 from calibration.ci.execution.sizes import Seconds
 
 MAX_REQUIREMENTS = 1000
 _TOPIC = matching(r"/[A-Za-z0-9_]+(/[A-Za-z0-9_]+)*", "the name of a topic, such as /scan")
 _FIELD = matching(r"[A-Za-z]\w*(\.[A-Za-z]\w*)*", "a field such as twist.linear.x")
+
+
+def _bag_path(text: str, place: Place) -> Path:
+    return Path(text) if text.startswith(RECORDED_PREFIX) else place.folder / text
+
+
+RECORDED_PREFIX = "simulation:"
+"""Prefix of a bag that an entry of ``simulation`` records."""
+_Bag = Annotated[Path, Converted(Annotated[str, length(1)], _bag_path)]
 
 
 @record(rules=(one_of("min", "max", "equals", why="expected min, max or equals: else it can never fail"),))
@@ -76,8 +85,9 @@ class FrameRequirements:
 class RequirementSettings:
     """Requirements over the messages of a robot, judged over a bag."""
 
-    bag: Path | tuple[Path, ...] | None = field(
-        "The bag: a file .bag, .db3 or .mcap, the folder of a ROS 2 bag, or several files of one recording.",
+    bag: _Bag | tuple[_Bag, ...] | None = field(
+        "The bag: a file .bag, .db3 or .mcap, the folder of a ROS 2 bag, or several files of one recording; "
+        "simulation:NAME for what that entry of simulation records in this run.",
         default=None,
     )
     topics: Mapping[Annotated[str, _TOPIC], TopicRequirements] = field(
@@ -100,3 +110,9 @@ class RequirementSettings:
     def bags(self) -> tuple[Path, ...]:
         """The files of the bag."""
         return () if self.bag is None else (self.bag,) if isinstance(self.bag, Path) else self.bag
+
+    @property
+    def recorded_by(self) -> str | None:
+        """The entry of ``simulation`` that records the bag, if one does."""
+        first = str(self.bags[0]) if self.bags else ""
+        return first.removeprefix(RECORDED_PREFIX) if first.startswith(RECORDED_PREFIX) else None

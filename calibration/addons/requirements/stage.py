@@ -6,9 +6,11 @@ from calibration.addons.requirements.check_messages import judged
 from calibration.addons.requirements.report import annotations_of
 from calibration.addons.requirements.results import JudgedMessages, MessageResults
 from calibration.addons.requirements.settings import RequirementSettings
+from calibration.base.errors import InputError
+from calibration.ci.execution.recorder import MESSAGES_FOLDER
 from calibration.ci.report import FILES, remove_results
 from calibration.ci.workflow import annotate
-from calibration.pipeline.stages.running import PipelineRun
+from calibration.pipeline.stages.running import COLLECTED_FOLDER, PipelineRun
 
 STAGE_FOLDER = "requirements"
 
@@ -23,7 +25,8 @@ def judge_stage(run: PipelineRun) -> PipelineRun:
     settings: RequirementSettings = run.sections.of("requirements")
     folder = run.output / STAGE_FOLDER
     remove_results(folder, FILES)
-    report = judged(settings, settings.bags, run.config or Path("calibration.yml"))
+    bags = settings.bags if settings.recorded_by is None else _recorded_bag(run, settings.recorded_by)
+    report = judged(settings, bags, run.config or Path("calibration.yml"))
     report.write(folder)
     annotate(run.runner, annotations_of(report))
     results: MessageResults = report.results
@@ -35,3 +38,19 @@ def judge_stage(run: PipelineRun) -> PipelineRun:
         reasons=tuple(f"requirements: {reason}" for reason in results.reasons),
     )
     return run.with_result("requirements", result)
+
+
+def _recorded_bag(run: PipelineRun, name: str) -> list[Path]:
+    """Return the files of the bag that an entry of ``simulation`` has recorded, in this run or an earlier one.
+
+    Raises:
+        InputError: there is none.
+    """
+    folder = run.output / COLLECTED_FOLDER / name / MESSAGES_FOLDER
+    found = sorted([*folder.glob("*.bag"), *(file.parent for file in folder.glob("*/metadata.yaml"))])
+    if not found:
+        raise InputError(
+            f"{run.config}: requirements.bag: found no bag in {folder}, expected one that simulation.{name} records: "
+            "add 'record: {}' to it, and run the stage collect"
+        )
+    return found

@@ -4,7 +4,7 @@
 - ``backends``: registry of backends: ``embedded`` (functions in processes of this machine), ``docker`` and those of
   add-ons (jobs of containers);
 - ``job``, ``outcome``: a job of containers, and its result; ``ros``, ``sizes``, ``job_check``: parsing and validation
-  of a job's description;
+  of a job's description; ``recorder``: a recorder of ROS messages beside its containers;
 - ``supervision``: a job's containers from the first start to the verdict; ``artifacts``, ``extraction``: copying their
   artifacts; ``log_file``: their logs.
 """

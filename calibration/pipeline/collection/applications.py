@@ -25,6 +25,7 @@ from calibration.ci.execution.job import (
     with_secrets,
 )
 from calibration.ci.execution.job_check import check_job
+from calibration.ci.execution.recorder import Recording, with_recorder
 from calibration.ci.execution.ros import ROS_HELP, Ros, with_ros
 from calibration.ci.execution.sizes import Seconds
 
@@ -85,6 +86,12 @@ class Applications:
         option="ros1: our player moves the pattern and asks for collections.",
     )
     ros: Ros = field(ROS_HELP, default="none", option="1 starts a ROS master beside the applications.")
+    record: Recording | None = field(
+        "Recording of the applications' messages: the bag is in the folder messages beside the dataset. {} for all "
+        "topics.",
+        default=None,
+        option=False,
+    )
     network: Network = field(NETWORK_HELP, default="private")
     seconds: Seconds = field(
         "A longer collection is stopped, and has failed.",
@@ -154,7 +161,8 @@ def collection_job(
     if applications.player is not None:
         brought.append(Artifact(REPORT_PATH, required=False))
     containers[-1] = replace(containers[-1], artifacts=(*containers[-1].artifacts, *brought))
-    return with_ros(Job(name, tuple(containers), applications.network, applications.seconds), applications.ros)
+    job = Job(name, tuple(containers), applications.network, applications.seconds)
+    return with_ros(with_recorder(job, applications.record, applications.ros), applications.ros)
 
 
 def dataset_place(applications: Applications, system: str, seed: int, scenario: int = 0) -> str:

@@ -17,6 +17,7 @@ from calibration.base.files import read_bytes, temporary_folder, write_atomicall
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, JobOutcome
+from calibration.ci.execution.recorder import MESSAGES_FOLDER, recorder_reasons
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.model import CornerLabels, Dataset, label_count
@@ -90,7 +91,8 @@ def collect_by_applications(request: CollectionRequest, output: Path, overwrite:
     with replacing_dataset(output, overwrite) as new, temporary_folder(prefix=".job-", parent=output) as work:
 
         def judge(outcome: JobOutcome) -> CollectionResults:
-            _keep_logs(outcome, output)
+            _keep_folder(outcome, LOGS_FOLDER, output)
+            _keep_folder(outcome, f"{ARTIFACTS_FOLDER}/{MESSAGES_FOLDER}", output)
             return judged(plan, outcome, request.number, new)
 
         inputs = write_inputs(work / "in", plan)
@@ -141,12 +143,13 @@ def write_inputs(folder: Path, plan: ApplicationPlan) -> Path | None:
     return folder
 
 
-def _keep_logs(outcome: JobOutcome, output: Path) -> None:
-    """Keep the containers' logs beside the dataset, and remove those of an earlier collection."""
-    with writing(output / LOGS_FOLDER):
-        shutil.rmtree(output / LOGS_FOLDER, ignore_errors=True)
-        if (outcome.folder / LOGS_FOLDER).is_dir():
-            shutil.move(outcome.folder / LOGS_FOLDER, output / LOGS_FOLDER)
+def _keep_folder(outcome: JobOutcome, name: str, output: Path) -> None:
+    """Keep a folder of the job beside the dataset, and remove that of an earlier collection."""
+    kept = output / PurePosixPath(name).name
+    with writing(kept):
+        shutil.rmtree(kept, ignore_errors=True)
+        if (outcome.folder / name).is_dir():
+            shutil.move(outcome.folder / name, kept)
 
 
 def judged(plan: ApplicationPlan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
@@ -163,7 +166,7 @@ def judged(plan: ApplicationPlan, outcome: JobOutcome, scenario: int, new: Path)
 def _results_of_output(plan: ApplicationPlan, outcome: JobOutcome, scenario: int, new: Path) -> CollectionResults:
     request = plan.request
     dataset, records, proof = None, [], None
-    failures, error = outcome.reasons, None
+    failures, error = outcome.reasons + recorder_reasons(outcome, request.applications.record), None
     if outcome.exit_code in (ExitCode.BAD_INPUT, ExitCode.INFRASTRUCTURE):
         error = outcome.exit_code
     if outcome.exit_code == ExitCode.PASS:
@@ -327,6 +330,7 @@ class ApplicationScenarios(Scenarios):
     def judge(self, number: int, outcome: JobOutcome, new: Path) -> Judged:
         """Judge a collection."""
         new.mkdir()
+        _keep_folder(outcome, f"{ARTIFACTS_FOLDER}/{MESSAGES_FOLDER}", new)
         pending, results = self.pending[number], judged(self._plan, outcome, number, new)
         if results.failures:
             return Judged(replace(pending, reasons=results.failures), results.error, complete=results.error is None)

@@ -12,7 +12,7 @@ from calibration.pipeline.system import Text, Truth
 from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX
 
 MAX_SCENARIOS = 100_000
-KEYS_OF_APPLICATIONS = ("player", "ros", "network", "timeout", "dataset", "image", "truth")
+KEYS_OF_APPLICATIONS = ("player", "ros", "record", "network", "timeout", "dataset", "image", "truth")
 """Keys that only collections by the team's applications have."""
 
 Share = Annotated[float, between(0, 1)]

@@ -10,7 +10,7 @@ import yaml
 from defusedxml.ElementTree import parse
 
 from calibration.__main__ import main
-from calibration.base.errors import ExitCode
+from calibration.base.errors import ExitCode, InputError
 from calibration.ci.workflow import Runner
 from calibration.commands.run import RunSettings, run
 from tests.addons.requirements.messages import bag_file, drive
@@ -111,10 +111,22 @@ def test_requirements_that_are_met_are_green(folder: Path) -> None:
     assert (code, results["verdict"]) == (ExitCode.PASS, "pass")
 
 
-@pytest.mark.parametrize("text", re.findall(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL))
+@pytest.mark.parametrize("text", re.findall(r"```yaml\n(requirements:.*?)```", PAGE.read_text(), re.DOTALL))
 def test_the_examples_of_the_page_are_met_by_a_robot_that_drives(text: str, folder: Path) -> None:
     (folder / "recorded").mkdir()
     shutil.move(folder / "robot.bag", folder / "recorded/drive.bag")
     (folder / "calibration.yml").write_text(text)
     arguments = [] if "bag" in yaml.safe_load(text)["requirements"] else ["--bag", "recorded/drive.bag"]
     assert main(["check-messages", "--output", "out", *arguments]) == ExitCode.PASS
+
+
+def test_the_bag_that_a_simulation_records_is_judged(folder: Path) -> None:
+    (folder / "calibration.yml").write_text(CONFIG.replace("robot.bag", "simulation:drive"))
+    place = folder / "output/collected/drive/messages"
+    place.mkdir(parents=True)
+    with pytest.raises(InputError, match=r"simulation.drive records: add 'record: {}'"):
+        stage(folder, "judge")
+    shutil.move(folder / "robot.bag", place)
+    assert stage(folder, "judge")[0] == ExitCode.FAIL
+    assert main(["check-messages"]) == ExitCode.BAD_INPUT
+    assert main(["check-messages", "--bag", str(place / "robot.bag")]) == ExitCode.FAIL

@@ -11,7 +11,7 @@ import pytest
 
 from calibration.base.errors import ExitCode, InputError
 from calibration.ci.execution.job import OUTPUT, Artifact, Job
-from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.outcome import ContainerOutcome, End, JobOutcome
 from calibration.pipeline.collection.applications import (
     INPUT_FOLDER,
     MOTION_PATH,
@@ -275,3 +275,34 @@ def test_our_player_needs_a_motion_of_a_pattern(tmp_path: Path) -> None:
         collect_dataset(replace(asked, motion="generate:3"), tmp_path)
     with pytest.raises(InputError, match="moves joints"):
         collect_dataset(replace(asked, system=DATASETS / "riwbot"), tmp_path)
+
+
+def recorded(collected: Path, output: Path, end: End, code: int | None = None) -> CollectionResults:
+    """Collect with a recorder that leaves a bag, and ends so."""
+
+    def leave(artifacts: Path) -> None:
+        copying(collected)(artifacts)
+        (artifacts / "messages").mkdir()
+        (artifacts / "messages" / "robot.bag").write_bytes(b"#ROSBAG V2.0\n")
+
+    outcome = {"containers": (ContainerOutcome("recorder", end, code),)}
+    applications = applications_from({**ENTRY, "record": {"size": "500m"}}, Path(), "x")
+    asked = CollectionRequest(DATASETS / "t2rgb", applications, name="fresh", seed=3)
+    return collect_dataset(replace(asked, target=at(LeavesBehind(leave, outcome))), output)
+
+
+def test_the_recorded_bag_is_kept_beside_the_dataset(collected: Path, tmp_path: Path) -> None:
+    assert recorded(collected, tmp_path / "out", End.STOPPED).verdict == "pass"
+    assert (tmp_path / "out/messages/robot.bag").exists()
+
+
+def test_a_bag_that_became_too_large_fails_the_collection(collected: Path, tmp_path: Path) -> None:
+    results = recorded(collected, tmp_path / "out", End.EXITED, 3)
+    assert results.verdict == "fail"
+    assert "has reached 500 MiB" in results.failures[0]
+
+
+def test_a_recording_needs_ros() -> None:
+    entry = {key: value for key, value in ENTRY.items() if key not in ("ros", "player")}
+    with pytest.raises(InputError, match=r"x: .*record needs ros: 1 or 2"):
+        applications_from({**entry, "record": {}}, Path(), "x")
