@@ -39,7 +39,7 @@ def report(results: MessageResults, requirements: Sequence[Requirement], config:
         results=results,
         blocks=(
             Table(
-                ("requirement", "", "expected", "found", "at"),
+                ("requirement", "status", "expected", "found", "at"),
                 tuple(_row(each) for each in _worst_first(results.requirements)),
                 MAX_ROWS_SHOWN,
             ),

@@ -48,6 +48,8 @@ def _recorded_bag(run: PipelineRun, name: str) -> list[Path]:
     """
     folder = run.output / COLLECTED_FOLDER / name / MESSAGES_FOLDER
     found = sorted([*folder.glob("*.bag"), *(file.parent for file in folder.glob("*/metadata.yaml"))])
+    if not found and (open_bags := [file.name for file in folder.glob("*.active")]):
+        raise InputError(f"{folder}: found {open_bags[0]}: the recorder was killed before it had closed the bag")
     if not found:
         raise InputError(
             f"{run.config}: requirements.bag: found no bag in {folder}, expected one that simulation.{name} records: "

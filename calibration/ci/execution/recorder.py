@@ -19,22 +19,24 @@ DEFAULT_BAG_BYTES = 1 << 30
 _TOO_LARGE = 3
 """Exit code of a recorder that has stopped because its bag is too large."""
 RECORDER_SCRIPT = f"""\
-set -m  # a group of its own, to which SIGINT goes, and which bash does not start with SIGINT ignored
 folder=$1 limit=$2; shift 2
 mkdir -p "$folder"
+set -m  # a group of its own, to which SIGINT goes, and which bash does not start with SIGINT ignored
 "$@" &
 recorder=$!
+set +m
 trap 'kill -INT -- -$recorder' TERM INT
-while kill -0 $recorder 2> /dev/null; do
-  if [ "$(du -sk "$folder" | cut -f1)" -gt "$limit" ]; then
+code=0
+while kill -0 -- -$recorder 2> /dev/null; do  # the group: rosbag ends before its child, which closes the bag
+  if [ "$code" = 0 ] && [ "$(du -sk "$folder" | cut -f1)" -gt "$limit" ]; then
     echo "the bag is larger than $limit KiB" >&2
+    code={_TOO_LARGE}
     kill -INT -- -$recorder
-    wait $recorder
-    exit {_TOO_LARGE}
   fi
-  sleep 0.5 &
+  sleep 0.2 &
   wait $!
 done
+[ "$code" = 0 ] || exit "$code"
 wait $recorder
 """
 """Passes the end of the job on as SIGINT, at which ROS closes a bag, and waits; bounds the bag.

@@ -2,6 +2,7 @@
 
 import signal
 import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -22,12 +23,26 @@ from calibration.ci.execution.ros import RosVersion, with_ros
 
 JOB = Job("job", (Container("simulation", "robot:1"), Container("robot", "robot:1", after=("simulation",))))
 PLACE = "/tmp/messages/robot"  # noqa: S108 (in a container)
-RECORDS = """
-trap 'mv robot.bag.active robot.bag; exit 0' INT
-echo first > robot.bag.active
-while :; do head -c "$1" /dev/zero >> robot.bag.active; sleep 0.05; done
+CHILD = """
+import os, signal, sys, time
+going = True
+def stop(*_):
+    global going
+    going = False
+signal.signal(signal.SIGINT, stop)
+with open("robot.bag.active", "wb", buffering=0) as bag:
+    while going:
+        bag.write(bytes(int(sys.argv[1])))
+        time.sleep(0.05)
+time.sleep(1.5)
+os.rename("robot.bag.active", "robot.bag")
 """
-"""Writes a bag as rosbag does: under another name until it is closed."""
+"""Writes a bag as rosbag's program does: under another name until it is closed."""
+PARENT = """
+import subprocess, sys
+subprocess.Popen([sys.executable, "-c", *sys.argv[1:]]).wait()
+"""
+"""Dies of SIGINT at once, as rosbag's script does, while its child closes the bag."""
 
 
 def test_the_others_wait_for_the_recorder_and_the_job_does_not_wait_for_it() -> None:
@@ -81,33 +96,39 @@ def test_a_recorder_that_ends_too_early_is_a_reason(end: End, code: int | None, 
     assert recorder_reasons(outcome, None) == ()
 
 
-def recorder(folder: Path, kib: int, step: int) -> "subprocess.Popen[str]":
-    """Start the recorder's script, with something that records so many bytes at a time, and wait for its first."""
-    arguments = ["bash", "-c", RECORDER_SCRIPT, "recorder", str(folder), str(kib)]
-    process = subprocess.Popen(
-        [*arguments, "bash", "-c", RECORDS, "records", str(step)], cwd=folder, stderr=subprocess.PIPE, text=True
-    )
-    until = time.monotonic() + 60
-    while not list(folder.glob("robot.bag*")) and time.monotonic() < until:
-        time.sleep(0.01)
-    return process
+def recorded(folder: Path, kib: int, step: int, by: signal.Signals | None) -> tuple[int, str]:
+    """Run the recorder's script on something that records so many bytes at a time, and send it a signal.
+
+    Returns:
+        Its exit code when it has ended, whatever it has started still does, and what it has written to its log.
+    """
+    (folder / "bag").mkdir()
+    arguments = ["bash", "-c", RECORDER_SCRIPT, "recorder", str(folder / "bag"), str(kib)]
+    with (folder / "log").open("w") as log:
+        process = subprocess.Popen(
+            [*arguments, sys.executable, "-c", PARENT, CHILD, str(step)], cwd=folder / "bag", stderr=log
+        )
+        until = time.monotonic() + 60
+        while not list(folder.glob("bag/robot.bag*")) and time.monotonic() < until:
+            time.sleep(0.01)
+        if by is not None:
+            process.send_signal(by)
+        code = process.wait(60)
+    return code, (folder / "log").read_text()
 
 
 @pytest.mark.parametrize("by", [signal.SIGTERM, signal.SIGINT])
-def test_the_end_of_the_job_closes_the_bag(by: signal.Signals, tmp_path: Path) -> None:
-    with recorder(tmp_path, 1 << 20, 10) as process:
-        process.send_signal(by)
-        _, said = process.communicate(timeout=60)
-    assert process.returncode == 0, said
-    assert [file.name for file in tmp_path.iterdir()] == ["robot.bag"]
+def test_the_end_of_the_job_closes_the_bag_before_the_recorder_ends(by: signal.Signals, tmp_path: Path) -> None:
+    _, log = recorded(tmp_path, 1 << 20, 10, by)
+    assert [file.name for file in (tmp_path / "bag").iterdir()] == ["robot.bag"]
+    assert "KeyboardInterrupt" in log
 
 
 def test_a_bag_that_becomes_too_large_is_closed_and_the_recorder_ends(tmp_path: Path) -> None:
-    with recorder(tmp_path, 200, 100_000) as process:
-        _, said = process.communicate(timeout=60)
-    assert process.returncode == 3, said
-    assert "larger than 200 KiB" in said
-    assert [file.name for file in tmp_path.iterdir()] == ["robot.bag"]
+    code, log = recorded(tmp_path, 200, 100_000, None)
+    assert code == 3
+    assert "larger than 200 KiB" in log
+    assert [file.name for file in (tmp_path / "bag").iterdir()] == ["robot.bag"]
 
 
 def test_a_recorder_that_dies_ends_with_its_code(tmp_path: Path) -> None:
