@@ -15,6 +15,7 @@ from calibration.engine.estimation.covariance.fixed_inputs import (
     PLACE_KIND,
     PROJECTION_KIND,
     RADIAL_KIND,
+    RING_KIND,
     SAG_KIND,
     Cause,
 )
@@ -60,6 +61,7 @@ ADVICE_ON_CAUSE: Mapping[str, str] = {
     "range bias": "correct the sensor's ranges, or hold it to a surveyed distance",
     "range scale": "correct the sensor's ranges, or measure the pattern again",
     "beam elevation": "look at the sensor's own calibration of its beams",
+    RING_KIND: "give the driver the elevations of this LiDAR's own rings, as its maker has measured them",
     "motion during a sweep": "stop the robot for each collection, or compensate the motion in the sweeps",
     "size": "measure the printed squares over many of them, and correct the pattern's size",
     "stretch": "measure the squares along both sides: printers stretch one of them",
@@ -310,7 +312,7 @@ def _find_failure_together(
 
 
 def _name_cause(cause: Cause) -> str:
-    return cause.subject if cause.kind == PLACE_KIND else f"{cause.subject}'s {cause.kind}"
+    return cause.subject if cause.kind in (PLACE_KIND, RING_KIND) else f"{cause.subject}'s {cause.kind}"
 
 
 def _describe_size(cause: Cause, value: Array, sigma: Array) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.base.arrays import Array
-from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
+from calibration.engine.dataset.model import CornerLabels, Dataset, Labels, PointLabels
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
@@ -15,6 +15,8 @@ from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
 from calibration.engine.estimation.doubts.suspects import Disagreement, Suspect, explain
 from calibration.engine.estimation.problem.assumptions import ALL_EXACT, Assumptions
+from calibration.engine.estimation.residuals.ray_residuals import elevations
+from calibration.engine.estimation.solve.label_columns import ring_column
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.lenses import DoubleSphere
 from calibration.engine.geometry.transforms import inverse, retract
@@ -227,6 +229,31 @@ def test_an_arm_that_bends_under_its_weight_is_named_with_how_much(low: float, t
     [red, *_] = findings(sagging(low, tilt))
     assert red.severity == "red"
     assert "where it reaches 1 m" in red.text
+
+
+def test_a_ring_of_a_lidar_that_points_elsewhere_is_named() -> None:
+    dataset = systems.camera_and_lidar(24, pixel_noise=NOISE, range_noise=0.005).dataset()
+    points = np.concatenate(
+        [label.points for c in dataset.collections for label in c.labels.values() if isinstance(label, PointLabels)]
+    )
+    rings, counts = np.unique(elevations(points.T).round(4), return_counts=True)
+    ring = rings[counts.argmax()]
+
+    def lower(_: int, __: str, label: Labels) -> Labels:
+        if not isinstance(label, PointLabels):
+            return label
+        flat, angles = np.hypot(*label.points[:, :2].T), elevations(label.points.T)
+        told = angles + 0.01 * (np.abs(angles - ring) < 1e-3)
+        z = np.hypot(flat, label.points[:, 2]) * np.sin(told)
+        xy = label.points[:, :2] * (np.cos(told) / np.cos(angles))[:, None]
+        return replace(label, points=np.c_[xy, z])
+
+    [suspect, *_] = found(relabelled(dataset, lower))
+    assert (suspect.cause.kind, suspect.cause.subject[:-6]) == (
+        "ring elevation",
+        f"lidar's {ring_column(ring + 0.01)[:-6]}",
+    )
+    assert suspect.value[0] == pytest.approx(-0.01, abs=0.002)
 
 
 def test_too_few_collections_are_reported_as_untested() -> None:

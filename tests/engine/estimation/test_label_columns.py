@@ -8,6 +8,7 @@ import pytest
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels
 from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL
+from calibration.engine.estimation.residuals.ray_residuals import elevations
 from calibration.engine.estimation.solve.label_columns import (
     COLUMNS_OF_BENT_PATTERN,
     COLUMNS_OF_PATTERN,
@@ -139,3 +140,17 @@ def test_a_column_is_the_derivative_of_the_labels_errors(dataset: Dataset, senso
     assert slope == pytest.approx(m[:, at], abs=tolerance)
     if (sensor, name) != ("lidar", "size_y"):  # which hardly moves the ends of rings
         assert np.abs(m[:, at]).max() > 3 * tolerance  # the column of another error, or of none, would not do
+
+
+def test_the_columns_of_rings_are_that_of_the_elevation_each_on_its_ring() -> None:
+    T, pattern, terms = poses(LIDAR, "lidar"), LIDAR.patterns["board"], terms_of(LIDAR, "lidar")
+    rings = np.unique(np.round(elevations(terms[0].rays)[terms[0].present], 6)).tolist()
+    assert len(rings) > 4
+    M = np.concatenate([part for _, part in products(terms, None, pattern, T, WEIGHTING, rings)])
+    names = ColumnNames(None, rings=tuple(rings)).of_sensor
+    elevation, first = POSE_COLUMNS + names.index("elevation"), POSE_COLUMNS + len(COLUMNS_OF_RANGES)
+    of_rings = slice(first, first + len(rings))
+    np.testing.assert_allclose(M[:, of_rings].sum(1), M[:, elevation], atol=1e-9 * np.abs(M[:, elevation]).max())
+    among = M[:, of_rings, of_rings]
+    assert np.abs(among * (1 - np.eye(len(rings)))).max() == 0  # no label is on two
+    assert (among.max(0).diagonal() > 0).all()

@@ -70,7 +70,7 @@ class ClusterSums:
         M, right = np.empty((len(T), POSE_COLUMNS, POSE_COLUMNS)), np.empty((len(T), POSE_COLUMNS, n))
         L = np.zeros((len(starts), len(W), len(W)))
         terms = [term.take(order) for term in terms]
-        for views, found in products(terms, seen.names.camera, seen.pattern, T, weighting):
+        for views, found in products(terms, seen.names.camera, seen.pattern, T, weighting, seen.names.rings):
             M[views] = found[:, :POSE_COLUMNS, :POSE_COLUMNS]
             np.matmul(found[:, :POSE_COLUMNS, POSE_COLUMNS:], W, out=right[views, :, a:])
             begins = _starts_of_runs(clusters[views])

@@ -16,9 +16,11 @@ from calibration.engine.dataset.model import Dataset, Edge, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.covariance.lens_errors import LensErrors, LensSource
 from calibration.engine.estimation.problem.assumptions import Assumptions
+from calibration.engine.estimation.residuals.border_rays import RING_GAP
 from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL
+from calibration.engine.estimation.residuals.ray_residuals import RangeTerm, elevations
 from calibration.engine.estimation.residuals.views import ViewGroup
-from calibration.engine.estimation.solve.label_columns import ColumnNames
+from calibration.engine.estimation.solve.label_columns import ColumnNames, ring_column
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import Step
@@ -49,6 +51,12 @@ LINK_KIND = "link"
 """Kind of the errors of an arm's moving transforms."""
 SAG_KIND = "sag"
 """Kind of the weight that bends an arm, the farther it reaches the more."""
+RING_KIND = "ring elevation"
+"""Kind of the elevation offset of one of a LiDAR's rings."""
+MAX_RINGS = 64
+"""Rings that are tested: points of more are those of a camera, or were moved to another frame."""
+MIN_VIEWS_OF_RING = 6
+"""Views that a ring is on the pattern in, to be tested: their scatter is that of its estimate."""
 MAX_MOTION_OFF_AXIS = 1e-4
 """Limit of the motion off the axis, relative to that about or along it, for a joint with one axis."""
 
@@ -206,6 +214,8 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], lens: 
         yield from cause("range bias", "m", assume.range_bias, {"bias": 1.0})
         yield from cause("range scale", "1", assume.range_scale, {"scale": 1.0})
         yield from cause("beam elevation", "rad", assume.beam_elevation, {"elevation": 1.0})
+        for ring in map(ring_column, seen.names.rings):
+            yield Cause(RING_KIND, f"{sensor}'s {ring}", "rad", (0.0,), ({(sensor, ring): 1.0},), counts=False)
         yield from cause("motion during a sweep", "m", 0.0, *({f"sweep_{axis}": 1.0} for axis in "xyz"))
         return
     fixed = [i for i, name in enumerate(lens.parameters) if name not in free]
@@ -446,7 +456,20 @@ def seen_groups(dataset: Dataset, groups: Sequence[ViewGroup], poses: Sequence[A
             if not step.inverted:
                 prefixes[step.parent, step.child] = at
         camera = sensor.camera if sensor.modality.has_corners else None
-        found.append(
-            SeenGroup(group, sensor, pattern, T, ColumnNames(camera, sensor.modality.has_poses), path, prefixes)
-        )
+        names = ColumnNames(camera, sensor.modality.has_poses, _rings(group))
+        found.append(SeenGroup(group, sensor, pattern, T, names, path, prefixes))
     return found
+
+
+def _rings(group: ViewGroup) -> tuple[float, ...]:
+    """Return the elevations of a LiDAR's rings on a pattern that many views tell of, rad, ascending; none of others."""
+    term = group.terms[0]
+    if not isinstance(term, RangeTerm) or term.kind != "range":
+        return ()
+    angles, views = elevations(term.rays)[term.present], np.nonzero(term.present)[0]
+    order = np.argsort(angles)
+    starts = np.flatnonzero(np.diff(angles[order], prepend=-np.inf) > RING_GAP)
+    if not 1 < len(starts) <= MAX_RINGS:
+        return ()
+    rings = np.split(order, starts[1:])
+    return tuple(float(angles[of].mean()) for of in rings if len(set(views[of].tolist())) >= MIN_VIEWS_OF_RING)

@@ -273,3 +273,9 @@ class _Meeting:
         """(v, 3, L): the measured points."""
         points: Array = self._origin + self._ranges[:, None] * self.directions
         return points
+
+
+def elevations(rays: Array) -> Array:
+    """Return the angles (..., L) of rays (..., 3, L) over the sensor's xy plane, rad."""
+    x, y, z = np.moveaxis(rays, -2, 0)
+    return np.arctan2(z, np.hypot(x, y))

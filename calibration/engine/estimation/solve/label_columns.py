@@ -15,10 +15,11 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.engine.dataset.pattern import Pattern
+from calibration.engine.estimation.residuals.border_rays import RING_GAP
 from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL, CornerTerm
 from calibration.engine.estimation.residuals.one_thread import MAX_MULTIPLICATIONS
 from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
-from calibration.engine.estimation.residuals.ray_residuals import BorderTerm
+from calibration.engine.estimation.residuals.ray_residuals import BorderTerm, elevations
 from calibration.engine.estimation.residuals.residuals import LABELS_PER_CHUNK
 from calibration.engine.estimation.residuals.views import Term
 from calibration.engine.estimation.solve.normal_equations import Weighting
@@ -48,13 +49,17 @@ class ColumnNames:
     """Camera of a sensor with corner labels."""
     poses: bool = False
     """Whether the labels are poses: but for their scale all of their errors are noise."""
+    rings: tuple[float, ...] = ()
+    """Elevations of a LiDAR's rings, rad, ascending: each has a column of its own."""
 
     @cached_property
     def of_sensor(self) -> tuple[str, ...]:
         """Names of the first columns after those of the pose."""
         if self.poses:
             return COLUMNS_OF_MEASURED_POSES
-        return (*self.camera.parameters, *ERRORS_BEYOND_LENS_MODEL) if self.camera else COLUMNS_OF_RANGES
+        if self.camera:
+            return (*self.camera.parameters, *ERRORS_BEYOND_LENS_MODEL)
+        return (*COLUMNS_OF_RANGES, *map(ring_column, self.rings))
 
     @cached_property
     def of_pattern(self) -> tuple[str, ...]:
@@ -64,8 +69,18 @@ class ColumnNames:
         return COLUMNS_OF_BENT_PATTERN if self.camera else COLUMNS_OF_PATTERN
 
 
+def ring_column(elevation: float) -> str:
+    """Return the name of the column of a ring's elevation offset (rad), the same for all patterns that it hits."""
+    return f"ring {np.degrees(elevation):+.2f} deg"
+
+
 def products(
-    terms: Sequence[Term], camera: Camera | None, pattern: Pattern, T: Array, weighting: Weighting
+    terms: Sequence[Term],
+    camera: Camera | None,
+    pattern: Pattern,
+    T: Array,
+    weighting: Weighting,
+    rings: Sequence[float] = (),
 ) -> Iterator[tuple[slice, Array]]:
     """Yield parts of the views, with the products of their columns: M (v, 6 + E + 1, 6 + E + 1).
 
@@ -77,6 +92,7 @@ def products(
         pattern: the pattern.
         T: ``T_sensor_pattern`` (V, 4, 4), the pattern's frame at the centre of its corners.
         weighting: standard deviations and loss of the residuals.
+        rings: elevations of the rings of a LiDAR, rad, ascending.
     """
     if camera is not None:
         terms = [
@@ -86,7 +102,7 @@ def products(
     for start in range(0, len(T), step):
         views = slice(start, min(start + step, len(T)))
         first, *others = (
-            _products_of_rows(_columns_of_views(term, pattern, T[views], views, weighting)) for term in terms
+            _products_of_rows(_columns_of_views(term, pattern, T[views], views, weighting, rings)) for term in terms
         )
         yield views, sum(others, first)
 
@@ -100,7 +116,9 @@ def _products_of_rows(rows: Array) -> Array:
     return sum(others, first)
 
 
-def _columns_of_views(term: Term, pattern: Pattern, T: Array, views: slice, weighting: Weighting) -> Array:
+def _columns_of_views(
+    term: Term, pattern: Pattern, T: Array, views: slice, weighting: Weighting, rings: Sequence[float]
+) -> Array:
     """Return all columns of v views as weighted rows (6 + E + 1, v, d L); the last are the residuals."""
     scale, huber = weighting.scales[term.kind], weighting.huber
     if isinstance(term, CornerTerm):
@@ -110,8 +128,11 @@ def _columns_of_views(term: Term, pattern: Pattern, T: Array, views: slice, weig
         rows, _ = term.rows(T, views, scale, huber, len(COLUMNS_OF_MEASURED_POSES))
         _fill_measured(rows[POSE_COLUMNS], rows[:3], T, pattern)
     else:
-        rows, places = term.rows(T, views, scale, huber, len(COLUMNS_OF_RANGES) + len(COLUMNS_OF_PATTERN))
-        _fill_ranging(rows[POSE_COLUMNS : POSE_COLUMNS + len(COLUMNS_OF_RANGES)], rows[:3], T, places)
+        spare = len(COLUMNS_OF_RANGES) + len(rings) + len(COLUMNS_OF_PATTERN)
+        rows, places = term.rows(T, views, scale, huber, spare)
+        ranging, of_rings = np.split(rows[POSE_COLUMNS : -1 - len(COLUMNS_OF_PATTERN)], [len(COLUMNS_OF_RANGES)])
+        _fill_ranging(ranging, rows[:3], T, places)
+        _fill_rings(of_rings, ranging[COLUMNS_OF_RANGES.index("elevation")], term.rays[views], rings)
         _fill_bent(rows[-1 - len(COLUMNS_OF_PATTERN) : -2], rows[:3], places, pattern)
         _fill_border(rows[-2], rows[:2], term, places)
     return rows.reshape(*rows.shape[:2], -1)
@@ -133,6 +154,13 @@ def _fill_ranging(out: Array, pull: Array, T: Array, places: Array) -> None:
     out[1, :, 0] = along
     out[2, :, 0] = (pull * lower).sum(0)
     np.multiply(pull, np.arctan2(y, x) / (-2 * np.pi), out=out[3:, :, 0])
+
+
+def _fill_rings(out: Array, elevation: Array, rays: Array, rings: Sequence[float]) -> None:
+    """Fill the columns (R, v, 1, L) of rings: that of the elevation (v, 1, L), of the rays (v, 3, L) on each."""
+    angles = elevations(rays)[:, None]
+    for column, ring in zip(out, rings, strict=True):
+        np.multiply(elevation, np.abs(angles - ring) < RING_GAP, out=column)
 
 
 def _fill_measured(out: Array, pull: Array, T: Array, pattern: Pattern) -> None:
