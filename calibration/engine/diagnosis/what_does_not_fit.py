@@ -11,6 +11,7 @@ from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, si
 from calibration.engine.diagnosis.precision import MIN_FAILURE_PROBABILITY, false_accept
 from calibration.engine.diagnosis.projection import projection_limit, shifts
 from calibration.engine.estimation.covariance.fixed_inputs import (
+    ECCENTRICITY_KIND,
     LAG_KIND,
     PLACE_KIND,
     PROJECTION_KIND,
@@ -74,6 +75,7 @@ ADVICE_ON_CAUSE: Mapping[str, str] = {
     "lengths": "look at the units and the lengths of the robot's description",
     "encoder offset": "look at this joint's zero, or calibrate its position_bias",
     "encoder gain": "look at this joint's unit and gear ratio",
+    ECCENTRICITY_KIND: "look at this joint's gear and encoder: an error that comes again with each turn",
     SAG_KIND: "the arm bends under its weight the farther it reaches: give its poses with the bending, or record "
     "poses that reach equally far",
     "backlash": "approach every pose from the same side",
@@ -332,6 +334,9 @@ def _describe_size(cause: Cause, value: Array, sigma: Array) -> str:
             f"its end hangs lower by {1e3 * low:.3g} +- {1e3 * of_low:.1g} mm and is tilted by "
             f"{np.degrees(tilt):.2g} +- {np.degrees(of_tilt):.1g} deg where it reaches 1 m"
         )
+    if cause.kind == ECCENTRICITY_KIND:
+        turn, of_turn = (np.degrees(np.linalg.norm(each[:2])) for each in (value, sigma))
+        return f"off by {turn:.3g} +- {of_turn:.1g} deg to either side in a turn"
     factor, unit = _UNIT_FOR_USER.get(cause.unit, (1.0, cause.unit))
     if cause.unit == "1":  # a relative change of d is extrapolated with an error of its square
         sigma = np.hypot(sigma, value**2 / 2)

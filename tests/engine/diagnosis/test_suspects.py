@@ -256,6 +256,19 @@ def test_a_ring_of_a_lidar_that_points_elsewhere_is_named() -> None:
     assert suspect.value[0] == pytest.approx(-0.01, abs=0.002)
 
 
+def test_an_error_of_a_joint_that_comes_again_with_each_turn_is_named() -> None:
+    scene = systems.jointed_arm(24, pixel_noise=NOISE)
+    T, axis = scene.transforms["j1", "j2"], np.array([0.0, 0.6, 0.8])
+    position = rotations.log(inverse(T[:1])[:, :3, :3] @ T[:, :3, :3]) @ axis
+    error = 0.03 * np.cos(position - position.mean())
+    off = T.copy()
+    off[:, :3, :3] = T[:, :3, :3] @ rotations.exp((error - error.mean())[:, None] * axis)  # an offset is another cause
+    seen = replace(scene, transforms={**scene.transforms, ("j1", "j2"): off}).dataset(1)
+    [suspect, *_] = found(seen.with_transforms({("j1", "j2"): T}))
+    assert (suspect.cause.kind, suspect.cause.subject) == ("eccentricity", "j1-j2")
+    assert np.abs(suspect.value[:2]) == pytest.approx([0, 0.03], abs=0.005)
+
+
 def test_too_few_collections_are_reported_as_untested() -> None:
     few = systems.stereo(4, seed=1, pixel_noise=NOISE).dataset(1)
     [finding] = findings(few)

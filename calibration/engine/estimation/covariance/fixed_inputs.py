@@ -49,6 +49,8 @@ PLACE_KIND = "place"
 """Kind of causes that are only tested from some collection on: over all of them the pose is calibrated or gauge."""
 LINK_KIND = "link"
 """Kind of the errors of an arm's moving transforms."""
+ECCENTRICITY_KIND = "eccentricity"
+"""Kind of an error of a joint that comes again with each turn, and is not 0 where the encoder was zeroed."""
 SAG_KIND = "sag"
 """Kind of the weight that bends an arm, the farther it reaches the more."""
 RING_KIND = "ring elevation"
@@ -297,6 +299,9 @@ def _of_moving_edge(edge: Edge, T: Array, assume: Assumptions) -> Iterator[Cause
     constant = np.broadcast_to(direction, (len(T), 6))[..., None]
     yield Cause("encoder offset", name, unit, (one,), _on_views(edge, constant), counts=False)
     yield Cause("encoder gain", name, "1", (0.0,), _on_views(edge, constant * position[:, None, None]))
+    if not prismatic:
+        once_a_turn = np.stack([np.sin(position), np.cos(position), np.ones_like(position)], -1)[:, None]
+        yield Cause(ECCENTRICITY_KIND, name, unit, (0.0,) * 3, _on_views(edge, constant * once_a_turn))
     yield Cause("backlash", name, unit, (one,), _on_views(edge, constant * back[:, None, None]), counts=False)
 
 
