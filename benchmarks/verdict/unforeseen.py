@@ -248,7 +248,7 @@ UNFORESEEN = (
         arms.stale_states,
         (1, 2, 3),
         "variant",
-        (*LINK, *WHEN, "before", "stale"),
+        (*LINK, *WHEN, "before", "earlier", "stale"),
         ARMS,
         wanted=(1, 2, 3),
     ),
