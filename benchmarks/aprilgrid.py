@@ -24,9 +24,8 @@ from calibration.engine.geometry.transforms import apply, from_xyz_rpy, transfor
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import CornerDetector
 from calibration.robot.labelling.printed_corners import shortest
-from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.random_streams import stream
-from calibration.robot.simulation.scene import Box, Scene
+from calibration.robot.simulation.scene import Board, Box, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera
 
 GRID = PatternConfiguration(

@@ -22,9 +22,9 @@ from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, transform, translation
 from calibration.robot.labelling.charuco import CharucoDetector
-from calibration.robot.labelling.chessboard import ChessboardDetector
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import label_points
+from calibration.robot.labelling.unmarked_grids import ChessboardDetector
 from tests.robot.labelling.pictures import (
     HD,
     HD_DISTORTED,

@@ -9,8 +9,7 @@ from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
 from benchmarks.timing import interleaved
 from calibration.base.arrays import IntArray
-from calibration.robot.simulation.motion.candidates import Candidates, find_candidates
-from calibration.robot.simulation.motion.generation import generate_motion
+from calibration.robot.simulation.motion.generation import Candidates, find_candidates, generate_motion
 from calibration.robot.simulation.motion.information import predicted_sigmas
 from calibration.robot.simulation.motion.sequence import Motion
 from calibration.robot.simulation.placement import place

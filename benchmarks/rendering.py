@@ -22,8 +22,8 @@ from calibration.ci.execution.embedded import Embedded
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy
 from calibration.robot.labelling.detection import NotDetected
-from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.scene import Board
 from calibration.robot.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
 
 PROCESSES = 2

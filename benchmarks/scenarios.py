@@ -1,13 +1,14 @@
 """Many scenarios of t2rgb: collected, calibrated, held against their truth."""
 
 from collections.abc import Iterator
+from functools import partial
 
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
 from benchmarks.timing import seconds
-from calibration.ci.execution.tasks import run_tasks
-from calibration.robot.simulation.collection.poses import single_threaded_opencv
-from calibration.robot.simulation.scenarios.run import scenario_task
+from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.robot.simulation.collection.record import single_threaded_opencv
+from calibration.robot.simulation.scenarios.run import run_scenario
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.robot.simulation.scenarios.statistics import Statistics
@@ -21,7 +22,8 @@ def measure(quick: bool) -> Iterator[Row]:
     results: list[ScenarioResult] = []
 
     def run() -> None:
-        tasks = [scenario_task(scenarios, scenarios.scenario(1, index)) for index in range(count)]
+        drawn = [scenarios.scenario(1, index) for index in range(count)]
+        tasks = [Task.call(each.id, partial(run_scenario, scenarios, each)) for each in drawn]
         with single_threaded_opencv():
             results.extend(run_tasks(tasks).values())
 

@@ -24,12 +24,10 @@ from calibration.engine.geometry.transforms import retract
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.system import System as Entry
 from calibration.robot.simulation.collection.capture import Requirements
-from calibration.robot.simulation.collection.document import dataset_document, truth_document
-from calibration.robot.simulation.collection.poses import collect_pose, kept, single_threaded_opencv
-from calibration.robot.simulation.joints import joint_values
-from calibration.robot.simulation.motion.candidates import find_candidates
-from calibration.robot.simulation.motion.expected import expected_dataset
-from calibration.robot.simulation.motion.generation import generate_motion
+from calibration.robot.simulation.collection.dataset_folder import dataset_document, truth_document
+from calibration.robot.simulation.collection.record import collect_pose, kept, single_threaded_opencv
+from calibration.robot.simulation.motion.generation import find_candidates, generate_motion
+from calibration.robot.simulation.motion.information import expected_dataset
 from calibration.robot.simulation.motion.sequence import Motion
 from calibration.robot.simulation.placement import place, play
 from calibration.robot.simulation.scenarios.scenario import Scenario
@@ -169,7 +167,7 @@ def _exact(name: str, seed: int, rng: np.random.Generator, conditions: Condition
     world = expected_dataset(built, placement)
     described = {sensor.edge: system.nominal.transforms({})[sensor.edge] for sensor in world.sensors.values()}
     told = world.with_transforms(described)
-    told = told.with_joints({key: joint_values(system.nominal.movable[key]) for key in told.joints})
+    told = told.with_joints({key: system.nominal.movable[key].values() for key in told.joints})
     pattern = next(iter(world.patterns.values()))
     if not pattern.fixed:
         world = world.with_transforms({(pattern.parent_link, pattern.link): placement.patterns[pattern.name]})

@@ -24,7 +24,7 @@ from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.solve.options import Options
 from calibration.pipeline.matrix.software import Software, checked_software
-from calibration.robot.exports.names import FORMATS, URDF
+from calibration.robot.exports.formats import FORMATS, URDF
 from calibration.robot.robot_description import XacroInputs
 
 FormatName = Annotated[str, matching("|".join((URDF, *FORMATS)), f"one of {', '.join((URDF, *FORMATS))}")]

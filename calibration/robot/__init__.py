@@ -2,7 +2,7 @@
 
 It imports `calibration.base`, `calibration.engine` and, for tasks and reports, `calibration.ci`.
 
-- ``robot_description``, ``expansion``: URDF and xacro, read safely;
+- ``robot_description``, ``expansion``: files of URDF and xacro, read safely; ``urdf``: the robots that they describe;
 - ``labelling``: patterns found in images, point clouds and depth images, real or simulated;
 - ``exports``: a calibrated dataset as URDF, launch files, camera parameters;
 - ``simulation``: robots, motions, what sensors would see, and datasets collected from it;

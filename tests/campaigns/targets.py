@@ -57,9 +57,9 @@ from calibration.robot.importing.importing import import_data, read_description
 from calibration.robot.importing.patterns.image_views import read_image
 from calibration.robot.importing.videos import decoded_frames
 from calibration.robot.simulation.motion.sequence import read_motion
-from calibration.robot.simulation.robot import parse_robot, read_robot
 from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.robot.simulation.system import System, read_system
+from calibration.robot.urdf import parse_robot, read_robot
 from tests.campaigns.target import DATASETS, PROJECT, Target, files_of
 from tests.robot.importing import hand_eye
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile, Kind

@@ -20,8 +20,7 @@ from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA_FILE, report
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
-from calibration.robot.simulation.motion.expected import expected_dataset
-from calibration.robot.simulation.motion.information import expected_noise
+from calibration.robot.simulation.motion.information import expected_dataset, expected_noise
 from calibration.robot.simulation.motion.sequence import read_motion
 from calibration.robot.simulation.placement import place
 from calibration.robot.simulation.random_streams import stream

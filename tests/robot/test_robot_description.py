@@ -10,11 +10,11 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.robot import robot_description
-from calibration.robot.exports.files import exported
+from calibration.robot.exports.formats import exported
 from calibration.robot.importing.importing import import_data
 from calibration.robot.robot_description import XacroInputs, read_robot_description
-from calibration.robot.simulation.robot import parse_robot
 from calibration.robot.simulation.system import read_system
+from calibration.robot.urdf import parse_robot
 from tests.robot.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
 from tests.robot.importing.test_bags import describe, file_of
 

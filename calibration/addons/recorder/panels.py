@@ -21,8 +21,8 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import from_xyz_rpy
 from calibration.robot.labelling.detection import Image
-from calibration.robot.simulation.robot import Joint
 from calibration.robot.simulation.system import System
+from calibration.robot.urdf import Joint
 
 GREEN, RED, GREY = "#2f9e44", "#e03131", "#868e96"
 _THUMBNAIL_WIDTH = 76  # px

@@ -18,8 +18,8 @@ from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.placement import Placement
 from calibration.robot.simulation.rendering.texture import PAPER_REFLECTANCE, texture
-from calibration.robot.simulation.robot import compose
 from calibration.robot.simulation.system import System
+from calibration.robot.urdf import compose
 
 KEPT_COLOUR, LOST_COLOUR, UNKNOWN_COLOUR = (47, 158, 68), (224, 49, 49), (134, 142, 150)
 """Colours of a verdict: green, red, and grey while unknown."""

@@ -24,8 +24,8 @@ from calibration.robot.simulation.motion.generation import generate_motion
 from calibration.robot.simulation.motion.sequence import MAX_POSES, POSE_DECIMALS, Motion, motion_document, moving_model
 from calibration.robot.simulation.placement import Placement, place
 from calibration.robot.simulation.random_streams import stream
-from calibration.robot.simulation.robot import Joint, compose
 from calibration.robot.simulation.system import System
+from calibration.robot.urdf import Joint, compose
 
 _SEARCHES = 64
 """Number of searches for joint positions: the nearest solution of an arm is nearly always found."""

@@ -35,8 +35,7 @@ from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenarios import Judged, Scenarios
 from calibration.robot.simulation.collection.contact_sheet import write_contact_sheet
-from calibration.robot.simulation.collection.dataset_folder import replacing_dataset
-from calibration.robot.simulation.collection.document import truth_document
+from calibration.robot.simulation.collection.dataset_folder import replacing_dataset, truth_document
 from calibration.robot.simulation.collection.proof import prove
 from calibration.robot.simulation.collection.record import Record, image_cells
 from calibration.robot.simulation.motion.generation import named_motion

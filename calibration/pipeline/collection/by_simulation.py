@@ -7,6 +7,7 @@ trusted: the dataset is calibrated again here.
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -19,7 +20,7 @@ from calibration.base.records import read, text_of
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Mount
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, JobOutcome
-from calibration.ci.execution.tasks import run_tasks
+from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.execution.workspace import identity, workspace
 from calibration.pipeline.collection.applications import INPUT_FOLDER
 from calibration.pipeline.collection.report import report
@@ -36,9 +37,8 @@ from calibration.pipeline.collection.scenarios import (
 from calibration.robot.simulation.collection.capture import Requirements
 from calibration.robot.simulation.collection.contact_sheet import write_contact_sheet
 from calibration.robot.simulation.collection.dataset_folder import replacing_dataset, write_dataset
-from calibration.robot.simulation.collection.poses import collect, kept, single_threaded_opencv
 from calibration.robot.simulation.collection.proof import prove
-from calibration.robot.simulation.collection.record import Record
+from calibration.robot.simulation.collection.record import Record, collect, kept, single_threaded_opencv
 from calibration.robot.simulation.motion.generation import named_motion
 from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX, Motion, motion_document
 from calibration.robot.simulation.placement import Play, play
@@ -46,8 +46,8 @@ from calibration.robot.simulation.scenarios.run import (
     calibrated_result,
     finished_result,
     pending_result,
+    run_scenario,
     scenario_play,
-    scenario_task,
 )
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
@@ -194,7 +194,7 @@ class SimulatedScenarios(Scenarios):
         resumed = workspace(output, self._hash_of_inputs, text_of, _scenario_result_from)
         with resumed as work, temporary_folder() as scratch, single_threaded_opencv():
             asked = self._motion, self._requirements, scratch
-            tasks = [scenario_task(self._set, each, *asked) for each in self._scenarios]
+            tasks = [Task.call(each.id, partial(run_scenario, self._set, each, *asked)) for each in self._scenarios]
             found = run_tasks([work.keeping(task) for task in tasks], workers=jobs, find=work.find, done=done)
         return [Judged(result) for result in found.values()]
 

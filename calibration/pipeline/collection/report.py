@@ -30,7 +30,7 @@ def report(results: CollectionResults, output: Path) -> Report:
         output: the folder of the dataset.
     """
     proof, kept = results.proof, len(results.kept)
-    lost = tuple(LostPose(record.number + 1, record.lost) for record in results.lost)
+    lost = tuple(LostPose(record.number + 1, tuple(record.lost)) for record in results.lost)
     lines = tuple(map(lost_line, results.lost))
     sheet = results.contact_sheet
     return Report(

@@ -12,10 +12,14 @@ from calibration.base.errors import InfrastructureError
 from calibration.ci.report import FILES, Block, Code, Lines, Outcome, Report, Table, Text, count_of, shown
 from calibration.pipeline.collection.report import COMMAND_NAME
 from calibration.pipeline.collection.results import ScenarioResults
-from calibration.robot.simulation.scenarios.drivers import SIGNIFICANCE_LEVEL
-from calibration.robot.simulation.scenarios.figure import figure
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
-from calibration.robot.simulation.scenarios.statistics import REPORTED_PERCENTILES, Statistics, why_unknown
+from calibration.robot.simulation.scenarios.statistics import (
+    REPORTED_PERCENTILES,
+    SIGNIFICANCE_LEVEL,
+    Statistics,
+    figure,
+    why_unknown,
+)
 
 TABLE_FILE, FIGURE_FILE = "scenarios.csv", "scenarios.png"
 REPORT_FILES = (*FILES, TABLE_FILE, FIGURE_FILE)

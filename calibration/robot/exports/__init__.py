@@ -2,7 +2,6 @@
 
 - ``calibrated``: the part of a calibrated dataset that is exported;
 - ``urdf``: the given URDF with calibrated origins, all other bytes unchanged;
-- ``transforms``: launch files of static transforms for ROS 1 and ROS 2, and the same as YAML;
-- ``cameras``: camera_info, Kalibr's camchain, OpenCV's FileStorage;
-- ``formats``: the table of all formats.
+- ``formats``: launch files of static transforms for ROS 1 and ROS 2, the same as YAML, camera_info, Kalibr's camchain
+  and OpenCV's FileStorage, and the table of them all.
 """

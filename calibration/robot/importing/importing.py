@@ -68,7 +68,7 @@ from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints
 from calibration.robot.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
-from calibration.robot.simulation.collection.poses import single_threaded_opencv
+from calibration.robot.simulation.collection.record import single_threaded_opencv
 
 Done = Callable[[int, int, LabelledMoment | SeenImages], None]
 """Callback after each part: number of finished parts, number of all parts, and the result."""

@@ -30,7 +30,7 @@ from calibration.robot.importing.results import LabelledSensor, LabelResults, Re
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
-from calibration.robot.simulation.collection.poses import single_threaded_opencv
+from calibration.robot.simulation.collection.record import single_threaded_opencv
 
 Done = Callable[[int, int, LabelledMoment], None]
 

@@ -14,9 +14,15 @@ import numpy as np
 from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
-from calibration.robot.labelling.board_corners import enough, find_corners
+from calibration.robot.labelling.board_corners import (
+    Reading,
+    board_layouts,
+    enough,
+    find_corners,
+    neighbours_in_place,
+    readings,
+)
 from calibration.robot.labelling.detection import Image, NotDetected, grey
-from calibration.robot.labelling.layouts import Reading, board_layouts, neighbours_in_place, readings
 from calibration.robot.labelling.markers import MarkerFinder, Markers
 
 LEAST_MARKERS = 8

@@ -3,14 +3,20 @@
 import cv2
 import numpy as np
 
-from calibration.base.arrays import Array, BoolArray
+from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
-from calibration.robot.labelling.board_plane import BORDER_END_M, BORDER_SLACK_M, LEAST_POINTS, find_board
 from calibration.robot.labelling.detection import DepthImage, NotDetected
-from calibration.robot.labelling.points import DEFAULT_TOLERANCE_M, PatternPoints
+from calibration.robot.labelling.points import (
+    BORDER_END_M,
+    BORDER_SLACK_M,
+    DEFAULT_TOLERANCE_M,
+    LEAST_POINTS,
+    PatternPoints,
+    find_board,
+)
 
 MAX_SEARCHED_PIXELS = 5000
 """Approximate number of pixels that the plane is searched in."""
@@ -62,7 +68,8 @@ def label_depth(
         return NotDetected(f"{region.sum()} points on the pattern, at least {LEAST_POINTS} are needed")
     beyond = (board.passed(behind) | np.isnan(behind)).reshape(region.shape)
     at_end = (inside < BORDER_END_M + 2 * _ray_spacing(crossing, region.shape)).reshape(region.shape)
-    border = region & _pixels_beside(beyond & ~region) & at_end & _away_from_edge(depth.shape, part)
+    beside = cv2.dilate((beyond & ~region).astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))) > 0
+    border = region & beside & at_end & away_from_edge(depth.shape, *np.mgrid[part])
     numbers = np.arange(depth.size).reshape(depth.shape)[part]
     border = _thin_region(border, most)
     return PatternPoints(numbers[_thin_region(region, most) | border], numbers[border])
@@ -104,16 +111,6 @@ def _largest_part(region: BoolArray) -> BoolArray:
     return largest
 
 
-def _pixels_beside(region: BoolArray) -> BoolArray:
-    """Return the pixels (h, w) with a neighbour (above, below, left or right) in a region."""
-    beside = np.zeros_like(region)
-    beside[1:] |= region[:-1]
-    beside[:-1] |= region[1:]
-    beside[:, 1:] |= region[:, :-1]
-    beside[:, :-1] |= region[:, 1:]
-    return beside
-
-
 def _ray_spacing(crossing: Array, shape: tuple[int, int]) -> Array:
     """Distance (h * w,) between the intersections of neighbouring pixels' rays with the plane, m."""
     grid = crossing.reshape(*shape, 2)
@@ -123,9 +120,8 @@ def _ray_spacing(crossing: Array, shape: tuple[int, int]) -> Array:
     return spacing
 
 
-def _away_from_edge(shape: tuple[int, ...], part: tuple[slice, slice]) -> BoolArray:
-    """Return a mask of the pixels of a part of an image that are not near the image's edge."""
-    v, u = np.mgrid[part]
+def away_from_edge(shape: tuple[int, ...], v: IntArray, u: IntArray) -> BoolArray:
+    """Return a mask of pixels at rows v and columns u of an image (H, W) that are not near the image's edge."""
     near = (np.minimum(v, shape[0] - 1 - v) < EDGE_SHARE * shape[0]) | (
         np.minimum(u, shape[1] - 1 - u) < EDGE_SHARE * shape[1]
     )

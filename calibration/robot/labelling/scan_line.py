@@ -6,9 +6,16 @@ from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.residuals.median import median
 from calibration.engine.geometry.transforms import apply
-from calibration.robot.labelling.board_plane import LEAST_SIGMA, MAX_INLIER_SIGMAS, MIN_OTHER_OBJECT_M, SEE_THROUGH
 from calibration.robot.labelling.detection import NotDetected
-from calibration.robot.labelling.points import DEFAULT_TOLERANCE_M, PatternPoints
+from calibration.robot.labelling.points import (
+    DEFAULT_TOLERANCE_M,
+    LEAST_SIGMA,
+    MAX_INLIER_SIGMAS,
+    MIN_OTHER_OBJECT_M,
+    SEE_THROUGH,
+    PatternPoints,
+    agreed_fit,
+)
 
 
 def scan_line_ends(pattern: Pattern, T_sensor_pattern: Array) -> Array:
@@ -87,25 +94,10 @@ def label_scan_line(
 
 
 def _fit_line(place: Array, height: Array, length: float, tolerance: float) -> tuple[float, float, float]:
-    """Fit the line ``height = offset + slope * place`` with most points, and their standard deviation about it.
-
-    Iterated weighted least squares with Tukey's weights of decreasing width, from several initial heights.
-    """
+    """Fit the line ``height = offset + slope * place`` with most points, and their standard deviation about it."""
     scale = length / 2
     basis = np.stack([np.ones_like(place), place / scale], -1)
-    products = (basis[:, :, None] * basis[:, None]).reshape(-1, 4)
-    lines = np.zeros((9, 2))
-    lines[:, 0] = np.linspace(-0.8, 0.8, 9) * tolerance
-    width = tolerance / 2
-    for _ in range(12):
-        residual = height - lines @ basis.T
-        weight = np.clip(1 - (residual / width) ** 2, 0, None) ** 2
-        moments = (weight @ products).reshape(9, 2, 2) + np.diag([1e-9, 1e-3])
-        lines = lines + np.linalg.solve(moments, ((weight * residual) @ basis)[..., None])[..., 0]
-        width = max(0.8 * width, tolerance / 6)
-    agreeing = (np.clip(1 - ((height - lines @ basis.T) / width) ** 2, 0, None) ** 2).sum(-1)
-    line = lines[agreeing.argmax()]
-    sigma = width / MAX_INLIER_SIGMAS
+    line, sigma = agreed_fit(basis, height, tolerance)
     for _ in range(5):
         residual = height - basis @ line
         on = np.abs(residual) <= MAX_INLIER_SIGMAS * sigma

@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
 from calibration.engine.geometry.transforms import adjoint, inverse, local
-from calibration.robot.simulation.robot import Joint, Robot
+from calibration.robot.urdf import Joint, Robot
 
 _MAX_ITERATIONS = 20
 _LONGEST_STEP = 0.5  # rad or m: limit of a step, for which the linearisation is valid
@@ -77,10 +77,9 @@ class _Step:
 
 def _merged_chain(robot: Robot, start: str, end: str) -> list[_Step]:
     """Return the parts of the chain, with neighbouring constants multiplied."""
-    by_edge = {joint.edge: joint for joint in robot.joints}
     way: list[_Step] = []
     for step in robot.tree.path(start, end):
-        joint = by_edge[step.parent, step.child]
+        joint = robot.by_edge[step.parent, step.child]
         if joint.is_movable:
             way.append(_Step(np.eye(4), joint, step.inverted))
             continue

@@ -10,10 +10,10 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry.transforms import inverse
 from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.robot import compose
 from calibration.robot.simulation.scene import Scene
 from calibration.robot.simulation.sensors.sensor import Views
 from calibration.robot.simulation.system import System
+from calibration.robot.urdf import compose
 
 
 @dataclass(frozen=True, eq=False)

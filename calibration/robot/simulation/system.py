@@ -25,11 +25,8 @@ from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.robot.robot_description import ENDING, NO_INPUTS, XacroInputs, read_robot_description
-from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.description import MAX_BYTES, Pose, degrees, listed, rising
-from calibration.robot.simulation.joints import JointErrors, check_calibrated_joints, with_errors
-from calibration.robot.simulation.robot import Robot, parse_robot
-from calibration.robot.simulation.scene import Scene
+from calibration.robot.simulation.scene import Board, Scene
 from calibration.robot.simulation.sensors import (
     SIMULATED_SENSORS,
     SimulatedCamera,
@@ -38,6 +35,7 @@ from calibration.robot.simulation.sensors import (
     SimulatedLidar2d,
     SimulatedSensor,
 )
+from calibration.robot.urdf import JointErrors, Robot, check_calibrated_joints, parse_robot, with_errors
 
 ROBOT_FILE = "robot.urdf"
 CONFIGURATION_FILE = "config.yml"
@@ -281,13 +279,12 @@ def _check_against_robot(system: System, path: Path) -> None:
             raise fault(key, f"frame '{frame}' is not in {system.robot.path}")
 
     check_frame("world_link", config.world_link)
-    edges = {joint.edge for joint in system.robot.joints}
-    free = {joint.edge: joint for joint in system.robot.joints if joint.is_free}
+    edges = system.robot.by_edge
 
     def check_known(key: str, frame: str) -> None:
         """Refuse a frame whose pose in the world depends on a floating or a planar joint."""
         for step in tree.path(config.world_link, frame):
-            if (joint := free.get((step.parent, step.child))) is not None:
+            if (joint := edges[step.parent, step.child]).is_free:
                 raise fault(
                     key,
                     f"the {joint.kind} joint '{joint.name}' lies between '{config.world_link}' and '{frame}' in "

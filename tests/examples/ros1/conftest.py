@@ -10,9 +10,8 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.robot.simulation.collection.capture import Requirements
-from calibration.robot.simulation.collection.document import dataset_document
-from calibration.robot.simulation.collection.poses import collect_pose, kept
-from calibration.robot.simulation.collection.record import Record
+from calibration.robot.simulation.collection.dataset_folder import dataset_document
+from calibration.robot.simulation.collection.record import Record, collect_pose, kept
 from calibration.robot.simulation.motion.sequence import read_motion
 from calibration.robot.simulation.placement import Play, play
 from calibration.robot.simulation.system import read_system

@@ -16,8 +16,7 @@ from calibration.engine.geometry.lenses import Rational
 from calibration.engine.geometry.rotations import from_quaternion, from_rpy
 from calibration.engine.geometry.transforms import from_xyz_rpy, inverse, transform
 from calibration.robot.exports.calibrated import Calibrated, calibrated
-from calibration.robot.exports.formats import FILES, file_name
-from calibration.robot.exports.names import FORMATS
+from calibration.robot.exports.formats import FILES, FORMATS, file_name
 from tests.pipeline.conftest import DATASETS
 from tests.robot.exports.test_urdf import moved, pose
 

@@ -24,9 +24,8 @@ from calibration.robot.importing.files.camera_files import KnownLens
 from calibration.robot.importing.importing import import_data
 from calibration.robot.importing.patterns.image_views import FoundCorners, LabelledMoment, View
 from calibration.robot.importing.recorded import Recorded, imported_moments
-from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.random_streams import stream
-from calibration.robot.simulation.scene import Scene
+from calibration.robot.simulation.scene import Board, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera
 from tests.robot.importing.bags import BagFile
 from tests.robot.labelling.pictures import VGA, chessboard

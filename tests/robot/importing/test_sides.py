@@ -22,9 +22,8 @@ from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.importing import import_data
 from calibration.robot.importing.patterns.sides import with_sides
-from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.random_streams import stream
-from calibration.robot.simulation.scene import Scene
+from calibration.robot.simulation.scene import Board, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile
 from tests.robot.importing.conftest import camera_info

@@ -11,10 +11,16 @@ from benchmarks.aprilgrid import look
 from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
-from calibration.robot.labelling.aprilgrid import AprilgridDetector
+from calibration.robot.labelling.aprilgrid import (
+    BORDER_MODULES,
+    MODULES_PER_TAG,
+    AprilgridDetector,
+    corner_ids,
+    tag_cells,
+    tag_dictionary,
+)
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image, NotDetected
-from calibration.robot.labelling.tags import BORDER_MODULES, MODULES_PER_TAG, corner_ids, tag_cells, tag_dictionary
 from tests.robot.labelling.pictures import (
     HD,
     HD_DISTORTED,

@@ -13,7 +13,7 @@ from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.simulation.rendering.texture import tag_modules
 from tests.robot.labelling.pictures import HD_DISTORTED, VGA, facing
-from tests.robot.labelling.test_circles import rendered
+from tests.robot.labelling.test_unmarked_grids import rendered
 
 
 def tags(dictionary: str, *placed: PlacedTag, inverted: bool = False) -> PatternConfiguration:

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
-from calibration.robot.simulation.joints import joint_values
-from calibration.robot.simulation.motion.drawing import draw_motion
-from calibration.robot.simulation.motion.expected import expected_dataset
-from calibration.robot.simulation.motion.generation import generate_motion
+from calibration.robot.simulation.motion.generation import draw_motion, generate_motion
+from calibration.robot.simulation.motion.information import expected_dataset
 from calibration.robot.simulation.placement import place
 from calibration.robot.simulation.random_streams import stream
 from calibration.robot.simulation.sensors.camera import CORNER_NOISE
@@ -26,7 +24,7 @@ def exact_labels(system: System, seed: int = 1) -> Dataset:
 
 def as_designed(dataset: Dataset, system: System) -> Dataset:
     """The dataset with the joints of the description, as it would be collected."""
-    return dataset.with_joints({name: joint_values(system.nominal.movable[name]) for name in dataset.joints})
+    return dataset.with_joints({name: system.nominal.movable[name].values() for name in dataset.joints})
 
 
 def noisy(dataset: Dataset, system: System, seed: int) -> Dataset:

@@ -6,8 +6,8 @@ import numpy as np
 from calibration.engine.geometry.transforms import distance, from_xyz_rpy, inverse, local
 from calibration.robot.simulation.inverse_kinematics import _linearise, _merged_chain, joints_between, reach
 from calibration.robot.simulation.random_streams import stream
-from calibration.robot.simulation.robot import compose, parse_robot
 from calibration.robot.simulation.system import System
+from calibration.robot.urdf import compose, parse_robot
 
 
 def test_an_arm_reaches_where_it_has_been(systems: dict[str, System]) -> None:

@@ -12,7 +12,7 @@ from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry.frames import FrameTree
 from calibration.engine.geometry.transforms import distance, local, retract
 from calibration.robot.importing.left_out import LeftOutCounts
-from calibration.robot.simulation.robot import Joint, Robot, parse_robot
+from calibration.robot.urdf import Joint, Robot, parse_robot
 
 MAX_SECONDS_TO_RECORD = 0.5
 """s: limit of the time between a pose's record and a moment that uses it."""

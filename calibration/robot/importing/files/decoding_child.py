@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from calibration.robot.expansion.confinement import restrict_by_kernel
+from calibration.robot.expansion.child import restrict_by_kernel
 from calibration.robot.importing.files.confined_decoding import FRAME_HEADER
 
 LOG_BYTES = 1 << 20

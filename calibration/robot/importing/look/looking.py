@@ -112,7 +112,7 @@ def _look_at_camera(
         saturated=round(_median_or_zero([one.saturated for one in judged]), 4),
         blur_px=round(_median_or_zero(blurs), 2) if blurs else None,
         with_pattern=len(seen),
-        cells=image_cells(width, height, [one.corners for one in seen]),
+        cells=tuple(image_cells(width, height, [one.corners for one in seen])),
         compared=sum(found is not None for found in compared),
         still=sum(found is True for found in compared),
         other_size=own.other_size,

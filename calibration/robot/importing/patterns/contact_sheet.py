@@ -10,7 +10,7 @@ from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.robot.importing.patterns.image_views import View, read_image
 from calibration.robot.importing.patterns.png import encoded
 from calibration.robot.labelling.detection import Image
-from calibration.robot.simulation.sensors.drawing import PICTURE_HEIGHT_PX, draw_corner
+from calibration.robot.simulation.sensors.sensor import PICTURE_HEIGHT_PX, draw_corner
 
 CONTACT_SHEET_FILE = "contact_sheet.png"
 SHEET_WIDTH_PX = 1600

@@ -22,10 +22,10 @@ from calibration.robot.importing.patterns.shown_patterns import (
     shown_markers,
 )
 from calibration.robot.labelling.charuco import CharucoDetector
-from calibration.robot.labelling.chessboard import LEAST_CORNERS
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image, grey
 from calibration.robot.labelling.markers import Markers, turned_tags
+from calibration.robot.labelling.unmarked_grids import LEAST_CORNERS
 
 LOOKED_AT = 8
 """Number of images that are searched for other patterns."""

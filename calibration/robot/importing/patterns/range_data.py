@@ -16,7 +16,7 @@ from calibration.robot.importing.patterns.image_views import LabelledMoment
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints
 from calibration.robot.simulation.collection.capture import estimate_pose
-from calibration.robot.simulation.robot import compose
+from calibration.robot.urdf import compose
 
 
 @dataclass(frozen=True, eq=False)

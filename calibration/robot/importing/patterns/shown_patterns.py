@@ -11,11 +11,11 @@ import numpy as np
 from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import PatternKind, PlacedTag
-from calibration.robot.labelling.circles import LEAST_CIRCLES, blob_finder
+from calibration.robot.labelling.aprilgrid import BORDER_MODULES
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image
 from calibration.robot.labelling.markers import MarkerFinder, Markers
-from calibration.robot.labelling.tags import BORDER_MODULES
+from calibration.robot.labelling.unmarked_grids import LEAST_CIRCLES, blob_finder
 
 MIN_BOARD_MARKERS = 6
 """Least number of markers in one image that indicate a board, also for a chessboard."""

@@ -13,9 +13,9 @@ from calibration.engine.estimation.start.single_views import corner_term, fitted
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import inverse, translation
 from calibration.robot.labelling.detection import NotDetected
-from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.placement import Play
 from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.scene import Board
 from calibration.robot.simulation.sensors.sensor import Data, Found
 from calibration.robot.simulation.system import System
 

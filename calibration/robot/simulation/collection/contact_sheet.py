@@ -9,7 +9,7 @@ import numpy as np
 from calibration.base.files import write_atomically
 from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.collection.record import Record
-from calibration.robot.simulation.sensors.drawing import PICTURE_HEIGHT_PX
+from calibration.robot.simulation.sensors.sensor import PICTURE_HEIGHT_PX
 from calibration.robot.simulation.system import System
 
 CONTACT_SHEET_FILE = "contact_sheet.png"

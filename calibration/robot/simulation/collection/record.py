@@ -1,26 +1,31 @@
-"""Record of a pose: its part of the dataset, or the reasons for its rejection, and the quality of its labels.
+"""Records of poses, and the collection of all poses of a motion: each is captured, labelled and checked.
 
-A record is plain JSON, so that an interrupted collection can be continued from the records on disk.
+The record of a pose is its part of the dataset, or the reasons for its rejection, and the quality of its labels. It is
+plain JSON, so that an interrupted collection can be continued from the records on disk.
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
+import cv2
 import numpy as np
 
 from calibration.base.arrays import Array
+from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.ci.execution.workspace import Workspace
 from calibration.engine.dataset.model import CornerLabels, Edge
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.joints import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import apply, inverse
 from calibration.robot.labelling.points import PatternPoints
-from calibration.robot.simulation.collection.capture import Capture
-from calibration.robot.simulation.joints import joint_values
+from calibration.robot.simulation.collection.capture import Capture, Requirements, capture, reasons_to_lose
 from calibration.robot.simulation.placement import Play
-from calibration.robot.simulation.robot import Joint, compose
 from calibration.robot.simulation.sensors.sensor import Found, SimulatedSensor
+from calibration.robot.urdf import Joint, compose
 
 ESTIMATE_DECIMALS = 5
 """Decimals of estimated poses: 10 micrometres and microradians."""
@@ -31,7 +36,8 @@ class CornerErrors:
     """Errors of detected corners against the true projections, for one camera at one pose, px."""
 
     count: int
-    mean: tuple[float, float]
+    mean: Sequence[float]
+    """Along x and along y."""
     rms: float
     """Root mean square of the distances."""
     largest: float
@@ -43,7 +49,7 @@ class Record:
 
     number: int
     """Index of the pose, from 0."""
-    lost: tuple[str, ...]
+    lost: Sequence[str]
     """Reasons why it is not part of the dataset; empty if it is."""
     labels: Mapping[str, int]
     """Number of corners or points that each sensor labelled, on all patterns together; 0 without a detection."""
@@ -51,13 +57,13 @@ class Record:
     """Whether a camera that detects a pattern sees all its corners, by camera."""
     errors: Mapping[str, CornerErrors]
     """Errors of the detected corners, by camera."""
-    cells: Mapping[str, tuple[int, ...]]
+    cells: Mapping[str, Sequence[int]]
     """Cells with a corner of a grid over the image (`COVERAGE_COLUMNS` x `COVERAGE_ROWS`, row by row), by camera."""
     collection: Mapping[str, Any]
     """The entry of ``collections`` in the dataset."""
     initial: Mapping[str, Mapping[str, Any]]
     """Entry of ``transforms_initial`` of each pattern."""
-    truth: tuple[Mapping[str, Any], ...]
+    truth: Sequence[Mapping[str, Any]]
     """True poses of the patterns in the world, and the transforms that differ between collections."""
     named: str | None = None
     """Key of the collection, if it was not numbered by this program."""
@@ -84,18 +90,7 @@ class Record:
             ValueError, TypeError, KeyError: it is not a record.
         """
         fields = json.loads(text)
-        return cls(
-            **{
-                **fields,
-                "lost": tuple(fields["lost"]),
-                "truth": tuple(fields["truth"]),
-                "cells": {name: tuple(cells) for name, cells in fields["cells"].items()},
-                "errors": {
-                    name: CornerErrors(**{**error, "mean": tuple(error["mean"])})
-                    for name, error in fields["errors"].items()
-                },
-            }
-        )
+        return cls(**{**fields, "errors": {name: CornerErrors(**error) for name, error in fields["errors"].items()}})
 
 
 COVERAGE_COLUMNS, COVERAGE_ROWS = 4, 3
@@ -112,7 +107,7 @@ def record(play: Play, capture: Capture, lost: tuple[str, ...]) -> Record:
     system, number = play.system, capture.number
     return Record(
         number=number,
-        lost=lost,
+        lost=list(lost),
         labels={name: sum(map(_label_count, capture.found_by(name).values())) for name in system.sensors},
         complete={name: _sees_all(play, capture, name) for name in system.cameras},
         errors={name: error for name in system.cameras if (error := _corner_errors(play, capture, name))},
@@ -126,14 +121,14 @@ def record(play: Play, capture: Capture, lost: tuple[str, ...]) -> Record:
     )
 
 
-def _true_transforms(play: Play, number: int) -> tuple[Mapping[str, Any], ...]:
+def _true_transforms(play: Play, number: int) -> list[Mapping[str, Any]]:
     system = play.system
     patterns = {
         (system.configuration.world_link, pattern.link): play.true.patterns[name]
         for name, pattern in system.patterns.items()
     }
     moving = {edge: play.true.transforms[edge] for edge in sorted(system.unknown_motions)}
-    return tuple(pose_document(edge, T[number]) for edge, T in {**patterns, **moving}.items())
+    return [pose_document(edge, T[number]) for edge, T in {**patterns, **moving}.items()]
 
 
 def _label_count(found: Found) -> int:
@@ -169,20 +164,20 @@ def _corner_errors(play: Play, capture: Capture, camera: str) -> CornerErrors | 
     x, y = error.mean(axis=0)
     return CornerErrors(
         count=len(error),
-        mean=(round(float(x), 6), round(float(y), 6)),
+        mean=[round(float(x), 6), round(float(y), 6)],
         rms=round(float(np.sqrt((distance**2).mean())), 6),
         largest=round(float(distance.max()), 6),
     )
 
 
-def image_cells(width: int, height: int, detected: Iterable[CornerLabels]) -> tuple[int, ...]:
+def image_cells(width: int, height: int, detected: Iterable[CornerLabels]) -> list[int]:
     """Return the cells of the grid over an image (px) with a corner."""
     size = np.array([width / COVERAGE_COLUMNS, height / COVERAGE_ROWS])
     found = set()
     for labels in detected:
         column, row = np.clip((labels.pixels + 0.5) // size, 0, [COVERAGE_COLUMNS - 1, COVERAGE_ROWS - 1]).astype(int).T
         found.update((row * COVERAGE_COLUMNS + column).tolist())
-    return tuple(sorted(found))
+    return sorted(found)
 
 
 def _collection_document(play: Play, capture: Capture) -> dict[str, Any]:
@@ -263,7 +258,7 @@ def pose_document(edge: Edge, T: Array, decimals: int = POSE_DECIMALS) -> dict[s
 
 def joint_document(joint: Joint, position: float) -> dict[str, Any]:
     """Return a joint's entry in a collection: the description's parameters, and the encoder's position in rad or m."""
-    values = dict(zip(JOINT_PARAMETERS[:6], joint_values(joint).tolist(), strict=False))
+    values = dict(zip(JOINT_PARAMETERS[:6], joint.values().tolist(), strict=False))
     return {
         "transform_key": f"{joint.parent}-{joint.child}",
         "position": position,
@@ -278,3 +273,85 @@ def joint_document(joint: Joint, position: float) -> dict[str, Any]:
 def message_header(frame: str, number: int) -> dict[str, Any]:
     """Return the header of a ROS message: poses are ten seconds apart."""
     return {"frame_id": frame, "seq": number, "stamp": {"secs": 10 * number, "nsecs": 0}}
+
+
+Done = Callable[[int, int, Record], None]
+"""Callback after each pose: number of finished poses, number of all poses, record."""
+
+
+def collect_pose(
+    play: Play, number: int, requirements: Requirements, images: bool = True
+) -> tuple[Record, dict[str, bytes]]:
+    """Collect one pose.
+
+    Args:
+        play: the motion.
+        number: index of the pose, from 0.
+        requirements: requirements of the collection.
+        images: whether images are written too; point clouds always are, as labels refer to them.
+
+    Returns:
+        The record, and the contents of its files by name.
+    """
+    seen = capture(play, number)
+    files = {
+        data_file(name, sensor, number): sensor.encode(seen.data[name])
+        for name, sensor in play.system.sensors.items()
+        if sensor.file_ending and (images or sensor.modality.points)
+    }
+    return record(play, seen, reasons_to_lose(play.system, seen, requirements)), files
+
+
+def collect(
+    play: Play,
+    requirements: Requirements,
+    workspace: Workspace[Record],
+    jobs: int | None = None,
+    done: Done = lambda *_: None,
+) -> list[Record]:
+    """Collect every pose without a record in the workspace.
+
+    Args:
+        play: the motion.
+        requirements: requirements of each collection.
+        workspace: folder of records and files; existing ones are not made again.
+        jobs: number of processes; None for one per core.
+        done: called after each pose; first for those already finished.
+
+    Returns:
+        All records, in the order of the poses.
+
+    Raises:
+        InfrastructureError: a file cannot be written, or a process died.
+    """
+
+    def collect_into(number: int) -> Record:
+        found, files = collect_pose(play, number, requirements)
+        return workspace.keep(str(number), found, files)
+
+    tasks = [Task.call(str(number), partial(collect_into, number)) for number in range(len(play))]
+    with single_threaded_opencv():
+        return list(run_tasks(tasks, workers=jobs, find=workspace.find, done=done).values())
+
+
+@contextmanager
+def single_threaded_opencv() -> Iterator[None]:
+    """Limit OpenCV to one thread: the parallelism is by processes, and its threads do not survive a fork."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def corner_rms(records: Iterable[Record]) -> float | None:
+    """Return the root mean square of the errors of all detected corners, px; None without any."""
+    errors = [error for record in records for error in record.errors.values()]
+    corners = sum(error.count for error in errors)
+    return round((sum(error.count * error.rms**2 for error in errors) / corners) ** 0.5, 4) if corners else None
+
+
+def kept(records: Sequence[Record]) -> list[Record]:
+    """Return the records that are part of the dataset."""
+    return [record for record in records if record.kept]

@@ -8,7 +8,7 @@ board; before, a board with an even number of rows of squares began with a white
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -20,8 +20,8 @@ from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.pattern import Pattern
+from calibration.robot.labelling.aprilgrid import cell_ends, tag_cells
 from calibration.robot.labelling.markers import printed_dictionary, turns_of
-from calibration.robot.labelling.tags import cell_ends, tag_cells
 
 Grey = NDArray[np.uint8]
 
@@ -100,9 +100,8 @@ def _draw_squares(pattern: PatternConfiguration, legacy_layout: bool) -> _Sketch
     markers = marker_modules(pattern, int((~black).sum())) if pattern.kind == "charuco" else []
 
     def draw(texels: int) -> Grey:
-        image = np.repeat(
-            np.repeat(np.where(black, INK_REFLECTANCE, PAPER_REFLECTANCE).astype(np.uint8), texels, 0), texels, 1
-        )
+        squares = np.where(black, INK_REFLECTANCE, PAPER_REFLECTANCE).astype(np.uint8)
+        image = squares.repeat(texels, 0).repeat(texels, 1)
         for (y, x), bits in zip(np.argwhere(~black) * texels if markers else (), markers, strict=True):
             share = _square_with_marker(pattern, bits, texels)
             image[y : y + texels, x : x + texels] = np.round(
@@ -115,10 +114,8 @@ def _draw_squares(pattern: PatternConfiguration, legacy_layout: bool) -> _Sketch
 
 def _draw_tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
     """Draw an aprilgrid; the image has whole units, white beyond the print."""
-    black, ends = (
-        tag_cells(*pattern.dimension, pattern.first_marker).astype(float),
-        cell_ends(*pattern.dimension, pattern.spacing),
-    )
+    black = tag_cells(*pattern.dimension, pattern.first_marker).astype(float)
+    ends = cell_ends(*pattern.dimension, pattern.spacing)
     size = tuple(float(each[-1]) for each in ends)
 
     def draw(texels: int) -> Grey:
@@ -163,11 +160,8 @@ def _placed_tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
         image = np.full((math.ceil(size[1]) * texels, math.ceil(size[0]) * texels), PAPER_REFLECTANCE, np.uint8)
         for tag, modules in zip(corners.reshape(-1, 4, 2), tag_modules(pattern), strict=True):
             each = max(1, round(float(np.linalg.norm(tag[1] - tag[0])) * texels / len(modules)))
-            drawn = np.repeat(
-                np.repeat(np.where(modules > 0.5, PAPER_REFLECTANCE, INK_REFLECTANCE).astype(np.uint8), each, 0),
-                each,
-                1,
-            )
+            printed = np.where(modules > 0.5, PAPER_REFLECTANCE, INK_REFLECTANCE).astype(np.uint8)
+            drawn = printed.repeat(each, 0).repeat(each, 1)
             ends = _PAPER_TEXELS + each * len(modules) * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) - 0.5
             places = (tag[[0, 1, 3]] - low) * texels - 0.5
             M = cv2.getAffineTransform(ends.astype(np.float32), places.astype(np.float32))
@@ -181,10 +175,14 @@ def _placed_tags(pattern: PatternConfiguration, _: bool) -> _Sketch:
 
 def tag_modules(pattern: PatternConfiguration) -> list[Array]:
     """Return the modules of a list of tags, upright, with their black border: 1 for white."""
-    dictionary = printed_dictionary(pattern)
-    modules = dictionary.markerSize + 2
-    drawn = [np.array(cv2.aruco.generateImageMarker(dictionary, t.id, modules), float) / 255 for t in pattern.tags]
+    drawn = _modules_of(printed_dictionary(pattern), [tag.id for tag in pattern.tags])
     return [np.rot90(each, turns_of(pattern)) for each in drawn]
+
+
+def _modules_of(dictionary: "cv2.aruco.Dictionary", ids: Iterable[int]) -> list[Array]:
+    """Return the modules of markers as OpenCV draws them, with their black border: 1 for white."""
+    side = dictionary.markerSize + 2
+    return [np.array(cv2.aruco.generateImageMarker(dictionary, i, side), float) / 255 for i in ids]
 
 
 def circle_diameter(pattern: PatternConfiguration) -> float:
@@ -245,8 +243,4 @@ def marker_modules(pattern: PatternConfiguration, count: int) -> list[Array]:
             f"{pattern.dimension[1] + 1} squares, but {pattern.dictionary} has {len(dictionary.bytesList)}; "
             "take a larger dictionary or fewer squares"
         )
-    modules = dictionary.markerSize + 2
-    return [
-        np.array(cv2.aruco.generateImageMarker(dictionary, i, modules), float) / 255
-        for i in range(first, first + count)
-    ]
+    return _modules_of(dictionary, range(first, first + count))

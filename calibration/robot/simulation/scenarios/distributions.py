@@ -15,7 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Annotated, Protocol
+from typing import Annotated
 
 from calibration.base.records import Converted, Misfit, Place, above, exactly_one, field, length, needs, record
 
@@ -24,19 +24,6 @@ LEAST_KEPT = 1e-3
 """Limit of the probability between a normal distribution's limits; less is a mistake."""
 MAX_CHOICES = 1000
 _HALF_STEP = 2.0**-54  # half the resolution of the generator: its smallest number above 0
-
-
-class Distribution(Protocol):
-    """Distribution of a parameter."""
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Smallest and largest possible value."""
-        ...
-
-    def value(self, u: float) -> float:
-        """Quantile at u, 0 <= u < 1, not decreasing."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -52,25 +39,8 @@ class Choice:
         return self.values[0], self.values[-1]
 
     def value(self, u: float) -> float:
-        """See `Distribution`."""
+        """Quantile at u, 0 <= u < 1, not decreasing; so are those of the others."""
         return self.values[int(u * len(self.values))] + 0.0  # no negative zero
-
-
-@dataclass(frozen=True)
-class Integers:
-    """Uniform distribution of integers, both ends included."""
-
-    low: int
-    high: int
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Lower and upper end."""
-        return float(self.low), float(self.high)
-
-    def value(self, u: float) -> float:
-        """See `Distribution`."""
-        return float(self.low + int(u * (self.high - self.low + 1)))
 
 
 @dataclass(frozen=True)
@@ -87,11 +57,20 @@ class _Interval:
 
 
 @dataclass(frozen=True)
+class Integers(_Interval):
+    """Uniform distribution of integers, both ends included."""
+
+    def value(self, u: float) -> float:
+        """See `Choice`."""
+        return float(self.low + int(u * (self.high - self.low + 1)))
+
+
+@dataclass(frozen=True)
 class Uniform(_Interval):
     """Uniform distribution."""
 
     def value(self, u: float) -> float:
-        """See `Distribution`."""
+        """See `Choice`."""
         return _round_within(self.low + u * (self.high - self.low), self.low, self.high)
 
 
@@ -100,7 +79,7 @@ class LogUniform(_Interval):
     """Log-uniform distribution; both ends are above 0."""
 
     def value(self, u: float) -> float:
-        """See `Distribution`."""
+        """See `Choice`."""
         return _round_within(self.low * math.exp(u * math.log(self.high / self.low)), self.low, self.high)
 
 
@@ -119,30 +98,21 @@ class Normal:
         return self.low, self.high
 
     @property
-    def _kept_probabilities(self) -> tuple[float, float]:
-        """Cumulative probabilities of the normal distribution at the two limits."""
-        whole = NormalDist(self.mean, self.sigma)
-        return whole.cdf(self.low), whole.cdf(self.high)
-
-    @property
     def kept(self) -> float:
         """Probability of the normal distribution between the limits."""
-        below_low, below_high = self._kept_probabilities
-        return below_high - below_low
+        whole = NormalDist(self.mean, self.sigma)
+        return whole.cdf(self.high) - whole.cdf(self.low)
 
     def value(self, u: float) -> float:
-        """See `Distribution`."""
-        below_low, below_high = self._kept_probabilities
-        share = below_low + u * (below_high - below_low)
+        """See `Choice`."""
+        whole = NormalDist(self.mean, self.sigma)
+        share = whole.cdf(self.low) + u * self.kept
         share = min(max(share, _HALF_STEP), 1 - 2 * _HALF_STEP)  # the quantiles of 0 and 1 are infinite
-        return _round_within(NormalDist(self.mean, self.sigma).inv_cdf(share), self.low, self.high)
+        return _round_within(whole.inv_cdf(share), self.low, self.high)
 
 
-def constant(value: float) -> Choice:
-    """Return the distribution of a constant."""
-    return Choice((value,))
-
-
+Distribution = Choice | Integers | Uniform | LogUniform | Normal
+"""Distribution of a parameter, with its smallest and largest possible value (`bounds`) and its quantiles (`value`)."""
 Pair = Annotated[tuple[float, ...], length(2, 2)]
 WholePair = Annotated[tuple[int, ...], length(2, 2)]
 
@@ -156,13 +126,13 @@ class WholeEntry:
     )
     integer: WholePair | None = field("Whole numbers, both ends included.", default=None)
 
-    def distribution(self, low: float, high: float) -> "Distribution":
+    def distribution(self, low: float, high: float) -> Distribution:
         """Create the distribution; ``low`` and ``high`` are the parameter's own limits."""
         del low, high
         if self.choice is not None:
             return Choice(tuple(sorted(map(float, self.choice))))
         first, last = _checked_rising(self.integer or (), "integer")
-        return Integers(int(first), int(last))
+        return Integers(first, last)
 
 
 @record(
@@ -183,7 +153,7 @@ class NumberEntry:
     )
     integer: WholePair | None = field("Whole numbers, both ends included.", default=None)
 
-    def distribution(self, low: float, high: float) -> "Distribution":
+    def distribution(self, low: float, high: float) -> Distribution:
         """Create the distribution; ``low`` and ``high`` are the parameter's own limits."""
         if self.uniform is not None:
             return Uniform(*_checked_rising(self.uniform, "uniform"))
@@ -220,7 +190,7 @@ def drawn(low: float, high: float, *, axes: str = "", whole: bool = False) -> Dr
 
     def make(entry: float | WholeEntry | NumberEntry, place: Place) -> Distribution:
         try:
-            distribution = constant(float(entry)) if isinstance(entry, int | float) else entry.distribution(low, high)
+            distribution = Choice((float(entry),)) if isinstance(entry, int | float) else entry.distribution(low, high)
         except Misfit as misfit:
             raise place.misfit(misfit) from None
         least, most = distribution.bounds

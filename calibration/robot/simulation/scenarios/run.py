@@ -2,20 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from calibration.base.errors import InputError
 from calibration.base.files import temporary_folder
-from calibration.ci.execution.tasks import Task
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.dataset.writing import write_document
 from calibration.robot.simulation.collection.capture import Requirements
-from calibration.robot.simulation.collection.document import dataset_document, truth_document
-from calibration.robot.simulation.collection.poses import collect_pose, kept
+from calibration.robot.simulation.collection.dataset_folder import dataset_document, truth_document
 from calibration.robot.simulation.collection.proof import Proof, prove
-from calibration.robot.simulation.collection.record import Record
+from calibration.robot.simulation.collection.record import Record, collect_pose, corner_rms, kept
 from calibration.robot.simulation.motion.sequence import Motion
 from calibration.robot.simulation.placement import Play, play
 from calibration.robot.simulation.scenarios.scenario import Scenario, ScenarioResult, content_hash
@@ -84,17 +81,6 @@ def finished_result(result: ScenarioResult, records: Sequence[Record], proof: Pr
     return calibrated_result(result, proof) if proof else replace(result, reasons=("no pose gave a collection",))
 
 
-def scenario_task(
-    scenarios: ScenarioSet,
-    scenario: Scenario,
-    motion: Motion | None = None,
-    requirements: Requirements | None = None,
-    scratch: Path | None = None,
-) -> Task[ScenarioResult]:
-    """Return the task of `run_scenario`, named by the scenario's id; its result does not depend on the others."""
-    return Task.call(scenario.id, partial(run_scenario, scenarios, scenario, motion, requirements, scratch))
-
-
 def _collect_every_pose(played: Play, requirements: Requirements, folder: Path) -> list[Record]:
     """Collect every pose into a folder, without images: only the files that a calibration needs."""
     records = []
@@ -111,18 +97,15 @@ def _collect_every_pose(played: Play, requirements: Requirements, folder: Path) 
 
 def _with_collections(result: ScenarioResult, records: Sequence[Record]) -> ScenarioResult:
     """Return the result with the collections' numbers."""
-    errors = [error for record in records for error in record.errors.values()]
-    corners = sum(error.count for error in errors)
-    squares = sum(error.count * error.rms**2 for error in errors)
-    sensors = records[0].labels
     return replace(
         result,
         poses=len(records),
         lost={record.key: tuple(record.lost) for record in records if not record.kept},
         detection={
-            name: round(sum(record.labels[name] > 0 for record in records) / len(records), 4) for name in sensors
+            name: round(sum(record.labels[name] > 0 for record in records) / len(records), 4)
+            for name in records[0].labels
         },
-        corner_rms_px=round((squares / corners) ** 0.5, 4) if corners else None,
+        corner_rms_px=corner_rms(records),
     )
 
 

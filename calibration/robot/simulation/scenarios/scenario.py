@@ -32,7 +32,7 @@ class Scenario:
     index: int
     """Index, from 0."""
     values: Mapping[str, float]
-    """Values by the parameter's name (`calibration.robot.simulation.scenarios.parameters`)."""
+    """Values by the parameter's name (`calibration.robot.simulation.scenarios.scenario_set`)."""
     attempt: int = 0
     """Number of previous draws that broke a constraint."""
 

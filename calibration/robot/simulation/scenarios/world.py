@@ -11,14 +11,12 @@ from calibration.base.errors import InputError
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, transform
-from calibration.robot.simulation.joints import with_errors
-from calibration.robot.simulation.motion.drawing import filling_distances
-from calibration.robot.simulation.motion.generation import generate_motion
+from calibration.robot.simulation.motion.generation import filling_distances, generate_motion
 from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.robot import Joint, Robot, compose
 from calibration.robot.simulation.scenarios.scenario import Scenario
 from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.system import MotionRanges, System
+from calibration.robot.urdf import Joint, Robot, compose, with_errors
 
 DEFAULT_POSES = 12
 """Default number of poses of a generated motion, without ``motion/poses`` in the scenario set."""
@@ -133,12 +131,10 @@ def _motion_ranges(ranges: MotionRanges, values: Values) -> MotionRanges:
 
 def _pattern_bows(system: System, values: Values) -> dict[str, tuple[float, float]]:
     """Return the bows of the patterns in the values, m."""
-    bows = {}
-    for name in system.patterns:
-        own = _values_of(values, name)
-        if "bow_x_mm" in own:
-            bows[name] = (own["bow_x_mm"] / 1000, own["bow_y_mm"] / 1000)
-    return bows
+    own = {name: _values_of(values, name) for name in system.patterns}
+    return {
+        name: (each["bow_x_mm"] / 1000, each["bow_y_mm"] / 1000) for name, each in own.items() if "bow_x_mm" in each
+    }
 
 
 def _scenario_scene(system: System, motion: MotionRanges, scenario: Scenario) -> Scene:

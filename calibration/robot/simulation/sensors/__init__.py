@@ -2,8 +2,7 @@
 
 from calibration.robot.simulation.sensors.camera import SimulatedCamera
 from calibration.robot.simulation.sensors.depth_camera import SimulatedDepthCamera
-from calibration.robot.simulation.sensors.lidar2d import SimulatedLidar2d
-from calibration.robot.simulation.sensors.lidar3d import SimulatedLidar
+from calibration.robot.simulation.sensors.lidars import SimulatedLidar, SimulatedLidar2d
 from calibration.robot.simulation.sensors.sensor import SimulatedSensor
 
 __all__ = [

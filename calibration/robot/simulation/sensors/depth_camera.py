@@ -17,22 +17,24 @@ from calibration.engine.dataset.model import PointLabels
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, inverse
-from calibration.robot.labelling.depth import EDGE_SHARE, label_depth
+from calibration.robot.labelling.depth import away_from_edge, label_depth
 from calibration.robot.labelling.detection import DepthImage, Image
-from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.description import rising
 from calibration.robot.simulation.rendering.background import background
 from calibration.robot.simulation.rendering.rays import rays, rounded
-from calibration.robot.simulation.scene import Scene
-from calibration.robot.simulation.sensors.camera import encode_image, image_message
-from calibration.robot.simulation.sensors.drawing import NO_DATA_COLOUR, ON_BORDER, ON_PATTERN, PICTURE_HEIGHT_PX, blank
-from calibration.robot.simulation.sensors.lens import CAMERA_OF_LENS
+from calibration.robot.simulation.scene import Board, Scene
+from calibration.robot.simulation.sensors.camera import CAMERA_OF_LENS, encode_image, image_message
 from calibration.robot.simulation.sensors.sensor import (
     LEAST_SHARE,
+    NO_DATA_COLOUR,
+    ON_BORDER,
+    ON_PATTERN,
+    PICTURE_HEIGHT_PX,
     Data,
     Found,
     RangeSensor,
     Views,
+    blank,
     corners_in_image,
     facing,
     meets,
@@ -128,10 +130,7 @@ class SimulatedDepthCamera(RangeSensor):
         hits &= directions[..., 2] == 1  # to the front
         inner = hits[:-2, 1:-1] & hits[2:, 1:-1] & hits[1:-1, :-2] & hits[1:-1, 2:]
         v, u = np.nonzero(hits[1:-1, 1:-1])
-        away = (np.minimum(v, camera.height - 1 - v) >= EDGE_SHARE * camera.height) & (
-            np.minimum(u, camera.width - 1 - u) >= EDGE_SHARE * camera.width
-        )
-        border = ~inner[v, u] & away
+        border = ~inner[v, u] & away_from_edge((camera.height, camera.width), v, u)
         labelled = border.copy()
         labelled[:: max(1, -(-len(v) // MAX_EXPECTED_LABELS))] = True
         v, u, border = v[labelled], u[labelled], border[labelled]

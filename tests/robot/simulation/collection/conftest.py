@@ -5,8 +5,7 @@ import pytest
 
 from calibration.ci.execution.workspace import Workspace
 from calibration.robot.simulation.collection.capture import Requirements
-from calibration.robot.simulation.collection.poses import collect
-from calibration.robot.simulation.collection.record import Record
+from calibration.robot.simulation.collection.record import Record, collect
 from calibration.robot.simulation.motion.sequence import Motion, moving_model, read_motion
 from calibration.robot.simulation.placement import Play, play
 from calibration.robot.simulation.system import System

@@ -15,7 +15,7 @@ from calibration.robot.simulation.collection.capture import Capture, capture
 from calibration.robot.simulation.motion.sequence import Motion, moving_joints, moving_model
 from calibration.robot.simulation.placement import Play, place, play
 from calibration.robot.simulation.scene import Box, Scene
-from calibration.robot.simulation.sensors import SimulatedDepthCamera, lidar3d
+from calibration.robot.simulation.sensors import SimulatedDepthCamera, lidars
 from calibration.robot.simulation.system import System
 from tests.robot.simulation.collection.conftest import own_motion
 from tests.robot.simulation.conftest import SYSTEMS
@@ -188,7 +188,7 @@ def test_the_expected_pose_of_the_pattern_is_from_the_camera_and_the_nominal_rob
         asked.append(T_sensor_pattern)
         return NotDetected("watched")
 
-    monkeypatch.setattr(lidar3d, "label_points", watched)
+    monkeypatch.setattr(lidars, "label_points", watched)
     it = played(bent(systems["rlbot"]))
     found = capture(it, 0)
     T_camera_pattern = found.estimates["pattern_1", "rgb_left"]

@@ -1,20 +1,24 @@
-"""Records: what a pose leaves, as JSON and back."""
+"""Records: what a pose leaves, as JSON and back; and the collection of all poses."""
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.transforms import apply
-from calibration.robot.simulation.collection.capture import capture
-from calibration.robot.simulation.collection.document import truth_document
-from calibration.robot.simulation.collection.record import Record, record
+from calibration.robot.simulation.collection import record as poses
+from calibration.robot.simulation.collection.capture import Requirements, capture
+from calibration.robot.simulation.collection.dataset_folder import truth_document
+from calibration.robot.simulation.collection.record import Record, collect, kept, record
 from calibration.robot.simulation.placement import Play, play
 from calibration.robot.simulation.system import System
 from tests.robot.simulation.collection.conftest import own_motion
 from tests.robot.simulation.collection.test_capture import bent
+
+from .conftest import record_workspace
 
 
 def test_a_record_survives_json(rlbot_records: list[Record]) -> None:
@@ -61,7 +65,7 @@ def test_cells_are_those_with_a_corner(rlbot_records: list[Record]) -> None:
     record = rlbot_records[0]
     labels = record.collection["labels"]["pattern_1"]["rgb_left"]["idxs"]
     expected = {4 * min(int((p["y"] + 0.5) / (800 / 3)), 2) + min(int((p["x"] + 0.5) / 300), 3) for p in labels}
-    assert record.cells == {"rgb_left": tuple(sorted(expected))}
+    assert record.cells == {"rgb_left": sorted(expected)}
 
 
 def test_the_corner_of_a_pixel_is_where_a_cell_begins(systems: dict[str, System]) -> None:
@@ -69,7 +73,7 @@ def test_the_corner_of_a_pixel_is_where_a_cell_begins(systems: dict[str, System]
     system = systems["t2rgb"]
     it = play(system, own_motion(system).take([0]), 1)
     seen = capture(it, 0)
-    for x, cells in ((159.4, (0,)), (159.6, (1,))):
+    for x, cells in ((159.4, [0]), (159.6, [1])):
         label = CornerLabels(np.array([0]), np.array([[x, 10.0]]))
         alone = replace(seen, labels={**seen.labels, ("pattern_1", "left_camera"): label})
         assert record(it, alone, ()).cells["left_camera"] == cells
@@ -147,3 +151,62 @@ def test_the_pose_of_a_base_is_true_of_one_collection(systems: dict[str, System]
     document = truth_document(played, [one])
     assert document["patterns"]["000"] == list(one.truth)
     assert [(pose["parent"], pose["child"]) for pose in document["transforms"]] == [("world", "pattern_link")]
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_the_same_bytes_with_several_processes(
+    rlbot_play: Play, rlbot_records: list[Record], rlbot_files: Path, tmp_path: Path
+) -> None:
+    seen = []
+    records = collect(rlbot_play, Requirements(), record_workspace(tmp_path), 3, lambda *step: seen.append(step[:2]))
+    assert records == rlbot_records
+    assert snapshot(tmp_path) == snapshot(rlbot_files)
+    assert sorted(seen) == [(1, 3), (2, 3), (3, 3)]
+    assert [record.number for record in kept(records)] == [0, 2]
+
+
+def test_an_interrupted_one_goes_on(
+    rlbot_play: Play, rlbot_records: list[Record], rlbot_files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pose = poses.collect_pose
+
+    def interrupted(play: Play, number: int, requirements: Requirements) -> tuple[Record, dict[str, bytes]]:
+        if number == 1:
+            raise KeyboardInterrupt
+        return pose(play, number, requirements)
+
+    monkeypatch.setattr(poses, "collect_pose", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        collect(rlbot_play, Requirements(), record_workspace(tmp_path), 1)
+    assert [record_workspace(tmp_path).find(name) is None for name in "012"] == [False, True, True]
+
+    made: list[int] = []
+
+    def watched(play: Play, number: int, requirements: Requirements) -> tuple[Record, dict[str, bytes]]:
+        made.append(number)
+        return pose(play, number, requirements)
+
+    monkeypatch.setattr(poses, "collect_pose", watched)
+    seen: list[int] = []
+    records = collect(
+        rlbot_play, Requirements(), record_workspace(tmp_path), 1, lambda done, _, record: seen.append(done)
+    )
+    assert made == [1, 2]
+    assert seen == [1, 2, 3]
+    assert records == rlbot_records
+    assert snapshot(tmp_path) == snapshot(rlbot_files)
+
+
+def test_files_of_rejected_poses_are_kept(rlbot_records: list[Record], rlbot_files: Path) -> None:
+    names = {message["data_file"] for record in rlbot_records for message in record.collection["data"].values()}
+    assert names == {f"{s}_00{i}.{e}" for s, e in (("rgb_left", "jpg"), ("lidar_right", "pcd")) for i in range(3)}
+    assert names <= set(snapshot(rlbot_files))
+
+
+def test_without_images(rlbot_play: Play, rlbot_records: list[Record]) -> None:
+    record, files = poses.collect_pose(rlbot_play, 0, Requirements(), images=False)
+    assert record == rlbot_records[0]
+    assert list(files) == ["lidar_right_000.pcd"]

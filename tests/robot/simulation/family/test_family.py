@@ -15,8 +15,8 @@ from calibration.engine.evaluation.truth import truth_error
 from calibration.engine.geometry.transforms import distance
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
-from calibration.robot.simulation.motion.expected import expected_dataset
 from calibration.robot.simulation.motion.generation import generate_motion
+from calibration.robot.simulation.motion.information import expected_dataset
 from calibration.robot.simulation.placement import place
 from tests.robot.simulation.exact_labels import as_designed, exact_labels, noisy
 from tests.robot.simulation.family.describing import Robot

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.robot.simulation.motion.candidates import Candidates
+from calibration.robot.simulation.motion.generation import Candidates
 from calibration.robot.simulation.placement import place
 from calibration.robot.simulation.system import System
 

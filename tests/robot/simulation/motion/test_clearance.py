@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from calibration.base.arrays import Array
-from calibration.robot.simulation.motion.candidates import is_clear
+from calibration.robot.simulation.motion.generation import is_clear
 from calibration.robot.simulation.motion.sequence import Motion
 from calibration.robot.simulation.placement import place
-from calibration.robot.simulation.robot import compose
 from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.system import System
+from calibration.robot.urdf import compose
 from tests.robot.simulation.conftest import SYSTEMS
 
 PATTERN = "pattern_1"

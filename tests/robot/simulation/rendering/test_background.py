@@ -6,8 +6,7 @@ from calibration.base.arrays import Array
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob
 from calibration.engine.geometry.transforms import from_xyz_rpy
-from calibration.robot.simulation.rendering.background import STEPS_PER_GREY_LEVEL, background
-from calibration.robot.simulation.rendering.colours import colours
+from calibration.robot.simulation.rendering.background import STEPS_PER_GREY_LEVEL, background, colours
 from calibration.robot.simulation.rendering.rays import SAMPLES_PER_PIXEL, rays, sample_rays
 from calibration.robot.simulation.scene import Box, Light, Scene, turned
 from tests.robot.simulation.rendering.views import DISTORTION, EVEN, T_WORLD_CAMERA, camera

@@ -9,11 +9,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy
-from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.random_streams import stream
-from calibration.robot.simulation.rendering.pattern_view import BACK_REFLECTANCE
+from calibration.robot.simulation.rendering.image import BACK_REFLECTANCE
 from calibration.robot.simulation.rendering.texture import INK_REFLECTANCE, PAPER_REFLECTANCE
-from calibration.robot.simulation.scene import Box, Light, Scene
+from calibration.robot.simulation.scene import Board, Box, Light, Scene
 from tests.properties import at_most
 from tests.robot.simulation.rendering.views import (
     CHARUCO,

@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse
-from calibration.robot.simulation.board import Board
 from calibration.robot.simulation.random_streams import stream
-from calibration.robot.simulation.scene import Box, Scene
+from calibration.robot.simulation.scene import Board, Box, Scene
 from calibration.robot.simulation.sensors import SimulatedLidar
-from calibration.robot.simulation.sensors.lidar import Scan
+from calibration.robot.simulation.sensors.lidars import Scan
 from tests.robot.simulation.rendering.views import CHARUCO
 
 LIDAR = SimulatedLidar(tuple(np.radians(np.linspace(-15, 15, 16))), 1875)

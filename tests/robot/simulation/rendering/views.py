@@ -8,8 +8,7 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Distortion, PlumbBob
 from calibration.engine.geometry.transforms import from_xyz_rpy, transform
-from calibration.robot.simulation.board import Board
-from calibration.robot.simulation.scene import Light, Scene
+from calibration.robot.simulation.scene import Board, Light, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera
 
 CHARUCO = PatternConfiguration(

@@ -2,16 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.ci.execution.tasks import run_tasks
+from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.robot.simulation.collection.capture import Requirements
-from calibration.robot.simulation.collection.poses import single_threaded_opencv
+from calibration.robot.simulation.collection.record import single_threaded_opencv
 from calibration.robot.simulation.motion.sequence import Motion, read_motion
-from calibration.robot.simulation.scenarios.run import run_scenario, scenario_task
+from calibration.robot.simulation.scenarios.run import run_scenario
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult, content_hash, parse_id
 from calibration.robot.simulation.scenarios.scenario_set import ScenarioSet, read_scenario_set
 from calibration.robot.simulation.scenarios.statistics import Statistics
@@ -35,7 +36,8 @@ def run_scenarios(
     requirements: Requirements | None = None,
 ) -> list[ScenarioResult]:
     """The scenarios of seed 1 with these numbers."""
-    tasks = [scenario_task(scenarios, scenarios.scenario(1, index), motion, requirements) for index in indices]
+    drawn = [scenarios.scenario(1, index) for index in indices]
+    tasks = [Task.call(each.id, partial(run_scenario, scenarios, each, motion, requirements)) for each in drawn]
     with single_threaded_opencv():
         return list(run_tasks(tasks, workers=jobs).values())
 

@@ -3,8 +3,7 @@ import random
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.robot.simulation.scenarios.constraints import CLEARANCE_KEY
-from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
+from calibration.robot.simulation.scenarios.scenario_set import CLEARANCE_KEY, read_scenario_set
 from calibration.robot.simulation.scenarios.world import build_world, clearance
 from calibration.robot.simulation.system import System
 from tests.robot.simulation.conftest import DATASETS

@@ -1,4 +1,4 @@
-"""Robots from URDF descriptions, with forward kinematics.
+"""Robots from URDF descriptions: joints and links, forward kinematics, and joints in ATOM's parameters.
 
 URDF: a tree of links, each connected to its parent by a joint. Floating and planar joints have no position here, and
 stay at their origin. A description is untrusted input: entities are refused, the size is bounded.
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
@@ -18,9 +18,11 @@ from defusedxml.common import DefusedXmlException
 
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
+from calibration.base.records import between
 from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.frames import FrameTree
+from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
 from calibration.engine.geometry.transforms import from_xyz_rpy, inverse, transform, translation
 from calibration.robot.robot_description import NO_INPUTS, XacroInputs, read_robot_description
 
@@ -93,6 +95,20 @@ class Joint:
         """Default position: 0, or the limit closest to it."""
         return min(max(0.0, self.lower), self.upper)
 
+    @property
+    def model(self) -> JointModel:
+        """Kinematic model."""
+        x, y, z = self.axis.tolist()
+        return JointModel(self.kind == "prismatic", (x, y, z))
+
+    def values(self, errors: Mapping[JointParameter, float] | None = None) -> Array:
+        """Return all parameters (7,) in the order of `JOINT_PARAMETERS`: the description's plus the errors."""
+        T = self.T_parent_joint
+        values = np.concatenate([T[:3, 3], rotations.to_rpy(T[:3, :3]), [0.0]])
+        for parameter, error in (errors or {}).items():
+            values[JOINT_PARAMETERS.index(parameter)] += error
+        return values
+
     def transform(self, positions: Array) -> Array:
         """Return ``T_parent_child`` (N, 4, 4) at each of the positions (N,)."""
         steps = np.asarray(positions, float)[..., None] * self.axis
@@ -116,7 +132,12 @@ class Robot:
     @cached_property
     def tree(self) -> FrameTree:
         """Tree of the links' frames."""
-        return FrameTree(joint.edge for joint in self.joints)
+        return FrameTree(self.by_edge)
+
+    @cached_property
+    def by_edge(self) -> Mapping[Edge, Joint]:
+        """The joints, by (parent link, child link)."""
+        return {joint.edge: joint for joint in self.joints}
 
     @cached_property
     def movable(self) -> Mapping[str, Joint]:
@@ -149,16 +170,15 @@ class Robot:
     def _check_position(self, name: str, positions: Array) -> None:
         joint = self.movable.get(name)
         if joint is None:
-            follows = any(joint.name == name and joint.mimic is not None for joint in self.joints)
-            known_one = any(joint.name == name for joint in self.joints)
-            problem = "is fixed and has no position" if known_one else "is not in the robot"
-            problem = "follows another joint and has no position of its own" if follows else problem
+            named = next((each for each in self.joints if each.name == name), None)
+            problem = "is not in the robot" if named is None else "is fixed and has no position"
+            problem = "follows another joint and has no position of its own" if named and named.mimic else problem
             known = ", ".join(self.movable) or "none"
-            raise _one_line_error(f"{self.path}: joint '{name}' {problem} (joints that move: {known})")
+            raise InputError(f"{self.path}: joint '{name}' {problem} (joints that move: {known})")
         outside = ~((positions >= joint.lower) & (positions <= joint.upper))  # also true for NaN
         if outside.any():
             pose = int(outside.argmax())
-            raise _one_line_error(
+            raise InputError(
                 f"{self.path}: joint '{name}' at {positions.flat[pose]:g} in pose {pose + 1} "
                 f"is outside its limits {joint.lower:g} to {joint.upper:g}"
             )
@@ -195,21 +215,16 @@ def parse_robot(urdf: bytes, path: Path) -> Robot:
     try:
         root: Element = defusedxml.ElementTree.fromstring(urdf, forbid_dtd=True)
     except ParseError as error:
-        raise _one_line_error(f"{path}: is not XML: {error}") from None
+        raise InputError(f"{path}: is not XML: {error}") from None
     except DefusedXmlException:
-        raise _one_line_error(f"{path}: has a DTD or entities; a robot description needs none") from None
+        raise InputError(f"{path}: has a DTD or entities; a robot description needs none") from None
     except (ValueError, LookupError) as error:  # an encoding that does not exist or does not match
-        raise _one_line_error(f"{path}: is not XML: {error}") from None
+        raise InputError(f"{path}: is not XML: {error}") from None
     if root.tag != "robot":
-        raise _one_line_error(f"{path}: the root element is <{root.tag}>, not <robot>")
+        raise InputError(f"{path}: the root element is <{root.tag}>, not <robot>")
     if any("xacro" in str(element.tag) for element in root.iter()):
-        raise _one_line_error(f"{path}: is a xacro; name it robot.urdf.xacro and it is expanded")
+        raise InputError(f"{path}: is a xacro; name it robot.urdf.xacro and it is expanded")
     return Robot(path, root.get("name", ""), _read_joints(root, path))
-
-
-def _one_line_error(message: str) -> InputError:
-    """Return an error with its message on one line, also with unusual names."""
-    return InputError(message)
 
 
 def _read_joints(root: Element, path: Path) -> tuple[Joint, ...]:
@@ -219,30 +234,30 @@ def _read_joints(root: Element, path: Path) -> tuple[Joint, ...]:
     for element in root.findall("joint"):
         name = element.get("name")
         if not name:
-            raise _one_line_error(f"{path}: a joint has no name")
+            raise InputError(f"{path}: a joint has no name")
         where = f"{path}: joint '{name}'"
         joint = _read_joint(element, name, where)
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
-                raise _one_line_error(f"{where}: the {role} link '{link}' is not in the robot")
+                raise InputError(f"{where}: the {role} link '{link}' is not in the robot")
         if name in joints:
-            raise _one_line_error(f"{where}: two joints have this name")
+            raise InputError(f"{where}: two joints have this name")
         other = parents.setdefault(joint.child, joint)
         if other is not joint:
-            raise _one_line_error(
+            raise InputError(
                 f"{where}: link '{joint.child}' has two parents, '{other.parent}' by joint '{other.name}' "
                 f"and '{joint.parent}'"
             )
         joints[name] = joint
     if not joints:
-        raise _one_line_error(f"{path}: there is no joint")
+        raise InputError(f"{path}: there is no joint")
     try:
         FrameTree(joint.edge for joint in joints.values())
     except InputError as error:
-        raise _one_line_error(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
     roots = sorted({joint.parent for joint in joints.values()} - parents.keys())
     if len(roots) > 1:
-        raise _one_line_error(f"{path}: the links are not one tree: {', '.join(map(repr, roots))} have no parent")
+        raise InputError(f"{path}: the links are not one tree: {', '.join(map(repr, roots))} have no parent")
     return tuple(_with_followed(joint, joints, path) for joint in joints.values())
 
 
@@ -252,19 +267,19 @@ def _with_followed(joint: Joint, joints: Mapping[str, Joint], path: Path) -> Joi
     while mimic is not None:
         followed = joints.get(mimic.joint)
         if followed is None or not followed.is_movable:
-            raise _one_line_error(
+            raise InputError(
                 f"{path}: joint '{passed[-1]}': follows '{mimic.joint}' by <mimic>, expected a joint that moves along "
                 "or about one axis"
             )
         if followed.name in passed:
-            raise _one_line_error(f"{path}: joint '{joint.name}': follows itself by <mimic>: {', '.join(passed)}")
+            raise InputError(f"{path}: joint '{joint.name}': follows itself by <mimic>: {', '.join(passed)}")
         if followed.mimic is None:
             break
         passed.append(followed.name)
         multiplier, offset = followed.mimic.multiplier, followed.mimic.offset
         mimic = Mimic(followed.mimic.joint, mimic.multiplier * multiplier, mimic.multiplier * offset + mimic.offset)
     if mimic is not None and not (math.isfinite(mimic.multiplier) and math.isfinite(mimic.offset)):
-        raise _one_line_error(
+        raise InputError(
             f"{path}: joint '{joint.name}': its multiplier or offset is infinite, along {', '.join(passed)}"
         )
     return replace(joint, mimic=mimic)
@@ -273,35 +288,24 @@ def _with_followed(joint: Joint, joints: Mapping[str, Joint], path: Path) -> Joi
 def _read_joint(element: Element, name: str, where: str) -> Joint:
     kind = element.get("type", "")
     if kind not in JOINT_KINDS:
-        raise _one_line_error(f"{where}: type '{kind}' is not supported (supported: {', '.join(JOINT_KINDS)})")
-    links: dict[str, str] = {}
-    for role in ("parent", "child"):
-        child = element.find(role)
-        link = "" if child is None else child.get("link", "")
-        if not link:
-            raise _one_line_error(f"{where}: has no {role} link")
-        links[role] = link
-    origin = element.find("origin")
-    T_parent_joint = from_xyz_rpy(
-        _finite_numbers(origin, "xyz", (0.0, 0.0, 0.0), f"{where}: origin"),
-        _finite_numbers(origin, "rpy", (0.0, 0.0, 0.0), f"{where}: origin"),
-    )
-    axis = np.array(_finite_numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"{where}: axis"))
-    length = float(np.linalg.norm(axis))
+        raise InputError(f"{where}: type '{kind}' is not supported (supported: {', '.join(JOINT_KINDS)})")
+    parent, child = (_read_link(element, role, where) for role in ("parent", "child"))
+    origin, axis = element.find("origin"), element.find("axis")
+    xyz, rpy = (_finite_numbers(origin, key, (0.0, 0.0, 0.0), f"{where}: origin") for key in ("xyz", "rpy"))
+    along = np.array(_finite_numbers(axis, "xyz", (1.0, 0.0, 0.0), f"{where}: axis"))
+    length = float(np.linalg.norm(along))
     if kind in AXIS_KINDS and length < 1e-9:
-        raise _one_line_error(f"{where}: axis xyz has length 0")
-    lower, upper = _joint_limits(element, kind, where)
-    return Joint(
-        name=name,
-        kind=kind,
-        parent=links["parent"],
-        child=links["child"],
-        T_parent_joint=T_parent_joint,
-        axis=axis / max(length, 1e-9),
-        lower=lower,
-        upper=upper,
-        mimic=_read_mimic(element, where) if kind in AXIS_KINDS else None,
-    )
+        raise InputError(f"{where}: axis xyz has length 0")
+    limits = _read_limits(element, kind, where)
+    mimic = _read_mimic(element, where) if kind in AXIS_KINDS else None
+    return Joint(name, kind, parent, child, from_xyz_rpy(xyz, rpy), along / max(length, 1e-9), *limits, mimic)
+
+
+def _read_link(element: Element, role: str, where: str) -> str:
+    found = element.find(role)
+    if found is None or not (link := found.get("link", "")):
+        raise InputError(f"{where}: has no {role} link")
+    return link
 
 
 def _read_mimic(element: Element, where: str) -> Mimic | None:
@@ -309,22 +313,19 @@ def _read_mimic(element: Element, where: str) -> Mimic | None:
     if mimic is None:
         return None
     if not (followed := mimic.get("joint", "")):
-        raise _one_line_error(f"{where}: mimic has no joint")
+        raise InputError(f"{where}: mimic has no joint")
     (multiplier,) = _finite_numbers(mimic, "multiplier", (1.0,), f"{where}: mimic")
     (offset,) = _finite_numbers(mimic, "offset", (0.0,), f"{where}: mimic")
     return Mimic(followed, multiplier, offset)
 
 
-def _joint_limits(element: Element, kind: str, where: str) -> tuple[float, float]:
-    if kind not in ("revolute", "prismatic"):
-        return -math.inf, math.inf
+def _read_limits(element: Element, kind: str, where: str) -> tuple[float, float]:
     limit = element.find("limit")
-    if limit is None:
+    if limit is None or kind not in ("revolute", "prismatic"):
         return -math.inf, math.inf
-    (lower,) = _finite_numbers(limit, "lower", (0.0,), f"{where}: limit")
-    (upper,) = _finite_numbers(limit, "upper", (0.0,), f"{where}: limit")
+    (lower,), (upper,) = (_finite_numbers(limit, key, (0.0,), f"{where}: limit") for key in ("lower", "upper"))
     if lower > upper:
-        raise _one_line_error(f"{where}: limit lower {lower:g} is above upper {upper:g}")
+        raise InputError(f"{where}: limit lower {lower:g} is above upper {upper:g}")
     return lower, upper
 
 
@@ -339,5 +340,42 @@ def _finite_numbers(element: Element | None, key: str, default: tuple[float, ...
         values = ()
     if len(values) != len(default) or not all(map(math.isfinite, values)):
         expected = "a finite number" if len(default) == 1 else f"{len(default)} finite numbers"
-        raise _one_line_error(f"{where}: {key} is '{text[:80]}', expected {expected}")
+        raise InputError(f"{where}: {key} is '{text[:80]}', expected {expected}")
     return values
+
+
+MAX_ERROR = 1.0
+"""m and rad: limit of a parameter's error."""
+JointErrors = Mapping[str, Mapping[JointParameter, Annotated[float, between(-MAX_ERROR, MAX_ERROR)]]]
+"""Errors of joint parameters by the joint's name, to be added to the description's values, m and rad."""
+
+
+def with_errors(robot: Robot, errors: JointErrors) -> Robot:
+    """Return the robot with erroneous joints; the same object if there are no errors.
+
+    The bias of a joint's position is added to its origin: both precede the motion by the position.
+    """
+
+    def moved(joint: Joint) -> Joint:
+        own = errors.get(joint.name)
+        return replace(joint, T_parent_joint=joint.model.pose(joint.values(own))) if own else joint
+
+    return replace(robot, joints=tuple(moved(joint) for joint in robot.joints)) if any(errors.values()) else robot
+
+
+def check_calibrated_joints(joints: Mapping[str, tuple[str, ...]], robot: Robot, where: str) -> None:
+    """Check that the calibrated joints and parameters of a configuration exist in the robot.
+
+    Raises:
+        InputError: begins with ``where``; a joint is not movable, or a parameter is unknown or missing.
+    """
+    for name, parameters in joints.items():
+        if name not in robot.movable:
+            known = ", ".join(robot.movable) or "none"
+            raise InputError(f"{where}/{name}: {robot.path} has no joint '{name}' that moves (there are: {known})")
+        unknown = [parameter for parameter in parameters if parameter not in JOINT_PARAMETERS]
+        if unknown or not parameters:
+            found = f"found '{unknown[0]}'" if unknown else "found no parameter"
+            raise InputError(
+                f"{where}/{name}/params_to_calibrate: {found}, expected one or more of {', '.join(JOINT_PARAMETERS)}"
+            )
