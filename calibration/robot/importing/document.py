@@ -21,8 +21,8 @@ from calibration.engine.geometry.frames import FrameTree
 from calibration.robot.importing.bags.range_views import RangeView
 from calibration.robot.importing.patterns.image_views import FoundCorners, LabelledMoment
 from calibration.robot.importing.patterns.range_data import LabelledRange
-from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints
+from calibration.robot.simulation.sensors.sensor import range_label_document
 
 ROUGH_KEY = "rough_transforms"
 """Key of ``_metadata``: whether the calibrated transforms in the dataset are only an initial guess."""
@@ -121,7 +121,7 @@ def dataset_document(imported: Imported) -> dict[str, Any]:
                 "labels": {
                     pattern: {
                         **{name: label_document(view.found[pattern]) for name, view in moment.views.items()},
-                        **{name: _range_label(each.found[pattern]) for name, each in ranges.items()},
+                        **{name: range_label_document(each.found[pattern]) for name, each in ranges.items()},
                         **{
                             name: {"detected": True, "idxs": [pose_document(T[number])]}
                             for (name, measured), T in imported.poses.items()
@@ -158,12 +158,6 @@ def _image_message(imported: Imported, sensor: str, file: str) -> dict[str, Any]
         "step": 3 * camera.width,
         "width": camera.width,
     }
-
-
-def _range_label(found: PatternPoints | NotDetected) -> dict[str, Any]:
-    if isinstance(found, NotDetected):
-        return {"detected": False, "idxs": [], "idxs_limit_points": []}
-    return {"detected": True, "idxs": found.on_pattern.tolist(), "idxs_limit_points": found.on_border.tolist()}
 
 
 def _range_message(imported: Imported, sensor: str, key: str, view: RangeView) -> dict[str, Any]:

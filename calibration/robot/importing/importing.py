@@ -55,7 +55,6 @@ from calibration.robot.importing.files.camera_files import KnownLens, known_mode
 from calibration.robot.importing.files.pictures import Moment, Pictures, find_pictures, moments_of
 from calibration.robot.importing.files.samples import Sample, read_samples, same_numbers
 from calibration.robot.importing.files.target_files import pattern_configuration
-from calibration.robot.importing.patterns.contact_sheet import CONTACT_SHEET_FILE as SHEET
 from calibration.robot.importing.patterns.contact_sheet import contact_sheet
 from calibration.robot.importing.patterns.image_views import LabelledMoment, check_copies, view_of_file
 from calibration.robot.importing.patterns.near_miss import check_told_apart
@@ -67,6 +66,7 @@ from calibration.robot.importing.videos import extracted_frames, frame_tasks, fr
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints
+from calibration.robot.simulation.collection.contact_sheet import CONTACT_SHEET_FILE as SHEET
 from calibration.robot.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
 from calibration.robot.simulation.collection.record import single_threaded_opencv
 

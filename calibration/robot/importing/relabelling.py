@@ -22,13 +22,13 @@ from calibration.engine.dataset.payload import locate
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.robot.importing.document import label_document
-from calibration.robot.importing.patterns.contact_sheet import CONTACT_SHEET_FILE as SHEET
 from calibration.robot.importing.patterns.contact_sheet import contact_sheet
 from calibration.robot.importing.patterns.image_views import LabelledMoment, read_image, view_of_file
 from calibration.robot.importing.patterns.near_miss import never_seen
 from calibration.robot.importing.results import LabelledSensor, LabelResults, RejectedView
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image
+from calibration.robot.simulation.collection.contact_sheet import CONTACT_SHEET_FILE as SHEET
 from calibration.robot.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
 from calibration.robot.simulation.collection.record import single_threaded_opencv
 

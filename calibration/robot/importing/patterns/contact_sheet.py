@@ -10,15 +10,18 @@ from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.robot.importing.patterns.image_views import View, read_image
 from calibration.robot.importing.patterns.png import encoded
 from calibration.robot.labelling.detection import Image
+from calibration.robot.simulation.collection.contact_sheet import (
+    GAP_PX,
+    INK_COLOUR,
+    PAPER_COLOUR,
+    REJECTED_COLOUR,
+    arrange_tiles,
+    draw_text_line,
+)
 from calibration.robot.simulation.sensors.sensor import PICTURE_HEIGHT_PX, draw_corner
 
-CONTACT_SHEET_FILE = "contact_sheet.png"
-SHEET_WIDTH_PX = 1600
-"""Approximate width of the sheet, px."""
 MAX_IMAGES_SHOWN = 240
 """Limit of the number of images shown."""
-_LINE_HEIGHT_PX, _GAP_PX = 16, 6
-_PAPER_COLOUR, _INK_COLOUR, _REJECTED_COLOUR = (250, 250, 250), (60, 60, 60), (40, 40, 200)
 
 
 def contact_sheet(views: Sequence[tuple[str, View]], patterns: Mapping[str, PatternConfiguration]) -> bytes:
@@ -30,10 +33,7 @@ def contact_sheet(views: Sequence[tuple[str, View]], patterns: Mapping[str, Patt
     tiles = [_draw_view(title, view, patterns) for title, view in views[:MAX_IMAGES_SHOWN]]
     width = max(tile.shape[1] for tile in tiles)
     tiles = [_pad_tile(tile, width) for tile in tiles]
-    columns = max(1, round(SHEET_WIDTH_PX / width))
-    tiles += [np.full_like(tiles[0], _PAPER_COLOUR)] * (-len(tiles) % columns)
-    rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
-    return encoded(np.asarray(np.vstack(rows), np.uint8))
+    return encoded(arrange_tiles(tiles))
 
 
 def thumbnail(image: Image) -> Image:
@@ -58,10 +58,8 @@ def _thumbnail_of(path: Path, width: int) -> Image:
 
 def _pad_tile(tile: Image, width: int) -> Image:
     """Pad a tile with white below it and to its right."""
-    right = width + _GAP_PX - tile.shape[1]
-    return np.asarray(
-        cv2.copyMakeBorder(tile, 0, _GAP_PX, 0, right, cv2.BORDER_CONSTANT, value=_PAPER_COLOUR), np.uint8
-    )
+    right = width + GAP_PX - tile.shape[1]
+    return np.asarray(cv2.copyMakeBorder(tile, 0, GAP_PX, 0, right, cv2.BORDER_CONSTANT, value=PAPER_COLOUR), np.uint8)
 
 
 def _draw_view(title: str, view: View, patterns: Mapping[str, PatternConfiguration]) -> Image:
@@ -75,8 +73,6 @@ def _draw_view(title: str, view: View, patterns: Mapping[str, PatternConfigurati
             count += len(labels.ids)
             for number, at in zip(labels.ids.tolist(), scale * (labels.pixels + 0.5) - 0.5, strict=True):
                 draw_corner(picture, at, number / corners)
-    colour = _INK_COLOUR if count else _REJECTED_COLOUR
-    line = np.full((_LINE_HEIGHT_PX, small.shape[1], 3), _PAPER_COLOUR, np.uint8)
+    colour = INK_COLOUR if count else REJECTED_COLOUR
     text = f"{title}: {f'{count} corners' if count else 'not detected'}".encode("ascii", "replace").decode()
-    cv2.putText(line, text, (2, _LINE_HEIGHT_PX - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.38, colour, 1, cv2.LINE_AA)
-    return np.asarray(np.vstack([line, picture]), np.uint8)
+    return np.vstack([draw_text_line(text, small.shape[1], colour), picture])

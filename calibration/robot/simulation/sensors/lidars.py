@@ -176,23 +176,13 @@ class SimulatedLidar2d(RaySensor):
     )
 
     @property
-    def angle_min(self) -> float:
-        """Angle of the first ray, rad."""
-        return self.angles[0]
-
-    @property
-    def angle_max(self) -> float:
-        """Angle of the last ray, rad."""
-        return self.angles[1]
-
-    @property
     def step(self) -> float:
         """Angle between two rays, rad."""
-        return (self.angle_max - self.angle_min) / (self.rays - 1)
+        return (self.angles[1] - self.angles[0]) / (self.rays - 1)
 
     def directions(self) -> Array:
         """Unit vectors (1, rays, 3) in the sensor's frame, a single ring."""
-        angle = self.angle_min + self.step * np.arange(self.rays)
+        angle = self.angles[0] + self.step * np.arange(self.rays)
         return np.stack([np.cos(angle), np.sin(angle), np.zeros(self.rays)], -1)[None]
 
     def render(
@@ -207,8 +197,8 @@ class SimulatedLidar2d(RaySensor):
     def message(self, data: Data) -> dict[str, Any]:
         """Return the complete LaserScan, except for its header."""
         return {
-            "angle_min": round(self.angle_min, _ANGLE_DECIMALS),
-            "angle_max": round(self.angle_max, _ANGLE_DECIMALS),
+            "angle_min": round(self.angles[0], _ANGLE_DECIMALS),
+            "angle_max": round(self.angles[1], _ANGLE_DECIMALS),
             "angle_increment": round(self.step, _ANGLE_DECIMALS),
             "time_increment": 0.0,
             "scan_time": 0.0,
@@ -233,8 +223,8 @@ class SimulatedLidar2d(RaySensor):
         ends = scan_line_ends(board, views.T_sensor_pattern)
         with np.errstate(invalid="ignore"):
             length, distance = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1), np.linalg.norm(ends, axis=-1)
-            after_first = np.mod(np.arctan2(ends[..., 1], ends[..., 0]) - self.angle_min, 2 * np.pi)
-            within = (after_first > self.step) & (after_first < self.angle_max - self.angle_min - self.step)
+            after_first = np.mod(np.arctan2(ends[..., 1], ends[..., 0]) - self.angles[0], 2 * np.pi)
+            within = (after_first > self.step) & (after_first < self.angles[1] - self.angles[0] - self.step)
             nearest = np.abs(ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]) / length  # of the line
             middle = np.linalg.norm(ends.mean(1), axis=-1)
             cut: BoolArray = (

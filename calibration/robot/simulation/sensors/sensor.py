@@ -236,13 +236,7 @@ class RangeSensor(SimulatedSensor):
 
     def label_document(self, found: Found) -> dict[str, Any]:
         """Return the indices of the points on the pattern, and of those on its border."""
-        if not isinstance(found, PatternPoints):
-            return {"detected": False, "idxs": [], "idxs_limit_points": []}
-        return {
-            "detected": True,
-            "idxs": found.on_pattern.tolist(),
-            "idxs_limit_points": found.on_border.tolist(),
-        }
+        return range_label_document(found)
 
     def expected_labels(self, views: Views) -> dict[int, Labels]:
         """Return the exact points on the pattern, and on its border."""
@@ -257,6 +251,13 @@ class RangeSensor(SimulatedSensor):
         T_world_sensor = views.T_world_sensor[number]
         visible: BoolArray = (ranges >= self.least_range) & (ranges <= self.most_range)
         return visible & ~views.scene.hides(T_world_sensor[:3, 3], apply(T_world_sensor, points))
+
+
+def range_label_document(found: Found) -> dict[str, Any]:
+    """Return the labels of points on a pattern in a dataset: their indices, and those of points on its border."""
+    if not isinstance(found, PatternPoints):
+        return {"detected": False, "idxs": [], "idxs_limit_points": []}
+    return {"detected": True, "idxs": found.on_pattern.tolist(), "idxs_limit_points": found.on_border.tolist()}
 
 
 def range_noise(sigma: float) -> float:
