@@ -13,7 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated
 
-from calibration.addons.analysis.results import CATEGORIES, SEVERITIES, CodeFinding
+from calibration.addons.analysis.results import CATEGORIES, SEVERITIES, CodeFinding, Suppressed
 from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.records import Converted, field, length, read, record
@@ -152,7 +152,7 @@ class Sifted:
     """Findings separated into accepted and others."""
 
     kept: tuple[CodeFinding, ...]
-    suppressed: tuple[tuple[CodeFinding, Suppression], ...]
+    suppressed: tuple[Suppressed, ...]
     remarks: tuple[str, ...]
     """Remarks on suppressions that have ended, or match nothing."""
 
@@ -182,7 +182,7 @@ def sift(findings: Sequence[CodeFinding], suppressions: Sequence[Suppression], t
             kept.append(finding)
             ended += covering
         else:
-            suppressed.append((finding, valid))
+            suppressed.append(Suppressed(finding, valid.reason))
     remarks = [f"the suppression of {each.rule} in {each.path} ended on {each.until}" for each in dict.fromkeys(ended)]
     remarks += [
         f"the suppression of {each.rule} in {each.path} covers nothing" for each in suppressions if each not in used

@@ -6,7 +6,7 @@ Also the stage analyse of a pipeline: the same on the repository around the conf
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,7 +21,7 @@ from calibration.addons.analysis.comparison import Compared, Located, compare, w
 from calibration.addons.analysis.copies import Copy, before, chosen_files, copied
 from calibration.addons.analysis.metrics import BADGE_FILE, CodeMetrics, measure
 from calibration.addons.analysis.report import TITLE, report
-from calibration.addons.analysis.results import Analysed, AnalysisResults, CodeFinding, Suppressed, Tool
+from calibration.addons.analysis.results import Analysed, AnalysisResults, CodeFinding, Tool
 from calibration.addons.analysis.sarif import SARIF_FILE, compare_with_earlier, read_earlier, sarif
 from calibration.addons.analysis.settings import (
     SUPPRESSIONS_FILE,
@@ -104,55 +104,37 @@ def analysed(
     base, no_base = _find_base(settings, repository)
     with temporary_folder(prefix="calibration-analysis-") as copies:
         state = _analyse_both_states(settings, repository, base, seconds, copies, runner)
-    sifted = sift(state.findings, accepted, datetime.now(UTC).date())
-    reasons = {finding: suppression.reason for finding, suppression in sifted.suppressed}
-    new = tuple(finding for finding in state.compared.new if finding not in reasons)
+    sifted = sift(state.results.findings, accepted, datetime.now(UTC).date())
+    reasons = {each.finding: each.reason for each in sifted.suppressed}
+    new = tuple(finding for finding in state.results.new if finding not in reasons)
     name = base if settings.base_sarif is None else str(settings.base_sarif)
     checks = [limit.check(new, "new") for limit in new_limits] if name is not None else []
     checks += [limit.check(sifted.kept, "all") for limit in total_limits]
     checks += [check for limit in file_limits for check in limit.check_files(sifted.kept)]
-    results = AnalysisResults(
-        tools=state.tools,
-        files=state.files,
-        code_lines=state.code_lines,
-        left_out=state.left_out,
+    results = replace(
+        state.results,
         base=name,
         new=new,
-        unchanged=tuple(finding for finding in state.compared.unchanged if finding not in reasons),
-        fixed=state.compared.fixed,
-        suppressed=tuple(Suppressed(finding, each.reason) for finding, each in sifted.suppressed),
+        unchanged=tuple(finding for finding in state.results.unchanged if finding not in reasons),
+        suppressed=sifted.suppressed,
         remarks=(*no_base, *sifted.remarks),
         checks=tuple(checks),
-        metrics=state.metrics.graded(sifted.kept, state.code_lines) if state.metrics else None,
-        graph=state.graph.since(state.earlier_graph) if state.graph else None,
+        metrics=state.metrics.graded(sifted.kept, state.results.code_lines) if state.metrics else None,
     )
-    text = state.sarif(reasons, compared=name is not None)
+    versions = {tool.name: tool.version for tool in results.tools}
+    known_new = frozenset(state.results.new) if name is not None else None
+    text = sarif(state.located, versions, known_new, reasons)
     return report(results, text, state.graph, repository.root, output), results
 
 
 @dataclass(frozen=True)
 class _State:
-    """Findings in the repository, compared with the base."""
+    """Findings in the repository, compared with the base, before any is accepted."""
 
-    tools: tuple[Tool, ...]
-    files: int
-    code_lines: int
-    left_out: Mapping[str, str]
-    compared: Compared
-    contents: Mapping[CodeFinding, str]
+    results: AnalysisResults
+    located: tuple[Located, ...]
     metrics: CodeMetrics | None
     graph: RosGraph | None
-    earlier_graph: RosGraph | None
-
-    @property
-    def findings(self) -> tuple[CodeFinding, ...]:
-        return self.compared.new + self.compared.unchanged
-
-    def sarif(self, suppressed: Mapping[CodeFinding, str], *, compared: bool) -> str:
-        ordered = sorted(self.findings, key=lambda each: (each.path, each.line, each.rule))
-        entries = [Located(each, self.contents[each]) for each in ordered]
-        new = frozenset(self.compared.new) if compared else None
-        return sarif(entries, {tool.name: tool.version for tool in self.tools}, new, suppressed)
 
 
 def _read_suppressions(settings: AnalysisSettings, repository: Repository) -> tuple[Suppression, ...]:
@@ -220,17 +202,22 @@ def _analyse_both_states(
         findings_then = _run_analysers(analysers, then, earlier, seconds)
         compared = compare(findings, now, findings_then, earlier, changed, whole)
         earlier_graph = read_graph(earlier, seconds) if graph and changed else graph
-    return _State(
+    results = AnalysisResults(
         tools=tuple(Tool(name, _version_of_analyser(name), len(files)) for name, files in wanted.items() if files),
         files=len(looked_at),
         code_lines=sum(1 for path in looked_at for line in now.lines(path) if line.strip()),
         left_out=now.left_out,
-        compared=compared,
-        contents={each.finding: each.content for each in with_content(findings, now)},
-        metrics=measure(now, looked_at, seconds) if settings.metrics else None,
-        graph=graph,
-        earlier_graph=earlier_graph,
+        base=base,
+        new=compared.new,
+        unchanged=compared.unchanged,
+        fixed=compared.fixed,
+        suppressed=(),
+        remarks=(),
+        checks=(),
+        graph=graph.since(earlier_graph) if graph else None,
     )
+    metrics = measure(now, looked_at, seconds) if settings.metrics else None
+    return _State(results, tuple(with_content(findings, now)), metrics, graph)
 
 
 def _choose_analysers(names: Sequence[str]) -> list[Analyser]:

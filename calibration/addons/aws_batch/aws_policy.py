@@ -58,66 +58,44 @@ def trust() -> dict[str, Any]:
 
 def _caller_statements(settings: BatchSettings) -> list[dict[str, Any]]:
     roles = [role for role in (settings.job_role, settings.execution_role) if role is not None]
-    definitions, jobs = _batch_arn(settings, _OUR_DEFINITIONS), _batch_arn(settings, "job/*")
+    definitions, jobs = _arn(settings, "batch", _OUR_DEFINITIONS), _arn(settings, "batch", "job/*")
+    is_arn = settings.queue.startswith("arn:")
+    queue = settings.queue if is_arn else _arn(settings, "batch", f"job-queue/{settings.queue}")
+    looks = ("JobQueues", "ComputeEnvironments", "JobDefinitions", "Jobs")
+    services = ["batch.amazonaws.com", "ecs-tasks.amazonaws.com"]
     return [
         # these actions have no resources in IAM
-        _allow_statement(
-            "Look",
-            "*",
-            "batch:DescribeJobQueues",
-            "batch:DescribeComputeEnvironments",
-            "batch:DescribeJobDefinitions",
-            "batch:DescribeJobs",
-            "batch:ListJobs",
-        ),
+        _allow_statement("Look", "*", *(f"batch:Describe{what}" for what in looks), "batch:ListJobs"),
         _allow_statement("Define", definitions, "batch:RegisterJobDefinition", "batch:DeregisterJobDefinition"),
-        _allow_statement("Submit", [definitions, _queue_arn(settings)], "batch:SubmitJob"),
+        _allow_statement("Submit", [definitions, queue], "batch:SubmitJob"),
         _allow_statement("Tag", [definitions, jobs], "batch:TagResource"),
         _allow_statement("Stop", jobs, "batch:TerminateJob") | {"Condition": {"Null": {_RUN_TAG: "false"}}},
         _allow_statement("GiveRoles", roles, "iam:PassRole")
-        | {"Condition": {"StringEquals": {"iam:PassedToService": ["batch.amazonaws.com", "ecs-tasks.amazonaws.com"]}}},
-        _allow_statement("FindFiles", _bucket_arn(settings), "s3:ListBucket")
+        | {"Condition": {"StringEquals": {"iam:PassedToService": services}}},
+        _allow_statement("FindFiles", _s3_arn(settings), "s3:ListBucket")
         | {"Condition": {"StringLikeIfExists": {"s3:prefix": f"{settings.prefix}/*"}}},
-        _allow_statement("ReadFiles", _objects_arn(settings, "runs/*"), "s3:GetObject"),
-        _allow_statement(
-            "WriteFiles",
-            [_objects_arn(settings, "inputs/*"), _objects_arn(settings, "runs/*/jobs/*")],
-            "s3:PutObject",
-            "s3:AbortMultipartUpload",
-        ),
-        _allow_statement("ReadLogs", f"{_log_group(settings)}:log-stream:*", "logs:GetLogEvents"),
-        _allow_statement(
-            "FindImages",
-            f"arn:{_partition_of(settings)}:ecr:*:{_account_of(settings)}:repository/*",
-            "ecr:DescribeImages",
-        ),
+        _allow_statement("ReadFiles", _s3_arn(settings, "runs/*"), "s3:GetObject"),
+        _allow_statement("WriteFiles", _input_arns(settings), "s3:PutObject", "s3:AbortMultipartUpload"),
+        _allow_statement("ReadLogs", _log_streams_arn(settings), "logs:GetLogEvents"),
+        _allow_statement("FindImages", _arn(settings, "ecr", "repository/*", region="*"), "ecr:DescribeImages"),
     ]
 
 
 def _job_statements(settings: BatchSettings) -> list[dict[str, Any]]:
+    results = _s3_arn(settings, "runs/*/results/*")
     return [
-        _allow_statement(
-            "ReadInputs", [_objects_arn(settings, "inputs/*"), _objects_arn(settings, "runs/*/jobs/*")], "s3:GetObject"
-        ),
-        _allow_statement(
-            "WriteResults", _objects_arn(settings, "runs/*/results/*"), "s3:PutObject", "s3:AbortMultipartUpload"
-        ),
+        _allow_statement("ReadInputs", _input_arns(settings), "s3:GetObject"),
+        _allow_statement("WriteResults", results, "s3:PutObject", "s3:AbortMultipartUpload"),
     ]
 
 
 def _execution_statements(settings: BatchSettings) -> list[dict[str, Any]]:
+    repositories = _arn(settings, "ecr", "repository/*", region="*")
+    pulls = ("ecr:BatchCheckLayerAvailability", "ecr:BatchGetImage", "ecr:GetDownloadUrlForLayer")
     statements = [
         _allow_statement("EnterRegistry", "*", "ecr:GetAuthorizationToken"),
-        _allow_statement(
-            "PullImages",
-            f"arn:{_partition_of(settings)}:ecr:*:{_account_of(settings)}:repository/*",
-            "ecr:BatchCheckLayerAvailability",
-            "ecr:BatchGetImage",
-            "ecr:GetDownloadUrlForLayer",
-        ),
-        _allow_statement(
-            "WriteLogs", f"{_log_group(settings)}:log-stream:*", "logs:CreateLogStream", "logs:PutLogEvents"
-        ),
+        _allow_statement("PullImages", repositories, *pulls),
+        _allow_statement("WriteLogs", _log_streams_arn(settings), "logs:CreateLogStream", "logs:PutLogEvents"),
     ]
     # an ARN may be followed by a key of the secret's JSON, a stage and a version, which are not part of the resource
     arns = sorted({":".join(arn.split(":")[:7]) for arn in settings.secrets.values()})
@@ -134,32 +112,21 @@ def _allow_statement(name: str, resource: str | list[str], *actions: str) -> dic
     return {"Sid": name, "Effect": "Allow", "Action": list(actions), "Resource": resource}
 
 
-def _partition_of(settings: BatchSettings) -> str:
-    """Return ``aws``, or the partition of China or the government."""
-    return settings.job_role.split(":")[1]
+def _arn(settings: BatchSettings, service: str, resource: str, region: str | None = None) -> str:
+    """Return an ARN in the account and the partition (``aws``, or that of China or the government) of the job's role."""
+    _, partition, _, _, account, _ = settings.job_role.split(":", 5)
+    return f"arn:{partition}:{service}:{region or settings.region}:{account}:{resource}"
 
 
-def _account_of(settings: BatchSettings) -> str:
-    return settings.job_role.split(":")[4]
+def _s3_arn(settings: BatchSettings, below: str = "") -> str:
+    """Return the ARN of the bucket, or of objects in it."""
+    objects = f"/{settings.prefix}/{below}" if below else ""
+    return f"arn:{settings.job_role.split(':')[1]}:s3:::{settings.bucket}{objects}"
 
 
-def _batch_arn(settings: BatchSettings, resource: str) -> str:
-    return f"arn:{_partition_of(settings)}:batch:{settings.region}:{_account_of(settings)}:{resource}"
+def _input_arns(settings: BatchSettings) -> list[str]:
+    return [_s3_arn(settings, "inputs/*"), _s3_arn(settings, "runs/*/jobs/*")]
 
 
-def _queue_arn(settings: BatchSettings) -> str:
-    return settings.queue if settings.queue.startswith("arn:") else _batch_arn(settings, f"job-queue/{settings.queue}")
-
-
-def _bucket_arn(settings: BatchSettings) -> str:
-    return f"arn:{_partition_of(settings)}:s3:::{settings.bucket}"
-
-
-def _objects_arn(settings: BatchSettings, below: str) -> str:
-    return f"{_bucket_arn(settings)}/{settings.prefix}/{below}"
-
-
-def _log_group(settings: BatchSettings) -> str:
-    return (
-        f"arn:{_partition_of(settings)}:logs:{settings.region}:{_account_of(settings)}:log-group:{settings.log_group}"
-    )
+def _log_streams_arn(settings: BatchSettings) -> str:
+    return _arn(settings, "logs", f"log-group:{settings.log_group}:log-stream:*")

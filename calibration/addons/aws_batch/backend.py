@@ -14,7 +14,7 @@ from calibration.addons.aws_batch.definition import Usage, group_by_shape, shape
 from calibration.addons.aws_batch.run import BatchRun
 from calibration.addons.aws_batch.session import Aws
 from calibration.addons.aws_batch.settings import AWS_BATCH, BatchSettings
-from calibration.addons.aws_batch.store import Store
+from calibration.addons.aws_batch.store import CloudRun, Store
 from calibration.addons.aws_batch.submitting import CloudLeftover, deregister, find_in_queue, find_old, terminate
 from calibration.addons.aws_batch.wire import check_run_name
 from calibration.base.errors import InputError
@@ -103,16 +103,8 @@ class BatchBackend:
         images = with_digests(self.aws, wanted)
         settings = replace(self._settings, tools_image=images[self._settings.tools_image])
         jobs = [_with_images(on_one_address(job), images) for job in jobs]
-        run = BatchRun(
-            name=self.run_name,
-            aws=self.aws,
-            settings=settings,
-            store=store,
-            jobs=jobs,
-            groups=group_by_shape(jobs, settings),
-            folder=folder,
-            show=self._show,
-        )
+        cloud_run = CloudRun(self.run_name, self.aws, settings, store, folder)
+        run = BatchRun(cloud_run, jobs, group_by_shape(jobs, settings), self._show)
         self._runs.append(run)
         return self._run_jobs(run)
 

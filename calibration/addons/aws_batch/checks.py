@@ -27,27 +27,17 @@ _CONTAINER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 _OUR_FOLDERS = (OUTPUT, JOB_FOLDER, MOUNTS_FOLDER)
 
 
-def check_task(job: Job, place: str) -> None:
-    """Refuse a valid job that cannot run as a task.
-
-    Args:
-        job: the job.
-        place: backend in messages, such as ``on AWS Batch``.
-
-    Raises:
-        InputError: the message names the job, the container and what to do.
-    """
-    for problem in _in_job(job):
-        raise InputError(f"job '{job.name}': {place} {problem}")
-    for container in job.containers:
-        for problem in _in_container(container):
-            raise InputError(f"job '{job.name}', container '{container.name}': {place} {problem}")
-
-
-def _in_job(job: Job) -> Iterator[str]:
+def _in_job(job: Job, settings: BatchSettings) -> Iterator[str]:
     if job.network in ("internal", "none"):
         yield f"a task has to reach S3, so there is no network '{job.network}': set network: private"
     yield from _in_mounts(job)
+    if len(job.containers) > MAX_CONTAINERS - 2:
+        yield (
+            f"a task has at most {MAX_CONTAINERS} containers, of which two are ours: found {len(job.containers)}, "
+            f"expected at most {MAX_CONTAINERS - 2}"
+        )
+    if job.network == "host" and settings.platform == "fargate":
+        yield "a task on Fargate has its own network, not a host's: set network: private, or platform: ec2"
     listening: dict[int, str] = {}
     for container in job.containers:
         port = ready_port(container)
@@ -104,7 +94,6 @@ def _in_container(container: Container) -> Iterator[str]:
 
 MAX_CONTAINERS = 10
 """Limit of containers of a task; two of them are ours."""
-_ON_BATCH = "on AWS Batch"
 _DEFAULT_CAPABILITIES = frozenset(
     {
         *("AUDIT_WRITE", "CHOWN", "DAC_OVERRIDE", "FOWNER", "FSETID", "KILL", "MKNOD", "NET_BIND_SERVICE", "NET_RAW"),
@@ -121,8 +110,11 @@ def check_for_batch(jobs: Sequence[Job], settings: BatchSettings) -> None:
         InputError: the message names the job, the container and what to do.
     """
     for job in jobs:
-        check_task(job, _ON_BATCH)
-        _check_job(job, settings)
+        for problem in _in_job(job, settings):
+            raise InputError(f"job '{job.name}': on AWS Batch {problem}")
+        for container in job.containers:
+            for problem in (*_in_container(container), *_in_relaxations(container.relaxations, settings)):
+                raise InputError(f"job '{job.name}', container '{container.name}': on AWS Batch {problem}")
     if settings.platform == "ec2" and settings.shared_hosts and len(jobs) > 1:
         _check_hosts(jobs)
     for group in group_by_shape(jobs, settings):
@@ -130,22 +122,6 @@ def check_for_batch(jobs: Sequence[Job], settings: BatchSettings) -> None:
             job_definition(group.shape, settings)
         except InputError as error:
             raise InputError(f"job '{jobs[group.jobs[0]].name}': {error}") from None
-
-
-def _check_job(job: Job, settings: BatchSettings) -> None:
-    if len(job.containers) > MAX_CONTAINERS - 2:
-        raise InputError(
-            f"job '{job.name}': {_ON_BATCH} a task has at most {MAX_CONTAINERS} containers, of which two are ours: "
-            f"found {len(job.containers)}, expected at most {MAX_CONTAINERS - 2}"
-        )
-    if job.network == "host" and settings.platform == "fargate":
-        raise InputError(
-            f"job '{job.name}': {_ON_BATCH} a task on Fargate has its own network, not a host's: set network: "
-            "private, or platform: ec2"
-        )
-    for container in job.containers:
-        for problem in _in_relaxations(container.relaxations, settings):
-            raise InputError(f"job '{job.name}', container '{container.name}': {_ON_BATCH} {problem}")
 
 
 def _in_relaxations(relaxed: Relaxations, settings: BatchSettings) -> Iterator[str]:

@@ -4,12 +4,12 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Any
 
 from calibration.addons.aws_batch.following import Submitted
 from calibration.addons.aws_batch.session import AwsLostError
-from calibration.addons.aws_batch.store import Store
+from calibration.addons.aws_batch.store import CloudRun, Store
 from calibration.addons.aws_batch.wire import (
     JOBS_PER_FILE,
     MAX_JOBS_BYTES,
@@ -20,20 +20,8 @@ from calibration.addons.aws_batch.wire import (
     read_outcome,
 )
 from calibration.base.errors import ExitCode, InfrastructureError
-from calibration.base.records import between, document_of, field, length, read, record
+from calibration.base.records import document_of, read
 from calibration.ci.execution.job import Job
-
-_MAX_ARRAY_SIZE = 10_000
-"""Batch's limit of jobs in an array."""
-
-
-@record(case="snake")
-class _Submission:
-    """Entry of ``submitted.json``: an array, or a single job."""
-
-    id: Annotated[str, length(most=128)] = field()
-    first: Annotated[int, between(0, 2**63 - 1)] = field()
-    count: Annotated[int, between(1, _MAX_ARRAY_SIZE)] = field()
 
 
 @dataclass(frozen=True)
@@ -57,12 +45,8 @@ def group_name(shape: str, token: str) -> str:
     return f"{shape}-{token}"
 
 
-def find_results(store: Store, location: Location) -> dict[str, Result]:
+def find_results(run: CloudRun) -> dict[str, Result]:
     """Find jobs with results, by the `mark_of` the job.
-
-    Args:
-        store: bucket with the results.
-        location: location of any group of the run.
 
     Raises:
         InputError: access is denied.
@@ -70,9 +54,10 @@ def find_results(store: Store, location: Location) -> dict[str, Result]:
         AwsLostError: AWS does not answer.
     """
     found: dict[str, Result] = {}
-    root = f"{location.prefix}/runs/{location.run}/results/"
+    store = run.store
+    root = f"{run.settings.prefix}/runs/{run.name}/results/"
     for group in store.folders(root):
-        place = replace(location, group=group)
+        place = run.location(group)
         attempts, ids = _latest_attempts(store, root, group), _ids_of_jobs(store, place)
         for first in sorted({index // JOBS_PER_FILE * JOBS_PER_FILE for index in attempts}):
             for number, entry in enumerate(_read_entries(store, place, first)):
@@ -83,12 +68,11 @@ def find_results(store: Store, location: Location) -> dict[str, Result]:
     return found
 
 
-def has_verdict(store: Store, location: Location, result: Result, job: Job) -> bool:
+def has_verdict(run: CloudRun, result: Result, job: Job) -> bool:
     """Return whether a result is a verdict, pass or fail, as opposed to bad input or an infrastructure error.
 
     Args:
-        store: bucket with the result.
-        location: location of any group of the run.
+        run: the run.
         result: result from `find_results`.
         job: its job.
 
@@ -96,8 +80,8 @@ def has_verdict(store: Store, location: Location, result: Result, job: Job) -> b
         InputError: access is denied.
         AwsLostError: AWS does not answer.
     """
-    key = replace(location, group=result.group).result_key(result.index, result.attempt, OUTCOME_FILE)
-    data = store.get(key, max_outcome_bytes(job))
+    key = run.location(result.group).result_key(result.index, result.attempt, OUTCOME_FILE)
+    data = run.store.get(key, max_outcome_bytes(job))
     try:
         return data is not None and read_outcome(data, job, result.attempt, key).exit_code <= ExitCode.FAIL
     except AwsLostError:
@@ -108,7 +92,7 @@ def has_verdict(store: Store, location: Location, result: Result, job: Job) -> b
 
 def submitted_document(submitted: Iterable[Submitted]) -> bytes:
     """Return the file with the ids of a submitted group."""
-    return json.dumps([document_of(_Submission(each.id, each.first, each.count)) for each in submitted]).encode()
+    return json.dumps([document_of(each) for each in submitted]).encode()
 
 
 def _ids_of_jobs(store: Store, location: Location) -> dict[int, str]:
@@ -117,7 +101,7 @@ def _ids_of_jobs(store: Store, location: Location) -> dict[int, str]:
     data = store.get(key, MAX_JOBS_BYTES)
     ids: dict[int, str] = {}
     for entry in _parse_list(data, key):
-        submission = read(_Submission, entry, key, error=InfrastructureError)
+        submission = read(Submitted, entry, key, error=InfrastructureError)
         for child in range(submission.count):
             ids[submission.first + child] = f"{submission.id}:{child}" if submission.count > 1 else submission.id
     return ids

@@ -3,17 +3,21 @@
 An array is polled as a whole; of its children only those that may have ended, a hundred in each request, oldest first.
 """
 
+import dataclasses
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import islice
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from calibration.addons.aws_batch.session import Aws, aws_errors
+from calibration.base.records import between, field, length, record
 from calibration.base.text import one_line, shorten
 
 Item = TypeVar("Item")
 
+MAX_CHILDREN = 10_000
+"""Batch's limit of jobs in an array."""
 JOBS_PER_CALL = 100
 """Batch's limit of jobs in one DescribeJobs request."""
 _MAX_CALLS = 50
@@ -28,15 +32,14 @@ _ENDED_STATES = ("SUCCEEDED", "FAILED")
 _RUNNING_STATES = ("STARTING", "RUNNING")
 
 
-@dataclass(frozen=True)
+@record(case="snake")
 class Submitted:
     """A job id in Batch: an array of jobs of a group, or a single one."""
 
-    id: str
-    group: str
-    first: int
-    """Index in the group of its first job."""
-    count: int
+    id: Annotated[str, length(most=128)] = field()
+    first: Annotated[int, between(0, 2**63 - 1)] = field("Index in the group of its first job.")
+    count: Annotated[int, between(1, MAX_CHILDREN)] = field("Number of its jobs.")
+    group: str = ""
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,7 @@ class Description:
     """Containers of the current or last attempt."""
     terminated: bool
     """Whether it was terminated or cancelled by a request."""
-    waiting: Mapping[str, int] = field(default_factory=dict)
+    waiting: Mapping[str, int] = dataclasses.field(default_factory=dict)
     """Number of jobs of an array by state."""
 
     @property
@@ -297,9 +300,7 @@ def describe(aws: Aws, ids: Iterable[str]) -> dict[str, Description]:
     """
     found: dict[str, Description] = {}
     for some in batches(ids, JOBS_PER_CALL):
-        for record in records(aws, some):
-            description = _read_description(record)
-            found[description.id] = description
+        found |= {each.id: each for each in map(_read_description, records(aws, some))}
     return found
 
 

@@ -13,7 +13,7 @@ from typing import IO, Any
 
 from calibration.addons.aws_batch.following import batches
 from calibration.addons.aws_batch.session import with_retries
-from calibration.addons.aws_batch.store import Store, in_threads
+from calibration.addons.aws_batch.store import CloudRun, Store, in_threads
 from calibration.addons.aws_batch.wire import JOBS_PER_FILE, Input, Location, job_entry, jobs_document, mount_targets
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.execution.job import Job
@@ -104,17 +104,8 @@ _IN_MEMORY = 4 * 1024**2
 class InputUploader:
     """Uploads each mounted folder once."""
 
-    def __init__(self, store: Store, location: Location, memory: int) -> None:
-        """Create the uploader.
-
-        Args:
-            store: bucket for the inputs.
-            location: location of any group; inputs are shared.
-            memory: default memory of a container, bytes.
-        """
-        self._store = store
-        self._location = location
-        self._memory = memory
+    def __init__(self, run: CloudRun) -> None:
+        self._run = run
         self._packed: dict[Path, Packed] = {}
 
     def upload(self, jobs: Iterable[Job], workers: int) -> None:
@@ -132,14 +123,14 @@ class InputUploader:
 
     def entry(self, job: Job) -> dict[str, Any]:
         """Return the entry of a job whose mounts have been uploaded."""
-        return job_entry(job, self._inputs_of_job(job), self._memory)
+        return job_entry(job, self._inputs_of_job(job), self._run.settings.memory)
 
     def _inputs_of_job(self, job: Job) -> Iterator[Input]:
         mounts = {mount.target.rstrip("/"): mount for c in job.containers for mount in c.mounts}
         writable = {m.target.rstrip("/") for c in job.containers for m in c.mounts if m.writable}
         for volume, target in enumerate(mount_targets(job)):
             packed = self._packed[mounts[target].source.resolve()]
-            key = self._location.input_key(packed.sha256)
+            key = self._run.location().input_key(packed.sha256)
             yield Input(volume, key, packed.sha256, packed.size, target in writable)
 
     def _upload_folder(self, source: Path) -> tuple[Path, Packed]:
@@ -148,7 +139,7 @@ class InputUploader:
 
             def send() -> None:
                 file.seek(0)
-                self._store.upload(self._location.input_key(packed.sha256), file, packed.size)
+                self._run.store.upload(self._run.location().input_key(packed.sha256), file, packed.size)
 
             with_retries(send)
         return source, packed

@@ -8,9 +8,8 @@ from typing import TypeVar
 
 from calibration.addons.aws_batch.following import Attempt, ContainerEnd, Description
 from calibration.addons.aws_batch.logs import is_ours, secrets_of, streams, write_log
-from calibration.addons.aws_batch.session import Aws, AwsLostError, with_retries
-from calibration.addons.aws_batch.settings import BatchSettings
-from calibration.addons.aws_batch.store import Store
+from calibration.addons.aws_batch.session import AwsLostError, with_retries
+from calibration.addons.aws_batch.store import CloudRun
 from calibration.addons.aws_batch.wire import (
     FILES_FOLDER,
     OUTCOME_FILE,
@@ -37,7 +36,7 @@ from calibration.ci.execution.outcome import (
     make_job_folder,
     write_manifest,
 )
-from calibration.ci.execution.supervision import failure_of, how_it_ended
+from calibration.ci.execution.supervision import failure_at_end, how_it_ended
 
 _HOST_LOST = ("Host EC2", "Your Spot Task was interrupted")
 _TIMEOUT_REASON = "Job attempt duration exceeded timeout"
@@ -200,29 +199,15 @@ class _WrongFileError(InfrastructureError):
 class Downloader:
     """Downloads results into folders. Thread-safe."""
 
-    def __init__(
-        self,
-        aws: Aws,
-        settings: BatchSettings,
-        store: Store,
-        folder: Path,
-        all_logs: bool,
-        go_on: Callable[[], bool],
-    ) -> None:
+    def __init__(self, run: CloudRun, all_logs: bool, go_on: Callable[[], bool]) -> None:
         """Create the downloader.
 
         Args:
-            aws: session.
-            settings: settings of the run.
-            store: bucket with the results.
-            folder: folder in which each job has a subfolder.
+            run: where the results are, and where they go to.
             all_logs: whether logs of successful jobs are downloaded too.
             go_on: returns whether failed requests are retried.
         """
-        self._aws = aws
-        self._settings = settings
-        self._store = store
-        self._folder = folder
+        self._run = run
         self._all_logs = all_logs
         self._go_on = go_on
 
@@ -234,9 +219,9 @@ class Downloader:
             InputError: access is denied.
             AwsLostError: AWS has not answered for a long time.
         """
-        folder = self._folder / job.name
+        folder = self._run.folder / job.name
         make_job_folder(folder)
-        asked = _with_memory(job, self._settings.memory)
+        asked = _with_memory(job, self._run.settings.memory)
         try:
             found = self._find_outcome(asked, result)
         except AwsLostError:
@@ -269,7 +254,7 @@ class Downloader:
         found = self._read_outcome(job, result, expected) if expected else None
         if found is None:
             there = self._ask_with_retries(
-                lambda: list(self._store.folders(result.location.attempts_key(result.index)))
+                lambda: list(self._run.store.folders(result.location.attempts_key(result.index)))
             )
             for attempt in sorted({int(name) for name in there if name.isdecimal()} - {0, expected}, reverse=True):
                 if (found := self._read_outcome(job, result, attempt)) is not None:
@@ -278,7 +263,7 @@ class Downloader:
 
     def _read_outcome(self, job: Job, result: ResultLocation, attempt: int) -> TaskOutcome | None:
         key = result.location.result_key(result.index, attempt, OUTCOME_FILE)
-        data = self._ask_with_retries(lambda: self._store.get(key, max_outcome_bytes(job)))
+        data = self._ask_with_retries(lambda: self._run.store.get(key, max_outcome_bytes(job)))
         return None if data is None else read_outcome(data, job, attempt, key)
 
     def _download_logs(
@@ -293,7 +278,7 @@ class Downloader:
         for name, stream in streams(description, attempt).items():
             if name in known or (ours and is_ours(name)):
                 path = folder / f"{name}.log"
-                write = partial(write_log, self._aws, self._settings.log_group, stream, path, secrets_of(job))
+                write = partial(write_log, self._run.aws, self._run.settings.log_group, stream, path, secrets_of(job))
                 try:
                     lines[name] = self._ask_with_retries(write)
                 except CalibrationError as error:  # a missing log must not lose the result
@@ -318,7 +303,7 @@ class Downloader:
 
         def download() -> str:
             path.unlink(missing_ok=True)
-            return self._store.download(f"{folder}/{file.path}", path, file.size)
+            return self._run.store.download(f"{folder}/{file.path}", path, file.size)
 
         if self._ask_with_retries(download) != file.sha256:
             raise _WrongFileError(f"artifact '{shorten(file.path)}' in S3 differs from the outcome of the task")
@@ -364,9 +349,9 @@ def _failed_outcome(job: Job, description: Description | None, reason: str, code
 
 def _with_memory(job: Job, memory: int) -> Job:
     """Return the job with the memory limits of its containers on Batch."""
-    return replace(job, containers=tuple(_with_memory_limit(container, memory) for container in job.containers))
 
+    def with_limit(container: Container) -> Container:
+        limits = container.limits
+        return replace(container, limits=replace(limits, memory=limits.memory or memory))
 
-def _with_memory_limit(container: Container, memory: int) -> Container:
-    limits = container.limits
-    return replace(container, limits=replace(limits, memory=memory if limits.memory is None else limits.memory))
+    return replace(job, containers=tuple(map(with_limit, job.containers)))

@@ -4,7 +4,6 @@ import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import nullcontext
 from functools import partial
-from pathlib import Path
 
 from calibration.addons.aws_batch.checks import Guard, likely_reasons
 from calibration.addons.aws_batch.definition import ShapeGroup, Usage, billed, estimate, job_definition, total_size
@@ -20,9 +19,8 @@ from calibration.addons.aws_batch.following import JOBS_PER_CALL, Following, Job
 from calibration.addons.aws_batch.inputs import InputUploader, upload_jobs
 from calibration.addons.aws_batch.logs import LiveLogs
 from calibration.addons.aws_batch.results import Downloader, ResultLocation, host_lost
-from calibration.addons.aws_batch.session import Aws, AwsLostError, Backoff, with_retries
-from calibration.addons.aws_batch.settings import BatchSettings
-from calibration.addons.aws_batch.store import Store, Workers, in_threads
+from calibration.addons.aws_batch.session import AwsLostError, Backoff, with_retries
+from calibration.addons.aws_batch.store import CloudRun, Workers, in_threads
 from calibration.addons.aws_batch.submitting import (
     Submitting,
     attempt_seconds,
@@ -32,7 +30,6 @@ from calibration.addons.aws_batch.submitting import (
     submission,
     terminate,
 )
-from calibration.addons.aws_batch.wire import Location
 from calibration.base.errors import CalibrationError
 from calibration.ci.execution.docker.labels import new_run
 from calibration.ci.execution.job import Job
@@ -55,36 +52,24 @@ class BatchRun:
     """Runs jobs in the thread that requests the outcomes; transfers from and to S3 run in other threads."""
 
     def __init__(
-        self,
-        name: str,
-        aws: Aws,
-        settings: BatchSettings,
-        store: Store,
-        jobs: Sequence[Job],
-        groups: Sequence[ShapeGroup],
-        folder: Path,
-        show: LogDisplay | None,
+        self, run: CloudRun, jobs: Sequence[Job], groups: Sequence[ShapeGroup], show: LogDisplay | None
     ) -> None:
         self.usage = Usage()
         """Billed resources, as far as they are known."""
-        self._name = name
-        self._aws = aws
-        self._settings = settings
-        self._store = store
+        self._run = run
+        self._name, self._aws, self._settings = run.name, run.aws, run.settings
         self._jobs = jobs
         self._shapes = {group.name: group for group in groups}
-        self._folder = folder
         self._show = show
         self._token = new_run()
         self._places: dict[str, list[int]] = {}
         """Index in `jobs` for each index of each group in S3."""
-        self._submitting = Submitting(aws, settings.queue)
-        self._following = Following(aws)
+        self._submitting = Submitting(run.aws, run.settings.queue)
+        self._following = Following(run.aws)
         self._downloads: Workers[Answer] = Workers(_DOWNLOAD_WORKERS)
-        self._live = (
-            LiveLogs(aws, settings.log_group, show) if show is not None and len(jobs) <= MAX_JOBS_WITH_LOGS else None
-        )
-        self._guard = Guard(settings.stuck)
+        few = len(jobs) <= MAX_JOBS_WITH_LOGS
+        self._live = LiveLogs(run.aws, run.settings.log_group, show) if show is not None and few else None
+        self._guard = Guard(run.settings.stuck)
         self._given_up = ""
         """Reason why the remaining jobs were terminated."""
         self._told_to_end = False
@@ -94,14 +79,7 @@ class BatchRun:
         self._stopping = False
         self._ended = False
         """Whether all jobs have ended, or cannot be terminated."""
-        self._downloader = Downloader(
-            aws=aws,
-            settings=settings,
-            store=store,
-            folder=folder,
-            all_logs=len(jobs) <= MAX_JOBS_WITH_LOGS,
-            go_on=lambda: not self._stopping,
-        )
+        self._downloader = Downloader(run, all_logs=few, go_on=lambda: not self._stopping)
 
     def outcomes(self, resume: bool) -> Generator[Answer]:
         """Run the jobs, and yield their outcomes.
@@ -110,7 +88,7 @@ class BatchRun:
             InputError: AWS refuses a request.
             InfrastructureError: AWS cannot be reached, or a file cannot be written.
         """
-        inputs = InputUploader(self._store, self._location_of_group(""), self._settings.memory)
+        inputs = InputUploader(self._run)
         inputs.upload(self._jobs, _DOWNLOAD_WORKERS)
         missing, earlier = self._find_missing(inputs) if resume else (self._jobs_by_shape(), {})
         for some in batches(earlier.items(), JOBS_PER_CALL):
@@ -118,7 +96,7 @@ class BatchRun:
             for place, result in some:
                 found = described.get(result.id or "")
                 self._start_download(
-                    place, ResultLocation(self._location_of_group(result.group), result.index, found, result.attempt)
+                    place, ResultLocation(self._run.location(result.group), result.index, found, result.attempt)
                 )
             yield from self._take_answers(None)
         self._say_estimate(missing)
@@ -155,16 +133,12 @@ class BatchRun:
 
     # --- before the run
 
-    def _location_of_group(self, group: str) -> Location:
-        return Location(self._settings.bucket, self._settings.prefix, self._name, group)
-
     def _jobs_by_shape(self) -> dict[str, list[int]]:
         return {name: list(group.jobs) for name, group in self._shapes.items()}
 
     def _find_missing(self, inputs: InputUploader) -> tuple[dict[str, list[int]], dict[int, Result]]:
         """Return the jobs without a verdict, by shape; and the results of the others, by job."""
-        location = self._location_of_group("")
-        results = find_results(self._store, location)
+        results = find_results(self._run)
         found: dict[int, Result] = {}
         for shape, group in self._shapes.items():
             for place in group.jobs:
@@ -172,7 +146,7 @@ class BatchRun:
                     found[place] = result
 
         def judged(place: int) -> tuple[int, bool]:
-            ask = partial(has_verdict, self._store, location, found[place], self._jobs[place])
+            ask = partial(has_verdict, self._run, found[place], self._jobs[place])
             return place, with_retries(ask)
 
         final = dict(in_threads(_DOWNLOAD_WORKERS, (partial(judged, place) for place in found)))
@@ -189,10 +163,10 @@ class BatchRun:
         tags = run_tags(self._name)
         for shape, places in missing.items():
             group = group_name(shape, self._token)
-            location = self._location_of_group(group)
+            location = self._run.location(group)
             jobs = [self._jobs[place] for place in places]
             definition = ensure(self._aws, job_definition(self._shapes[shape].shape, self._settings))
-            upload_jobs(self._store, location, jobs, inputs.entry, _DOWNLOAD_WORKERS)
+            upload_jobs(self._run.store, location, jobs, inputs.entry, _DOWNLOAD_WORKERS)
             self._places[group] = places
             seconds = attempt_seconds(jobs)
             submitted = []
@@ -200,7 +174,7 @@ class BatchRun:
                 request = submission(chunk, location, definition, self._settings, seconds=seconds, tags=tags)
                 submitted.append(self._submitting.submit(request, group, chunk.first))
                 self._following.add(submitted[-1])
-            with_retries(partial(self._store.put, location.submitted_key, submitted_document(submitted)))
+            with_retries(partial(self._run.store.put, location.submitted_key, submitted_document(submitted)))
 
     # --- during the run
 
@@ -236,9 +210,7 @@ class BatchRun:
                 self._live.running(self._job_of(end), end.description)
         for end in poll.ended:
             self._count_usage(end)
-            place = ResultLocation(
-                self._location_of_group(end.group), end.index, end.description, given_up=self._given_up
-            )
+            place = ResultLocation(self._run.location(end.group), end.index, end.description, given_up=self._given_up)
             self._start_download(self._places[end.group][end.index], place)
         self._say_state(poll)
 

@@ -1,10 +1,11 @@
-"""Access to the bucket of a run, and threads for transfers."""
+"""Access to AWS of a run: its bucket, and threads for transfers."""
 
 import hashlib
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, TYPE_CHECKING, Any, Generic, TypeVar
@@ -12,6 +13,8 @@ from typing import IO, TYPE_CHECKING, Any, Generic, TypeVar
 import botocore.exceptions
 
 from calibration.addons.aws_batch.session import Aws, aws_errors, error_code, pages
+from calibration.addons.aws_batch.settings import BatchSettings
+from calibration.addons.aws_batch.wire import Location
 from calibration.base.errors import InfrastructureError, InputError
 
 if TYPE_CHECKING:
@@ -257,3 +260,19 @@ class Store:
 
 def _is_missing(error: "ClientError") -> bool:
     return error_code(error) in ("NoSuchKey", "404", "NotFound")
+
+
+@dataclass(frozen=True)
+class CloudRun:
+    """A run on AWS Batch: its name, and access to what it uses."""
+
+    name: str
+    aws: Aws
+    settings: BatchSettings
+    store: Store
+    folder: Path
+    """Folder in which each job has a subfolder with its results."""
+
+    def location(self, group: str = "") -> Location:
+        """Return the location of a group of its jobs in S3; without a name, of what all groups share."""
+        return Location(self.settings.bucket, self.settings.prefix, self.name, group)

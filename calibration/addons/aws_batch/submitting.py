@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from calibration.addons.aws_batch.definition import DIGEST_TAG
-from calibration.addons.aws_batch.following import JOBS_PER_CALL, Submitted, batches, describe, records
+from calibration.addons.aws_batch.following import JOBS_PER_CALL, MAX_CHILDREN, Submitted, batches, describe, records
 from calibration.addons.aws_batch.session import Aws, AwsLostError, Backoff, aws_errors, pages
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.wire import (
@@ -48,8 +48,6 @@ def _without_brackets(owner: Owner) -> Owner:
     return replace(owner, namespace=owner.namespace.replace("[", "").replace("]", "") or "unknown")
 
 
-MAX_CHILDREN = 10_000
-"""Batch's limit of jobs in an array."""
 AROUND_SECONDS = ARRIVAL_SECONDS + UPLOAD_SECONDS
 """Time of a task in addition to its job's. Batch's time limit is longer by this, so that our own limit ends the job
 first, with a verdict; it is also above Batch's minimum of 60 s."""
@@ -322,7 +320,7 @@ class Submitting:
                 answers_lost = True
                 time.sleep(backoff.failed(error))
         count = int(request.get("arrayProperties", {}).get("size", 1))
-        self.submitted.append(Submitted(identifier, group, first, count))
+        self.submitted.append(Submitted(identifier, first, count, group))
         self._unclear = ""
         if answers_lost:
             self._end_doubles(name, identifier)

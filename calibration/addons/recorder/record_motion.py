@@ -71,9 +71,7 @@ def record_motion(settings: RecorderSettings, runner: Runner) -> ExitCode:
         raise InfrastructureError("record-motion needs viser: pip install viser")
     if settings.output.is_dir():
         raise InputError(f"{settings.output}: is a folder, expected a file for the sequence")
-    from calibration.addons.recorder.recording import RecorderInputs, record  # needs the extra record, slow to import
+    from calibration.addons.recorder.recording import record  # needs the extra record, slow to import
 
-    inputs = RecorderInputs(system_folder(settings.system), settings.robot, settings.config, settings.motion)
-    open_page = click.launch if settings.open else None
-    record(inputs, settings.output, settings.host, settings.port, runner, open_page, settings.overwrite)
+    record(settings, system_folder(settings.system), runner)
     return ExitCode.PASS

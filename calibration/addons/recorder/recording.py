@@ -15,12 +15,12 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import click
 import rich
 import viser
 import websockets.asyncio.server
@@ -29,6 +29,7 @@ from websockets.http11 import Request, Response
 
 from calibration.addons.recorder.page import Page
 from calibration.addons.recorder.preview import preview
+from calibration.addons.recorder.record_motion import RecorderSettings
 from calibration.addons.recorder.session import Session
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.text import count_of
@@ -193,67 +194,41 @@ def _in_use(host: str, port: int) -> InfrastructureError:
     return InfrastructureError(f"port: {port} is in use on {host}; give another --port, or 0 for any that is free")
 
 
-@dataclass(frozen=True)
-class RecorderInputs:
-    """Input files of the recorder."""
-
-    system: Path
-    """Folder of the system."""
-    robot: Path | None = None
-    """URDF file that replaces the system's."""
-    configuration: Path | None = None
-    """ATOM calibration configuration that replaces the system's."""
-    motion: Path | None = None
-    """Initial sequence."""
-
-
-def record(
-    inputs: RecorderInputs,
-    output: Path,
-    host: str,
-    port: int,
-    runner: Runner,
-    open_page: Callable[[str], object] | None = None,
-    overwrite: bool = False,
-) -> None:
+def record(settings: RecorderSettings, folder: Path, runner: Runner) -> None:
     """Serve the page; on interruption, unsaved poses are written to a file beside the output.
 
     Args:
-        inputs: the system that is shown, and the initial sequence.
-        output: default file of the page's export.
-        host: address to serve on.
-        port: its port; 0 for a free one.
+        settings: inputs of the command.
+        folder: folder of the system.
         runner: runner that logs the address.
-        open_page: called with the address, to open it in a browser.
-        overwrite: whether the page may replace motion files that it did not write.
 
     Raises:
         InputError: an input is missing or malformed.
         InfrastructureError: the port is taken, or a file cannot be written.
     """
-    system = read_system(inputs.system, inputs.robot, inputs.configuration)
-    session = Session(system, read_motion(inputs.motion) if inputs.motion else None)
-    with serving(host, port) as server:
+    system = read_system(folder, settings.robot, settings.config)
+    session = Session(system, read_motion(settings.motion) if settings.motion else None)
+    with serving(settings.host, settings.port) as server:
         page = Page(
             server,
             session,
-            output,
+            settings.output,
             look=lambda pose: preview(system, pose),
             rate=lambda sequence: predicted_sigmas(system, sequence),
-            overwrite=overwrite,
+            overwrite=settings.overwrite,
         )
         try:
             with stop_commands(runner):  # untrusted names from files
                 runner.log(f"{system.name}: the motion recorder is at {address(server)} (Ctrl-C ends it)")
-                if not is_loopback(host):
+                if not is_loopback(settings.host):
                     who = "everyone who has this address, which is not encrypted on its way,"
-                    runner.log(f"{who} can use it and write motion files beside {output}")
-            if open_page is not None:
-                open_page(address(server))
+                    runner.log(f"{who} can use it and write motion files beside {settings.output}")
+            if settings.open:
+                click.launch(address(server))
             threading.Event().wait()
         finally:
             page.close()
-            saved = session.autosave(output)
+            saved = session.autosave(settings.output)
             if saved is not None:
                 with stop_commands(runner):
                     runner.log(f"{count_of(len(session.poses), 'pose')} not exported, now in {saved}")

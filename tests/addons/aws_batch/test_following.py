@@ -28,7 +28,7 @@ class Batch:
 
     def add(self, identifier: str, count: int) -> Submitted:
         self.states[identifier] = ["RUNNABLE"] * count
-        return Submitted(identifier, f"group-{identifier}", 10, count)
+        return Submitted(identifier, 10, count, f"group-{identifier}")
 
     def describe_jobs(self, jobs: list[str]) -> dict[str, Any]:
         self.calls += 1
