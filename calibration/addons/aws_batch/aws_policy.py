@@ -113,7 +113,7 @@ def _allow_statement(name: str, resource: str | list[str], *actions: str) -> dic
 
 
 def _arn(settings: BatchSettings, service: str, resource: str, region: str | None = None) -> str:
-    """Return an ARN in the account and the partition (``aws``, or that of China or the government) of the job's role."""
+    """Return an ARN in the account and the partition (``aws``, China, the government) of the role of the jobs."""
     _, partition, _, _, account, _ = settings.job_role.split(":", 5)
     return f"arn:{partition}:{service}:{region or settings.region}:{account}:{resource}"
 

@@ -67,13 +67,9 @@ def _in_mounts(job: Job) -> Iterator[str]:
             if sources.setdefault(target, source) != source:
                 yield f"all containers have to mount the same folder at {target}: change one target"
         targets = sorted(f"{mount.target.rstrip('/')}/" for mount in container.mounts)
-        for one, other in [*pairwise(targets), *_with_ours(targets)]:
+        for one, other in [*pairwise(targets), *((f"{own}/", target) for own in _OUR_FOLDERS for target in targets)]:
             if one.startswith(other) or other.startswith(one):
                 yield f"mounts must not be nested: found {one.rstrip('/')} and {other.rstrip('/')}"
-
-
-def _with_ours(targets: Sequence[str]) -> Iterator[tuple[str, str]]:
-    return ((f"{own}/", target) for own in _OUR_FOLDERS for target in targets)
 
 
 def _in_container(container: Container) -> Iterator[str]:

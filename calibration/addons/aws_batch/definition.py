@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -144,7 +144,7 @@ class Shape:
     @property
     def digest(self) -> str:
         """Hash of the shape, reproducible across runs and machines."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        return _digest_of(asdict(self))
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ def job_definition(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
     }
     if fargate:
         request["ecsProperties"]["taskProperties"][0] |= _fargate_properties(settings)
-    request["tags"] = {**settings.tags, DIGEST_TAG: _digest_of_request(request, settings.tags)}
+    request["tags"] = {**settings.tags, DIGEST_TAG: _digest_of([request, dict(settings.tags)])}
     if (size := len(json.dumps(request).encode())) > MAX_DEFINITION_BYTES:
         secrets = sum(len(container.secrets) for container in shape.containers)
         raise InputError(
@@ -248,8 +248,8 @@ def job_definition(shape: Shape, settings: BatchSettings) -> dict[str, Any]:
     return request
 
 
-def _digest_of_request(request: Mapping[str, Any], tags: Mapping[str, str]) -> str:
-    return hashlib.sha256(json.dumps([request, dict(tags)], sort_keys=True).encode()).hexdigest()
+def _digest_of(document: object) -> str:
+    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
 
 def _fargate_properties(settings: BatchSettings) -> dict[str, Any]:

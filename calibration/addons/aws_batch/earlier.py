@@ -60,7 +60,7 @@ def find_results(run: CloudRun) -> dict[str, Result]:
         place = run.location(group)
         attempts, ids = _latest_attempts(store, root, group), _ids_of_jobs(store, place)
         for first in sorted({index // JOBS_PER_FILE * JOBS_PER_FILE for index in attempts}):
-            for number, entry in enumerate(_read_entries(store, place, first)):
+            for number, entry in enumerate(_read_list(store, place.jobs_key(first))):
                 index = first + number
                 if index in attempts and isinstance(entry, dict):
                     mark = mark_of(group.partition("-")[0], entry)
@@ -98,9 +98,8 @@ def submitted_document(submitted: Iterable[Submitted]) -> bytes:
 def _ids_of_jobs(store: Store, location: Location) -> dict[int, str]:
     """Return the id of each job of a group; jobs with unknown ids are omitted."""
     key = location.submitted_key
-    data = store.get(key, MAX_JOBS_BYTES)
     ids: dict[int, str] = {}
-    for entry in _parse_list(data, key):
+    for entry in _read_list(store, key):
         submission = read(Submitted, entry, key, error=InfrastructureError)
         for child in range(submission.count):
             ids[submission.first + child] = f"{submission.id}:{child}" if submission.count > 1 else submission.id
@@ -118,11 +117,8 @@ def _latest_attempts(store: Store, root: str, group: str) -> dict[int, int]:
     return attempts
 
 
-def _read_entries(store: Store, location: Location, first: int) -> list[Any]:
-    key = location.jobs_key(first)
-    return _parse_list(store.get(key, MAX_JOBS_BYTES), key)
-
-
-def _parse_list(data: bytes | None, key: str) -> list[Any]:
+def _read_list(store: Store, key: str) -> list[Any]:
+    """Return the list in a file; an empty one if there is no such file."""
+    data = store.get(key, MAX_JOBS_BYTES)
     document = [] if data is None else parse_json(data, MAX_JOBS_BYTES, key)
     return document if isinstance(document, list) else []

@@ -90,7 +90,11 @@ class BatchRun:
         """
         inputs = InputUploader(self._run)
         inputs.upload(self._jobs, _DOWNLOAD_WORKERS)
-        missing, earlier = self._find_missing(inputs) if resume else (self._jobs_by_shape(), {})
+        missing, earlier = (
+            self._find_missing(inputs)
+            if resume
+            else ({name: list(group.jobs) for name, group in self._shapes.items()}, {})
+        )
         for some in batches(earlier.items(), JOBS_PER_CALL):
             described = describe(self._aws, [result.id for _, result in some if result.id is not None])
             for place, result in some:
@@ -132,9 +136,6 @@ class BatchRun:
         self._downloads.join(_ENDING_SECONDS)
 
     # --- before the run
-
-    def _jobs_by_shape(self) -> dict[str, list[int]]:
-        return {name: list(group.jobs) for name, group in self._shapes.items()}
 
     def _find_missing(self, inputs: InputUploader) -> tuple[dict[str, list[int]], dict[int, Result]]:
         """Return the jobs without a verdict, by shape; and the results of the others, by job."""

@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import IO, TYPE_CHECKING, Any, Generic, TypeVar
+from typing import IO, Any, Generic, TypeVar
 
 import botocore.exceptions
 
@@ -16,9 +16,6 @@ from calibration.addons.aws_batch.session import Aws, aws_errors, error_code, pa
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.wire import Location
 from calibration.base.errors import InfrastructureError, InputError
-
-if TYPE_CHECKING:
-    from botocore.exceptions import ClientError
 
 Result = TypeVar("Result")
 
@@ -241,7 +238,7 @@ class Store:
             try:
                 answer: dict[str, Any] = self._s3.get_object(Bucket=self._bucket, Key=key)
             except botocore.exceptions.ClientError as error:
-                if _is_missing(error):
+                if error_code(error) in ("NoSuchKey", "404", "NotFound"):
                     return None
                 raise
         return answer
@@ -256,10 +253,6 @@ class Store:
         with aws_errors(self._where):
             data: bytes = body.read(_CHUNK_BYTES)
         return data
-
-
-def _is_missing(error: "ClientError") -> bool:
-    return error_code(error) in ("NoSuchKey", "404", "NotFound")
 
 
 @dataclass(frozen=True)

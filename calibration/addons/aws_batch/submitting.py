@@ -31,7 +31,9 @@ from calibration.ci.execution.job import Job
 
 def run_tags(run: str) -> dict[str, str]:
     """Return the tags of a run's jobs, including the process that starts them."""
-    return {RUN_LABEL: run, **_without_brackets(Owner.this_process()).labels}
+    owner = Owner.this_process()
+    bare = owner.namespace.replace("[", "").replace("]", "")  # AWS does not allow brackets in tags
+    return {RUN_LABEL: run, **replace(owner, namespace=bare or "unknown").labels}
 
 
 def owner_of(tags: Mapping[str, str]) -> Owner | None:
@@ -41,11 +43,6 @@ def owner_of(tags: Mapping[str, str]) -> Owner | None:
         return None
     kind, colon, number = owner.namespace.partition(":")
     return replace(owner, namespace=f"{kind}:[{number}]" if colon else owner.namespace)
-
-
-def _without_brackets(owner: Owner) -> Owner:
-    """Remove the brackets in a namespace, which AWS does not allow in tags."""
-    return replace(owner, namespace=owner.namespace.replace("[", "").replace("]", "") or "unknown")
 
 
 AROUND_SECONDS = ARRIVAL_SECONDS + UPLOAD_SECONDS

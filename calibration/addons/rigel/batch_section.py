@@ -43,7 +43,8 @@ def batch_section(fields: Fields, region: str, *, gpu: bool, images: Sequence[st
     section["job-role"] = role if _may_have_value("job-role", role) else f"arn:aws:iam::{account}:role/{TO_DO}"
     if section["region"] == NO_REGION:
         notes.to_do("aws-batch.region", f"{'unknown' if not region else f'{region} is not a region'}: set it")
-    notes.to_do("aws-batch.queue", f"write the name of a job queue whose compute environment is {_describe_hosts(gpu)}")
+    hosts = "of EC2 instances with a GPU" if gpu else "Fargate"
+    notes.to_do("aws-batch.queue", f"write the name of a job queue whose compute environment is {hosts}")
     notes.to_do("aws-batch.tools-image", "build the image of examples/aws-batch, push it to ECR, and write its name")
     if section["job-role"] != role:
         what = f"{role} is not the ARN of a role" if role else "there is none"
@@ -85,10 +86,6 @@ def merged(first: dict[str, Any], second: dict[str, Any], where: str, notes: Not
 
 def _is_unknown(value: object) -> bool:
     return value in (NO_REGION, NO_BUCKET) or (isinstance(value, str) and value.endswith(TO_DO))
-
-
-def _describe_hosts(gpu: bool) -> str:
-    return "of EC2 instances with a GPU" if gpu else "Fargate"
 
 
 def _convert_output(fields: Fields, notes: Notes) -> tuple[str, str]:

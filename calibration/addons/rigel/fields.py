@@ -88,11 +88,6 @@ def names_a_secret(name: str) -> bool:
     return _SECRET_NAME.search(name) is not None
 
 
-def spans_of_secrets(text: str) -> list[tuple[int, int]]:
-    """Find a text with the form of a secret: a private key, a token, a password in a URL."""
-    return [match.span() for pattern in _SECRET_VALUES for match in pattern.finditer(text)]
-
-
 def variable_name(text: str) -> str:
     """Return a name for an environment variable: ``docker-password`` gives ``DOCKER_PASSWORD``."""
     name = re.sub(r"[^A-Za-z0-9_]+", "_", text).strip("_")
@@ -234,7 +229,8 @@ class Substitution:
             raise InputError(f"{where}: the variable {name} refers to itself ({' -> '.join((*opened, name))})")
 
     def _without_secrets(self, text: str, where: str) -> str:
-        for start, end in sorted(spans_of_secrets(text), reverse=True):
+        spans = [match.span() for pattern in _SECRET_VALUES for match in pattern.finditer(text)]
+        for start, end in sorted(spans, reverse=True):
             if "\ue000" not in text[start:end]:
                 text = text[:start] + self._hide_secret(text[start:end], "", where) + text[end:]
         return text

@@ -171,11 +171,11 @@ def called(*code: ast.AST) -> set[str]:
     actions = set()
     for tree in code:
         for node in ast.walk(tree):
-            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+            if not isinstance(node, ast.Call):
                 continue
-            name = node.func.attr
-            if name == "get_paginator" and isinstance(node.args[0], ast.Constant):
-                name = str(node.args[0].value)
+            name = ast.unparse(node.func).rpartition(".")[2]
+            if name == "pages" and isinstance(node.args[1], ast.Constant):
+                name = str(node.args[1].value)
             if name == "upload_fileobj":  # in parts if it is large
                 actions |= {"s3:PutObject", "s3:AbortMultipartUpload"}
             elif name in SERVICES:

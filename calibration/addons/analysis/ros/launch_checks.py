@@ -178,16 +178,14 @@ def _check_connections(title: str, gives: list[Endpoint], takes: list[Endpoint],
         if each.name in given or each.name in _TOPICS_OF_ROS or each.node not in started:
             continue
         loose = [
-            end.name for end in gives if end.name not in taken and _may_be_same_type(end.call.type, each.call.type)
+            end.name
+            for end in gives
+            if end.name not in taken and (None in (end.call.type, each.call.type) or end.call.type == each.call.type)
         ]
         if hint := did_you_mean(each.name, loose):
             what = {"topics": "nothing publishes", "services": "nothing serves", "actions": "nothing serves"}[title]
             message = f"{what} {quoted(each.name)}{hint}"
             yield fault("not-connected", each.path, each.line, message)
-
-
-def _may_be_same_type(one: str | None, other: str | None) -> bool:
-    return one is None or other is None or one == other
 
 
 def _check_qualities(graph: Graph) -> Iterator[CodeFinding]:

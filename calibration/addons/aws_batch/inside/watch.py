@@ -84,7 +84,8 @@ class LogLine:
             *lines, rest = (self._rest + data).split(b"\n")
             self._rest = rest[-LONGEST_LINE:]
             self.found = any(
-                self._matches_line(line) for line in [*lines, *([rest] if len(rest) > LONGEST_LINE else [])]
+                self._pattern.search(line[:LONGEST_LINE].decode("utf-8", "replace"))
+                for line in [*lines, *([rest] if len(rest) > LONGEST_LINE else [])]
             )
         if self._position > self._most:  # its content has been processed, and the writer appends
             self._truncate_log()
@@ -95,9 +96,6 @@ class LogLine:
         if descriptor is not None:
             os.ftruncate(descriptor, 0)
             os.close(descriptor)
-
-    def _matches_line(self, line: bytes) -> bool:
-        return self._pattern.search(line[:LONGEST_LINE].decode("utf-8", "replace")) is not None
 
 
 MAX_SILENCE_SECONDS = 20.0
