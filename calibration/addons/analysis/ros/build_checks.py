@@ -9,7 +9,7 @@ from calibration.addons.analysis.ros.cmake import CATKIN_PACKAGE_KEYWORDS, Argum
 from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.package import FOLDER_OF_SUFFIX, Package, Unreadable, lines_of
 from calibration.addons.analysis.ros.python_file import parse_python
-from calibration.addons.analysis.ros.repository import RosRepository
+from calibration.addons.analysis.ros.repository import RosRepository, module_places
 from calibration.addons.analysis.ros.uses import BUILT_IN_TYPES
 
 _SOURCE_SUFFIXES = (".cpp", ".cc", ".cxx", ".c")
@@ -206,9 +206,7 @@ def _entry_points(package: Package) -> Iterator[CodeFinding]:
         return
     tree = package.tree
     for each in setup.entry_points:
-        place = each.module.replace(".", "/")
-        roots = ("", "src/")
-        files = [package.inside(f"{root}{place}{end}") for root in roots for end in (".py", "/__init__.py")]
+        files = module_places(package, each.module)
         file = next((path for path in files if tree.has(path)), None)
         if file is None:
             if "package_dir" in package.build_text and "src" not in package.build_text:
@@ -216,7 +214,7 @@ def _entry_points(package: Package) -> Iterator[CodeFinding]:
             folder = files[0].rpartition("/")[0]
             names = [path.rpartition("/")[2].removesuffix(".py") for path in package.files if path.startswith(folder)]
             message = f"{each.name} is to run the module {quoted(each.module)}, which does not exist"
-            yield fault("no-such-entry-point", each.path, each.line, message, place.rpartition("/")[2], names)
+            yield fault("no-such-entry-point", each.path, each.line, message, each.module.rpartition(".")[2], names)
             continue
         source = parse_python(tree.text(file))
         if source is None or not each.function or "." in each.function:

@@ -79,7 +79,7 @@ class Include:
     passes_all: bool = False
 
 
-@dataclass
+@dataclass(eq=False)
 class Launch:
     """A launch file."""
 

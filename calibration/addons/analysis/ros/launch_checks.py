@@ -15,7 +15,7 @@ from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.graph import CONNECTIONS, Endpoint, Graph, GraphNode, build_graphs
 from calibration.addons.analysis.ros.launch import Include, Launch, LaunchParameter, package_of
 from calibration.addons.analysis.ros.repository import RosRepository, is_installed
-from calibration.addons.analysis.ros.tree import compose_yaml, entries_of, is_test_file, without_comments
+from calibration.addons.analysis.ros.tree import compose_yaml, entries_of, is_test_file, reachable, without_comments
 from calibration.base.text import did_you_mean
 
 _SUFFIXES_READ_ONLY = (
@@ -106,18 +106,12 @@ def _check_arguments(launch: Launch) -> Iterator[CodeFinding]:
 
 
 def _check_cycles(launch: Launch, repository: RosRepository) -> Iterator[CodeFinding]:
+    def included(each: Launch | None) -> list[Launch | None]:
+        return [repository.included(inner) for inner in each.includes if not inner.conditional] if each else []
+
     for include in launch.includes:
-        if include.conditional:
-            continue
-        seen: dict[str, None] = {}
-        open_launches = [repository.included(include)]
-        while open_launches:
-            each = open_launches.pop()
-            if each is None or each.path in seen:
-                continue
-            seen[each.path] = None
-            open_launches += [repository.included(inner) for inner in each.includes if not inner.conditional]
-        if launch.path in seen:
+        first = [] if include.conditional else [repository.included(include)]
+        if launch in reachable(first, included):
             message = f"{quoted(include.file or '')} includes this file again, without an end"
             yield fault("launch-cycle", launch.path, include.line, message)
 

@@ -1,9 +1,10 @@
 """The packages, their executables, code and launch files of a repository, each read once for all checks."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import PurePosixPath
 
 from calibration.addons.analysis.ros.client_code import ClientCode, read_cpp, read_python
 from calibration.addons.analysis.ros.cmake import CMakeCommand
@@ -11,7 +12,7 @@ from calibration.addons.analysis.ros.launch import Include, Launch, package_of, 
 from calibration.addons.analysis.ros.launch_python import read_launch_python
 from calibration.addons.analysis.ros.package import Package, find_packages
 from calibration.addons.analysis.ros.python_file import imported_modules, parse_python
-from calibration.addons.analysis.ros.tree import Tree, join
+from calibration.addons.analysis.ros.tree import Tree, join, reachable
 from calibration.addons.analysis.ros.uses import COMMON_PACKAGES
 
 _SOURCE_SUFFIXES = (".cpp", ".cc", ".cxx", ".c")
@@ -19,6 +20,8 @@ _HEADER_SUFFIXES = (".h", ".hpp", ".hh", ".hxx")
 _INCLUDED_HEADER = re.compile(r"#\s*include\s*[<\"](?:[^>\"\n]*/)?([\w-]+)\.h")
 """Name of an included header, without folders and suffix."""
 _LINK_KEYWORDS = ("PUBLIC", "PRIVATE", "INTERFACE")
+_DESTINATION_STARTS = ("share/", "lib/", "bin", "include", "${CMAKE_INSTALL")
+"""How arguments with variables start that name a place to install to."""
 _ALWAYS_INSTALLED = ("package.xml",)
 """Files that the build tools install themselves."""
 
@@ -70,8 +73,8 @@ def find_executables(package: Package) -> Executables:
     if package.setup is not None:
         complete = complete and package.setup.is_known
         for entry in package.setup.entry_points:
-            module = _find_module(package, entry.module)
-            files[entry.name] = (module,) if module else ()
+            places = module_places(package, entry.module)
+            files[entry.name] = tuple(place for place in places if place in package.tree.present)[:1]
         complete = complete and (package.build_type != "ament_python" or bool(package.setup.entry_points))
     return Executables({name: paths for name, paths in files.items() if name}, complete)
 
@@ -82,17 +85,7 @@ def _libraries_of_targets(package: Package) -> dict[str, list[str]]:
     for command in package.commands("target_link_libraries"):
         names = [each for each in command.texts[1:] if each not in _LINK_KEYWORDS]
         direct.setdefault(command.texts[0] if command.texts else "", []).extend(names)
-    whole = {}
-    for target in direct:
-        seen: dict[str, None] = {}
-        open_names = list(direct[target])
-        while open_names:
-            name = open_names.pop()
-            if name not in seen:
-                seen[name] = None
-                open_names += direct.get(name, ())
-        whole[target] = list(seen)
-    return whole
+    return {target: reachable(names, lambda name: direct.get(name, ())) for target, names in direct.items()}
 
 
 def _sources_of_target(package: Package, command: CMakeCommand) -> tuple[str, ...]:
@@ -106,7 +99,7 @@ def _included_sources(package: Package, own: Sequence[str], others: Sequence[str
     open_paths = list(own)
     while open_paths:
         stems = set(_INCLUDED_HEADER.findall(package.tree.text(open_paths.pop())))
-        found = [each for each in others if each not in used and each.rpartition("/")[2].rpartition(".")[0] in stems]
+        found = [each for each in others if each not in used and PurePosixPath(each).stem in stems]
         used |= dict.fromkeys(found)
         open_paths += found
     return list(used)
@@ -114,33 +107,29 @@ def _included_sources(package: Package, own: Sequence[str], others: Sequence[str
 
 def _with_headers(package: Package, sources: Sequence[str]) -> tuple[str, ...]:
     """Return sources, and the headers of the package that have the name of one."""
-    stems = {path.rpartition("/")[2].rpartition(".")[0] for path in sources}
+    stems = {PurePosixPath(path).stem for path in sources}
     headers = (path for path in package.files if path.endswith(_HEADER_SUFFIXES))
-    return (*sources, *(path for path in headers if path.rpartition("/")[2].rpartition(".")[0] in stems))
+    return (*sources, *(path for path in headers if PurePosixPath(path).stem in stems))
 
 
-def _find_module(package: Package, name: str) -> str | None:
+def module_places(package: Package, name: str) -> list[str]:
+    """Return the paths at which a module of a package may be."""
     place = name.replace(".", "/")
-    candidates = [package.inside(f"{root}{place}{end}") for root in ("", "src/") for end in (".py", "/__init__.py")]
-    return next((path for path in candidates if path in package.tree.present), None)
+    return [package.inside(f"{root}{place}{end}") for root in ("", "src/") for end in (".py", "/__init__.py")]
 
 
 def with_imports(package: Package, path: str) -> tuple[str, ...]:
     """Return a Python file and those of the package that it imports, directly or not."""
-    found: dict[str, None] = {}
-    open_paths = [path]
-    while open_paths and len(found) < 200:
-        each = open_paths.pop()
-        if each in found:
-            continue
-        found[each] = None
+
+    def imported(each: str) -> Iterator[str]:
         file = parse_python(package.tree.text(each)) if each.endswith(".py") or "/scripts/" in each else None
         for level, name in [] if file is None else [pair for node in file.nodes for pair in imported_modules(node)]:
             folder = join(each.rpartition("/")[0], "../" * (level - 1)) or "" if level else ""
             parts = [*(package.relative(folder).split("/") if level else ()), name]
-            if place := _find_module(package, ".".join(filter(None, parts))):
-                open_paths.append(place)
-    return tuple(found)
+            places = module_places(package, ".".join(filter(None, parts)))
+            yield from [place for place in places if place in package.tree.present][:1]
+
+    return tuple(reachable([path], imported, most=200))
 
 
 def is_installed(package: Package, path: str) -> bool:
@@ -153,16 +142,11 @@ def is_installed(package: Package, path: str) -> bool:
     for command in package.commands("install", "ament_auto_package", "install_launch_files", "catkin_install_python"):
         for each in command.arguments:
             place = command.place(each.text)
-            if place is None and each.text not in ("DESTINATION",) and not _is_destination(each.text):
+            if place is None and "DESTINATION" not in each.text and not each.text.startswith(_DESTINATION_STARTS):
                 return True  # a variable or a pattern that may be it
             if place is not None and each.text and (package.inside(path) + "/").startswith(place.rstrip("/") + "/"):
                 return True
     return not package.commands("install") and not package.is_ros2 and not package.cmake
-
-
-def _is_destination(text: str) -> bool:
-    """Whether an argument with variables names a place to install to."""
-    return "DESTINATION" in text or text.startswith(("share/", "lib/", "bin", "include", "${CMAKE_INSTALL"))
 
 
 class RosRepository:

@@ -1,9 +1,9 @@
 """Tracked files of one state of a repository, and their XML with the line of every element."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeVar
 from xml.etree.ElementTree import Element
 
 import yaml
@@ -156,3 +156,18 @@ def compose_yaml(text: str) -> yaml.Node | None:
 def entries_of(node: Any) -> list[tuple[Any, Any]]:
     """Return keys and values of a mapping in YAML; none for other nodes."""
     return node.value if isinstance(node, yaml.MappingNode) else []
+
+
+Item = TypeVar("Item")
+
+
+def reachable(starts: Iterable[Item], following: Callable[[Item], Iterable[Item]], most: int = 100_000) -> list[Item]:
+    """Return the items that can be reached from some, which are among them; not many more than ``most``."""
+    seen: dict[Item, None] = {}
+    open_items = list(starts)
+    while open_items and len(seen) < most:
+        item = open_items.pop()
+        if item not in seen:
+            seen[item] = None
+            open_items += following(item)
+    return list(seen)
