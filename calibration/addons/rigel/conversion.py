@@ -254,6 +254,11 @@ def written(conversion: Conversion, source: str) -> str:
             _comment_text(f"from the {conversion.batch_origin}")
             + _dump_yaml({"aws-batch": conversion.batch}, flow=False)
         )
+    if conversion.requirements:
+        parts.append(
+            _comment_text(f"from the {conversion.requirements_origin}")
+            + _dump_yaml({"requirements": conversion.requirements}, flow=False)
+        )
     parts += [_notes_text(conversion, NoteKind.CHANGED), _notes_text(conversion, NoteKind.LOST)]
     return _without_secrets(conversion.secrets, "\n".join(part for part in parts if part))
 

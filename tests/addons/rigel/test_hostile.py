@@ -173,5 +173,5 @@ def test_any_other_document_is_converted_or_refused_in_one_line(tmp_path: Path, 
     else:
         refusal = None
         loaded = yaml.safe_load(text)
-        assert loaded is None or set(loaded) <= {"image", "noise", "systems", "simulation", "aws-batch"}
+        assert loaded is None or set(loaded) <= {"image", "noise", "systems", "simulation", "aws-batch", "requirements"}
     assert refusal is None or (refusal.startswith(str(path)) and refusal.isprintable())
