@@ -14,7 +14,7 @@ from calibration.commands.parameters import chosen, record_options
 from calibration.robot.importing.bags.recordings import SeenImages
 from calibration.robot.importing.importing import import_data
 from calibration.robot.importing.patterns.image_views import LabelledMoment
-from calibration.robot.importing.report import IMPORT_TITLE, report
+from calibration.robot.importing.results import IMPORT_TITLE, report
 
 
 @record(kw_only=True)

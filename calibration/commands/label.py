@@ -11,7 +11,7 @@ from calibration.ci.workflow.progress import progress
 from calibration.commands.parameters import boolean_option, count, path
 from calibration.robot.importing.patterns.image_views import LabelledMoment
 from calibration.robot.importing.relabelling import label_dataset
-from calibration.robot.importing.report import label_report
+from calibration.robot.importing.results import label_report
 
 
 @click.command("label")

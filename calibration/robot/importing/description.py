@@ -1,8 +1,11 @@
 """Description of an import, ``import.yml``: sensors, patterns and frames."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
+
+import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.records import (
@@ -24,6 +27,7 @@ from calibration.engine.dataset.configuration import (
     MIN_SPACING,
     TAG_COUNT,
 )
+from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.pattern import (
     CIRCLE_KINDS,
     MAX_MARKER,
@@ -32,7 +36,7 @@ from calibration.engine.dataset.pattern import (
     PatternKind,
     PlacedTag,
 )
-from calibration.engine.geometry.transforms import from_xyz_rpy
+from calibration.engine.geometry.transforms import from_xyz_rpy, inverse
 from calibration.robot.importing.files.samples import Samples
 from calibration.robot.robot_description import XacroInputs
 from calibration.robot.simulation.description import Pose
@@ -40,14 +44,23 @@ from calibration.robot.simulation.description import Pose
 Name = Annotated[str, length(1, 200)]
 Size = Annotated[float, above(0, MAX_SIZE)]
 Count = Annotated[int, between(2, MAX_CORNERS)]
+VIDEO_ENDINGS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
+"""Endings of videos, in lower case."""
+_OF_KIND: Mapping[PatternKind, tuple[str, ...]] = {
+    "charuco": ("columns", "rows", "square", "marker", "dictionary"),
+    "chessboard": ("columns", "rows", "square"),
+    "aprilgrid": ("columns", "rows", "tag", "spacing"),
+    "circles": ("columns", "rows", "spacing", "diameter"),
+    "asymmetric-circles": ("columns", "rows", "spacing", "diameter"),
+    "tags": ("dictionary", "tags"),
+}
+"""Keys of a pattern by its kind."""
+FLAT_M, FLAT_RAD = 1e-6, 1e-6
+"""Limits of what two tags of one side are apart from one plane."""
 
 
 def _path_beside(text: str, place: Place) -> str:
     return str(place.folder / text)
-
-
-VIDEO_ENDINGS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
-"""Endings of videos, in lower case."""
 
 
 def is_video(images: str) -> bool:
@@ -144,17 +157,6 @@ class BodyDescription:
         default=None,
     )
     fixed: bool | None = field("Whether it has one pose there, or one in each collection.", default=None)
-
-
-_OF_KIND: Mapping[PatternKind, tuple[str, ...]] = {
-    "charuco": ("columns", "rows", "square", "marker", "dictionary"),
-    "chessboard": ("columns", "rows", "square"),
-    "aprilgrid": ("columns", "rows", "tag", "spacing"),
-    "circles": ("columns", "rows", "spacing", "diameter"),
-    "asymmetric-circles": ("columns", "rows", "spacing", "diameter"),
-    "tags": ("dictionary", "tags"),
-}
-"""Keys of a pattern by its kind."""
 
 
 def _with_article(kind: PatternKind) -> str:
@@ -423,3 +425,60 @@ class ImportDescription:
                 )
             if sensor.images is not None or sensor.clouds is not None or sensor.topic is None:
                 raise Misfit(f"sensors: '{sensor.name}': expected the 'topic' of its data in the bag, no folder")
+
+
+def with_sides(described: ImportDescription) -> ImportDescription:
+    """Return a description in which patterns with tags on several sides are bodies with a flat pattern a side."""
+    solid = [pattern for pattern in described.patterns if not pattern.is_flat]
+    bodies = [BodyDescription(each.name, each.parent, described.is_fixed(each)) for each in solid]
+    patterns = [
+        side for each in described.patterns for side in (_sides_of_pattern(each) if not each.is_flat else [each])
+    ]
+    return replace(described, patterns=tuple(patterns), bodies=(*described.bodies, *bodies))
+
+
+def _sides_of_pattern(pattern: PatternDescription) -> list[PatternDescription]:
+    """Return the sides of a pattern; the frame of each is that of its first tag."""
+    sides: list[tuple[TagOnBody, list[TagOnBody]]] = []
+    for tag in pattern.tags or ():
+        for first, tags in sides:
+            T = inverse(first.T_body_tag) @ tag.T_body_tag
+            if abs(T[2, 3]) < FLAT_M and np.linalg.norm(T[:2, 2]) < FLAT_RAD and T[2, 2] > 0:
+                tags.append(_in_plane(tag, T))
+                break
+        else:
+            sides.append((tag, [_in_plane(tag, np.eye(4))]))
+    return [
+        replace(
+            pattern,
+            name=f"{pattern.name}_{number}",
+            tags=tuple(tags),
+            parent=pattern.name,
+            fixed=True,
+            frame=None,
+            pose=Pose((first.x, first.y, first.z), (first.roll, first.pitch, first.yaw)),
+        )
+        for number, (first, tags) in enumerate(sides)
+    ]
+
+
+def _in_plane(tag: TagOnBody, T: Array) -> TagOnBody:
+    yaw = float(np.arctan2(T[1, 0], T[0, 0]))
+    return TagOnBody(id=tag.id, size=tag.size, x=float(T[0, 3]), y=float(T[1, 3]), yaw=yaw)
+
+
+def body_edges(described: ImportDescription) -> dict[str, Edge]:
+    """Return the transform of each body to its parent."""
+    return {each.name: (each.parent or described.root, each.name) for each in described.bodies}
+
+
+def moving_bodies(described: ImportDescription) -> tuple[str, ...]:
+    """Return the bodies that have a pose in each collection."""
+    return tuple(each.name for each in described.bodies if not described.is_fixed(each))
+
+
+def carriers(described: ImportDescription, parents: Sequence[str]) -> set[str]:
+    """Return the frames that carry fixed patterns, by their parents: of a body, the frame that it is fixed on."""
+    bodies = {each.name: each for each in described.bodies}
+    on_frames = {parent for parent in parents if parent not in bodies}
+    return on_frames | {each.parent or described.root for each in bodies.values() if described.is_fixed(each)}

@@ -27,10 +27,8 @@ from calibration.engine.dataset.writing import write_document
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
 from calibration.robot.importing.bags.bag import Bag, open_bag
-from calibration.robot.importing.bags.best_moments import best_moments
-from calibration.robot.importing.bags.board_motion import MovingBoards
-from calibration.robot.importing.bags.motion_log import MotionLog
-from calibration.robot.importing.bags.range_views import RangeView
+from calibration.robot.importing.bags.motion import MotionLog, MovingBoards
+from calibration.robot.importing.bags.range_views import LabelledRange, RangeView
 from calibration.robot.importing.bags.recordings import (
     SeenImages,
     chosen_moments,
@@ -48,19 +46,25 @@ from calibration.robot.importing.bags.stillness import BagMoment
 from calibration.robot.importing.bags.survey import survey
 from calibration.robot.importing.bags.video_packets import ImageReader
 from calibration.robot.importing.cloud_files import CLOUD_ENDINGS, cloud_view
-from calibration.robot.importing.description import Bags, ImportDescription, SensorDescription, Videos
+from calibration.robot.importing.description import (
+    Bags,
+    ImportDescription,
+    SensorDescription,
+    Videos,
+    body_edges,
+    carriers,
+    moving_bodies,
+    with_sides,
+)
 from calibration.robot.importing.document import Imported, data_file, dataset_document
-from calibration.robot.importing.files.baselines import with_baselines
-from calibration.robot.importing.files.camera_files import KnownLens, known_model, read_lens
+from calibration.robot.importing.files.camera_files import KnownLens, known_model, read_lens, with_baselines
 from calibration.robot.importing.files.pictures import Moment, Pictures, find_pictures, moments_of
 from calibration.robot.importing.files.samples import Sample, read_samples, same_numbers
 from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.patterns.contact_sheet import contact_sheet
 from calibration.robot.importing.patterns.image_views import LabelledMoment, check_copies, view_of_file
 from calibration.robot.importing.patterns.near_miss import check_told_apart
-from calibration.robot.importing.patterns.range_data import LabelledRange
-from calibration.robot.importing.patterns.sides import body_edges, carriers, moving_bodies, with_sides
-from calibration.robot.importing.recorded import Recorded, check_seen, check_views, imported_moments
+from calibration.robot.importing.recorded import Recorded, best_moments, check_seen, check_views, imported_moments
 from calibration.robot.importing.results import ImportResults, LeftOut, RejectedView, SensorResult
 from calibration.robot.importing.videos import extracted_frames, frame_tasks, frames_by_camera, survey_videos
 from calibration.robot.labelling.corner_detector import corner_detector

@@ -12,13 +12,13 @@ import numpy as np
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes, write_atomically
 from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.robot.importing.bags.bag import NS_PER_S
 from calibration.robot.importing.bags.recordings import SeenImage, SeenImages
 from calibration.robot.importing.bags.stillness import BagImage, BagMoment
 from calibration.robot.importing.description import SensorDescription
 from calibration.robot.importing.files.confined_decoding import FRAME_HEADER, confined_decoding
 from calibration.robot.importing.patterns.contact_sheet import thumbnail, thumbnail_of
-from calibration.robot.importing.patterns.image_views import LabelledMoment, view_of_image
-from calibration.robot.importing.patterns.png import encoded
+from calibration.robot.importing.patterns.image_views import LabelledMoment, encoded, view_of_image
 from calibration.robot.labelling.detection import CornerDetector, Image
 
 MAX_FRAMES = 200_000
@@ -28,7 +28,6 @@ MAX_FRAME_PIXELS = 40_000_000
 MAX_STAMPS_BYTES = 10_000_000
 PARTS_PER_VIDEO = 4
 """Tasks of one video. Each decodes what comes before its part, as no codec finds a frame by its number for certain."""
-NS_PER_S = 1e9
 _MIN_NANOSECOND_STAMP = 1e14
 """Stamps from here on are in nanoseconds; as seconds they would be three million years."""
 

@@ -8,7 +8,7 @@ import pytest
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.engine.geometry.transforms import distance, retract
-from calibration.robot.importing.bags.motion_log import MotionLog
+from calibration.robot.importing.bags.motion import MotionLog
 
 URDF = b"""<robot name="r"><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
 <joint name="slide" type="prismatic"><parent link="a"/><child link="b"/></joint>

@@ -17,7 +17,7 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.rotations import exp
 from calibration.engine.geometry.transforms import distance, transform
 from calibration.robot.importing.bags.bag import VIDEO_TYPES
-from calibration.robot.importing.bags.motion_log import MotionLog
+from calibration.robot.importing.bags.motion import MotionLog
 from calibration.robot.importing.bags.survey import IMAGE_TYPES
 from calibration.robot.importing.importing import import_data
 from calibration.robot.importing.patterns.image_views import decoded_image

@@ -5,7 +5,7 @@
 
 import base64
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,24 +16,32 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.base.files import write_atomically
+from calibration.engine.dataset.configuration import Configuration
 from calibration.engine.dataset.depth_image import read_depth_image
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.laser_scan import read_scan
 from calibration.engine.dataset.modalities import DEPTH, LIDAR2D, LIDAR3D
+from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.dataset.pointcloud import decode_message, read_points, write_points
 from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.frames import FrameTree
+from calibration.engine.geometry.transforms import inverse
 from calibration.robot.importing.bags.bag import LIVOX_TYPES
 from calibration.robot.importing.bags.messages import depth_of
 from calibration.robot.importing.bags.survey import SensorTopic
-from calibration.robot.importing.patterns.png import encoded
+from calibration.robot.importing.patterns.image_views import LabelledMoment, encoded
 from calibration.robot.labelling.depth import label_depth
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints, label_points
 from calibration.robot.labelling.scan_line import label_scan_line
+from calibration.robot.simulation.collection.capture import estimate_pose
+from calibration.robot.simulation.robot import compose
 
 MAX_POINTS = 20_000_000
 """Limit of the points of one cloud."""
+Detector: TypeAlias = Callable[[Pattern, Array], PatternPoints | NotDetected]
+"""Function that finds a pattern in a sensor's data, from its geometry and its expected ``T_sensor_pattern`` (4, 4)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +59,6 @@ class RangeView:
         if self.file is not None:
             return np.asarray(read_points(self.file), float)
         return read_scan(Node(Path("LaserScan"), (), dict(self.message)))
-
-
-Detector: TypeAlias = Callable[[Pattern, Array], PatternPoints | NotDetected]
-"""Function that finds a pattern in a sensor's data, from its geometry and its expected ``T_sensor_pattern`` (4, 4)."""
 
 
 @dataclass(frozen=True)
@@ -161,3 +165,83 @@ def scan_message(message: Any, where: str) -> dict[str, Any]:
     document["intensities"] = []
     read_scan(Node(Path(where), (), document))
     return document
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledRange:
+    """Data of a LiDAR or a depth camera at one moment, and the patterns in them."""
+
+    view: RangeView
+    found: Mapping[str, PatternPoints | NotDetected]
+    """Detected points of each pattern, or the reason why it is not detected."""
+
+
+def labelled_ranges(
+    views: Sequence[Mapping[str, RangeView]],
+    moments: Sequence[LabelledMoment],
+    configuration: Configuration,
+    cameras: Mapping[str, Camera],
+    transforms: Mapping[Edge, Array],
+) -> list[dict[str, LabelledRange]]:
+    """Detect the patterns in the data of every LiDAR and depth camera at N moments.
+
+    Args:
+        views: their data, by name.
+        moments: the cameras' detections.
+        configuration: the sensors and the patterns.
+        cameras: the intrinsics, of depth cameras too.
+        transforms: (N, 4, 4) of each edge, for the expected pose of a pattern that a camera detects.
+    """
+    tree = FrameTree(transforms)
+    place = {
+        name: compose(tree, transforms, configuration.world_link, sensor.link)
+        for name, sensor in configuration.sensors.items()
+    }
+    labelled = []
+    for i, (ranges, moment) in enumerate(zip(views, moments, strict=True)):
+        guesses = {
+            pattern: _seen_by_cameras(moment, pattern, configuration, cameras, {n: T[i] for n, T in place.items()})
+            for pattern in configuration.patterns
+        }
+        labelled.append(
+            {
+                name: _label_range(name, view, guesses, configuration, place[name][i], cameras.get(name))
+                for name, view in ranges.items()
+            }
+        )
+    return labelled
+
+
+def _seen_by_cameras(
+    moment: LabelledMoment,
+    pattern: str,
+    configuration: Configuration,
+    cameras: Mapping[str, Camera],
+    place: Mapping[str, Array],
+) -> Array | None:
+    """Return ``T_world_pattern`` (4, 4) by the camera that sees most of it; None if none does."""
+    views = {name: labels for name, view in moment.views.items() if (labels := view.found[pattern].labels) is not None}
+    if not views:
+        return None
+    best = max(views, key=lambda name: len(views[name].ids))
+    T = estimate_pose(cameras[best], configuration.patterns[pattern].pattern(), views[best])
+    return place[best] @ T if np.isfinite(T).all() else None
+
+
+def _label_range(
+    name: str,
+    view: RangeView,
+    guesses: Mapping[str, Array | None],
+    configuration: Configuration,
+    T_world_sensor: Array,
+    camera: Camera | None,
+) -> LabelledRange:
+    found: dict[str, PatternPoints | NotDetected] = {}
+    detect = RANGE_MODALITIES[configuration.sensors[name].modality].detector(view, camera)
+    for pattern, T_world_pattern in guesses.items():
+        if T_world_pattern is None:
+            found[pattern] = NotDetected("no camera sees it at that moment")
+        else:
+            own = configuration.patterns[pattern].pattern()
+            found[pattern] = detect(own, inverse(T_world_sensor) @ T_world_pattern)
+    return LabelledRange(view, found)

@@ -19,16 +19,22 @@ from calibration.engine.dataset.configuration import Configuration, PatternConfi
 from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry.frames import FrameTree
 from calibration.robot.importing.bags.bag import NS_PER_S, Bag, RawMessage
-from calibration.robot.importing.bags.motion_log import MotionLog
+from calibration.robot.importing.bags.motion import MotionLog
 from calibration.robot.importing.bags.range_views import RANGE_MODALITIES, RangeView
 from calibration.robot.importing.bags.stillness import BagImage, BagMoment, evenly, moments_at, still_moments
 from calibration.robot.importing.bags.survey import SensorTopic, Survey
 from calibration.robot.importing.bags.video_packets import ImageReader
-from calibration.robot.importing.description import Bags, ImportDescription, SensorDescription, Videos
+from calibration.robot.importing.description import (
+    Bags,
+    ImportDescription,
+    SensorDescription,
+    Videos,
+    body_edges,
+    carriers,
+    moving_bodies,
+)
 from calibration.robot.importing.patterns.contact_sheet import thumbnail, thumbnail_of
-from calibration.robot.importing.patterns.image_views import LabelledMoment, View, view_of_image
-from calibration.robot.importing.patterns.png import encoded
-from calibration.robot.importing.patterns.sides import body_edges, carriers, moving_bodies
+from calibration.robot.importing.patterns.image_views import LabelledMoment, View, encoded, view_of_image
 from calibration.robot.importing.results import RejectedView
 from calibration.robot.labelling.detection import CornerDetector, DepthImage, Image
 

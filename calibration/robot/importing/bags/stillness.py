@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.robot.importing.bags.bag import NS_PER_S
 from calibration.robot.importing.patterns.image_views import View
 
 MAX_GAP_SECONDS = 0.5
@@ -15,7 +16,6 @@ MAX_STILL_MOTION_PX = 1.0
 """px: limit of the corners' motion at a standstill, their median."""
 MAX_ASSOCIATED_SECONDS = 0.1
 """s: limit of the time between associated single images."""
-NS_PER_S = 1e9
 
 
 @dataclass(frozen=True, eq=False)

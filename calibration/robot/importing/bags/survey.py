@@ -17,12 +17,11 @@ from calibration.robot.importing.bags.bag import (
     Bag,
     RawMessage,
 )
-from calibration.robot.importing.bags.messages import INSTALL_PYAV, frame_of, transform_of
-from calibration.robot.importing.bags.motion_log import MotionLog, frames_of
-from calibration.robot.importing.bags.recorded_lens import RecordedLens, is_rectified
+from calibration.robot.importing.bags.messages import INSTALL_PYAV, CameraMessage, camera_of, frame_of, transform_of
+from calibration.robot.importing.bags.motion import MotionLog, frames_of
 from calibration.robot.importing.bags.video_packets import NO_KEY_FRAME, KeyFrames, is_pyav_installed
 from calibration.robot.importing.description import ImportDescription, SensorDescription
-from calibration.robot.importing.left_out import LeftOutCounts
+from calibration.robot.importing.results import LeftOutCounts
 from calibration.robot.robot_description import read_robot_description
 
 _SENSOR_PACKAGE = "sensor_msgs/msg/"
@@ -52,6 +51,57 @@ NO_POSE = "no pose: a number that is not finite, or a quaternion that is not one
 NO_POSITION = "no position: a number that is not finite"
 NO_KEY_FRAME_YET = "packet of a video before the first key frame"
 RECTIFIED_TWIN = "topic of rectified images beside the raw ones"
+
+
+def is_rectified(topic: str) -> bool:
+    """Return whether images are rectified, by the name of their topic, as image_proc names them."""
+    return any(part.startswith("image_rect") for part in PurePosixPath(topic).parts)
+
+
+@dataclass
+class RecordedLens:
+    """Intrinsics of a camera_info topic, the same in all of its messages but those that are not calibrated."""
+
+    topic: str
+    _found: CameraMessage | None = None
+    _content: bytes = b""
+    """First calibrated message, without its stamp."""
+
+    def add(self, bag: Bag, message: RawMessage) -> None:
+        """Add a message.
+
+        Raises:
+            InputError: it is invalid, or has other intrinsics than one before it.
+        """
+        content = bag.without_stamp(message)
+        if content == self._content:
+            return
+        found = camera_of(bag.decode(message), where := f"{bag.path}: {self.topic}")
+        if found is None:
+            return
+        if self._found is None:
+            self._found, self._content = found, content
+        elif found != self._found:
+            raise InputError(
+                f"{where} at {bag.stamp(message) / NS_PER_S:.3f}: found {_in_words(found.raw)}, before it "
+                f"{_in_words(self._found.raw)}; expected intrinsics that do not change: cut the bag there, or give "
+                "'intrinsics'"
+            )
+
+    def camera(self, rectified: bool) -> Camera | None:
+        """Return the intrinsics of raw or of rectified images; None if no message is calibrated.
+
+        Raises:
+            InputError: images are rectified by a rotation of the camera's frame.
+        """
+        if self._found is None:
+            return None
+        return self._found.rectified(self.topic) if rectified else self._found.raw
+
+
+def _in_words(camera: Camera) -> str:
+    values = zip(camera.parameters, camera.intrinsics.tolist(), strict=True)
+    return f"{camera.width} x {camera.height}, {', '.join(f'{name} {value:.6g}' for name, value in values)}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Intrinsics in the files of other tools: ROS, Kalibr, OpenCV, aslam, anipose, MetriCal, ViSP, our own calibrations."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,10 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
+from calibration.engine.dataset.configuration import Configuration
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.lens_uncertainty import LensUncertainty
+from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.sensors import MAX_INTRINSIC, MAX_PIXELS, read_camera
 from calibration.engine.estimation.problem.intrinsics_file import read_calibrated
 from calibration.engine.geometry import rotations
@@ -401,3 +403,29 @@ def _flat_numbers(node: Node) -> list[Any]:
     if rows and all(isinstance(row.value, list) for row in rows):
         return [number.number() for row in rows for number in row.elements()]
     return [number.number() for number in rows]
+
+
+def with_baselines(
+    transforms: Mapping[Edge, Array],
+    configuration: Configuration,
+    lenses: Mapping[str, KnownLens],
+    known: Collection[Edge] = (),
+) -> dict[Edge, Array]:
+    """Place the cameras of a camchain that hang on one frame relative to the first of them, which stays.
+
+    Args:
+        transforms: ``T_parent_child`` (N, 4, 4) at each moment; of unknown ones the identity.
+        configuration: the sensors.
+        lenses: intrinsics of the cameras that have a file.
+        known: transforms that the description or the recording has; these stay.
+    """
+    placed = dict(transforms)
+    first: dict[tuple[Path, str], Array] = {}
+    for name, sensor in configuration.sensors.items():
+        edge = (sensor.parent_link, sensor.child_link)
+        lens = lenses.get(name)
+        if lens is None or lens.T_chain_camera is None or edge in known:
+            continue
+        T_first_chain = first.setdefault((lens.path, sensor.parent_link), inverse(lens.T_chain_camera))
+        placed[edge] = placed[edge] @ T_first_chain @ lens.T_chain_camera
+    return placed

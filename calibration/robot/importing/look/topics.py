@@ -10,19 +10,20 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Edge
 from calibration.robot.importing.bags.bag import NS_PER_S, Bag, RawMessage
 from calibration.robot.importing.bags.messages import frame_of
-from calibration.robot.importing.bags.motion_log import STILL_M, STILL_RAD, MotionLog
-from calibration.robot.importing.bags.recorded_lens import RecordedLens, is_rectified
+from calibration.robot.importing.bags.motion import STILL_M, STILL_RAD, MotionLog
 from calibration.robot.importing.bags.survey import (
     MODALITY_OF_MESSAGE,
+    RecordedLens,
     add_described_robot,
     add_motion,
     cameras_of,
     info_topic,
+    is_rectified,
     motion_topics,
 )
 from calibration.robot.importing.bags.video_packets import KeyFrames
 from calibration.robot.importing.description import ImportDescription, SensorDescription
-from calibration.robot.importing.look.results import FramesSummary, TopicSummary
+from calibration.robot.importing.look.report import FramesSummary, TopicSummary
 from calibration.robot.importing.look.sources import MAX_CAMERAS
 
 MAX_BYTES = 20_000_000_000

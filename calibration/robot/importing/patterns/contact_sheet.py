@@ -7,8 +7,7 @@ import cv2
 import numpy as np
 
 from calibration.engine.dataset.configuration import PatternConfiguration
-from calibration.robot.importing.patterns.image_views import View, read_image
-from calibration.robot.importing.patterns.png import encoded
+from calibration.robot.importing.patterns.image_views import View, encoded, read_image
 from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.collection.contact_sheet import (
     GAP_PX,

@@ -16,12 +16,14 @@ from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 from calibration.base.records import field, result
 from calibration.engine.dataset.model import CornerLabels
-from calibration.robot.labelling.detection import CornerDetector, Image
+from calibration.robot.labelling.detection import CornerDetector, DepthImage, Image
 
 MAX_BYTES = 500_000_000
 """Limit of an image file's size in bytes."""
 BRIGHTEST_SHARE = 0.999
 """Share of the pixels that are not saturated when 16 bits are stretched to 8: the brightest ones may be reflections."""
+_FAST_COMPRESSION = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+"""Half the time of OpenCV's own choice; photographs become no larger, drawings a third."""
 
 
 @result
@@ -172,3 +174,15 @@ def check_copies(sensor: str, views: Sequence[View]) -> None:
             raise InputError(
                 f"{view.file}: found the same pixels as in {other.file} ('{sensor}'): leave one of them out"
             )
+
+
+if hasattr(cv2, "IMWRITE_PNG_FILTER"):  # since OpenCV 4.12
+    _FAST_COMPRESSION += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP]
+
+
+def encoded(image: Image | DepthImage) -> bytes:
+    """Encode a PNG file."""
+    done, data = cv2.imencode(".png", image, _FAST_COMPRESSION)
+    if not done:
+        raise AssertionError("OpenCV cannot write .png")
+    return bytes(data)
