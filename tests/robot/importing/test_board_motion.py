@@ -17,8 +17,8 @@ from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.problem.assumptions import ALL_EXACT
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, local, transform
-from calibration.robot.importing.bags.motion import MovingBoards
 from calibration.robot.importing.bags.bag import NS_PER_S
+from calibration.robot.importing.bags.motion import MovingBoards
 from calibration.robot.importing.bags.stillness import BagImage, moments_at
 from calibration.robot.importing.document import dataset_document
 from calibration.robot.importing.files.camera_files import KnownLens
