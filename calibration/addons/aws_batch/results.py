@@ -36,7 +36,7 @@ from calibration.ci.execution.outcome import (
     make_job_folder,
     write_manifest,
 )
-from calibration.ci.execution.supervision import failure_at_end, how_it_ended
+from calibration.ci.execution.supervision import failure_of, how_it_ended
 
 _HOST_LOST = ("Host EC2", "Your Spot Task was interrupted")
 _TIMEOUT_REASON = "Job attempt duration exceeded timeout"

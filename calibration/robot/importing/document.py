@@ -20,11 +20,6 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
 from calibration.robot.importing.bags.range_views import LabelledRange, RangeView
 from calibration.robot.importing.patterns.image_views import FoundCorners, LabelledMoment
-<<<<<<< HEAD
-from calibration.robot.importing.patterns.range_data import LabelledRange
-=======
-from calibration.robot.labelling.detection import NotDetected
->>>>>>> b9f60843 (Importing in 40 modules: one subject each)
 from calibration.robot.labelling.points import PatternPoints
 from calibration.robot.simulation.sensors.sensor import range_label_document
 

@@ -21,11 +21,6 @@ from calibration.engine.geometry.transforms import apply, from_xyz_rpy, local
 from calibration.robot.importing.description import ImportDescription, with_sides
 from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.importing import import_data
-<<<<<<< HEAD
-from calibration.robot.importing.patterns.sides import with_sides
-=======
-from calibration.robot.simulation.board import Board
->>>>>>> b9f60843 (Importing in 40 modules: one subject each)
 from calibration.robot.simulation.random_streams import stream
 from calibration.robot.simulation.scene import Board, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera

@@ -18,17 +18,11 @@ from calibration.engine.dataset.model import Edge
 from calibration.engine.estimation.start.single_views import corner_term, fitted_poses, refined_poses
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
-<<<<<<< HEAD:calibration/robot/importing/bags/motion_log.py
-from calibration.engine.geometry.transforms import distance, local, retract
-from calibration.robot.importing.left_out import LeftOutCounts
-from calibration.robot.urdf import Joint, Robot, parse_robot
-=======
 from calibration.engine.geometry.transforms import distance, local, retract, translation
 from calibration.robot.importing.bags.bag import NS_PER_S
 from calibration.robot.importing.bags.stillness import BagImage, BagMoment
 from calibration.robot.importing.results import LeftOutCounts
-from calibration.robot.simulation.robot import Joint, Robot, parse_robot
->>>>>>> b9f60843 (Importing in 40 modules: one subject each):calibration/robot/importing/bags/motion.py
+from calibration.robot.urdf import Joint, Robot, parse_robot
 
 MAX_SECONDS_TO_RECORD = 0.5
 """s: limit of the time between a pose's record and a moment that uses it."""

@@ -16,20 +16,12 @@ from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConf
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import CIRCLE_KINDS, UNMARKED_KINDS, PatternKind, PlacedTag
 from calibration.robot.importing.patterns.image_views import View, read_image
+from calibration.robot.labelling.aprilgrid import BORDER_MODULES
 from calibration.robot.labelling.charuco import CharucoDetector
-<<<<<<< HEAD
-from calibration.robot.labelling.corner_detector import corner_detector
-from calibration.robot.labelling.detection import Image, grey
-from calibration.robot.labelling.markers import Markers, turned_tags
-from calibration.robot.labelling.unmarked_grids import LEAST_CORNERS
-=======
-from calibration.robot.labelling.chessboard import LEAST_CORNERS
-from calibration.robot.labelling.circles import LEAST_CIRCLES, blob_finder
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image, grey
 from calibration.robot.labelling.markers import MarkerFinder, Markers, turned_tags
-from calibration.robot.labelling.tags import BORDER_MODULES
->>>>>>> b9f60843 (Importing in 40 modules: one subject each)
+from calibration.robot.labelling.unmarked_grids import LEAST_CIRCLES, LEAST_CORNERS, blob_finder
 
 MIN_BOARD_MARKERS = 6
 """Least number of markers in one image that indicate a board, also for a chessboard."""
