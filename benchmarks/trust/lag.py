@@ -1,7 +1,8 @@
 """A lag that is calibrated: of a camera on an arm that moves while it looks, and between two cameras.
 
-Each frame moves with a velocity and an acceleration of its own in each collection; the dataset has the velocity with an
-error, as differences of recorded poses have. The arm's camera, or the second of two, sees everything later.
+The arm sways, and its poses and motions are read from records, as an import does. A board has a velocity and an
+acceleration of its own in each collection, of which the dataset has the velocity with an error. The arm's camera, or
+the second of two, sees everything later.
 """
 
 from collections.abc import Iterator, Mapping
@@ -16,11 +17,21 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Edge
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.problem.assumptions import ALL_EXACT
-from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, local, retract
+from calibration.engine.geometry.rotations import exp
+from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, local, retract, transform
+from calibration.robot.importing.bags.motion import MotionLog
 
 DRAWS, COLLECTIONS = 100, 30
 MOST_LAG = 0.05
 """s."""
+SWAY_HZ, RECORD_HZ = (0.1, 0.5), (20.0, 100.0)
+"""How fast the arm sways, and how often its pose is recorded: from and to."""
+SWAY = (0.12, 0.1, 0.15, 0.35, 0.35, 0.35)
+"""How far it sways, m and rad."""
+BOARD_AT = (0.0, 0.0, 0.9)
+"""The board before the camera, m."""
+RECORD_ERROR = (2e-5, 2e-5, 2e-5, 5e-5, 5e-5, 5e-5)
+"""Standard deviation of recorded poses, m and rad."""
 SPEED = (0.08, 0.08, 0.08, 0.25, 0.25, 0.25)
 """Standard deviation of velocities, m/s and rad/s."""
 ACCELERATION = (0.1, 0.1, 0.1, 0.3, 0.3, 0.3)
@@ -88,26 +99,41 @@ def of_scattering_cameras(seed: int) -> float:
 
 
 def of_an_arm(seed: int) -> Draw:
-    """A camera on a hand that moves, and a board in the world."""
+    """A camera on a hand that sways before a board, as an import has it: images between the records of the hand."""
     rng = np.random.default_rng((1, seed))
     pattern = replace(board(), fixed=True)
     base, _ = rig(COLLECTIONS, cameras=1, seed=seed)
-    T_camera_board = boards(rng, COLLECTIONS, 0.0, pattern)
     T_world_board = from_xyz_rpy([0.8, 0.2, 0.1], [0.2, -0.1, 0.5])
     T_hand_camera = from_xyz_rpy([0.05, -0.03, 0.1], [0.1, 0.2, -1.4])
-    T_world_hand = T_world_board @ inverse(T_camera_board) @ inverse(T_hand_camera)
-    lag, velocity, motion = _moving(rng)
-    T_seen = inverse(retract(T_world_hand, motion) @ T_hand_camera) @ T_world_board
+    frequencies, phases = rng.uniform(*SWAY_HZ, 6), rng.uniform(0, 2 * np.pi, 6)
+
+    def hand_at(times: Array) -> Array:
+        sway = SWAY * np.sin(2 * np.pi * frequencies * times[:, None] + phases)
+        R = exp(sway[:, 3:])
+        T_camera_board = transform(R, sway[:, :3] + BOARD_AT - R @ pattern.centre)
+        return T_world_board @ inverse(T_camera_board) @ inverse(T_hand_camera)
+
     hand, camera = ("world", "hand"), ("hand", "camera_0_link")
-    sensor = replace(base.sensors["camera_0"], calibration_parent="hand")
+    log, step = MotionLog(), 1 / rng.uniform(*RECORD_HZ)
+    records = np.arange(rng.uniform(0, step), COLLECTIONS + 2, step)
+    recorded = retract(hand_at(records), rng.normal(size=(len(records), 6)) * RECORD_ERROR)
+    for time, T in zip(records, recorded, strict=True):
+        log.add_transform(hand, int(1e9 * time), T)
+    lag, stamps = float(rng.uniform(0.0, MOST_LAG)), np.arange(1.0, COLLECTIONS + 1)
+    motions = np.stack([log.motion(hand, 1e9 * stamp) for stamp in stamps])
     dataset = replace(
         base,
-        sensors={"camera_0": sensor},
+        sensors={"camera_0": replace(base.sensors["camera_0"], calibration_parent="hand")},
         patterns={pattern.name: pattern},
         anchored=None,
-        transforms={hand: T_world_hand, camera: np.repeat(T_hand_camera[None], COLLECTIONS, 0)},
-        velocities={hand: velocity},
+        transforms={
+            hand: np.stack([log.transform(hand, 1e9 * stamp) for stamp in stamps]),
+            camera: np.repeat(T_hand_camera[None], COLLECTIONS, 0),
+        },
+        velocities={hand: motions[:, 0]},
+        accelerations={hand: motions[:, 1:]},
     )
+    T_seen = inverse(hand_at(stamps + lag) @ T_hand_camera) @ T_world_board
     return _drawn(_labelled(dataset, {"camera_0": T_seen}, rng), "camera_0", camera, lag, T_hand_camera)
 
 

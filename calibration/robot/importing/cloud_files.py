@@ -16,6 +16,7 @@ from calibration.base.files import read_bytes
 from calibration.engine.dataset.pointcloud import read_points, write_points
 from calibration.robot.importing.bags.range_views import MAX_POINTS, RangeView, cloud_message
 from calibration.robot.importing.files.confined_decoding import confined_decoding
+from calibration.robot.importing.files.structured_files import is_number
 
 MAX_CLOUD_BYTES = 1 << 29
 """Limit of a file's size, which at most quadruples in memory."""
@@ -149,17 +150,9 @@ def _read_text(path: Path) -> Array:
     words = re.split(r"[\s,;]+", first.decode("utf-8", "replace").strip().lstrip("#/ \ufeff").lower())
     if all(axis in words for axis in "xyz"):
         return _parse_columns(path, rest, [words.index(axis) for axis in "xyz"])
-    if not all(map(_is_number, words[:3])) or len(words) == 1:  # a title, or the number of points
+    if not all(map(is_number, words[:3])) or len(words) == 1:  # a title, or the number of points
         data = rest
     return _parse_columns(path, data, [0, 1, 2])
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _read_las(path: Path) -> Array:

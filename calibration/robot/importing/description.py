@@ -270,10 +270,9 @@ class PatternDescription:
 
 
 @record(rules=(excludes("every", "at"),))
-class Videos:
-    """What is taken of the videos that sensors name as their images."""
+class MomentChoice:
+    """Which moments of a recording may become collections."""
 
-    step: Annotated[int, between(1, 10_000)] = field("Of so many frames one is searched.", default=1)
     every: Annotated[float, above(0, 1e6)] | None = field(
         "A moment every so many seconds, still or not, in place of those at which all stands still.", default=None
     )
@@ -288,7 +287,15 @@ class Videos:
         return self.every is None and self.at is None
 
 
-@record(rules=(excludes("every", "at"),))
+@record
+class Videos:
+    """What is taken of the videos that sensors name as their images."""
+
+    step: Annotated[int, between(1, 10_000)] = field("Of so many frames one is searched.", default=1)
+    moments: MomentChoice = field(flat=True, default_factory=MomentChoice)
+
+
+@record
 class Bags:
     """A recording of ROS 1 or ROS 2."""
 
@@ -297,18 +304,7 @@ class Bags:
     )
     robot_description: Path | None = field("URDF or xacro of the robot (that of /robot_description).", default=None)
     xacro: XacroInputs = field(flat=True, default_factory=XacroInputs)
-    every: Annotated[float, above(0, 1e6)] | None = field(
-        "A moment every so many seconds, still or not, in place of those at which all stands still.", default=None
-    )
-    at: Path | None = field("File with the times of the moments, s, one a line, likewise.", default=None)
-    most: Annotated[int, between(1, 10_000)] = field(
-        "Moments at most; of more, those that calibrate best, or, with every or at, evenly chosen.", default=100
-    )
-
-    @property
-    def only_standstill(self) -> bool:
-        """Whether moments are taken only where all stands still."""
-        return self.every is None and self.at is None
+    moments: MomentChoice = field(flat=True, default_factory=MomentChoice)
 
 
 @record

@@ -240,8 +240,10 @@ def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
         for name in configuration.sensors:
             check_copies(name, [moment.views[name] for moment in seen if name in moment.views])
         lag = max(moment.lag for moment in moments)
-        known = _with_known_patterns(transforms, described, configuration)
-        placed = with_baselines(known, configuration, lenses, _given_poses(described, configuration, 1))
+        known = _given_poses(described, configuration, 1)
+        placed = with_baselines(
+            _with_known_patterns(transforms, described, configuration), configuration, lenses, known
+        )
         ranges = [
             _clouds_of_moment(moment, i, folder, configuration)
             if any(view.labelled for view in labelled.views.values())
@@ -270,7 +272,8 @@ def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
 
 def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
     patterns = _pattern_configurations(described)
-    configuration, chosen = _calibration_configuration(described, patterns), described.videos or Videos()
+    configuration, sampled = _calibration_configuration(described, patterns), described.videos or Videos()
+    chosen = sampled.moments
     videos = survey_videos(described.sensors)
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
@@ -309,8 +312,8 @@ def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
         )
 
     return _Source(
-        _hash_of_label_inputs(patterns, [path for video in videos.values() for path in video.files], str(chosen.step)),
-        frame_tasks(videos, chosen.step, detectors),
+        _hash_of_label_inputs(patterns, [path for video in videos.values() for path in video.files], str(sampled.step)),
+        frame_tasks(videos, sampled.step, detectors),
         decoded_images,
         finish,
     )
@@ -368,16 +371,18 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
             )
 
         rejected = images_without_pattern(found, images, found.log)
-        every = chosen_moments(bags, images, found.log, mounted.edges, where)
-        moments, evenly = best_moments(every, bags.most, of_cameras)
-        found.log.left_out.add(f"more than {bags.most} moments ('most')", "moments", count=len(every) - len(moments))
+        every = chosen_moments(bags.moments, images, found.log, mounted.edges, where)
+        moments, evenly = best_moments(every, bags.moments.most, of_cameras)
+        found.log.left_out.add(
+            f"more than {bags.moments.most} moments ('most')", "moments", count=len(every) - len(moments)
+        )
         motions = mounted.motions(found.log, [moment.time for moment in moments])
         boards = MovingBoards(images, moments, mounted.edges, motions)
         return replace(
             of_cameras(moments),
             motions=motions,
             moments=extracted_images(bag, found, moments, folder, jobs),
-            boards=None if bags.only_standstill else boards,
+            boards=None if bags.moments.only_standstill else boards,
             ranges=extracted_ranges(bag, found, moments, folder),
             searched=len(every),
             evenly=evenly,
@@ -542,11 +547,7 @@ def _import_results(imported: Imported, recorded: Recorded) -> ImportResults:
             sensors[name] = _range_result([each[name] for each in imported.ranges if name in each])
             continue
         views = [moment.views[name] for moment in labelled if name in moment.views]
-        rejected = list(recorded.rejected.get(name, ())) or [
-            RejectedView(view.file, "; ".join(dict.fromkeys(found.reason for found in view.found.values())))
-            for view in views
-            if not view.labelled
-        ]
+        unlabelled = [RejectedView(view.file, view.reason) for view in views if not view.labelled]
         corners = sum(len(found.ids) for view in views for found in view.found.values())
         sensors[name] = SensorResult(
             images=len(views),
@@ -555,7 +556,7 @@ def _import_results(imported: Imported, recorded: Recorded) -> ImportResults:
             intrinsics="estimated" if name in imported.estimated else "given",
             lens=imported.estimated.get(name),
             camera=document_of_camera(imported.cameras[name]),
-            rejected=tuple(rejected),
+            rejected=tuple(recorded.rejected.get(name, unlabelled)),
         )
     together = sum(1 for seen in imported.seen if len(seen) > 1)
     lag = round(1e3 * recorded.lag, 3)

@@ -23,11 +23,10 @@ from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.robot.importing.document import label_document
 from calibration.robot.importing.patterns.contact_sheet import contact_sheet
-from calibration.robot.importing.patterns.image_views import LabelledMoment, read_image, view_of_file
-from calibration.robot.importing.patterns.near_miss import never_seen
+from calibration.robot.importing.patterns.image_views import LabelledMoment, view_of_file
+from calibration.robot.importing.recorded import check_seen
 from calibration.robot.importing.results import LabelledSensor, LabelResults, RejectedView
 from calibration.robot.labelling.corner_detector import corner_detector
-from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.collection.contact_sheet import CONTACT_SHEET_FILE as SHEET
 from calibration.robot.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
 from calibration.robot.simulation.collection.record import single_threaded_opencv
@@ -135,13 +134,8 @@ def _check_seen(
     for camera in cameras:
         views = [moment.views[camera] for moment in moments.values() if camera in moment.views]
         whole = len(views) == len(root["collections"].mapping())
-        if views and whole and not any(view.labelled for view in views):
-            files = [Path(view.file) for view in views]
-            raise never_seen(camera, next(iter(patterns.values())), views, partial(_read_numbered_image, files))
-
-
-def _read_numbered_image(files: Sequence[Path], number: int) -> Image:
-    return read_image(files[number])
+        if views and whole:
+            check_seen(camera, patterns, views)
 
 
 def _set_labels(collection: dict[str, Any], moment: LabelledMoment, single: str | None) -> None:
@@ -171,10 +165,6 @@ def _label_results(
     sensors = {}
     for camera in cameras:
         views = [moment.views[camera] for moment in moments.values() if camera in moment.views]
-        rejected = [
-            RejectedView(view.file, "; ".join(dict.fromkeys(found.reason for found in view.found.values())))
-            for view in views
-            if not view.labelled
-        ]
+        rejected = [RejectedView(view.file, view.reason) for view in views if not view.labelled]
         sensors[camera] = LabelledSensor(len(views), len(views) - len(rejected), tuple(rejected))
     return LabelResults(len(files), sensors)

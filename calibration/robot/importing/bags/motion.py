@@ -114,7 +114,7 @@ def polynomial_derivatives(times: Array, twists: Array, orders: IntArray) -> Arr
     """
     coefficients = np.zeros((4, 6))
     coefficients[orders] = np.linalg.lstsq(times[:, None] ** orders, twists, rcond=None)[0]
-    return coefficients[1:] * DERIVATIVE_FACTORS
+    return np.asarray(coefficients[1:] * DERIVATIVE_FACTORS)
 
 
 def frames_of(edge: Edge) -> str:
@@ -230,14 +230,13 @@ class MotionLog:
         if not self.moves(edge):
             return np.zeros((3, 6))
         around = self._recorded_around(edge, time)
-        highest = 3 if len(around) else 1
-        times = around if len(around) else time + NS_PER_S * VELOCITY_OVER * np.array([-0.5, 0.5])
+        times, orders = (around, 4) if len(around) else (time + NS_PER_S * VELOCITY_OVER * np.array([-0.5, 0.5]), 2)
         try:
             now, *others = (self.transform(edge, each) for each in (time, *times))
         except InputError:
             return np.zeros((3, 6))
         twists = local(now, np.stack(others))
-        found = polynomial_derivatives((times - time) / NS_PER_S, twists, np.arange(highest + 1))
+        found = polynomial_derivatives((times - time) / NS_PER_S, twists, np.arange(orders))
         speed, turning = np.linalg.norm(found[0].reshape(2, 3), axis=-1)
         stands = speed < STILL_M / SECONDS_AROUND_STILL and turning < STILL_RAD / SECONDS_AROUND_STILL
         return np.zeros((3, 6)) if stands else found
@@ -251,7 +250,7 @@ class MotionLog:
         within = recorded[abs(recorded - time) <= NS_PER_S * MOTION_OVER / 2]
         if len(within) < MIN_MOTION_RECORDS or min((within < time).sum(), (within > time).sum()) < 2:
             return np.zeros(0)
-        return within[np.unique(abs(within - wanted[:, None]).argmin(-1))]
+        return np.asarray(within[np.unique(abs(within - wanted[:, None]).argmin(-1))])
 
     def _position_at(self, joint: Joint, time: float) -> Array | None:
         """Return the position (1,) of a joint at a time, ns; of one that follows another, from that one's."""

@@ -25,10 +25,9 @@ from calibration.robot.importing.bags.stillness import BagImage, BagMoment, even
 from calibration.robot.importing.bags.survey import SensorTopic, Survey
 from calibration.robot.importing.bags.video_packets import ImageReader
 from calibration.robot.importing.description import (
-    Bags,
     ImportDescription,
+    MomentChoice,
     SensorDescription,
-    Videos,
     body_edges,
     carriers,
     moving_bodies,
@@ -112,17 +111,14 @@ def images_without_pattern(
             log.left_out.add("no pattern is detected in it", name, missed[0].stamp, len(missed))
         topic = found.cameras[name].topic
         rejected[name] = [
-            RejectedView(
-                f"{topic} at {image.stamp / NS_PER_S:.3f}",
-                "; ".join(dict.fromkeys(each.reason for each in image.view.found.values())),
-            )
+            RejectedView(f"{topic} at {image.stamp / NS_PER_S:.3f}", image.view.reason)
             for image in missed[:MAX_NAMED_IMAGES]
         ]
     return rejected
 
 
 def chosen_moments(
-    described: Bags | Videos,
+    described: MomentChoice,
     images: Mapping[str, Sequence[BagImage]],
     log: MotionLog,
     edges: Sequence[Edge],

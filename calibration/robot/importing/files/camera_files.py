@@ -1,7 +1,7 @@
 """Intrinsics in the files of other tools: ROS, Kalibr, OpenCV, aslam, anipose, MetriCal, ViSP, our own calibrations."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -183,16 +183,16 @@ def _metrical_as_camera_info(components: Node, name: str | None) -> Node:
     a1 = affinity["a1"] if affinity and affinity.get("a1") else None
     if a1 is not None and a1.number() != 0:
         raise a1.unexpected("0: of the same focal length in x and y")
-    K = [f, 0.0, cx - 0.5, 0.0, f, cy - 0.5, 0.0, 0.0, 1.0]
-    info: dict[str, Any] = {"width": node["width"].value, "height": node["height"].value, "K": K, "D": []}
+    D, model = [], ""
     for kind, coefficients in distortion.items() if (distortion := node.get("distortion")) else ():
         names = {"opencv_radtan": ("k1", "k2", "p1", "p2", "k3"), "opencv_fisheye": ("k1", "k2", "k3", "k4")}.get(kind)
         values = [each.number() for _, each in coefficients.items()]
         if names is None and any(values):
             raise coefficients.fault(f"found the lens model '{kind}', expected opencv_radtan or opencv_fisheye")
         if names is not None:
-            info |= {"D": [coefficients[each].number() for each in names], "distortion_model": ROS_NAME_OF_MODEL[kind]}
-    return Node(node.file, node.keys, info)
+            D, model = [coefficients[each].number() for each in names], ROS_NAME_OF_MODEL[kind]
+    size = (node["width"].value, node["height"].value)
+    return _as_camera_info(node, (f, f, cx - 0.5, cy - 0.5), D, model, size)
 
 
 def _visp_as_camera_info(node: Node) -> Node:
@@ -200,14 +200,8 @@ def _visp_as_camera_info(node: Node) -> Node:
     model = node["model"]
     fx, cx, fy, cy = (model[key].number() for key in ("px", "u0", "py", "v0"))
     k1 = model["kud"].number() if model.get("kud") else 0.0
-    info = {
-        "width": node["image_width"].value,
-        "height": node["image_height"].value,
-        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        "D": [k1, 0.0, 0.0, 0.0, 0.0],
-        "distortion_model": "plumb_bob",
-    }
-    return Node(node.file, node.keys, info)
+    size = (node["image_width"].value, node["image_height"].value)
+    return _as_camera_info(node, (fx, fy, cx, cy), [k1, 0.0, 0.0, 0.0, 0.0], "plumb_bob", size)
 
 
 def _aslam_as_camera_info(root: Node) -> Node:
@@ -215,17 +209,18 @@ def _aslam_as_camera_info(root: Node) -> Node:
     if (projection := root["type"]).text() != "pinhole":
         raise projection.unexpected("pinhole")
     flat = Node(root.file, (*root.keys, "intrinsics"), _flat_numbers(root["intrinsics"]))
-    fx, fy, cx, cy = flat.numbers(4)
     distortion = root["distortion"]
     parameters = distortion.get("parameters")
-    info = {
-        "width": root["image_width"].value,
-        "height": root["image_height"].value,
-        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        "D": _flat_numbers(parameters) if parameters else [],
-        "distortion_model": distortion["type"].text(),
-    }
-    return Node(root.file, root.keys, info)
+    D, size = _flat_numbers(parameters) if parameters else [], (root["image_width"].value, root["image_height"].value)
+    return _as_camera_info(root, flat.numbers(4), D, distortion["type"].text(), size)
+
+
+def _as_camera_info(node: Node, intrinsics: Sequence[float], D: Sequence[Any], model: str, size: Sequence[Any]) -> Node:
+    """Return a camera as camera_info: fx, fy, cx, cy; coefficients; the name of the lens model; width and height."""
+    fx, fy, cx, cy = intrinsics
+    K = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    info = {"width": size[0], "height": size[1], "K": K, "D": D, "distortion_model": model}
+    return Node(node.file, node.keys, info)
 
 
 def _of_our_calibration(node: Node) -> KnownLens:
@@ -268,16 +263,10 @@ def _read_kalibr_lens(node: Node) -> KnownLens:
     model = KALIBR_MODELS[camera.value, name.value if name else "none"]
     coefficients = node.get("distortion_coeffs")
     before = model.kalibr.intrinsics if model.kalibr else 0
-    *first, fx, fy, cx, cy = node["intrinsics"].numbers(before + 4)
-    width, height = node["resolution"].numbers(2)
-    info = {
-        "width": width,
-        "height": height,
-        "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        "D": [*first, *(coefficients.sequence() if coefficients else [])],
-        "distortion_model": model.ros_name,
-    }
-    return KnownLens(node.file, read_camera(Node(node.file, node.keys, info)), has_size=True)
+    numbers = node["intrinsics"].numbers(before + 4)
+    D = [*numbers[:before], *(coefficients.sequence() if coefficients else [])]
+    info = _as_camera_info(node, numbers[before:], D, model.ros_name, node["resolution"].numbers(2))
+    return KnownLens(node.file, read_camera(info), has_size=True)
 
 
 def _pose_in_chain(root: Node, name: str) -> Array | None:

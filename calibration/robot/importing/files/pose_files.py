@@ -17,7 +17,7 @@ from calibration.base.files import matching, read_bytes
 from calibration.engine.dataset.document import Node
 from calibration.robot.importing.files.pictures import MAX_CSV, MOST_IMAGES
 from calibration.robot.importing.files.pose_form import QUATERNION_CONVENTIONS, PoseForm
-from calibration.robot.importing.files.structured_files import read_structured
+from calibration.robot.importing.files.structured_files import is_number, read_structured
 
 TABLE_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".tum")
 """Endings of text files with a row for each pose, or with matrices by their rows."""
@@ -169,7 +169,7 @@ def _table_entries(table: PoseTable, form: PoseForm, names: Sequence[str]) -> It
     rows, path = table.rows, table.file
     if not rows:
         return
-    (line, first), are_numbers = rows[0], [_is_number(cell) for cell in rows[0][1]]
+    (line, first), are_numbers = rows[0], [is_number(cell) for cell in rows[0][1]]
     if form.columns is not None:
         yield from _named_rows(path, form.columns, rows if any(are_numbers) else rows[1:], names)
     elif not any(are_numbers):
@@ -205,14 +205,6 @@ def _table_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
             yield number, [cell.strip() for cell in cells]
     except csv.Error as error:
         raise InputError(f"{path}: this is no CSV file: {error}") from None
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _column_name(text: str) -> str:
@@ -280,7 +272,7 @@ def _without_prefix(title: str, prefix: str | None) -> str:
 
 
 def _number_in_cell(path: Path, line: int, cell: str, name: str) -> float:
-    if _is_number(cell) and np.isfinite(float(cell)):
+    if is_number(cell) and np.isfinite(float(cell)):
         return float(cell)
     raise InputError(f"{path}:{line}: found '{cell}' as {name}, expected a finite number")
 
@@ -449,7 +441,7 @@ def _numbers_of(node: Node) -> list[float]:
 
 def _finite_number(node: Node) -> float:
     """Return a finite number, also one that YAML takes for text (``1e-5``), or raise InputError."""
-    if isinstance(node.value, str) and _is_number(node.value):
+    if isinstance(node.value, str) and is_number(node.value):
         node = Node(node.file, node.keys, float(node.value))
     return node.number()
 

@@ -92,11 +92,17 @@ def _value_of_element(element: Element, path: Path, depth: int) -> Any:
     return dict(zip((child.tag for child in children), values, strict=True))
 
 
-def _number_or_text(word: str) -> float | str:
+def is_number(word: str) -> bool:
+    """Whether a word is a number, as Python writes them."""
     try:
-        return float(word)
+        float(word)
     except ValueError:
-        return word
+        return False
+    return True
+
+
+def _number_or_text(word: str) -> float | str:
+    return float(word) if is_number(word) else word
 
 
 def _parse_ini(data: bytes, path: Path) -> Any:

@@ -57,6 +57,11 @@ class View:
         """Whether a pattern is detected in it."""
         return any(found.ids for found in self.found.values())
 
+    @property
+    def reason(self) -> str:
+        """Why no pattern is detected in it."""
+        return "; ".join(dict.fromkeys(found.reason for found in self.found.values()))
+
 
 @result
 class LabelledMoment:
