@@ -30,7 +30,7 @@ SHIPPED_SCHEMAS = {
     "motion": SchemaFile("calibration.robot.simulation.motion", "motion.schema.json", "sequence:MotionFile"),
     "import.yml": SchemaFile("calibration.robot.importing", "import.schema.json", "description:ImportDescription"),
     "import-results": SchemaFile("calibration.robot.importing", _RESULTS_FILE, "results:ImportResults", "import-data"),
-    "look-results": SchemaFile("calibration.robot.importing", "look.schema.json", "look.results:LookResults", "look"),
+    "look-results": SchemaFile("calibration.robot.importing", "look.schema.json", "look.report:LookResults", "look"),
     "label-results": SchemaFile("calibration.robot.importing", "label.schema.json", "results:LabelResults", "label"),
     "scenario-set": SchemaFile(_SCENARIOS_PACKAGE, "scenario_set.schema.json", "parameters:ScenarioSetFile"),
     "image-results": SchemaFile("calibration.ci.image", _RESULTS_FILE, "report:BuildResult", "build-image"),
