@@ -13,8 +13,7 @@ from benchmarks.rows import Bar, Row
 from benchmarks.verdict.strata import entries, recording
 from calibration.base.arrays import Array
 from calibration.engine.baseline.calibration_document import CalibrationDocument, document_of_calibration
-from calibration.engine.baseline.change_points import change_points, creeps, noise_of
-from calibration.engine.baseline.comparison import BaselineComparison, compare
+from calibration.engine.baseline.comparison import BaselineComparison, change_points, compare, creeps, noise_of
 from calibration.engine.estimation.calibrate import Options, calibrate
 
 ROBOTS, RECORDINGS = 40, 6

@@ -22,9 +22,9 @@ from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels
 from calibration.engine.dataset.truth import truth_of
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.truth import truth_error
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import local
 from calibration.robot.simulation.system import System, read_system
 from tests.robot.simulation.conftest import DATASETS, SYSTEMS

@@ -19,11 +19,11 @@ from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import FOLDER, ROOT, missing
 from calibration.base.arrays import Array
 from calibration.engine.baseline.calibration_document import document_of_calibration
-from calibration.engine.baseline.settings import BaselineSettings
+from calibration.engine.baseline.quality import BaselineSettings
 from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.geometry.transforms import apply, inverse, translation
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.first_configuration import first_configuration

@@ -15,12 +15,11 @@ from benchmarks.timing import seconds
 from calibration.base.arrays import Array
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.blocks import Values
-from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
+from calibration.engine.estimation.least_squares.minimisation import minimise
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
+from calibration.engine.estimation.problem.blocks import CalibratedIntrinsics, Values
 from calibration.engine.estimation.problem.problem import Problem
-from calibration.engine.estimation.solve.least_squares import minimise
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels
-from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.estimation.start.build import build
 from calibration.engine.estimation.start.linear_start import linear_start
 from calibration.engine.geometry.cameras import Camera

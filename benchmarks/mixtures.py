@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.rows import Bar, Row
 from calibration.base.errors import UndeterminedError
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.geometry.transforms import local
 from tests.engine.estimation.scenes import Scene, errors
 from tests.engine.estimation.systems import (

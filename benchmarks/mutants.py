@@ -17,21 +17,20 @@ from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.document import read_baseline
-from calibration.engine.baseline.settings import BASELINE_FILE
+from calibration.engine.baseline.quality import BASELINE_FILE
 from calibration.engine.geometry.transforms import local
 
 MODULES = (
+    *(f"estimation/residuals/{name}.py" for name in ("views", "corner_residuals", "ray_residuals", "pose_residuals")),
+    *(f"estimation/problem/{name}.py" for name in ("problem", "usable_labels")),
     *(
-        f"estimation/residuals/{name}.py"
-        for name in ("residuals", "corner_residuals", "ray_residuals", "pose_residuals")
+        f"estimation/least_squares/{name}.py"
+        for name in ("normal_equations", "minimisation", "noise_levels", "optimisation")
     ),
-    *(f"estimation/residuals/{name}.py" for name in ("views", "border_rays")),
-    *(f"estimation/problem/{name}.py" for name in ("batches", "usable_labels")),
-    *(f"estimation/solve/{name}.py" for name in ("normal_equations", "least_squares", "noise_levels", "optimisation")),
-    "estimation/doubts/wrong_views.py",
+    "estimation/start/wrong_views.py",
     *(
         f"geometry/{name}.py"
-        for name in ("cameras", "lenses/pinhole", "lenses/wide", "transforms", "rotations", "joints")
+        for name in ("cameras", "lenses/pinhole", "lenses/wide", "transforms", "rotations", "frames")
     ),
     "dataset/pattern.py",
 )

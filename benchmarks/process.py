@@ -19,7 +19,7 @@ SOLVE = """
 import sys
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 assert calibrate(read_dataset(sys.argv[1]), noise=StartingNoise(0.5, 0.5, 1)).converged
 """
 ENVIRONMENT = {key: value for key, value in AS_FOUND.items() if key != "PYTHONDONTWRITEBYTECODE"}

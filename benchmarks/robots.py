@@ -12,14 +12,14 @@ from benchmarks.timing import interleaved
 from calibration.base.errors import UndeterminedError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.least_squares.minimisation import minimise
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem
-from calibration.engine.estimation.solve.least_squares import minimise
-from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.estimation.start.build import build
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.estimation.start.linear_start import linear_start
-from calibration.engine.estimation.start.starting_noise import StartingNoise
-from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
+from calibration.engine.geometry.frames import JOINT_PARAMETERS, JointParameter
 from calibration.engine.geometry.transforms import distance
 from tests.engine.estimation.scenes import true_values
 from tests.engine.estimation.systems import arm_with_patterns, jointed_arm, mobile_base, stereo, two_patterns

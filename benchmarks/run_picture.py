@@ -9,7 +9,7 @@ import tempfile
 from html import escape
 from pathlib import Path
 
-from calibration.engine.baseline.settings import BASELINE_FILE
+from calibration.engine.baseline.quality import BASELINE_FILE
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "run.svg"

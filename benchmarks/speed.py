@@ -8,8 +8,8 @@ from benchmarks.rows import Bar, Row
 from benchmarks.scenes import rig
 from benchmarks.timing import in_units_of
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.solve.least_squares import minimise
-from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.least_squares.minimisation import minimise
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.start.linear_start import linear_start
 
 COLLECTIONS = 2000

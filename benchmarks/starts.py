@@ -12,7 +12,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.truth import truth_of
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
 from calibration.engine.evaluation.truth import truth_error
 from calibration.engine.geometry.transforms import distance

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from calibration.engine.dataset.writing import write_dataset as write_dataset
     from calibration.engine.estimation.calibrate import calibrate as calibrate
     from calibration.engine.estimation.covariance.result import Calibration as Calibration
-    from calibration.engine.estimation.solve.noise_levels import NoiseLevels as NoiseLevels
-    from calibration.engine.estimation.solve.options import Options as Options
-    from calibration.engine.estimation.start.starting_noise import StartingNoise as StartingNoise
+    from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels as NoiseLevels
+    from calibration.engine.estimation.options import Options as Options
+    from calibration.engine.estimation.start.guesses import StartingNoise as StartingNoise
 
 # Imported at first use, so that a command loads only the modules that it needs.
 _HOMES = {
@@ -44,9 +44,9 @@ _HOMES = {
     "CalibrationError": "calibration.base.errors",
     "Dataset": "calibration.engine.dataset.model",
     "InputError": "calibration.base.errors",
-    "NoiseLevels": "calibration.engine.estimation.solve.noise_levels",
-    "Options": "calibration.engine.estimation.solve.options",
-    "StartingNoise": "calibration.engine.estimation.start.starting_noise",
+    "NoiseLevels": "calibration.engine.estimation.least_squares.noise_levels",
+    "Options": "calibration.engine.estimation.options",
+    "StartingNoise": "calibration.engine.estimation.start.guesses",
     "UndeterminedError": "calibration.base.errors",
     "calibrate": "calibration.engine.estimation.calibrate",
     "read_dataset": "calibration.engine.dataset.reading",

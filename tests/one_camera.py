@@ -8,7 +8,7 @@ from calibration.engine.dataset.configuration import Configuration, PatternConfi
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.dataset.writing import write_document
-from calibration.engine.estimation.start.lens_choice import choose_lens
+from calibration.engine.estimation.start.lens_choice import fitting_lens
 from calibration.engine.geometry.cameras import Camera
 from calibration.robot.importing.document import Imported, dataset_document
 from calibration.robot.importing.patterns.image_views import FoundCorners, LabelledMoment, View
@@ -29,7 +29,9 @@ def one_camera(folder: Path, model: Camera = LENS, views: int = 25, seed: int = 
     labels = [each for c in scene.collections for each in c.labels.values() if isinstance(each, CornerLabels)]
     found = [FoundCorners(tuple(each.ids.tolist()), tuple(each.pixels.ravel().tolist())) for each in labels]
     # Of the true model only: which one an import chooses is another room's matter, and takes a second.
-    choice = choose_lens(model.width, model.height, [(truth, each) for each in labels], (type(model.distortion),))
+    choice = fitting_lens(
+        "camera", model.width, model.height, [(truth, each) for each in labels], (type(model.distortion),)
+    )
     assert choice is not None
     sensor = SensorConfiguration("camera", "rgb", "camera_optical_frame", "world", "camera_optical_frame")
     moments = [

@@ -18,8 +18,8 @@ from benchmarks.rig_arrays import RigProblem, rig_problem
 from benchmarks.rows import Bar, Row
 from benchmarks.timing import interleaved, seconds
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.solve.least_squares import minimise
-from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.least_squares.minimisation import minimise
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
 
 COLLECTIONS = (20, 200, 2000)
 SAME_COST = 1e-6

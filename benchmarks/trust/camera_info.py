@@ -15,7 +15,7 @@ from benchmarks.verdict.strata import entries, generator, recording
 from benchmarks.workers import on_all_cores
 from calibration.base.arrays import Array
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.problem.assumptions import Assumptions
+from calibration.engine.estimation.options import Assumptions
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import local

@@ -24,8 +24,8 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.calibrated import covariances_of_transforms
 from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND
-from calibration.engine.estimation.doubts.suspects import explain
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.covariance.suspects import explain
+from calibration.engine.estimation.options import Options
 from calibration.engine.geometry.rotations import to_quaternion
 from calibration.engine.geometry.transforms import inverse, local
 from calibration.robot.importing.importing import import_data

@@ -16,7 +16,7 @@ from benchmarks.workers import on_all_cores
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Edge
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
+from calibration.engine.estimation.options import ALL_EXACT
 from calibration.engine.geometry.rotations import exp
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, local, retract, transform
 from calibration.robot.importing.bags.motion import MotionLog

@@ -16,7 +16,7 @@ from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Conditions, generator, recording
 from calibration.base.errors import InputError
 from calibration.engine.baseline.calibration_document import CalibrationDocument, document_of_calibration
-from calibration.engine.baseline.settings import BaselineSettings
+from calibration.engine.baseline.quality import BaselineSettings
 from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.geometry.transforms import retract

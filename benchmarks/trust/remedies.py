@@ -20,7 +20,7 @@ from benchmarks.workers import on_all_cores
 from calibration.base.errors import InputError
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
-from calibration.engine.estimation.problem.assumptions import OF_INTRINSICS, Assumptions
+from calibration.engine.estimation.options import OF_INTRINSICS, Assumptions
 
 DRAWS = 60
 LIMITS_MM = (2.0, 5.0)

@@ -13,8 +13,7 @@ from benchmarks.rows import Bar, Row
 from benchmarks.workers import on_all_cores
 from calibration.base.arrays import Array
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.options import ALL_EXACT, Options
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import DoubleSphere, Equidistant, Eucm, Omni

@@ -22,8 +22,8 @@ from calibration.engine.diagnosis.check_data import check_data
 from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, sizes
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT, Assumptions
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.options import ALL_EXACT, Assumptions
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.evaluation.truth import truth_error
 from calibration.engine.geometry.transforms import inverse, local

@@ -22,7 +22,7 @@ from calibration.engine.dataset.modalities import MODALITIES
 from calibration.engine.dataset.model import Collection, Dataset, Sensor
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
+from calibration.engine.estimation.options import ALL_EXACT
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import distance, from_quaternion
 from calibration.pipeline.system import System

@@ -13,11 +13,10 @@ from benchmarks.verdict.strata import Stratum, clean, entries
 from calibration.ci.execution.outcome import ArtifactFile, JobOutcome
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.solve.least_squares import Termination, minimise
-from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.least_squares.minimisation import Termination, minimise
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.start.build import build
-from calibration.engine.estimation.start.guesses import guess_with_patterns
-from calibration.engine.estimation.start.starting_noise import StartingNoise, with_starting_noise
+from calibration.engine.estimation.start.guesses import StartingNoise, guess_with_patterns, with_starting_noise
 from calibration.engine.evaluation.specification import Evaluation, parse_evaluation
 from calibration.engine.geometry.transforms import translation
 from calibration.pipeline.matrix.cell_result import Cell, CellResult

@@ -19,7 +19,7 @@ from calibration.engine.dataset.model import CornerLabels, Labels, PointLabels
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.truth import read_truth
 from calibration.engine.dataset.writing import write_document
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import retract
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.system import System as Entry

@@ -32,7 +32,7 @@ from calibration.commands.parameters import (
     password_variable,
     path,
 )
-from calibration.engine.estimation.solve.options import Start
+from calibration.engine.estimation.options import Start
 from calibration.pipeline.configuration import DEFAULT_FILE
 from calibration.pipeline.convergence.convergence_map import ConvergenceResults, Minimums, maps_of
 from calibration.pipeline.convergence.report import ALL_FILES, COMMAND_NAME, report

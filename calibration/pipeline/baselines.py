@@ -16,11 +16,12 @@ from calibration.engine.baseline.document import (
     BASELINE_VERSION,
     MAX_BASELINE_BYTES,
     Baseline,
+    BaselineUpdate,
     parse_baseline,
     read_baseline,
+    updates,
 )
-from calibration.engine.baseline.settings import BaselineSettings
-from calibration.engine.baseline.update import BaselineUpdate, updates
+from calibration.engine.baseline.quality import BaselineSettings
 from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.diagnosis.finding import FindingKind
 from calibration.engine.evaluation.table import AVERAGES_ROW

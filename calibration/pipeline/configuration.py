@@ -11,9 +11,9 @@ from calibration.base.records import ByName, Converted, Place, field, flat_field
 from calibration.base.text import did_you_mean
 from calibration.ci.execution.backends import SECTIONS, ContainerBackend, ExecutionTarget, Sections
 from calibration.ci.image.specification import ImageDocument, ImageSpecification, parse_image_specification
-from calibration.engine.baseline.settings import BASELINE_FILE, BaselineSettings
+from calibration.engine.baseline.quality import BASELINE_FILE, BaselineSettings
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.options import Options
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.system import Exports, Noise, NoiseGrid, System, Undecided, chosen_systems
 

@@ -16,13 +16,12 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import DEFAULT_LIMIT_SIGMAS, MIN_DEFAULT_LIMIT, Limits, allowed, stated
 from calibration.engine.diagnosis.projection import projection_limit
-from calibration.engine.estimation.covariance.nominal_covariance import MAX_NOISE
+from calibration.engine.estimation.covariance.error_bars import MAX_NOISE
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.chosen_lenses import with_chosen_lenses
-from calibration.engine.estimation.start.lens_choice import LensChoice
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.start.guesses import StartingNoise
+from calibration.engine.estimation.start.lens_choice import LensChoice, with_chosen_lenses
 from calibration.engine.estimation.start.single_views import noise_inside_views
-from calibration.engine.estimation.start.starting_noise import StartingNoise
 from calibration.engine.evaluation.specification import TABLE_KINDS, Suggestion
 from calibration.pipeline.matrix.cell_result import Cell, CellResult
 from calibration.pipeline.matrix.matrix import load

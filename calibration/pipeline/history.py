@@ -19,8 +19,7 @@ from calibration.base.records import computed, field, result
 from calibration.base.text import one_line, shorten
 from calibration.ci.git import Commit, Repository
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
-from calibration.engine.baseline.change_points import change_points, creeps, noise_of
-from calibration.engine.baseline.comparison import covariance_of_difference
+from calibration.engine.baseline.comparison import change_points, covariance_of_difference, creeps, noise_of
 from calibration.engine.baseline.document import BASELINE_VERSION, MAX_BASELINE_BYTES, parse_baseline
 from calibration.engine.geometry.transforms import local
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from calibration.ci.report import VERDICTS, Table, count_of, shown
 from calibration.engine.baseline.comparison import BaselineChange
-from calibration.engine.baseline.settings import SameData
+from calibration.engine.baseline.quality import SameData
 from calibration.engine.baseline.verdict import exceeds
 from calibration.engine.diagnosis.finding import Severity
 from calibration.engine.evaluation.specification import FILES_WITHOUT_RMS

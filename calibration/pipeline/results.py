@@ -15,10 +15,10 @@ from calibration.ci.report import FILES, RESULTS_FILE, Verdict, read_results_fil
 from calibration.ci.report.badge import BADGE_FILE as BADGE
 from calibration.ci.report.junit import ErrorCode
 from calibration.ci.report.results_json import BRIEF_FILE
-from calibration.engine.baseline.update import BaselineUpdate
+from calibration.engine.baseline.document import BaselineUpdate
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME
-from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
+from calibration.engine.estimation.problem.intrinsics import FILE_NAME as INTRINSICS
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, Details
 from calibration.robot.importing.document import ROUGH_KEY
 

@@ -22,7 +22,7 @@ from calibration.base.tables.rule_set import RuleEntry, RuleSet, checked, unfold
 from calibration.base.text import did_you_mean
 from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.options import Options
 from calibration.pipeline.matrix.software import Software, checked_software
 from calibration.robot.exports.formats import FORMATS, URDF
 from calibration.robot.robot_description import XacroInputs

@@ -21,8 +21,7 @@ from calibration.base.errors import InputError
 from calibration.base.records import between
 from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry import rotations
-from calibration.engine.geometry.frames import FrameTree
-from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointModel, JointParameter
+from calibration.engine.geometry.frames import JOINT_PARAMETERS, FrameTree, JointModel, JointParameter
 from calibration.engine.geometry.transforms import from_xyz_rpy, inverse, transform, translation
 from calibration.robot.robot_description import NO_INPUTS, XacroInputs, read_robot_description
 

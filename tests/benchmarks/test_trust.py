@@ -13,7 +13,7 @@ from benchmarks.trust import moves
 from benchmarks.trust.defects import most_green, of_unforeseen
 from benchmarks.verdict.case import Case, Outcome, colour_of, run
 from calibration.engine.diagnosis.finding import Finding, Severity
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.matrix.cell_result import Cell, nothing_yet
 
 

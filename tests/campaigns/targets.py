@@ -34,9 +34,9 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import read_truth
 from calibration.engine.dataset.writing import DatasetWriter
 from calibration.engine.diagnosis.check_data import check_data
-from calibration.engine.estimation.problem.intrinsics_file import read_intrinsics
-from calibration.engine.estimation.start.starting_noise import StartingNoise
-from calibration.engine.evaluation.annotation import read_annotation
+from calibration.engine.estimation.problem.intrinsics import read_intrinsics
+from calibration.engine.estimation.start.guesses import StartingNoise
+from calibration.engine.evaluation.range_to_rgb import read_annotation
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import translation
 from calibration.pipeline.configuration import read_configuration

@@ -14,7 +14,7 @@ from calibration.__main__ import load_command, main
 from calibration.base.errors import InputError
 from calibration.base.records import flat_fields
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.estimation.problem.assumptions import Assumptions
+from calibration.engine.estimation.options import Assumptions
 from tests.actions.write_inputs import anchor
 
 from .documents import READMES

@@ -6,7 +6,7 @@ import pytest
 
 from calibration.base.errors import InputError
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT, Assumptions
+from calibration.engine.estimation.options import ALL_EXACT, Assumptions
 from calibration.pipeline.configuration import read_configuration
 
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ import pytest
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import find_truth
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import inverse
 from calibration.pipeline.collection.dispatch import collect_dataset

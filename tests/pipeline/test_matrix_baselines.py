@@ -10,9 +10,8 @@ import pytest
 
 from calibration.__main__ import main
 from calibration.engine.baseline.calibration_document import CalibrationDocument
-from calibration.engine.baseline.document import Baseline, write_baseline
-from calibration.engine.baseline.settings import BaselineSettings
-from calibration.engine.baseline.update import BaselineUpdate
+from calibration.engine.baseline.document import Baseline, BaselineUpdate, write_baseline
+from calibration.engine.baseline.quality import BaselineSettings
 from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.pipeline.baselines import with_accepted
 from calibration.pipeline.matrix.cell_result import Details

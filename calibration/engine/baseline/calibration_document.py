@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -13,10 +13,10 @@ from calibration.base.arrays import Array
 from calibration.base.records import Misfit, at_least, between, computed, document_of, field, length, matching, record
 from calibration.engine.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, label_arrays, label_count
 from calibration.engine.estimation.covariance.result import CalibratedJoint, Calibration
-from calibration.engine.estimation.problem.gauge import RIGID_TOLERANCE
-from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.problem.blocks import CalibratedIntrinsics
+from calibration.engine.estimation.problem.fixing import RIGID_TOLERANCE
 from calibration.engine.geometry.rotations import to_rpy
 from calibration.engine.geometry.transforms import adjoint, from_xyz_rpy, inverse, translation
 
@@ -117,26 +117,24 @@ class CalibratedPose:
 
     def moves(self, held: str) -> Array:
         """Effects (k, 6) of a fixed input on the pose, for one standard deviation of each, m and rad."""
-        moves: Array = np.array(self.held[held]) * np.array([1e-3] * 3 + [np.pi / 180] * 3)
-        return moves
+        return np.asarray(np.array(self.held[held]) * np.array([1e-3] * 3 + [np.pi / 180] * 3))
 
     @property
     @computed("sigma-mm")
     def sigma_mm(self) -> tuple[float, ...] | None:
         """Standard deviations of the translation, mm, in total."""
-        return (
-            None if self.covariance is None else _significant_values(1e3 * np.sqrt(np.diagonal(self.covariance)[:3]), 4)
-        )
+        return self._sigmas(slice(3), 1e3)
 
     @property
     @computed("sigma-deg")
     def sigma_deg(self) -> tuple[float, ...] | None:
         """Standard deviations of the rotation, degrees, in total."""
-        return (
-            None
-            if self.covariance is None
-            else _significant_values(np.degrees(np.sqrt(np.diagonal(self.covariance)[3:])), 4)
-        )
+        return self._sigmas(slice(3, 6), 180 / np.pi)
+
+    def _sigmas(self, part: slice, unit: float) -> tuple[float, ...] | None:
+        if self.covariance is None:
+            return None
+        return _significant_values(unit * np.sqrt(np.diagonal(self.covariance)[part]), 4)
 
     @property
     def norm_mm(self) -> float:
@@ -259,14 +257,25 @@ class CalibrationDocuments:
     """Documents of several calibrations of one dataset with the same options; what they share is computed once."""
 
     def __init__(self, given: Dataset, options: Options) -> None:
-        self._given = given
-        self._options = options
+        self._given, self._options = given, options
         self._inputs: dict[frozenset[Edge], dict[str, str]] = {}
 
     @cached_property
     def data(self) -> str:
         """SHA-256 of the dataset's labels."""
         return hash_of_labels(self._given)
+
+    @cached_property
+    def _of_dataset(self) -> dict[str, Any]:
+        given = self._given
+        return {
+            "data": self.data,
+            "collections": len(given.collections),
+            "labels": sum(label_count(label) for _, label in _labels(given)),
+            "views": _views(given),
+            "covered": _covered(given),
+            "extents": _median_extents(given),
+        }
 
     def of(self, calibration: Calibration, rms_px: float | None) -> CalibrationDocument:
         """Return the document of a converged calibration; see `document_of_calibration`."""
@@ -275,9 +284,8 @@ class CalibrationDocuments:
             sensors.setdefault(each.edge, each.name)
         noise, bars = calibration.noise_levels.given(), calibration.error_bars
         return CalibrationDocument(
-            data=self.data,
+            **self._of_dataset,
             inputs=self._hashes(frozenset(calibration.transforms)),
-            collections=len(self._given.collections),
             engine=__version__,
             poses=tuple(
                 _calibrated_pose(calibration, edge, T, sensors.get(edge))
@@ -289,33 +297,13 @@ class CalibrationDocuments:
             noise=NoiseLevels(**{k: _significant_value(v, 4) for k, v in noise.items()}),
             effective_collections=_significant_value(bars.effective_collections, 3) if bars else None,
             rejected_labels=len(calibration.rejected),
-            labels=self._count,
             iterations=calibration.iterations,
-            views=self._views,
-            covered=self._covered,
-            extents=self._extents,
         )
 
     def _hashes(self, calibrated: frozenset[Edge]) -> dict[str, str]:
         if calibrated not in self._inputs:
             self._inputs[calibrated] = hashes_of_inputs(self._given, calibrated, self._options)
         return self._inputs[calibrated]
-
-    @cached_property
-    def _count(self) -> int:
-        return sum(label_count(label) for _, label in _labels(self._given))
-
-    @cached_property
-    def _views(self) -> dict[str, int]:
-        return _views(self._given)
-
-    @cached_property
-    def _covered(self) -> dict[str, float]:
-        return _covered(self._given)
-
-    @cached_property
-    def _extents(self) -> dict[str, float]:
-        return _median_extents(self._given)
 
 
 def hash_of_labels(dataset: Dataset) -> str:
@@ -375,7 +363,7 @@ def _at_description(calibration: Calibration, given: Dataset) -> Iterator[tuple[
     so that it is where the dataset has it, ``T_p_s' = T_p_g D T_g_p T_p_s`` with ``D = T_g_h (given) T_h_g``. A pattern
     that was fixed for the same reason is left out.
     """
-    patterns = {(pattern.parent_link, pattern.link) for pattern in calibration.dataset.patterns.values()}
+    patterns = {pattern.edge for pattern in calibration.dataset.patterns.values()}
     edges = {sensor.edge for sensor in calibration.dataset.sensors.values()}
     held = calibration.dataset.sensors[calibration.gauge].edge if calibration.gauge else None
     for edge, T in calibration.transforms.items():
@@ -419,8 +407,7 @@ def _moved_by_held(calibration: Calibration, edge: Edge) -> dict[str, Array]:
     setup, bars = calibration.solution.setup, calibration.error_bars
     at = setup.problem.shared_parameters[setup.block(edge)]
     frames = {
-        (pattern.parent_link, pattern.link): adjoint(translation(pattern.centre))
-        for pattern in calibration.dataset.patterns.values()
+        pattern.edge: adjoint(translation(pattern.centre)) for pattern in calibration.dataset.patterns.values()
     }  # the engine's frame of a pattern is at its centre
     to_frame = frames.get(edge, np.eye(6))
     return {name: to_frame @ moves[at] for name, moves in bars.held.items()} if bars else {}

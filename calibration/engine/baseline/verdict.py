@@ -8,8 +8,14 @@ import numpy as np
 from calibration.base.verdict import at_most
 from calibration.engine.baseline.calibration_document import CalibrationDocument, SoftwareStart
 from calibration.engine.baseline.comparison import BaselineChange, BaselineComparison, compare
-from calibration.engine.baseline.quality import HOW_TO_ACCEPT, largest_standard_deviations, quality, worse_than_baseline
-from calibration.engine.baseline.settings import BaselineSettings, SameData
+from calibration.engine.baseline.quality import (
+    HOW_TO_ACCEPT,
+    BaselineSettings,
+    SameData,
+    largest_standard_deviations,
+    quality,
+    worse_than_baseline,
+)
 from calibration.engine.diagnosis.finding import Finding
 
 MIN_AXIS_COMPONENT = 0.9

@@ -2,8 +2,7 @@
 
 ``methods`` lists them; each takes a dataset and returns a new one with its own transforms:
 
-- ``opencv_stereo``: two cameras;
-- ``icp``: two LiDARs or depth cameras;
-- ``arm_methods``: cameras, an arm, fixed patterns (``arm``), by OpenCV (``opencv_arm``) or by ``hand_eye_solvers``
-  and the robot-world solutions of the estimation.
+- ``sensor_pairs``: two cameras by OpenCV, two LiDARs or depth cameras by ICP;
+- ``arm``: cameras, an arm, fixed patterns; by OpenCV, or by ``hand_eye_solvers`` and the robot-world solutions of the
+  estimation.
 """

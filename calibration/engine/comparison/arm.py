@@ -6,15 +6,26 @@ Each view contributes the pose estimated from it alone; there is no refinement o
 
 These methods support one pattern. With several, each camera uses the fixed one that it sees most often, among those
 with enough rotation of the arm; the other fixed ones follow as the mean over their views.
+
+The methods are OpenCV's if available (OpenCV 5 lacks them), else our own. Shah and Li solve for camera and pattern
+jointly. The other five solve for the camera's transform only, from the motions between views; the pattern's transform
+follows as the mean over the views.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError, UndeterminedError
+from calibration.base.errors import InfrastructureError, InputError, UndeterminedError
+from calibration.base.optional import optional
+from calibration.engine.comparison import hand_eye_solvers
+from calibration.engine.comparison.hand_eye_solvers import relative_motions
 from calibration.engine.dataset.model import Dataset, Edge, Sensor
 from calibration.engine.dataset.pattern import Pattern
+from calibration.engine.estimation.start import robot_world
 from calibration.engine.estimation.start.linear_start import SINGLE_AXIS
 from calibration.engine.estimation.start.robot_world import solve_robot_world
 from calibration.engine.evaluation.views import corner_views, measured_views
@@ -90,12 +101,12 @@ def calibrate_arm(dataset: Dataset, solve: Solver) -> Dataset:
     for used in used_views(dataset):
         X, Y = solve(used.arm, used.seen)
         transforms[used.sensor.edge] = X
-        transforms.setdefault(_edge_of_pattern(used.pattern), inverse(Y))
+        transforms.setdefault(used.pattern.edge, inverse(Y))
     for sensor in dataset.sensors.values():
         for views in _all_views(dataset, sensor):
-            if len(views.arm) and _edge_of_pattern(views.pattern) not in transforms:
+            if len(views.arm) and views.pattern.edge not in transforms:
                 Y = inverse_pattern(transforms[sensor.edge], views.arm, views.seen)
-                transforms[_edge_of_pattern(views.pattern)] = inverse(Y)
+                transforms[views.pattern.edge] = inverse(Y)
     return dataset.with_transforms(transforms)
 
 
@@ -147,5 +158,107 @@ def _arm_views(dataset: Dataset, sensor: Sensor, pattern: Pattern) -> ArmViews:
     return ArmViews(sensor, pattern, arm, seen)
 
 
-def _edge_of_pattern(pattern: Pattern) -> Edge:
-    return (pattern.parent_link, pattern.link)
+HAND_EYE_FUNCTION, ROBOT_WORLD_FUNCTION = "calibrateHandEye", "calibrateRobotWorldHandEye"
+
+
+def opencv_with(function: str) -> Any:
+    """Import cv2 on demand; None if it is not installed or lacks the function."""
+    try:
+        cv2 = optional("cv2", function)
+    except InfrastructureError:
+        return None
+    return cv2 if hasattr(cv2, function) else None
+
+
+def opencv_hand_eye(cv2: Any, method: str, arm: Array, seen: Array) -> Array:
+    """Solve ``arm = X @ seen @ Y`` for X (4, 4) by `calibrateHandEye`.
+
+    Args:
+        cv2: the module.
+        method: "tsai", "park", ...
+        arm: (n, 4, 4), which OpenCV takes as the base seen from the gripper.
+        seen: (n, 4, 4), the target seen from the camera.
+
+    Raises:
+        UndeterminedError: OpenCV finds no solution.
+    """
+    X = transform(*_ask_opencv(cv2, HAND_EYE_FUNCTION, f"CALIB_HAND_EYE_{method.upper()}", inverse(arm), seen))
+    if np.array_equal(X, np.eye(4)):  # OpenCV's result if it rejects all motions as too small
+        raise UndeterminedError(f"OpenCV's {HAND_EYE_FUNCTION}: {method.capitalize()} needs larger rotations")
+    return X
+
+
+def opencv_robot_world(cv2: Any, method: str, arm: Array, seen: Array) -> tuple[Array, Array]:
+    """Solve ``arm = X @ seen @ Y`` for X and Y (4, 4) by `calibrateRobotWorldHandEye`; see `opencv_hand_eye`.
+
+    OpenCV solves ``A X' = Z' B``: A is ``arm``, B is ``seen``, Z' our X, X' the inverse of our Y.
+    """
+    R, t, R_X, t_X = _ask_opencv(cv2, ROBOT_WORLD_FUNCTION, f"CALIB_ROBOT_WORLD_HAND_EYE_{method.upper()}", arm, seen)
+    return transform(R_X, t_X), inverse(transform(R, t))
+
+
+def _ask_opencv(cv2: Any, function: str, method: str, first: Array, second: Array) -> list[Array]:
+    """Call OpenCV, and return each translation as (3,)."""
+    poses = [list(part) for T in (first, second) for part in (T[:, :3, :3], T[:, :3, 3])]
+    log = cv2.utils.logging  # silences OpenCV's log: the failure is reported by our own error
+    level = log.setLogLevel(log.LOG_LEVEL_SILENT)
+    try:
+        answer = getattr(cv2, function)(*poses, method=getattr(cv2, method))
+    except cv2.error as error:
+        raise UndeterminedError(f"OpenCV's {function}: {' '.join(str(error).split())}") from None
+    finally:
+        log.setLogLevel(level)
+    parts = [np.asarray(part, float).squeeze() for part in answer]
+    if not all(np.isfinite(part).all() for part in parts):
+        raise UndeterminedError(f"OpenCV's {function}: its answer is not finite")
+    return parts
+
+
+ROBOT_WORLD: Mapping[str, Callable[[Array, Array], robot_world.RobotWorld]] = {
+    "shah": robot_world.solve_robot_world,
+    "li": robot_world.solve_li,
+}
+"""Own implementation: from A and B (n, 4, 4) in ``A_i = X @ B_i @ Y``."""
+HAND_EYE: Mapping[str, Callable[[Array, Array], Array]] = {
+    "tsai": hand_eye_solvers.solve_tsai,
+    "park": hand_eye_solvers.solve_park,
+    "horaud": hand_eye_solvers.solve_horaud,
+    "andreff": hand_eye_solvers.solve_andreff,
+    "daniilidis": hand_eye_solvers.solve_daniilidis,
+}
+"""Own implementation: from relative motions."""
+
+
+def by_arm(method: str, dataset: Dataset) -> Dataset:
+    """Calibrate cameras and patterns by one of the methods and return the new dataset; errors as `calibrate_arm`."""
+    return calibrate_arm(dataset, _solver_of_method(method))
+
+
+def described(method: str, dataset: Dataset) -> str:
+    """Return the implementation used, and with several patterns the one that each camera is calibrated with."""
+    cv2 = opencv_with(_opencv_function(method))
+    whose = f"OpenCV {cv2.__version__}" if cv2 else "built in"
+    if len(dataset.patterns) == 1:
+        return whose
+    chosen = (f"'{v.sensor.name}' by '{v.pattern.name}' ({len(v.arm)} views)" for v in used_views(dataset))
+    return f"{whose}; {', '.join(chosen)}"
+
+
+def _opencv_function(method: str) -> str:
+    return ROBOT_WORLD_FUNCTION if method in ROBOT_WORLD else HAND_EYE_FUNCTION
+
+
+def _solver_of_method(method: str) -> Solver:
+    cv2 = opencv_with(_opencv_function(method))
+
+    def together(arm: Array, seen: Array) -> tuple[Array, Array]:
+        if cv2:
+            return opencv_robot_world(cv2, method, arm, seen)
+        solution = ROBOT_WORLD[method](arm, seen)
+        return solution.X, solution.Y
+
+    def camera_first(arm: Array, seen: Array) -> tuple[Array, Array]:
+        X = opencv_hand_eye(cv2, method, arm, seen) if cv2 else HAND_EYE[method](*relative_motions(arm, seen))
+        return X, inverse_pattern(X, arm, seen)
+
+    return together if method in ROBOT_WORLD else camera_first

@@ -104,8 +104,7 @@ def _solve_translation(A: Array, B: Array, R: Array) -> Array:
 
 def _sine_vectors(T: Array) -> Array:
     """Return ``2 sin(angle / 2) axis`` of the rotations (n, 3)."""
-    vector: Array = 2 * rotations.to_quaternion(T[:, :3, :3])[:, :3]
-    return vector
+    return 2 * rotations.to_quaternion(T[:, :3, :3])[:, :3]
 
 
 def _from_left(q: Array) -> Array:
@@ -135,5 +134,4 @@ def _dual_quaternion(T: Array) -> tuple[Array, Array]:
 
 def _as_xyzw(q: Array) -> Array:
     """Convert from [w, x, y, z], the order in the equations of Daniilidis."""
-    rolled: Array = np.roll(q, -1)
-    return rolled
+    return np.roll(q, -1)

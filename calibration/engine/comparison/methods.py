@@ -6,16 +6,17 @@ from functools import partial
 
 from calibration.base.errors import InputError, solvable
 from calibration.base.text import did_you_mean
-from calibration.engine.comparison.arm import why_not_arm
-from calibration.engine.comparison.arm_methods import HAND_EYE, ROBOT_WORLD, by_arm, described
-from calibration.engine.comparison.icp import icp, icp_average, icp_best, why_not_icp
-from calibration.engine.comparison.opencv_stereo import (
+from calibration.engine.comparison.arm import HAND_EYE, ROBOT_WORLD, by_arm, described, why_not_arm
+from calibration.engine.comparison.sensor_pairs import (
+    CAMERA_MODALITIES,
+    RANGE_SENSORS,
+    icp,
+    only_pair,
     opencv_stereo,
-    opencv_stereo_fixed,
     opencv_version,
+    why_not_icp,
     why_not_stereo,
 )
-from calibration.engine.comparison.sensor_pair import CAMERA_MODALITIES, RANGE_SENSORS, only_pair
 from calibration.engine.dataset.model import Dataset
 
 
@@ -67,11 +68,11 @@ COMPARISON_METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
         _stereo_method("opencv-stereo", "OpenCV stereo", opencv_stereo),
-        _stereo_method("opencv-stereo-fixed", "OpenCV stereo, intrinsics fixed", opencv_stereo_fixed),
+        _stereo_method("opencv-stereo-fixed", "OpenCV stereo, intrinsics fixed", partial(opencv_stereo, fixed=True)),
         *map(_arm_method, (*ROBOT_WORLD, *HAND_EYE)),
         _icp_method("icp", "ICP, all collections at once", icp),
-        _icp_method("icp-average", "ICP, average of the collections", icp_average),
-        _icp_method("icp-best", "ICP, best collection", icp_best),
+        _icp_method("icp-average", "ICP, average of the collections", partial(icp, result="average")),
+        _icp_method("icp-best", "ICP, best collection", partial(icp, result="best")),
     )
 }
 """All comparison methods, by name."""
@@ -89,10 +90,3 @@ def method_of(name: str) -> Method:
             f"{', '.join(COMPARISON_METHODS)})"
         )
     return COMPARISON_METHODS[name]
-
-
-def applicable(dataset: Dataset) -> list[Method]:
-    """Return the methods that apply to a dataset."""
-    return (
-        [] if dataset.joints else [method for method in COMPARISON_METHODS.values() if method.why_not(dataset) is None]
-    )

@@ -67,29 +67,20 @@ def changed_document(changes: Node, given: Path | None) -> Node:
                 **read.mapping(),
                 **{name: {**read[name].mapping(), **values} for name, values in joints.items()},
             }
-    sensors = {
-        name: {
-            **root["sensors"][name].mapping(),
-            **({LAG_KEY: lag.value} if (lag := node.get(LAG_KEY)) else {}),
-            **(
-                {
-                    "camera_info": {
-                        **{
-                            k: v
-                            for k, v in root["sensors"][name]["camera_info"].mapping().items()
-                            if k != UNCERTAINTY_KEY
-                        },
-                        **info.mapping(),
-                    }
-                }
-                if (info := node.get("camera_info"))
-                else {}
-            ),
-        }
-        for name, node in changes["sensors"].items()
-    }
+    sensors = {name: _changed_sensor(root["sensors"][name], node) for name, node in changes["sensors"].items()}
     document |= {"collections": collections, "sensors": {**root["sensors"].mapping(), **sensors}}
     return Node(root.file, (), document)
+
+
+def _changed_sensor(read: Node, changes: Node) -> dict[str, Any]:
+    """Return a sensor with its changed lag and intrinsics, without the uncertainty of those that were read."""
+    sensor = dict(read.mapping())
+    if lag := changes.get(LAG_KEY):
+        sensor[LAG_KEY] = lag.value
+    if info := changes.get("camera_info"):
+        known = read["camera_info"].mapping()
+        sensor["camera_info"] = {key: known[key] for key in known if key != UNCERTAINTY_KEY} | info.mapping()
+    return sensor
 
 
 def _read_calibrated_dataset(changes: Node, given: Path | None) -> Node:

@@ -27,6 +27,7 @@ from calibration.engine.dataset.pattern import (
     corner_origin,
     grid,
     outline,
+    rectangle,
     staggered_grid,
     tag_grid,
     tag_outline,
@@ -39,6 +40,8 @@ APRILGRID_TAGS, TAG_COUNT = "DICT_APRILTAG_36h11", 587
 MIN_SPACING, MAX_SPACING = 0.01, 1.0
 """Limits of the gap between two tags, in sides of a tag."""
 FIRST_PATTERN = "pattern_1"
+IF_SET = ("first_marker", "inverted", "known_pose")
+"""Keys of a pattern that are written only where they say something; ATOM does not know them."""
 """Name of the only pattern of a version 2 configuration."""
 
 
@@ -99,7 +102,7 @@ class PatternConfiguration:
         if self.kind == "tags":
             corners = np.concatenate([tag.corners for tag in self.tags])
             low, high = corners[:, :2].min(0) - self.border_size, corners[:, :2].max(0) + self.border_size
-            border = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+            border = rectangle(*low, *high)
         elif self.kind == "aprilgrid":
             corners = tag_grid(columns, rows, self.size, self.spacing)
             border = tag_outline(columns, rows, self.size, self.spacing, self.border_size)
@@ -148,15 +151,8 @@ class Configuration:
             "max_duration_between_msgs": self.max_duration_between_msgs,
             "version": 3.0,
             "sensors": {
-                sensor.name: {
-                    "link": sensor.link,
-                    "parent_link": sensor.parent_link,
-                    "child_link": sensor.child_link,
-                    "topic_name": sensor.topic_name,
-                    "modality": sensor.modality,
-                    "throttle": sensor.throttle,
-                }
-                for sensor in self.sensors.values()
+                name: {key: value for key, value in vars(sensor).items() if key != "name"}
+                for name, sensor in self.sensors.items()
             },
             "calibration_patterns": {
                 pattern.name: {
@@ -171,10 +167,8 @@ class Configuration:
                     "size": pattern.size,
                     "inner_size": pattern.inner_size,
                     **({"spacing": pattern.spacing} if pattern.kind == "aprilgrid" else {}),
-                    **({"first_marker": pattern.first_marker} if pattern.first_marker else {}),
                     **({"tags": [vars(tag) for tag in pattern.tags]} if pattern.tags else {}),
-                    **({"inverted": True} if pattern.inverted else {}),
-                    **({"known_pose": True} if pattern.known_pose else {}),
+                    **{key: value for key in IF_SET if (value := getattr(pattern, key))},
                 }
                 for pattern in self.patterns.values()
             },
@@ -215,7 +209,7 @@ def parse_configuration(node: Node) -> Configuration:
         sensors=sensors,
         patterns=patterns,
         anchored_sensor=(anchored and anchored.value) or None,
-        additional_tfs={name: _edge_of_links(entry) for name, entry in additional.items()} if additional else {},
+        additional_tfs={name: read_links(entry) for name, entry in additional.items()} if additional else {},
         joints={name: _calibrated_parameters(entry) for name, entry in joints.items()} if joints else {},
         description_file=_text_or_empty(node, "description_file"),
         bag_file=_text_or_empty(node, "bag_file"),
@@ -226,7 +220,7 @@ def parse_configuration(node: Node) -> Configuration:
 
 def _sensor_configuration(name: str, node: Node) -> SensorConfiguration:
     throttle = node.get("throttle")
-    parent, child = _edge_of_links(node)
+    parent, child = read_links(node)
     return SensorConfiguration(
         name=name,
         modality=node["modality"].text(),
@@ -260,21 +254,14 @@ def _pattern_configuration(name: str, node: Node) -> PatternConfiguration:
         if (dictionary := node.get("dictionary")) and dictionary.text() not in ("", APRILGRID_TAGS):
             raise dictionary.unexpected(f"{APRILGRID_TAGS}, that of an aprilgrid")
     return PatternConfiguration(
-        name=name,
         kind=kind.value,
-        link=node["link"].name(),
-        parent_link=node["parent_link"].name(),
-        fixed=node["fixed"].flag(),
         dimension=(columns, rows),
         size=size,
         inner_size=inner.number() if inner and not tags else None,
-        border_size=_border_widths(node.get("border_size")),
         dictionary=APRILGRID_TAGS if tags else _text_or_empty(node, "dictionary") or None,
-        mesh_file=_text_or_empty(node, "mesh_file"),
         spacing=node["spacing"].within(MIN_SPACING, MAX_SPACING) if tags else 0.0,
         first_marker=first,
-        inverted=inverted.flag() if (inverted := node.get("inverted")) else False,
-        known_pose=known.flag() if (known := node.get("known_pose")) else False,
+        **_frames_and_board(name, node),
     )
 
 
@@ -287,20 +274,27 @@ def _tag_list(name: str, node: Node) -> PatternConfiguration:
     if not 0 < len(tags) <= MAX_CORNERS or len({tag.id for tag in tags}) < len(tags):
         raise node["tags"].unexpected(f"1 to {MAX_CORNERS} tags, each id once")
     return PatternConfiguration(
-        name=name,
         kind="tags",
-        link=node["link"].name(),
-        parent_link=node["parent_link"].name(),
-        fixed=node["fixed"].flag(),
         dimension=(len(tags), 1),
         size=tags[0].size,
-        border_size=_border_widths(node.get("border_size")),
         dictionary=node["dictionary"].name(),
-        mesh_file=_text_or_empty(node, "mesh_file"),
-        inverted=inverted.flag() if (inverted := node.get("inverted")) else False,
-        known_pose=known.flag() if (known := node.get("known_pose")) else False,
         tags=tags,
+        **_frames_and_board(name, node),
     )
+
+
+def _frames_and_board(name: str, node: Node) -> dict[str, Any]:
+    """Return what the configurations of all kinds of patterns have in common."""
+    return {
+        "name": name,
+        "link": node["link"].name(),
+        "parent_link": node["parent_link"].name(),
+        "fixed": node["fixed"].flag(),
+        "border_size": _border_widths(node.get("border_size")),
+        "mesh_file": _text_or_empty(node, "mesh_file"),
+        "inverted": _flag_or_false(node, "inverted"),
+        "known_pose": _flag_or_false(node, "known_pose"),
+    }
 
 
 def check_tags(columns: int, rows: int, where: Node, first: int = 0) -> None:
@@ -324,12 +318,22 @@ def _border_widths(node: Node | None) -> tuple[float, float]:
     return (x.within(0.0, MAX_SIZE), y.within(0.0, MAX_SIZE))
 
 
-def _edge_of_links(node: Node) -> Edge:
+def read_links(node: Node) -> Edge:
+    """Return the frames that a sensor, a joint or a transform lies between.
+
+    Raises:
+        InputError: a name is missing.
+    """
     return (node["parent_link"].name(), node["child_link"].name())
 
 
 def _calibrated_parameters(node: Node) -> tuple[str, ...]:
     return tuple(element.name() for element in node["params_to_calibrate"].elements())
+
+
+def _flag_or_false(node: Node, key: str) -> bool:
+    value = node.get(key)
+    return value.flag() if value else False
 
 
 def _text_or_empty(node: Node, key: str) -> str:

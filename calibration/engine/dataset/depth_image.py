@@ -125,5 +125,4 @@ def _decode_png(data: bytes, shape: tuple[int, int]) -> NDArray[np.uint16]:
         image = None
     if image is None or image.dtype != np.uint16 or image.shape != shape:
         raise InputError("the PNG file cannot be decoded; write it again")
-    depth: NDArray[np.uint16] = np.asarray(image, np.uint16)
-    return depth
+    return np.asarray(image, np.uint16)

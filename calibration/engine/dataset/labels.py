@@ -8,13 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.engine.dataset.corners import read_corners
-from calibration.engine.dataset.document import Node, NotNumbersError, integers
+from calibration.engine.dataset.document import MissingFileError, Node, NotNumbersError, integers
 from calibration.engine.dataset.edges import read_pose
 from calibration.engine.dataset.modalities import IndexedPoints, PointData
 from calibration.engine.dataset.model import Collection, CornerLabels, Labels, PointLabels, PoseLabels, Sensor
-from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.dataset.payload import MissingFileError
+from calibration.engine.dataset.pattern import Pattern, read_corners
 
 MAX_POINTS = 1 << 40
 """Limit of the number of points of a cloud, scan or depth image."""
@@ -264,8 +262,7 @@ class _Batch:
 
     def keys(self, index: IntArray) -> IntArray:
         """Return keys of rows: equal if list and index are equal."""
-        keys: IntArray = self.owner * MAX_POINTS + index
-        return keys
+        return self.owner * MAX_POINTS + index
 
     def repeated(self, index: IntArray) -> tuple[int, int] | None:
         """Return the place of the first row with an index that its list has before."""

@@ -98,5 +98,4 @@ def read_covariance(node: Node, count: int) -> Array:
     correlation = 0.5 * (correlation + correlation.T)
     if not np.linalg.eigvalsh(correlation)[0] > MIN_EIGENVALUE:
         raise node.fault("found a matrix that is not positive definite, expected a covariance")
-    covariance: Array = correlation * sigma[:, None] * sigma
-    return covariance
+    return np.asarray(correlation * sigma[:, None] * sigma)

@@ -15,9 +15,8 @@ from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
 from calibration.engine.dataset import pointcloud
 from calibration.engine.dataset.depth_image import read_depth_image
-from calibration.engine.dataset.document import Node
-from calibration.engine.dataset.laser_scan import read_scan
-from calibration.engine.dataset.payload import locate_existing
+from calibration.engine.dataset.document import Node, locate_existing
+from calibration.engine.dataset.pointcloud import read_scan
 from calibration.engine.geometry.cameras import Camera
 
 Family = Literal["camera", "lidar", "depth camera", "tracker"]

@@ -18,8 +18,7 @@ from calibration.engine.dataset.lens_uncertainty import LensUncertainty
 from calibration.engine.dataset.modalities import Modality
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.frames import FrameTree
-from calibration.engine.geometry.joints import JointModel, JointParameter
+from calibration.engine.geometry.frames import FrameTree, JointModel, JointParameter
 from calibration.engine.geometry.transforms import inverse, retract
 
 ESTIMATED_KEY = "estimated_intrinsics"
@@ -62,7 +61,7 @@ class Joint:
     """Parent link and child link."""
     model: JointModel
     parameters: tuple[JointParameter, ...]
-    """Parameters to calibrate, in the order of `calibration.engine.geometry.joints.JOINT_PARAMETERS`."""
+    """Parameters to calibrate, in the order of `calibration.engine.geometry.frames.JOINT_PARAMETERS`."""
     values: Array
     """(7,): all parameters, m and rad, in that order."""
     positions: Array
@@ -71,8 +70,7 @@ class Joint:
     @property
     def transform(self) -> Array:
         """``T_parent_child`` (N, 4, 4)."""
-        T: Array = self.model.pose(self.values) @ self.model.motion(self.positions)
-        return T
+        return self.model.pose(self.values) @ self.model.motion(self.positions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,25 +105,13 @@ Labels = CornerLabels | PointLabels | PoseLabels
 
 
 def label_arrays(label: Labels) -> tuple[NDArray[Any], ...]:
-    """Return all arrays of a label, to be hashed or compared."""
-    match label:
-        case CornerLabels():
-            return label.ids, label.pixels
-        case PointLabels():
-            return label.points, label.limits
-        case PoseLabels():
-            return (label.T,)
+    """Return all numbers of a label."""
+    return tuple(vars(label).values())
 
 
 def label_count(label: Labels) -> int:
-    """Return the number of labels: corners, points, or one pose."""
-    match label:
-        case CornerLabels():
-            return len(label.ids)
-        case PointLabels():
-            return len(label.points)
-        case PoseLabels():
-            return 1
+    """Return the number of corners or points of a label; 1 for a pose."""
+    return 1 if isinstance(label, PoseLabels) else len(label_arrays(label)[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,20 +1,40 @@
-"""Calibration patterns: the geometry of their corners and border.
+"""Calibration patterns: the geometry of their corners and border, and lists of numbered points.
 
 The pattern frame: x along a row of corners, y along a column, z into the board (away from a camera
 that sees it), all corners at z = 0. Metres.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
+from operator import itemgetter
 from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.base.records import between, field, record
-from calibration.engine.dataset.corners import read_corners
-from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.document import Node, NotNumbersError, finite
+
+CORNER_KEYS = ("id", "x", "y")
+
+
+def read_corners(lists: Iterable[Node]) -> tuple[Array, Array]:
+    """Return the ids (K,), not yet checked to be integers, and coordinates (K, 2) of all lists, concatenated.
+
+    Raises:
+        InputError: a key is missing, or a value is not a finite number.
+    """
+    nodes = list(lists)
+    corners = list(chain.from_iterable(node.sequence() for node in nodes))
+    try:
+        columns = finite(list(chain.from_iterable(map(itemgetter(key), corners) for key in CORNER_KEYS))).reshape(3, -1)
+    except (NotNumbersError, KeyError, TypeError):  # check one by one, to report the first invalid one
+        elements = chain.from_iterable(node.elements() for node in nodes)
+        columns = np.array([[element[key].number() for key in CORNER_KEYS] for element in elements]).T
+    return columns[0], np.ascontiguousarray(columns[1:].T)
+
 
 MIN_SIZE, MAX_SIZE = 1e-6, 1e3
 """Limits of the side of a pattern's square (m)."""
@@ -68,11 +88,15 @@ class Pattern:
     known_pose: bool = False
     """Whether its pose on its parent is as exact as its print, such as that of a side of a body."""
 
+    @property
+    def edge(self) -> tuple[str, str]:
+        """Edge of its pose, (parent, child)."""
+        return (self.parent_link, self.link)
+
     @cached_property
     def centre(self) -> Array:
         """Mean of the corners (3,)."""
-        mean: Array = self.corners.mean(axis=0)
-        return mean
+        return np.asarray(self.corners.mean(axis=0))
 
     @cached_property
     def size(self) -> float:
@@ -90,6 +114,11 @@ class Pattern:
         apart = np.linalg.norm(self.corners[:, None] - self.corners, axis=-1)
         first, second = np.nonzero(np.triu(apart < 1.05 * apart[apart > 0].min(), 1))
         return first, second
+
+
+def rectangle(left: float, top: float, right: float, bottom: float) -> Array:
+    """Return the corners (4, 2) of a border: top left, top right, bottom right, bottom left."""
+    return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
 
 
 def grid(columns: int, rows: int, square: float, origin: tuple[float, float]) -> Array:
@@ -133,14 +162,14 @@ def tag_outline(columns: int, rows: int, tag: float, spacing: float, border: tup
     (width, height), gap = ((n * (1 + spacing) - spacing) * tag for n in (columns, rows)), spacing * tag
     left, right = -gap - border[0], width + gap + border[0]
     top, bottom = -height - gap - border[1], gap + border[1]
-    return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+    return rectangle(left, top, right, bottom)
 
 
 def outline(columns: int, rows: int, square: float, border: tuple[float, float], origin: tuple[float, float]) -> Array:
     """Return the outline (4, 2) of a board: the squares, one more than inner corners each way, and the border."""
     left, top = origin[0] - square - border[0], origin[1] - square - border[1]
     right, bottom = origin[0] + columns * square + border[0], origin[1] + rows * square + border[1]
-    return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+    return rectangle(left, top, right, bottom)
 
 
 def corner_origin(kind: PatternKind, version: str, square: float) -> tuple[float, float]:

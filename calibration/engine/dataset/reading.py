@@ -11,13 +11,11 @@ from calibration.engine.dataset.changes import CHANGES_KEY, changed_document
 from calibration.engine.dataset.configuration import Configuration, parse_configuration
 from calibration.engine.dataset.document import Node, read_json, shown
 from calibration.engine.dataset.edges import is_constant, read_transforms
-from calibration.engine.dataset.frames import check_frames
-from calibration.engine.dataset.joints import read_joints
+from calibration.engine.dataset.frames import check_frames, read_joints, read_velocities
 from calibration.engine.dataset.labels import read_labels
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.dataset.pattern import Pattern, with_explicit_geometry
 from calibration.engine.dataset.sensors import read_sensors
-from calibration.engine.dataset.velocities import read_velocities
 
 FILE_NAME = "dataset.json"
 

@@ -3,19 +3,16 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.engine.dataset.document import Node, read_json
-from calibration.engine.dataset.edges import read_transform, transform_documents
+from calibration.engine.dataset.edges import read_transform
 from calibration.engine.dataset.model import Dataset, Edge
-from calibration.engine.dataset.writing import write_document
-from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
+from calibration.engine.geometry.frames import JOINT_PARAMETERS, JointParameter
 
 FILE_NAME = "ground_truth.json"
-_TRUTH_KEYS = ("sensors", "pattern", "patterns", "transforms", "joints")
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +27,6 @@ class Truth:
     """Transforms that are the same in all collections: of sensors, fixed patterns, additional transforms."""
     patterns: Mapping[str, Mapping[Edge, Array]]
     """Transforms that differ between collections, by the collection's key: poses of patterns and others."""
-    notes: Mapping[str, Any] = field(default_factory=dict)
-    """Other content of the file, such as the noise of the labels."""
     joints: Mapping[str, Mapping[JointParameter, float]] = field(default_factory=dict)
     """Calibrated parameters of each joint by name, m and rad."""
 
@@ -49,7 +44,7 @@ def read_truth(path: Path | str) -> Truth:
     path = Path(path)
     root = read_json(path)
     sensors = {name: read_transform(node) for name, node in root["sensors"].items()}
-    constant = dict(sensors.values())
+    constant, joints = dict(sensors.values()), root.get("joints")
     if fixed := root.get("pattern"):
         constant.update([read_transform(fixed)])
     if others := root.get("transforms"):
@@ -64,10 +59,7 @@ def read_truth(path: Path | str) -> Truth:
         sensors={name: edge for name, (edge, _) in sensors.items()},
         transforms=constant,
         patterns=patterns,
-        notes={k: v for k, v in root.value.items() if k not in _TRUTH_KEYS},
-        joints={name: _joint_parameters(node) for name, node in joints.items()}
-        if (joints := root.get("joints"))
-        else {},
+        joints={name: _joint_parameters(node) for name, node in joints.items()} if joints else {},
     )
 
 
@@ -133,7 +125,7 @@ def truth_of(dataset: Dataset) -> Truth:
         constant[edge] = T[0]
     patterns: dict[str, dict[Edge, Array]] = {key: {} for key in dataset.keys}
     for pattern in dataset.patterns.values():
-        edge = (pattern.parent_link, pattern.link)
+        edge = pattern.edge
         for key, T in zip(dataset.keys, dataset.transforms.get(edge, ()), strict=False):
             if np.isfinite(T).all():
                 patterns[key][edge] = T
@@ -144,31 +136,3 @@ def truth_of(dataset: Dataset) -> Truth:
         for name, joint in dataset.joints.items()
     }
     return Truth(dataset.path, sensors, constant, patterns, joints=joints)
-
-
-def write_truth(truth: Truth, path: Path | str) -> None:
-    """Write the truth in the form that `read_truth` reads.
-
-    Raises:
-        InfrastructureError: the file cannot be written.
-    """
-    of_sensors = set(truth.sensors.values())
-    write_document(
-        {
-            **truth.notes,
-            "sensors": {name: _pose_document(edge, truth.transforms[edge]) for name, edge in truth.sensors.items()},
-            "transforms": [_pose_document(edge, T) for edge, T in truth.transforms.items() if edge not in of_sensors],
-            "patterns": {key: _pose_documents(poses) for key, poses in truth.patterns.items()},
-            **({"joints": truth.joints} if truth.joints else {}),
-        },
-        path,
-    )
-
-
-def _pose_document(edge: Edge, T: Array) -> dict[str, Any]:
-    return transform_documents(edge, T[None])[0]
-
-
-def _pose_documents(poses: Mapping[Edge, Array]) -> dict[str, Any] | list[dict[str, Any]]:
-    documents = [_pose_document(edge, T) for edge, T in poses.items()]
-    return documents[0] if len(documents) == 1 else documents

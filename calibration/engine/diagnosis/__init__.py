@@ -3,7 +3,7 @@
 - ``finding``: the finding of a check; ``limits``: limits of the errors of a result;
 - ``check_data`` and what it calls (``copies``, ``units``, ``board_order``): data that are refused without a solution;
 - ``diagnose``: all checks of a result, in the order of the report, and what each of them waits for;
-- ``what_does_not_fit``: suspects (`doubts.suspects`) as findings; ``precision``: how sure the result is;
+- ``what_does_not_fit``: suspects (`covariance.suspects`) as findings; ``precision``: how sure the result is;
 - ``projection``: calibrated intrinsics, by what they are worth in the image;
 - ``as_recorded``, ``description``, ``rejected_labels``, ``residuals``: the recording, the robot's description, labels
   and views that do not fit, and those that do;

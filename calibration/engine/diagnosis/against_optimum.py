@@ -22,12 +22,12 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.covariance.significance import score_of_tail
-from calibration.engine.estimation.doubts.wrong_views import without
+from calibration.engine.estimation.options import Options
 from calibration.engine.estimation.prepare import prepare
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.residuals.statistics import score_of_tail
 from calibration.engine.estimation.start.build import build
-from calibration.engine.estimation.start.cost import cost_of
+from calibration.engine.estimation.start.guesses import cost_of
+from calibration.engine.estimation.start.wrong_views import without
 from calibration.engine.evaluation.truth import PoseError, TruthError, error_against
 from calibration.engine.geometry.cameras import Camera
 

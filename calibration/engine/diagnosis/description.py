@@ -15,7 +15,7 @@ from calibration.engine.dataset.model import Dataset, Sensor
 from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.diagnosis.units import square
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.options import Options
 from calibration.engine.geometry.transforms import distance, inverse
 
 MAX_DISTANCE = (0.25, 0.25)

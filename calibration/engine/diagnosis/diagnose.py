@@ -15,7 +15,7 @@ from calibration.engine.diagnosis.rejected_labels import rejected_labels, wrong_
 from calibration.engine.diagnosis.residuals import residuals
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.options import Options
 
 
 @dataclass(frozen=True, eq=False)

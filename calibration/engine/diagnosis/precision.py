@@ -18,10 +18,9 @@ from calibration.engine.diagnosis.limits import (
     stated,
 )
 from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
-from calibration.engine.estimation.covariance.lens_errors import LensSource
-from calibration.engine.estimation.covariance.nominal_lens import NUMBER_OF_VIEWS
+from calibration.engine.estimation.covariance.lens_errors import NUMBER_OF_VIEWS, LensSource
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.doubts.suspects import MIN_CONTRADICTING_FACTOR, disagreement
+from calibration.engine.estimation.covariance.suspects import MIN_CONTRADICTING_FACTOR, disagreement
 
 MIN_DISAGREEMENT = 1.4
 """Collections disagree if that widens the standard deviation by this factor: it is more than half of the variance."""

@@ -10,8 +10,8 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset, Edge, Joint, PointLabels, PoseLabels
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
-from calibration.engine.estimation.residuals.median import median
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.estimation.residuals.statistics import median
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import distance
 
 MM_PER_METRE = 1000.0

@@ -21,8 +21,7 @@ from calibration.engine.estimation.covariance.fixed_inputs import (
     Cause,
 )
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.covariance.significance import score_of_f, threshold
-from calibration.engine.estimation.doubts.suspects import (
+from calibration.engine.estimation.covariance.suspects import (
     DEGREES_IF_NOT_ESTIMATED,
     LENS_KIND,
     MIN_CLUSTERS_ON_A_SIDE,
@@ -30,6 +29,7 @@ from calibration.engine.estimation.doubts.suspects import (
     Disagreement,
     Suspect,
 )
+from calibration.engine.estimation.residuals.statistics import score_of_f, threshold
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 from calibration.engine.geometry.transforms import adjoint

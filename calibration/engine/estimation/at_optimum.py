@@ -1,9 +1,10 @@
-"""Result of a calibration at an optimum: transforms, residuals, error bars."""
+"""Result of a calibration at an optimum: transforms, residuals, error bars; or why it is not the calibration."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from calibration.base.arrays import BoolArray, IntArray
 from calibration.base.errors import UndeterminedError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.covariance.calibrated import (
@@ -15,16 +16,59 @@ from calibration.engine.estimation.covariance.calibrated import (
     transforms_of,
     view_residuals,
 )
-from calibration.engine.estimation.covariance.error_bars import ErrorBars, error_bars
+from calibration.engine.estimation.covariance.error_bars import error_bars
 from calibration.engine.estimation.covariance.result import CalibratedLag, Calibration, Solution
-from calibration.engine.estimation.problem.blocks import Pose
-from calibration.engine.estimation.problem.unknown_intrinsics import contradicted_priors
-from calibration.engine.estimation.solve.least_squares import Optimum
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels
-from calibration.engine.estimation.solve.observability import WeakDirection, open_directions
-from calibration.engine.estimation.solve.optimisation import WeightedOptimum
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.least_squares.minimisation import Optimum
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
+from calibration.engine.estimation.least_squares.observability import WeakDirection, open_directions
+from calibration.engine.estimation.least_squares.optimisation import WeightedOptimum
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.problem.blocks import Values
+from calibration.engine.estimation.problem.intrinsics import contradicted_priors
 from calibration.engine.estimation.start.build import Setup
+from calibration.engine.estimation.start.flipped_patterns import unflipped
+
+
+def why_not_reached(setup: Setup, result: WeightedOptimum) -> str:
+    """Return the reason why no minimum was reached; empty if one was."""
+    impossible = np.flatnonzero(~np.isfinite(result.optimum.equations.cost))
+    if len(impossible):
+        behind = _collections_behind_camera(setup, result.optimum.values)[impossible].any()
+        why = "the pattern lies behind a camera" if behind else "labels lie too far off to be compared with the pattern"
+        return f"the start is not possible: {why} {_in_collections(setup, impossible)}"
+    if not result.optimum.reached:
+        return f"no minimum was reached in {result.optimum.iterations} iterations"
+    return ""
+
+
+def _in_collections(setup: Setup, which: IntArray) -> str:
+    """Return the collections in words: of more than five their number and the first ones."""
+    keys = [setup.dataset.keys[i] for i in which]
+    if len(keys) == 1:
+        return f"in collection {keys[0]}"
+    return f"in {len(keys)} collections ({', '.join(keys[:5])}{', ...' if len(keys) > 5 else ''})"
+
+
+def _collections_behind_camera(setup: Setup, values: Values) -> BoolArray:
+    """Return a mask (N,) of the collections with a corner behind its camera."""
+    behind = np.zeros(setup.problem.collections, bool)
+    for group in setup.problem.groups:
+        for term in setup.problem.terms(group, values):
+            magnitudes = term.magnitudes(setup.problem.poses(group, values))
+            behind[group.collections] |= np.count_nonzero(~np.isnan(magnitudes), axis=-1) < term.counts
+    return behind
+
+
+def why_invalid(setup: Setup, result: WeightedOptimum) -> str:
+    """Return the reason why an optimum is none or has mirrored patterns; empty if it is valid."""
+    if reason := why_not_reached(setup, result):
+        return reason
+    optimum = result.optimum
+    _, flipped = unflipped(setup.problem, optimum.values, result.weighting, optimum.equations.cost)
+    if flipped.any():
+        return f"the pattern is left in its mirrored pose {_in_collections(setup, np.flatnonzero(flipped))}"
+    return ""
+
 
 MORE_ROTATION = "add collections with other rotations of the pattern or the robot"
 """Advice where a transform is not determined,"""
@@ -68,7 +112,7 @@ def calibration_at(
     used = calibrated_dataset(setup, values, setup.dataset)
     solution = Solution(setup, values, weighting, used, options.assume, options.scale == "free", lags)
     weak = () if reason else _weak_directions(setup, optimum)
-    bars = None if reason else _error_bars(solution)
+    bars = None if reason else error_bars(solution.model, setup.problem)
     total, labels = (bars.total, bars.labels) if bars else ({}, {})
     residuals = view_residuals(setup, values)
     return Calibration(
@@ -133,10 +177,3 @@ def _to_hold(setup: Setup, undetermined: Sequence[WeakDirection], names: Sequenc
         return ""
     name = next((name for each in undetermined if (name := each.to_hold(names))), "")
     return f", or hold one of them{f', such as {name!r}' if name else ''}"
-
-
-def _error_bars(solution: Solution) -> ErrorBars:
-    problem = solution.setup.problem
-    at = problem.shared_parameters
-    poses = [block for block in at if isinstance(problem.blocks[block].parameters, Pose)]
-    return error_bars(solution.model, at, poses)

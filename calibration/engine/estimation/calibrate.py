@@ -9,19 +9,18 @@ import numpy as np
 
 from calibration.base.errors import solvable
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.estimation.at_optimum import calibration_at
+from calibration.engine.estimation.at_optimum import calibration_at, why_invalid, why_not_reached
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.doubts.false_minima import why_invalid, why_not_reached
 from calibration.engine.estimation.from_linear_start import from_linear_start
+from calibration.engine.estimation.least_squares.minimisation import Evaluation
+from calibration.engine.estimation.least_squares.normal_equations import assemble
+from calibration.engine.estimation.least_squares.optimisation import optimise
+from calibration.engine.estimation.options import Options as Options
 from calibration.engine.estimation.prepare import Prepared, prepare
 from calibration.engine.estimation.problem.blocks import Values
-from calibration.engine.estimation.solve.least_squares import Evaluation
-from calibration.engine.estimation.solve.normal_equations import assemble
-from calibration.engine.estimation.solve.optimisation import optimise
-from calibration.engine.estimation.solve.options import Options as Options
-from calibration.engine.estimation.start.guesses import guess_of_dataset
+from calibration.engine.estimation.start.guesses import StartingNoise, guess_of_dataset, perturb
+from calibration.engine.estimation.start.lens_choice import with_chosen_lenses
 from calibration.engine.estimation.start.linear_start import linear_start
-from calibration.engine.estimation.start.starting_noise import StartingNoise, perturb
 
 MAX_COST_DIFFERENCE = 0.01
 """Largest difference of the costs of two optima that are the same: a tenth of a standard deviation. Points at a
@@ -41,9 +40,12 @@ def calibrate(dataset: Dataset, options: Options | None = None, noise: StartingN
 
     Raises:
         UndeterminedError: the data do not determine the parameters; the message names what is missing.
-        InputError: the labels cannot be used.
+        InputError: the labels cannot be used, or no lens fits as ``options.lens`` says.
     """
-    return solve(prepare(dataset, options or Options()), noise or StartingNoise())
+    options = options or Options()
+    if options.lens:
+        dataset = with_chosen_lenses(dataset, options).dataset
+    return solve(prepare(dataset, options), noise or StartingNoise())
 
 
 def solve(prepared: Prepared, noise: StartingNoise) -> Calibration:
@@ -63,7 +65,9 @@ def solve(prepared: Prepared, noise: StartingNoise) -> Calibration:
         if prepared.options.start == "given":
             found = solve_from_guess(prepared, perturb(optimum.solution.setup, prepared.guess, noise))
         elif prepared.start.depends_on_guess and not noise.is_zero:
-            found = _solve_from_noisy_linear_start(prepared, noise)
+            setup = prepared.setup
+            start = linear_start(setup, perturb(setup, guess_of_dataset(setup), noise))
+            found = from_linear_start(prepared.dataset, setup, start, prepared.options)
         else:
             return optimum
     return replace(
@@ -72,12 +76,6 @@ def solve(prepared: Prepared, noise: StartingNoise) -> Calibration:
         turned_views=optimum.turned_views,
         not_determined=optimum.not_determined,
     )
-
-
-def _solve_from_noisy_linear_start(prepared: Prepared, noise: StartingNoise) -> Calibration:
-    setup = prepared.setup
-    start = linear_start(setup, perturb(setup, guess_of_dataset(setup), noise))
-    return from_linear_start(prepared.dataset, setup, start, prepared.options)
 
 
 def solve_from_guess(prepared: Prepared, guess: Values) -> Calibration:

@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.estimation.at_optimum import OpenCoefficientsError, calibration_at
+from calibration.engine.estimation.at_optimum import OpenCoefficientsError, calibration_at, why_invalid, why_not_reached
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.doubts.false_minima import why_invalid, why_not_reached
+from calibration.engine.estimation.least_squares.noise_levels import with_noise_along_sight
+from calibration.engine.estimation.least_squares.optimisation import WeightedOptimum, optimise
+from calibration.engine.estimation.options import Options
 from calibration.engine.estimation.problem.fixing import held_blocks
-from calibration.engine.estimation.solve.noise_levels import with_noise_along_sight
-from calibration.engine.estimation.solve.optimisation import WeightedOptimum, optimise
-from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import Setup
 from calibration.engine.estimation.start.flipped_patterns import unflipped
 from calibration.engine.estimation.start.linear_start import LinearStart

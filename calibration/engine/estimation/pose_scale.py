@@ -19,14 +19,13 @@ from calibration.engine.estimation.covariance.calibrated import calibrated_datas
 from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.doubts.suspects import MIN_INFORMATION_LEFT
+from calibration.engine.estimation.covariance.suspects import MIN_INFORMATION_LEFT
 from calibration.engine.estimation.from_linear_start import from_linear_start
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
+from calibration.engine.estimation.options import ALL_EXACT, Options
 from calibration.engine.estimation.problem.blocks import Values
-from calibration.engine.estimation.solve.normal_equations import Weighting
-from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import Setup
-from calibration.engine.estimation.start.guesses import linear_problem
+from calibration.engine.estimation.start.guesses import problem_and_start
 
 MIN_BAD_FIT_M = 0.02
 """Noise of measured poses from which another scale is tried."""
@@ -51,12 +50,12 @@ def with_free_scale(dataset: Dataset, options: Options) -> tuple[Dataset, float]
     """
     factor = 1.0
     for step in range(MAX_STEPS):
-        setup, start = linear_problem(dataset, options)
+        setup, start = problem_and_start(dataset, options)
         if step == 0:
-            ratio = _rough_ratio(setup, start.values)
+            model = _rough_model(setup, start.values)
         else:
-            ratio = _next_ratio(from_linear_start(dataset, setup, start, options))
-        if ratio is None:
+            model = from_linear_start(dataset, setup, start, options).solution.model
+        if (ratio := _ratio_by_newton_step(model)) is None:
             break
         dataset, factor = divided(dataset, ratio), factor * ratio
         if step and abs(ratio - 1) < MAX_SCALE_STEP_IF_FOUND:
@@ -84,39 +83,25 @@ def better_scale(dataset: Dataset, options: Options, optimum: Calibration) -> fl
     if level is None or level < MIN_BAD_FIT_M or (factor := wrong_scale(dataset, options)) is None:
         return None
     scaled = divided(dataset, factor)
-    other = from_linear_start(scaled, *linear_problem(scaled, options), options).noise_levels.pose_translation
+    other = from_linear_start(scaled, *problem_and_start(scaled, options), options).noise_levels.pose_translation
     return factor if other is not None and other * factor * MIN_NOISE_RATIO < level else None
 
 
-def _rough_ratio(setup: Setup, values: Values) -> float | None:
-    """Return the factor by plain least squares from an initial guess; None if the poses do not determine it."""
+def _rough_model(setup: Setup, values: Values) -> LinearModel:
+    """Return the model by plain least squares at an initial guess."""
     dataset = calibrated_dataset(setup, values, setup.dataset)
-    return _ratio_by_newton_step(
-        linear_model(setup.problem, values, ROUGH_WEIGHTING, dataset, ALL_EXACT, free_scale=True)
-    )
-
-
-def _next_ratio(calibration: Calibration) -> float | None:
-    """Return the ratio of the next factor to that of a calibration; None if the poses do not determine it.
-
-    Args:
-        calibration: at an optimum, of poses whose translations have been divided by the factor.
-    """
-    return _ratio_by_newton_step(calibration.solution.model)
+    return linear_model(setup.problem, values, ROUGH_WEIGHTING, dataset, ALL_EXACT, free_scale=True)
 
 
 def _ratio_by_newton_step(model: LinearModel) -> float | None:
-    """Return 1 and the Newton step of the scale, beside that of all shared parameters."""
-    own = [at.start for cause, at in zip(model.causes, model.places, strict=True) if cause.kind == SCALE_KIND]
+    """Return 1 and the Newton step of the scale, beside that of all shared parameters; None if it is not determined."""
+    own = [at.start for _, at in model.placed(SCALE_KIND)][:1]
     if not own:
         return None
-    S, total, g, (k, *_) = model.shared, model.total, model.g.sum(0), own
-    moves = np.linalg.solve(total[:S, :S], np.stack([total[:S, k], g[:S]], -1))
-    left = total[k, k] - total[k, :S] @ moves[:, 0]
-    if not left > MIN_INFORMATION_LEFT * model.alone[k]:
+    left, gradient = model.beside_shared(own)
+    if not left[0, 0] > MIN_INFORMATION_LEFT * model.alone[own[0]]:
         return None
-    step = -float((g[k] - total[k, :S] @ moves[:, 1]) / left)
-    return float(np.clip(1 + step, 1 / MAX_STEP_RATIO, MAX_STEP_RATIO))
+    return float(np.clip(1 - gradient[0] / left[0, 0], 1 / MAX_STEP_RATIO, MAX_STEP_RATIO))
 
 
 def divided(dataset: Dataset, factor: float) -> Dataset:

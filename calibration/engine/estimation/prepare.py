@@ -1,6 +1,12 @@
-"""Preparation of a dataset's calibrations: all that is decided once, whatever noise the initial guesses have."""
+"""Preparation of a dataset's calibrations: all that is decided once, whatever noise the initial guesses have.
 
-from collections.abc import Sequence
+The lag of a sensor is the time from a collection's transforms to what it saw. At the optimum for given lags, one Newton
+step in all free ones beside all that is calibrated leads to the next. The transforms that a sensor saw are those of the
+dataset, moved by their velocities for its lag (`Dataset.moved_by_lag`), so that a step is nearly exact. Their own
+uncertainty is in the error bars (`calibration.engine.estimation.covariance.error_bars`).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -8,22 +14,94 @@ import numpy as np
 
 from calibration.base.errors import InputError, UndeterminedError, solvable
 from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.sensors import MAX_LAG
+from calibration.engine.estimation.covariance.fixed_inputs import LAG_KIND
+from calibration.engine.estimation.covariance.linear_model import LinearModel
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
-from calibration.engine.estimation.doubts.lags import with_lags
-from calibration.engine.estimation.doubts.suspects import explains_all
-from calibration.engine.estimation.doubts.wrong_views import without, wrong_views
+from calibration.engine.estimation.covariance.suspects import MIN_INFORMATION_LEFT, explains_all
 from calibration.engine.estimation.from_linear_start import from_linear_start
+from calibration.engine.estimation.least_squares.minimisation import Termination, minimise
+from calibration.engine.estimation.least_squares.noise_levels import estimate_scales
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
+from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD
+from calibration.engine.estimation.options import Options
 from calibration.engine.estimation.pose_scale import better_scale, unknown_scale, with_free_scale, wrong_scale
 from calibration.engine.estimation.problem.blocks import Values
-from calibration.engine.estimation.solve.least_squares import Termination, minimise
-from calibration.engine.estimation.solve.noise_levels import estimate_scales
-from calibration.engine.estimation.solve.normal_equations import Weighting
-from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD
-from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.build import Setup
-from calibration.engine.estimation.start.guesses import guess_with_patterns, linear_problem
+from calibration.engine.estimation.start.guesses import guess_with_patterns, problem_and_start
 from calibration.engine.estimation.start.linear_start import LinearStart
 from calibration.engine.estimation.start.turned_boards import with_boards_turned_back
+from calibration.engine.estimation.start.wrong_views import without, wrong_views
+
+MAX_STEP_IF_FOUND = 1e-7
+"""s: step after which the lags are found."""
+MAX_STEPS = 15
+MAX_STEP = 0.1
+"""s: limit of one step."""
+MAX_SIGMA = 0.05
+"""s: limit of the standard deviation of a lag that is determined; frames that stand still leave a larger one."""
+
+
+def with_lags(dataset: Dataset, free: Sequence[str], calibrated: Callable[[Dataset], Calibration]) -> Dataset:
+    """Return the dataset with the lags of some sensors as its labels tell.
+
+    Args:
+        dataset: the dataset.
+        free: the sensors.
+        calibrated: calibrates a dataset with the lags that it has.
+
+    Raises:
+        InputError: a sensor is unknown.
+        UndeterminedError: the labels do not determine a lag.
+    """
+    for name in free:
+        if name not in dataset.sensors:
+            raise InputError(f"{dataset.path}: lag: found sensor '{name}', expected of {', '.join(dataset.sensors)}")
+    if not dataset.velocities:
+        raise UndeterminedError(
+            f"{dataset.path}: the dataset has no velocities, which a lag is told by (lag): import it from a bag of "
+            f"a robot that moves while its sensors look (import.yml: bags: every), or leave 'lag' out"
+        )
+    for _ in range(MAX_STEPS):
+        steps = _newton_steps(calibrated(dataset).solution.model, free, dataset)
+        lags = {name: dataset.sensors[name].lag + step for name, step in steps.items()}
+        if far := next((name for name, lag in lags.items() if abs(lag) > MAX_LAG), None):
+            raise UndeterminedError(
+                f"{dataset.path}: the lag of '{far}' comes out beyond {MAX_LAG:g} s (lag): are the velocities, and the "
+                f"order of the images, those of this recording?"
+            )
+        dataset = dataset.with_lags(lags)
+        if max(map(abs, steps.values())) < MAX_STEP_IF_FOUND:
+            return dataset
+    raise UndeterminedError(f"{dataset.path}: the lags were not found in {MAX_STEPS} steps (lag): leave it out")
+
+
+def _newton_steps(model: LinearModel, free: Sequence[str], dataset: Dataset) -> Mapping[str, float]:
+    """Return the Newton step of each free lag, s."""
+    places = {cause.subject: at.start for cause, at in model.placed(LAG_KIND)}
+    if standing := next((name for name in free if name not in places), None):
+        raise _undetermined_lag(dataset, standing)
+    own = [places[name] for name in free]
+    left, gradient = model.beside_shared(own)
+    scale = 1 / np.sqrt(model.alone[own])
+    values, vectors = np.linalg.eigh(scale[:, None] * left * scale)
+    if values[0] <= MIN_INFORMATION_LEFT:
+        raise _undetermined_lag(dataset, free[int(np.abs(vectors[:, 0]).argmax())])
+    covariance = np.linalg.inv(left)
+    sigmas = np.sqrt(np.diagonal(covariance))
+    if sigmas.max() > MAX_SIGMA:
+        raise _undetermined_lag(dataset, free[int(sigmas.argmax())])
+    return dict(zip(free, np.clip(-covariance @ gradient, -MAX_STEP, MAX_STEP).tolist(), strict=True))
+
+
+def _undetermined_lag(dataset: Dataset, sensor: str) -> UndeterminedError:
+    others = [name for name in dataset.sensors if name != sensor]
+    one = f", or leave '{others[0]}' the clock: lag: [{sensor}]" if others else ""
+    return UndeterminedError(
+        f"{dataset.path}: the labels do not determine the lag of '{sensor}' (lag): collect while the robot or the "
+        f"pattern moves, in several directions{one}; or leave it out"
+    )
+
 
 TERMINATION_OF_TRIAL = Termination(decrease=1e-3, iterations=300)
 """Enough if the optimum explains all views; wrong views make the convergence slow."""
@@ -133,7 +211,7 @@ def _prepare_problem(dataset: Dataset, options: Options) -> Prepared:
     Raises:
         UndeterminedError: the labels do not determine all parameters.
     """
-    setup, start = linear_problem(dataset, options)
+    setup, start = problem_and_start(dataset, options)
     wrong = wrong_views(setup, start.values, options.assume)
     if not wrong:
         return Prepared(dataset, options, setup, start, from_linear_start(dataset, setup, start, options))
@@ -147,7 +225,7 @@ def _prepare_problem(dataset: Dataset, options: Options) -> Prepared:
 
 def _prepare_rest(dataset: Dataset, options: Options, dropped: tuple[DroppedView, ...]) -> Prepared:
     """Build the problem without some views, and solve it from its linear start."""
-    setup, start = linear_problem(without(dataset, dropped), options)
+    setup, start = problem_and_start(without(dataset, dropped), options)
     optimum = from_linear_start(dataset, setup, start, options)
     return Prepared(dataset, options, setup, start, replace(optimum, dropped_views=dropped))
 
@@ -182,4 +260,4 @@ def _with_scale_and_lags(dataset: Dataset, options: Options) -> Dataset:
     if not (free := options.free_lags_of(dataset)):
         return dataset
     known = replace(options, lag=())  # lags that cannot be told beside each other would have no error bars
-    return with_lags(dataset, free, lambda each: from_linear_start(each, *linear_problem(each, known), known))
+    return with_lags(dataset, free, lambda each: from_linear_start(each, *problem_and_start(each, known), known))

@@ -1,26 +1,40 @@
-"""Agreement of LiDARs and depth cameras with each other, by their points on a pattern.
-
-ATOM's evaluations ``lidar_to_lidar`` (metres: each of the target's points on the pattern against the nearest
-of the source's), ``lidar_to_depth`` and ``depth_to_depth`` (pixels: the source's border points in the target's
-depth image, each against the nearest of the target's border pixels); each in one collection or between two.
-A point is compared with a sample of the other sensor, so exact transforms still give an error. Two scan lines of 2D
-LiDARs lie apart on the pattern, and most points of a 3D LiDAR are far from a scan line: neither distance measures the
-transforms. So the points of a 2D LiDAR are compared with those of a 3D one, never the other way round.
-"""
+"""Brute-force nearest neighbours for a few thousand points."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-from calibration.base.arrays import Array
+from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset, PointLabels, Sensor
-from calibration.engine.evaluation.pairing import Pairs, between_collections, same_collection
-from calibration.engine.evaluation.selection import depth_of, lidar3d_of, lidar_of, pattern_of
 from calibration.engine.evaluation.table import COLLECTION_HEADER, COLLECTION_PAIR, Table
+from calibration.engine.evaluation.views import (
+    between_collections,
+    depth_of,
+    lidar3d_of,
+    lidar_of,
+    pattern_of,
+    point_views,
+    same_collection,
+)
 from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.nearest import nearest
 from calibration.engine.geometry.transforms import apply
+
+_CHUNK = 1 << 20  # chunk size (number of distances), to bound the memory
+
+
+def nearest(points: Array, among: Array) -> IntArray:
+    """Return the index (N,) of the point in `among` (M, D), M > 0, nearest to each of `points` (N, D)."""
+    centre = among.mean(0)  # centred, because the expanded square loses digits far from the origin
+    rest = among - centre
+    squares = (rest * rest).sum(-1)
+    found = np.empty(len(points), int)
+    step = max(1, _CHUNK // len(among))
+    for start in range(0, len(points), step):
+        part = points[start : start + step] - centre
+        found[start : start + step] = (squares - 2 * part @ rest.T).argmin(-1)
+    return found
+
 
 RANGE_COLUMNS = ("RMS", "X err", "Y err", "X StDev", "Y StDev")
 """Column headers, with the unit."""
@@ -78,8 +92,7 @@ def depth_to_depth(
 
 def _in_space(source: PointLabels, target: PointLabels, T_target_source: Array) -> Array:
     moved = apply(T_target_source, source.points)
-    difference: Array = moved[nearest(target.points, moved)] - target.points
-    return difference
+    return moved[nearest(target.points, moved)] - target.points
 
 
 def _in_image(camera: Camera) -> Errors:
@@ -93,8 +106,7 @@ def _in_image(camera: Camera) -> Errors:
         pixels, visible = camera.project_visible(apply(T_target_source, source.points[source.limits]))
         with np.errstate(invalid="ignore"):
             pixels = pixels[visible & ((pixels >= low) & (pixels <= high)).all(-1)]
-        difference: Array = border[nearest(pixels, border)] - pixels
-        return difference
+        return border[nearest(pixels, border)] - pixels
 
     return errors
 
@@ -109,13 +121,15 @@ def _range_table(
     between: str | None,
 ) -> Table:
     """Return the table within each collection, or for all pairs of collections with `between` as the labels' header."""
-    source, target = (_point_views(dataset, sensor, pattern) for sensor in sensors)
+    source, target = (point_views(dataset, sensor, pattern_of(dataset, pattern)) for sensor in sensors)
     if between:
         pairs = between_collections(dataset, sensors, pattern_of(dataset, pattern), (list(source), list(target)))
     else:
         pairs = same_collection(dataset, *sensors, [i for i in source if i in target])
     labels, rows, left_out = [], [], []
-    for i, j, T, name in _named_pairs(dataset, pairs, paired=bool(between)):
+    for i, j, T, name in zip(
+        pairs.source.tolist(), pairs.target.tolist(), pairs.T_target_source, pairs.names, strict=True
+    ):
         difference = errors(source[i], target[j], T)
         if len(difference):
             labels.append(name)
@@ -131,16 +145,3 @@ def _range_table(
         raise InputError(f"{dataset.path}: nothing seen by both: {counts}" + "".join(f"; {s}" for s in left_out[:3]))
     columns = tuple(f"{column} ({unit})" for column in RANGE_COLUMNS)
     return Table(between or COLLECTION_HEADER, columns, tuple(labels), np.array(rows), tuple(left_out))
-
-
-def _named_pairs(dataset: Dataset, pairs: Pairs, *, paired: bool) -> list[tuple[int, int, Array, str]]:
-    keys = dataset.keys
-    return [
-        (i, j, T, f"{keys[i]}-{keys[j]}" if paired else keys[i])
-        for i, j, T in zip(pairs.source.tolist(), pairs.target.tolist(), pairs.T_target_source, strict=True)
-    ]
-
-
-def _point_views(dataset: Dataset, sensor: Sensor, pattern: str | None) -> dict[int, PointLabels]:
-    seen = dataset.detections(pattern_of(dataset, pattern).name, sensor.name)
-    return {i: label for i, label in seen if isinstance(label, PointLabels) and len(label.points)}

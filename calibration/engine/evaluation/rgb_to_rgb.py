@@ -17,10 +17,8 @@ from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.evaluation.pairing import between_collections
-from calibration.engine.evaluation.selection import camera_of, pattern_of
 from calibration.engine.evaluation.table import COLLECTION_HEADER, Table
-from calibration.engine.evaluation.views import CornerViews, corner_views
+from calibration.engine.evaluation.views import CornerViews, between_collections, camera_of, corner_views, pattern_of
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, inverse, translation
@@ -72,9 +70,7 @@ def inter_collection_rgb_to_rgb(dataset: Dataset, source: str, target: str, patt
     seen = a.collections.tolist(), b.collections.tolist()
     found = between_collections(dataset, sensors, seen_pattern, seen)
     pairs = np.stack([np.searchsorted(a.collections, found.source), np.searchsorted(b.collections, found.target)])
-    keys = dataset.keys
-    labels = [f"{keys[m]}-{keys[n]}" for m, n in zip(found.source, found.target, strict=True)]
-    return _rgb_to_rgb_table(dataset, (source, target), (a, b), pairs, found.T_target_source, labels)
+    return _rgb_to_rgb_table(dataset, (source, target), (a, b), pairs, found.T_target_source, found.names)
 
 
 def _corner_views_from_first(dataset: Dataset, sensor: str, pattern: Pattern) -> CornerViews:

@@ -7,22 +7,21 @@ from functools import partial
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.truth import Truth
-from calibration.engine.evaluation.annotation import Annotation, annotation_for
-from calibration.engine.evaluation.ground_truth import ground_truth_frame, ground_truth_transform
-from calibration.engine.evaluation.measured_poses import MEASURED_POSE_COLUMNS, measured_poses
+from calibration.engine.evaluation.label_errors import MEASURED_POSE_COLUMNS, measured_poses, single_rgb
 from calibration.engine.evaluation.range_to_range import depth_to_depth, lidar_to_depth, lidar_to_lidar
 from calibration.engine.evaluation.range_to_rgb import (
+    annotation_for,
     depth_to_rgb,
-    inter_collection_depth_to_rgb,
-    inter_collection_lidar_to_rgb,
     lidar_to_rgb,
 )
 from calibration.engine.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
-from calibration.engine.evaluation.selection import pattern_of
-from calibration.engine.evaluation.single_rgb import single_rgb
 from calibration.engine.evaluation.table import RMS_PIX, Table
+from calibration.engine.evaluation.truth import ground_truth_frame, ground_truth_transform
+from calibration.engine.evaluation.views import pattern_of
 
 Names = tuple[str, ...]
+Run = Callable[[Dataset, Truth | None, Names], Table]
+"""Function of the dataset, the truth if there is one, and the names."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,7 @@ class TableKind:
     """Names required in the text."""
     may: Names
     """Optional names after them."""
-    run: Callable[[Dataset, Truth | None, Names], Table]
-    """Function of the dataset, the truth if there is one, and the names."""
+    run: Run
     rms: str | None = RMS_PIX
     """Column whose average is the RMS of a calibration, px; None if the table has none."""
     poses: tuple[str, str] | None = None
@@ -62,25 +60,30 @@ class TableKind:
 
 
 _SENSOR_PLACEHOLDERS = ("SOURCE", "TARGET", "CAMERA", "LIDAR", "DEPTH", "SENSOR")
-Pair = Callable[[Dataset, str, str, str | None], Table]
-ToImage = Callable[[Dataset, str, str, Annotation, str | None], Table]
 
 
-def _pair_table(table: Pair) -> Callable[[Dataset, Truth | None, Names], Table]:
-    return lambda dataset, _, names: table(dataset, names[0], names[1], _nth_name(names, 2))
+def _of_pair(table: Callable[..., Table], dataset: Dataset, _: Truth | None, names: Names, **how: bool) -> Table:
+    return table(dataset, names[0], names[1], _nth_name(names, 2), **how)
 
 
-def _to_image(table: ToImage) -> Callable[[Dataset, Truth | None, Names], Table]:
-    def run(dataset: Dataset, truth: Truth | None, names: Names) -> Table:
-        pattern = _nth_name(names, 2)
-        annotation = annotation_for(dataset, names[1], pattern_of(dataset, pattern), truth)
-        return table(dataset, names[0], names[1], annotation, pattern)
-
-    return run
+def _to_image(table: Callable[..., Table], dataset: Dataset, truth: Truth | None, names: Names, **how: bool) -> Table:
+    pattern = _nth_name(names, 2)
+    annotation = annotation_for(dataset, names[1], pattern_of(dataset, pattern), truth)
+    return table(dataset, names[0], names[1], annotation, pattern, **how)
 
 
 def _nth_name(names: Names, n: int) -> str | None:
     return names[n] if len(names) > n else None
+
+
+def _with_inter_collection(
+    name: str, needs: Names, run: "partial[Table]", rms: str | None = RMS_PIX, suggestion: Suggestion | None = None
+) -> dict[str, TableKind]:
+    """Return the kind of table of two sensors in each collection, and that between collections."""
+    return {
+        name: TableKind(needs, _PATTERN_PLACEHOLDER, run, rms, suggestion=suggestion),
+        f"inter-collection-{name}": TableKind(needs, _PATTERN_PLACEHOLDER, partial(run, between=True), rms),
+    }
 
 
 _PATTERN_PLACEHOLDER = ("PATTERN",)
@@ -88,13 +91,13 @@ TABLE_KINDS: Mapping[str, TableKind] = {
     "rgb-to-rgb": TableKind(
         ("SOURCE", "TARGET"),
         _PATTERN_PLACEHOLDER,
-        _pair_table(rgb_to_rgb),
+        partial(_of_pair, rgb_to_rgb),
         suggestion=Suggestion(("camera", "camera"), "the corners that {0} sees, in the images of {1}"),
     ),
     "inter-collection-rgb-to-rgb": TableKind(
         ("SOURCE", "TARGET"),
         _PATTERN_PLACEHOLDER,
-        _pair_table(inter_collection_rgb_to_rgb),
+        partial(_of_pair, inter_collection_rgb_to_rgb),
         suggestion=Suggestion(("camera",), "each view of the pattern carried to all others by the arm", by_arm=True),
     ),
     "single-rgb": TableKind(
@@ -111,36 +114,21 @@ TABLE_KINDS: Mapping[str, TableKind] = {
         poses=MEASURED_POSE_COLUMNS,
         suggestion=Suggestion(("tracker",), "the poses as they were measured, against those of the result"),
     ),
-    "lidar-to-rgb": TableKind(
+    **_with_inter_collection(
+        "lidar-to-rgb",
         ("LIDAR", "CAMERA"),
-        _PATTERN_PLACEHOLDER,
-        _to_image(lidar_to_rgb),
+        partial(_to_image, lidar_to_rgb),
         suggestion=Suggestion(("lidar", "camera"), "the points of {0} against the images of {1}"),
     ),
-    "inter-collection-lidar-to-rgb": TableKind(
-        ("LIDAR", "CAMERA"), _PATTERN_PLACEHOLDER, _to_image(inter_collection_lidar_to_rgb)
-    ),
-    "depth-to-rgb": TableKind(
+    **_with_inter_collection(
+        "depth-to-rgb",
         ("DEPTH", "CAMERA"),
-        _PATTERN_PLACEHOLDER,
-        _to_image(depth_to_rgb),
+        partial(_to_image, depth_to_rgb),
         suggestion=Suggestion(("depth camera", "camera"), "the points of {0} against the images of {1}"),
     ),
-    "inter-collection-depth-to-rgb": TableKind(
-        ("DEPTH", "CAMERA"), _PATTERN_PLACEHOLDER, _to_image(inter_collection_depth_to_rgb)
-    ),
-    "lidar-to-lidar": TableKind(("SOURCE", "TARGET"), _PATTERN_PLACEHOLDER, _pair_table(lidar_to_lidar), rms=None),
-    "inter-collection-lidar-to-lidar": TableKind(
-        ("SOURCE", "TARGET"), _PATTERN_PLACEHOLDER, _pair_table(partial(lidar_to_lidar, between=True)), rms=None
-    ),
-    "lidar-to-depth": TableKind(("LIDAR", "DEPTH"), _PATTERN_PLACEHOLDER, _pair_table(lidar_to_depth)),
-    "inter-collection-lidar-to-depth": TableKind(
-        ("LIDAR", "DEPTH"), _PATTERN_PLACEHOLDER, _pair_table(partial(lidar_to_depth, between=True))
-    ),
-    "depth-to-depth": TableKind(("SOURCE", "TARGET"), _PATTERN_PLACEHOLDER, _pair_table(depth_to_depth)),
-    "inter-collection-depth-to-depth": TableKind(
-        ("SOURCE", "TARGET"), _PATTERN_PLACEHOLDER, _pair_table(partial(depth_to_depth, between=True))
-    ),
+    **_with_inter_collection("lidar-to-lidar", ("SOURCE", "TARGET"), partial(_of_pair, lidar_to_lidar), rms=None),
+    **_with_inter_collection("lidar-to-depth", ("LIDAR", "DEPTH"), partial(_of_pair, lidar_to_depth)),
+    **_with_inter_collection("depth-to-depth", ("SOURCE", "TARGET"), partial(_of_pair, depth_to_depth)),
     "ground-truth-transform": TableKind(
         ("PARENT", "CHILD"), (), lambda dataset, truth, names: ground_truth_transform(dataset, truth, *names), rms=None
     ),

@@ -93,8 +93,7 @@ class Camera:
         NaN where the lens has no ray, and of rays that do not point to the front.
         """
         x, y, z = np.moveaxis(self.rays(pixels), -1, 0)
-        normalised: Array = np.stack([x, y], -1) / np.where(z > 0, z, np.nan)[..., None]
-        return normalised
+        return np.stack([x, y], -1) / np.where(z > 0, z, np.nan)[..., None]
 
     def rays(self, pixels: Array) -> Array:
         """Convert pixels (..., 2) to rays (..., 3) of any length; NaN where the lens has none."""
@@ -108,5 +107,4 @@ class Camera:
     def contains(self, pixels: Array) -> BoolArray:
         """Return a mask of the pixels (..., 2) inside the image."""
         u, v = pixels[..., 0], pixels[..., 1]
-        inside: BoolArray = (u >= -0.5) & (u <= self.width - 0.5) & (v >= -0.5) & (v <= self.height - 0.5)
-        return inside
+        return (u >= -0.5) & (u <= self.width - 0.5) & (v >= -0.5) & (v <= self.height - 0.5)

@@ -1,9 +1,82 @@
-"""Kinematic trees: the path between any two frames."""
+"""Kinematics: joints of a robot with their derivatives, and trees of frames with the path between any two."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import cos, sin
+from typing import Literal, get_args
 
+import numpy as np
+
+from calibration.base.arrays import Array, ArrayLike
 from calibration.base.errors import InputError
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.transforms import adjoint, inverse, transform, translation
+
+JointParameter = Literal[
+    "origin_x", "origin_y", "origin_z", "origin_roll", "origin_pitch", "origin_yaw", "position_bias"
+]
+JOINT_PARAMETERS: tuple[JointParameter, ...] = get_args(JointParameter)
+
+
+@dataclass(frozen=True)
+class JointModel:
+    """A revolute or prismatic joint, ``T_parent_child = origin * motion(position + bias)``, as URDF has it.
+
+    Motions about one axis commute, so ``T = (origin * motion(bias)) * motion(position)``: the unknown
+    part is a constant on the left of the measured position.
+    """
+
+    prismatic: bool
+    axis: tuple[float, float, float]
+    """Unit vector (3,), in the frame of the origin."""
+
+    def unit(self, parameter: JointParameter) -> Literal["m", "rad"]:
+        """Unit of a parameter."""
+        lengths = ("origin_x", "origin_y", "origin_z", *(("position_bias",) if self.prismatic else ()))
+        return "m" if parameter in lengths else "rad"
+
+    def motion(self, positions: ArrayLike) -> Array:
+        """Return the motions (..., 4, 4) of the joint at positions (...), m or rad."""
+        steps = np.asarray(positions, float)[..., None] * np.array(self.axis)
+        return translation(steps) if self.prismatic else transform(rotations.exp(steps), np.zeros(3))
+
+    def pose(self, parameters: Array) -> Array:
+        """Return the transform (4, 4) at position 0 from the parameters (7,) in the order of `JOINT_PARAMETERS`."""
+        *xyz, roll, pitch, yaw, bias = parameters.tolist()
+        T = np.eye(4)
+        T[:3, :3] = _from_rpy(roll, pitch, yaw)
+        T[:3, 3] = xyz
+        if bias != 0.0:
+            T = T @ self.motion(bias)
+        return T
+
+    def columns(self, parameters: Array) -> Array:
+        """Return the Jacobian (6, 7) of `pose` with respect to the parameters, as twists in the child frame."""
+        _, _, _, roll, pitch, yaw, bias = parameters.tolist()
+        cos_roll, sin_roll, cos_pitch, sin_pitch = cos(roll), sin(roll), cos(pitch), sin(pitch)
+        columns = np.zeros((6, 7))  # in the frame of the origin
+        columns[:3, :3] = _from_rpy(roll, pitch, yaw).T
+        columns[3:, 3:6] = (
+            (1.0, 0.0, -sin_pitch),
+            (0.0, cos_roll, cos_pitch * sin_roll),
+            (0.0, -sin_roll, cos_pitch * cos_roll),
+        )
+        columns[slice(0, 3) if self.prismatic else slice(3, 6), 6] = self.axis
+        if bias != 0.0:
+            columns = adjoint(inverse(self.motion(bias))) @ columns
+        return columns
+
+
+def _from_rpy(roll: float, pitch: float, yaw: float) -> Array:
+    """Scalar version of `calibration.engine.geometry.rotations.from_rpy`, ten times as fast for one rotation."""
+    a, b, c, d, e, f = cos(roll), sin(roll), cos(pitch), sin(pitch), cos(yaw), sin(yaw)
+    return np.array(
+        [
+            [e * c, e * d * b - f * a, e * d * a + f * b],
+            [f * c, f * d * b + e * a, f * d * a - e * b],
+            [-d, c * b, c * a],
+        ]
+    )
 
 
 @dataclass(frozen=True)

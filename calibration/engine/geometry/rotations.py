@@ -14,8 +14,7 @@ _SIGNS = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])
 
 def hat(w: ArrayLike) -> Array:
     """Return the cross-product matrix (..., 3, 3): ``hat(w) @ v == cross(w, v)``."""
-    W: Array = np.asarray(w, float).take(_CROSSED, -1) * _SIGNS
-    return W
+    return np.asarray(np.asarray(w, float).take(_CROSSED, -1) * _SIGNS)
 
 
 def exp(w: ArrayLike) -> Array:
@@ -28,8 +27,7 @@ def exp(w: ArrayLike) -> Array:
     a = np.where(small, 1 - angle2 / 6, np.sin(safe) / safe)
     b = np.where(small, 0.5 - angle2 / 24, (1 - np.cos(safe)) / (safe * safe))
     W = hat(w)
-    R: Array = np.eye(3) + a[..., None, None] * W + b[..., None, None] * (W @ W)
-    return R
+    return np.asarray(np.eye(3) + a[..., None, None] * W + b[..., None, None] * (W @ W))
 
 
 def log(R: ArrayLike) -> Array:
@@ -42,14 +40,12 @@ def log(R: ArrayLike) -> Array:
     s = np.linalg.norm(v, axis=-1)
     small = s < 1e-9
     factor = np.where(small, 2 / np.maximum(w, 0.5), 2 * np.arctan2(s, w) / np.where(small, 1.0, s))
-    rotvec: Array = v * factor[..., None]
-    return rotvec
+    return v * factor[..., None]
 
 
 def angle(R: ArrayLike) -> Array:
     """Return the angle of each rotation, in [0, pi]."""
-    norm: Array = np.linalg.norm(log(R), axis=-1)
-    return norm
+    return np.asarray(np.linalg.norm(log(R), axis=-1))
 
 
 def from_quaternion(q: ArrayLike) -> Array:
@@ -88,8 +84,7 @@ def to_quaternion(R: ArrayLike) -> Array:
     best = squares.argmax(-1)
     row = np.take_along_axis(products, best[..., None, None], -2)[..., 0, :]
     q = row / np.linalg.norm(row, axis=-1, keepdims=True)
-    positive: Array = np.where(q[..., 3:] < 0, -q, q)
-    return positive
+    return np.asarray(np.where(q[..., 3:] < 0, -q, q))
 
 
 def from_rpy(rpy: ArrayLike) -> Array:
@@ -97,8 +92,7 @@ def from_rpy(rpy: ArrayLike) -> Array:
     rpy = np.asarray(rpy, float)
     axes = np.eye(3)
     Rx, Ry, Rz = (exp(rpy[..., i, None] * axes[i]) for i in range(3))
-    R: Array = Rz @ Ry @ Rx
-    return R
+    return Rz @ Ry @ Rx
 
 
 def to_rpy(R: ArrayLike) -> Array:
@@ -123,20 +117,16 @@ def rpy_rates(rpy: ArrayLike) -> Array:
     roll, pitch, _ = np.asarray(rpy, float)
     (sr, cr), (sp, cp) = ((np.sin(angle), np.cos(angle)) for angle in (roll, pitch))
     with np.errstate(divide="ignore", invalid="ignore"):
-        rates: Array = np.array([[1.0, sr * sp / cp, cr * sp / cp], [0.0, cr, -sr], [0.0, sr / cp, cr / cp]])
-    return rates
+        return np.array([[1.0, sr * sp / cp, cr * sp / cp], [0.0, cr, -sr], [0.0, sr / cp, cr / cp]])
 
 
 def nearest(M: ArrayLike) -> Array:
     """Return the rotation nearest to each 3x3 matrix in the Frobenius norm (orthogonal Procrustes)."""
     U, _, Vt = np.linalg.svd(np.asarray(M, float))
     sign = np.ones(U.shape[:-1])
-    with np.errstate(
-        invalid="ignore"
-    ):  # NaN is propagated; on some processors LAPACK raises floating-point warnings for it
+    with np.errstate(invalid="ignore"):  # NaN is propagated; on some processors LAPACK warns of it
         sign[..., 2] = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0, -1.0, 1.0)
-    R: Array = (U * sign[..., None, :]) @ Vt
-    return R
+    return np.asarray((U * sign[..., None, :]) @ Vt)
 
 
 def towards(directions: Array) -> Array:

@@ -41,8 +41,7 @@ def inverse(T: Array) -> Array:
 
 def apply(T: Array, points: Array) -> Array:
     """Transform points (..., N, 3) from the child frame to the parent frame."""
-    moved: Array = points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
-    return moved
+    return points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
 
 def adjoint(T: Array) -> Array:
@@ -92,8 +91,7 @@ def retract(T: Array, twist: Array) -> Array:
     """
     step = np.zeros((*twist.shape[:-1], 4, 4))
     step[..., :3, :3], step[..., :3, 3], step[..., 3, 3] = rotations.exp(twist[..., 3:]), twist[..., :3], 1.0
-    moved: Array = T @ step
-    return moved
+    return T @ step
 
 
 def local(T0: Array, T: Array) -> Array:

@@ -24,7 +24,7 @@ from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.tasks import run_tasks
 from calibration.ci.execution.workspace import identity, workspace
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.estimation.solve.options import Start
+from calibration.engine.estimation.options import Start
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.cell_verdict import judge_cells
 from calibration.pipeline.matrix.matrix import Done, Matrix, matrix_tasks

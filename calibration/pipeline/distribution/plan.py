@@ -12,7 +12,7 @@ from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import read_bytes
 from calibration.base.records import between, field, record
 from calibration.base.text import did_you_mean, number_text
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.configuration import PipelineConfiguration
 from calibration.pipeline.matrix.cell_result import Cell

@@ -16,7 +16,7 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.precision import worst_false_accept
 from calibration.engine.estimation.covariance.projection import projection_of
 from calibration.engine.estimation.covariance.result import CalibratedJoint, CalibratedLag, Calibration
-from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
+from calibration.engine.estimation.problem.blocks import CalibratedIntrinsics
 from calibration.engine.geometry.rotations import rpy_rates, to_quaternion, to_rpy
 from calibration.engine.geometry.transforms import distance
 from calibration.pipeline.matrix.cell_result import (

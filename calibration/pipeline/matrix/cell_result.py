@@ -12,9 +12,9 @@ from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineChange
 from calibration.engine.diagnosis.finding import Finding, FindingKind
 from calibration.engine.estimation.covariance.result import DroppedView, RejectedLabel
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels
-from calibration.engine.estimation.solve.options import Loss, Start
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
+from calibration.engine.estimation.options import Loss, Start
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 
 REPROJECTION_FILE = "reprojection.csv"

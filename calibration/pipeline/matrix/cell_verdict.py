@@ -13,8 +13,8 @@ from calibration.base.tables.table import parse_table, read_table
 from calibration.base.tables.table_verdict import judge
 from calibration.ci.report import at_most
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.evaluation.reprojection import COLLECTION_HEADER, REPROJECTION_COLUMNS
-from calibration.engine.evaluation.table import Table
+from calibration.engine.evaluation.label_errors import REPROJECTION_COLUMNS
+from calibration.engine.evaluation.table import COLLECTION_HEADER, Table
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.results import PipelineResults, without_verdicts

@@ -19,8 +19,8 @@ from calibration.engine.diagnosis.conventions.trying import conventions
 from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.options import Options
 from calibration.engine.estimation.prepare import Prepared, prepare
-from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.lens_choice import LensChoice
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import choose_truth
 from calibration.engine.diagnosis.copies import without_copies
 from calibration.engine.diagnosis.finding import Finding
-from calibration.engine.estimation.start.chosen_lenses import with_chosen_lenses
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
+from calibration.engine.estimation.start.lens_choice import with_chosen_lenses
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, Comparison, noise_folder
 from calibration.pipeline.matrix.cell_verdict import check_rules
 from calibration.pipeline.matrix.loaded_system import LoadedSystem

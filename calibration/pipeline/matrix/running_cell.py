@@ -19,11 +19,11 @@ from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.calibrate import solve
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.doubts.wrong_views import without
-from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
-from calibration.engine.estimation.problem.intrinsics_file import write_intrinsics
-from calibration.engine.estimation.start.starting_noise import StartingNoise, with_starting_noise
-from calibration.engine.evaluation.reprojection import reprojection
+from calibration.engine.estimation.problem.intrinsics import FILE_NAME as INTRINSICS
+from calibration.engine.estimation.problem.intrinsics import write_intrinsics
+from calibration.engine.estimation.start.guesses import StartingNoise, with_starting_noise
+from calibration.engine.estimation.start.wrong_views import without
+from calibration.engine.evaluation.label_errors import reprojection
 from calibration.engine.evaluation.table import RMS_PIX, Table
 from calibration.engine.evaluation.truth import truth_error
 from calibration.pipeline.matrix.cell_details import described, finite_deviation

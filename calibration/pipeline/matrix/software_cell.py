@@ -23,7 +23,7 @@ from calibration.engine.dataset.writing import write_dataset
 from calibration.engine.diagnosis.against_optimum import against_optimum, optimum_for
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.software_output import moved_frames, not_evaluated, same_labels, table_follows
-from calibration.engine.estimation.start.starting_noise import with_starting_noise
+from calibration.engine.estimation.start.guesses import with_starting_noise
 from calibration.engine.evaluation.table import AVERAGES_ROW, RMS_PIX
 from calibration.pipeline.matrix.cell_result import Cell, CellResult, nothing_yet
 from calibration.pipeline.matrix.loaded_system import LoadedSystem

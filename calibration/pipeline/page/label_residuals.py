@@ -12,11 +12,10 @@ from calibration.base.optional import optional
 from calibration.ci.pages.charts import heat_map, histogram
 from calibration.ci.pages.html import Html, element, figure
 from calibration.ci.pages.image_figures import image_map, overlay, residual_plane
-from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.document import Node, locate
 from calibration.engine.dataset.model import Dataset, Sensor
-from calibration.engine.dataset.payload import locate
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels
-from calibration.engine.evaluation.residuals import Residuals, residuals
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
+from calibration.engine.evaluation.label_errors import Residuals, residuals
 from calibration.pipeline.matrix.cell_result import ProjectionResult
 
 MAX_VIEWS = 4

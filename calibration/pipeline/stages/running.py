@@ -18,7 +18,7 @@ from calibration.ci.execution.workspace import locked
 from calibration.ci.report import Report, publish
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay
-from calibration.engine.baseline.settings import BaselineSettings
+from calibration.engine.baseline.quality import BaselineSettings
 from calibration.engine.dataset.model import Dataset
 from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.page.run_page import accepted_history, report_page

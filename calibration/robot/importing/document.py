@@ -10,12 +10,12 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.engine.dataset.configuration import Configuration, SensorConfiguration
 from calibration.engine.dataset.edges import pose_document, transform_documents
+from calibration.engine.dataset.frames import VELOCITIES_KEY, velocity_documents
 from calibration.engine.dataset.lens_uncertainty import UNCERTAINTY_KEY, LensUncertainty, uncertainty_document
 from calibration.engine.dataset.modalities import MODALITIES
 from calibration.engine.dataset.model import CHOSEN_MODELS, ESTIMATED_KEY, Edge
 from calibration.engine.dataset.pattern import pattern_document
 from calibration.engine.dataset.sensors import camera_document
-from calibration.engine.dataset.velocities import VELOCITIES_KEY, velocity_documents
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
 from calibration.robot.importing.bags.range_views import LabelledRange, RangeView
@@ -51,7 +51,7 @@ class Imported:
     poses: Mapping[tuple[str, str], Array] = field(default_factory=dict)
     """Measured poses ``T_sensor_pattern`` (N, 4, 4) at the moments, by sensor and pattern."""
     motions: Mapping[Edge, Array] = field(default_factory=dict)
-    """(N, 3, 6): velocity, acceleration and jerk of frames that move, see `calibration.engine.dataset.velocities`."""
+    """(N, 3, 6): velocity, acceleration and jerk of frames that move, see `calibration.engine.dataset.frames`."""
 
     @property
     def seen(self) -> list[list[str]]:

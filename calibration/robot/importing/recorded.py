@@ -17,10 +17,9 @@ from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Solution
-from calibration.engine.estimation.solve.design import choose, informations
-from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.chosen_lenses import fitting_lens
-from calibration.engine.estimation.start.lens_choice import SIMPLEST_FIRST, LensChoice
+from calibration.engine.estimation.least_squares.observability import choose, informations
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.start.lens_choice import SIMPLEST_FIRST, LensChoice, fitting_lens
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 from calibration.robot.importing.bags.motion import MovingBoards
@@ -96,7 +95,7 @@ class Recorded:
     """Images of a bag in which no pattern is detected, by camera."""
     left_out: tuple[LeftOut, ...] = ()
     motions: Mapping[Edge, Array] = field(default_factory=dict)
-    """(N, 3, 6): velocity, acceleration and jerk of frames that move, see `calibration.engine.dataset.velocities`."""
+    """(N, 3, 6): velocity, acceleration and jerk of frames that move, see `calibration.engine.dataset.frames`."""
     boards: MovingBoards | None = None
     """What the motion of boards is taken from; None where all stands still."""
     models: Mapping[str, str] = field(default_factory=dict)

@@ -17,8 +17,7 @@ from calibration.base.records import read, text_of
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.execution.workspace import identity, workspace
 from calibration.engine.dataset.configuration import PatternConfiguration, parse_configuration
-from calibration.engine.dataset.document import Node, read_json
-from calibration.engine.dataset.payload import locate
+from calibration.engine.dataset.document import Node, locate, read_json
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.robot.importing.document import label_document

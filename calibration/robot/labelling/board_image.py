@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.engine.estimation.residuals.median import median
+from calibration.engine.estimation.residuals.statistics import median
 
 WEIGHT_REACH = 1.5
 """Distance (squares) at which the weight of a point is 1/e of that at the requested position."""

@@ -13,8 +13,8 @@ import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.estimation.residuals.border_rays import RING_GAP
-from calibration.engine.estimation.residuals.median import median
+from calibration.engine.estimation.residuals.ray_residuals import RING_GAP
+from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, inverse, transform
 from calibration.robot.labelling.detection import NotDetected

@@ -23,7 +23,7 @@ from calibration.base.records import Converted, Place, between, field, read, rea
 from calibration.engine.dataset.configuration import Configuration, SensorConfiguration, read_configuration
 from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
+from calibration.engine.geometry.frames import JOINT_PARAMETERS, JointParameter
 from calibration.robot.robot_description import ENDING, NO_INPUTS, XacroInputs, read_robot_description
 from calibration.robot.simulation.description import MAX_BYTES, Pose, degrees, listed, rising
 from calibration.robot.simulation.scene import Board, Scene

@@ -7,7 +7,7 @@ import numpy as np
 from calibration.engine.baseline.calibration_document import CalibrationDocument, document_of_calibration
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.geometry.transforms import retract
 from tests.engine.estimation import systems
 

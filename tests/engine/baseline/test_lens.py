@@ -9,7 +9,7 @@ from calibration.base.records import document_of, read
 from calibration.engine.baseline.calibration_document import CalibrationDocument, document_of_calibration
 from calibration.engine.baseline.comparison import BaselineChange, compare
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.options import Options
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob
 from tests.engine.estimation.systems import covering

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from calibration.engine.baseline.calibration_document import CalibrationDocument
-from calibration.engine.baseline.settings import BaselineSettings
+from calibration.engine.baseline.quality import BaselineSettings
 from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.engine.diagnosis.finding import Finding
 from tests.engine.baseline.scenes import stereo, taken

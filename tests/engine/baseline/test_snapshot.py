@@ -14,8 +14,8 @@ from calibration.engine.baseline.calibration_document import (
 from calibration.engine.baseline.document import Baseline, baseline_text, parse_baseline
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.geometry.transforms import local
 from tests.engine.baseline.scenes import RIGHT, stereo, taken
 from tests.engine.estimation import systems

@@ -12,11 +12,11 @@ from calibration.engine.baseline.calibration_document import (
     document_of_calibration,
 )
 from calibration.engine.baseline.comparison import BaselineChange
-from calibration.engine.baseline.settings import BaselineSettings, MaxIncrease, SameData
+from calibration.engine.baseline.quality import BaselineSettings, MaxIncrease, SameData
 from calibration.engine.baseline.verdict import Accepted, against_baseline, size_of_change, software_against_baseline
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.options import Options
 from tests.engine.baseline.scenes import stereo, taken
 
 SINCE = "calibration-baseline.json of 2026-11-02 (1a2b3c4)"

@@ -1,6 +1,7 @@
 """ICP between LiDARs and depth cameras."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.errors import InputError, UndeterminedError
-from calibration.engine.comparison.icp import MOST_POINTS, align, icp, icp_average, icp_best, why_not_icp
+from calibration.engine.comparison.sensor_pairs import MOST_POINTS, align, icp, why_not_icp
 from calibration.engine.dataset.model import Dataset, PointLabels
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, distance, inverse, retract, transform
 from tests.engine.evaluation.scene import lidar_and_camera, range_pair, two_cameras, with_labels
 
-EACH = pytest.mark.parametrize("method", [icp, icp_average, icp_best])
+EACH = pytest.mark.parametrize("method", [icp, partial(icp, result="average"), partial(icp, result="best")])
 ONE, TWO = ("one_mount", "one_base"), ("two_mount", "two_base")
 
 
@@ -57,7 +58,7 @@ def test_the_second_sensor_may_be_the_anchored_one():
 def test_different_points_come_near(kinds):
     dataset, _ = range_pair(2, 8, kinds, noise=1e-3)
     start = disturbed(dataset, dataset.sensors["two"].edge)
-    together, average = error(dataset, icp(start)), error(dataset, icp_average(start))
+    together, average = error(dataset, icp(start)), error(dataset, icp(start, "average"))
     assert together[0] < 0.012 < error(dataset, start)[0]
     assert together[1] < 0.03 < error(dataset, start)[1]
     assert together[0] < average[0]  # a single board lets it slide
@@ -85,7 +86,7 @@ def test_a_collection_in_which_nothing_matches_is_left_out_of_the_average():
     assert isinstance(labels[0], PointLabels)
     labels[0] = replace(labels[0], points=labels[0].points + 5)
     wrong = with_labels(dataset, "two", labels)
-    for method in (icp_average, icp_best):
+    for method in (partial(icp, result="average"), partial(icp, result="best")):
         assert max(error(dataset, method(disturbed(wrong, TWO, 0.3)))) < 1e-9
 
 
@@ -119,7 +120,7 @@ def test_why_it_does_not_apply():
 def test_it_ends_after_so_many_iterations(monkeypatch):
     dataset = same_points(7)
     start = disturbed(dataset, TWO)
-    monkeypatch.setattr("calibration.engine.comparison.icp.MAX_ITERATIONS", 1)
+    monkeypatch.setattr("calibration.engine.comparison.sensor_pairs.MAX_ITERATIONS", 1)
     assert 1e-3 < error(dataset, icp(start))[0] < error(dataset, start)[0]
 
 
@@ -132,5 +133,5 @@ def test_the_best_collection_is_the_one_that_fits():
         if i != 3:
             labels[i] = replace(label, points=label.points + rng.normal(size=label.points.shape) * 0.01)
     noisy = with_labels(dataset, "two", labels)
-    assert max(error(dataset, icp_best(disturbed(noisy, TWO, 0.3)))) < 1e-9
-    assert error(dataset, icp_average(disturbed(noisy, TWO, 0.3)))[0] > 1e-4
+    assert max(error(dataset, icp(disturbed(noisy, TWO, 0.3), "best"))) < 1e-9
+    assert error(dataset, icp(disturbed(noisy, TWO, 0.3), "average"))[0] > 1e-4

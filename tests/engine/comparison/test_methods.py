@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.engine.comparison.methods import COMPARISON_METHODS, applicable, method_of
-from tests.engine.evaluation.scene import arm, lidar_and_camera, range_pair, two_cameras
+from calibration.engine.comparison.methods import COMPARISON_METHODS, method_of
+from tests.engine.evaluation.scene import applicable, arm, lidar_and_camera, range_pair, two_cameras
 
 
 def test_a_method_is_found_by_its_name():

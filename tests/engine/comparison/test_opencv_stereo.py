@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from calibration.base.errors import InfrastructureError, InputError, UndeterminedError
 from calibration.engine.comparison.methods import COMPARISON_METHODS
-from calibration.engine.comparison.opencv_stereo import opencv_stereo, opencv_stereo_fixed, why_not_stereo
+from calibration.engine.comparison.sensor_pairs import opencv_stereo, why_not_stereo
 from calibration.engine.dataset.modalities import DEPTH
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
@@ -38,7 +39,7 @@ def relative_error(a: Dataset, b: Dataset, first: str, second: str) -> tuple[flo
 
 def test_exact_views_give_the_exact_second_camera():
     dataset, _ = two_cameras(seed=1, n=12, right=WIDE)
-    found = opencv_stereo_fixed(disturbed(dataset, RIGHT))
+    found = opencv_stereo(disturbed(dataset, RIGHT), fixed=True)
     np.testing.assert_allclose(found.transforms[RIGHT], dataset.transforms[RIGHT], atol=1e-5)
     assert found.transforms[LEFT] is dataset.transforms[LEFT]
 
@@ -55,7 +56,7 @@ def test_with_intrinsics_estimated_again_exact_views_still_do():
 def test_a_lens_with_a_fraction_of_polynomials():
     bent = replace(WIDE, distortion=Rational(-0.2, 0.05, 1e-3, -5e-4, 0.0, 0.05, 0.02, 0.0))
     dataset, _ = two_cameras(seed=1, n=12, right=bent)
-    found = opencv_stereo_fixed(disturbed(dataset, RIGHT))
+    found = opencv_stereo(disturbed(dataset, RIGHT), fixed=True)
     np.testing.assert_allclose(found.transforms[RIGHT], dataset.transforms[RIGHT], atol=1e-5)
     millimetres, _ = relative_error(dataset, opencv_stereo(disturbed(dataset, RIGHT)), "left_optical", "right_optical")
     assert millimetres < 0.1
@@ -71,7 +72,7 @@ def test_a_fisheye_lens_is_none_of_its():
 def test_an_anchored_camera_stays():
     dataset, _ = two_cameras(seed=3, n=12)
     anchored = replace(disturbed(dataset, LEFT), anchored="right")
-    found = opencv_stereo_fixed(anchored)
+    found = opencv_stereo(anchored, fixed=True)
     assert found.transforms[RIGHT] is dataset.transforms[RIGHT]
     np.testing.assert_allclose(found.transforms[LEFT], dataset.transforms[LEFT], atol=1e-5)
 
@@ -85,7 +86,7 @@ def test_the_synthetic_rig_gives_the_known_figures(shared_data):
         assert degrees == pytest.approx(0.265, abs=0.001)
     assert 3 < millimetres < 6  # OpenCV 4 stops a little earlier on the same slope
     assert 0.1 < degrees < 0.3
-    millimetres, degrees = relative_error(dataset, opencv_stereo_fixed(dataset), *frames)
+    millimetres, degrees = relative_error(dataset, opencv_stereo(dataset, fixed=True), *frames)
     assert millimetres < 1
     assert degrees < 0.02
 
@@ -118,7 +119,7 @@ def test_without_complete_detections_the_common_corners_count(shared_data):
     dataset = read_dataset(shared_data / "t2rgb-paper")  # no collection is complete in both cameras
     free, fixed = (
         rgb_to_rgb(method(dataset), "right_camera", "left_camera").average("RMS (pix)")
-        for method in (opencv_stereo, opencv_stereo_fixed)
+        for method in (opencv_stereo, partial(opencv_stereo, fixed=True))
     )
     assert fixed == pytest.approx(0.6002, abs=5e-4)
     assert free > 3 * fixed  # as in the paper: its intrinsics are not those of the table
@@ -129,7 +130,7 @@ def test_partial_views_are_left_out_where_there_are_enough_complete_ones():
     partial = cut(dataset, "left", [30, 30, 30, 30, 20, 20, 20, 20])
     whole = dataset.with_collections([0, 1, 2, 3])
     np.testing.assert_array_equal(
-        opencv_stereo_fixed(partial).transforms[RIGHT][0], opencv_stereo_fixed(whole).transforms[RIGHT][0]
+        opencv_stereo(partial, fixed=True).transforms[RIGHT][0], opencv_stereo(whole, fixed=True).transforms[RIGHT][0]
     )
 
 
@@ -168,7 +169,7 @@ def test_other_sensors_stay_where_they_are():
     dataset, _ = two_cameras(seed=6, n=12)
     with_scan = replace(dataset, sensors={"scan": lidar("scan"), **dataset.sensors}, anchored="scan")
     with_scan = with_scan.with_transforms({("scan_mount", "scan_base"): np.eye(4)})
-    found = opencv_stereo_fixed(disturbed(with_scan, RIGHT))
+    found = opencv_stereo(disturbed(with_scan, RIGHT), fixed=True)
     np.testing.assert_allclose(found.transforms[RIGHT], dataset.transforms[RIGHT], atol=1e-5)
     part = COMPARISON_METHODS["opencv-stereo"].part(found)
     assert (list(part.sensors), part.anchored) == (["left", "right"], None)

@@ -10,7 +10,7 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import truth_of
 from calibration.engine.dataset.writing import dataset_document, write_dataset
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from tests.engine.dataset import documents
 from tests.engine.dataset.documents import MISSING, changed
 

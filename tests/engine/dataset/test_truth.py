@@ -5,7 +5,7 @@ import pytest
 
 from calibration.base.errors import ExitCode, InputError
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import Truth, find_truth, read_truth, truth_of, write_truth
+from calibration.engine.dataset.truth import Truth, find_truth, read_truth, truth_of
 from calibration.engine.geometry.transforms import from_quaternion
 from tests.engine.dataset import documents
 from tests.engine.dataset.documents import MISSING, changed, edge
@@ -48,20 +48,6 @@ def test_a_truth(tmp_path):
     assert truth.patterns["000"][BOARD][0, 3] == 3
     assert truth.patterns["002"][BOARD][0, 3] == 4
     assert truth.patterns["002"]["hand", "cube"][0, 3] == 5
-    assert truth.notes == {"seed": 100, "px_sigma": 0.3}
-
-
-def test_what_is_written_reads_back_equal(tmp_path):
-    truth = read(tmp_path, DOCUMENT)
-    write_truth(truth, tmp_path / "again.json")
-    again = read_truth(tmp_path / "again.json")
-    assert again.sensors == truth.sensors
-    assert again.notes == truth.notes
-    assert set(again.transforms) == set(truth.transforms)
-    for key, T in truth.transforms.items():
-        np.testing.assert_array_equal(again.transforms[key], T)
-    assert {k: set(v) for k, v in again.patterns.items()} == {k: set(v) for k, v in truth.patterns.items()}
-    np.testing.assert_array_equal(again.patterns["002"][BOARD], truth.patterns["002"][BOARD])
 
 
 def test_a_truth_beside_the_dataset_is_found(dataset, tmp_path):
@@ -136,21 +122,15 @@ def test_the_synthetic_datasets_hold_their_truth(shared_data, name):
     for key, T in beside.transforms.items():
         np.testing.assert_allclose(inside.transforms[key], T, atol=1e-12)
     assert set(beside.patterns) == set(dataset.keys)
-    assert beside.notes["px_sigma"] == 0.3
 
 
 JOINTS = {"elbow": {"origin_z": 0.105, "position_bias": -0.02}, "wrist": {"origin_yaw": 0.01}}
 
 
-def test_joints_read_back_equal(tmp_path):
+def test_joints_of_a_truth(tmp_path):
     truth = read(tmp_path, {**DOCUMENT, "joints": JOINTS})
     assert truth.joints == JOINTS
-    assert truth.notes == {"seed": 100, "px_sigma": 0.3}
-    write_truth(truth, tmp_path / "again.json")
-    assert read_truth(tmp_path / "again.json").joints == JOINTS
     assert read(tmp_path, DOCUMENT).joints == {}
-    write_truth(read(tmp_path, DOCUMENT), tmp_path / "none.json")
-    assert "joints" not in json.loads((tmp_path / "none.json").read_text())
 
 
 @pytest.mark.parametrize(

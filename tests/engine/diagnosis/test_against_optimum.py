@@ -11,9 +11,9 @@ from calibration.engine.diagnosis.against_optimum import OurOptimum, against_opt
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.starting_noise import StartingNoise, with_starting_noise
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.start.guesses import StartingNoise, with_starting_noise
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import retract, translation
 from tests.engine.estimation.scenes import relabelled
 from tests.engine.estimation.systems import eye_to_hand, jointed_arm, linked_by_an_arm, stereo

@@ -9,7 +9,7 @@ import pytest
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.diagnosis.as_recorded import repeated
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.problem.repeated_collections import repeated_collections
+from calibration.engine.estimation.covariance.clusters import repeated_collections
 from tests.engine.estimation.scenes import Scene, relabelled
 from tests.engine.estimation.systems import eye_in_hand, eye_to_hand, ring, stereo
 

@@ -14,8 +14,8 @@ from calibration.engine.diagnosis.description import BY_CHANCE, exchanged_or_sca
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.start.guesses import StartingNoise
 from tests.engine.estimation.scenes import Scene, pose
 from tests.engine.estimation.systems import eye_to_hand, hand_and_world, mobile_base, ring, stereo
 

@@ -7,7 +7,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.limits import DEFAULT_LIMIT_SIGMAS, Limits, allowed, of_a_good_robot
 from calibration.engine.diagnosis.precision import false_accept, precision, too_few, worst_false_accept
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
+from calibration.engine.estimation.options import ALL_EXACT
 from tests.engine.estimation import systems
 from tests.engine.estimation.systems import eye_to_hand, stereo
 

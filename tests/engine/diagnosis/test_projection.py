@@ -12,7 +12,7 @@ from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.options import Options
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob

@@ -11,7 +11,7 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.residuals import residuals
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
+from calibration.engine.estimation.options import ALL_EXACT
 from tests.engine.estimation import systems
 
 

@@ -13,10 +13,10 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
-from calibration.engine.estimation.doubts.suspects import Disagreement, Suspect, explain
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT, Assumptions
+from calibration.engine.estimation.covariance.suspects import Disagreement, Suspect, explain
+from calibration.engine.estimation.least_squares.label_columns import ring_column
+from calibration.engine.estimation.options import ALL_EXACT, Assumptions
 from calibration.engine.estimation.residuals.ray_residuals import elevations
-from calibration.engine.estimation.solve.label_columns import ring_column
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.lenses import DoubleSphere
 from calibration.engine.geometry.transforms import inverse, retract

@@ -11,7 +11,7 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset, Edge, PointLabels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.units import check_units
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from tests.engine.estimation.scenes import relabelled
 from tests.engine.estimation.systems import mobile_base, stereo, two_arms
 

@@ -10,7 +10,7 @@ from calibration.engine.dataset.modalities import RGB
 from calibration.engine.dataset.model import Joint, Sensor
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.joints import JointModel, JointParameter
+from calibration.engine.geometry.frames import JointModel, JointParameter
 from calibration.engine.geometry.transforms import inverse, retract, transform
 from tests.engine.estimation.scenes import (
     AHEAD,

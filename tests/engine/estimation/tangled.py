@@ -9,7 +9,7 @@ from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
 from calibration.engine.estimation.residuals.ray_residuals import RangeTerm
 from calibration.engine.estimation.residuals.views import Chain, Link, ViewGroup
 from calibration.engine.geometry import rotations
-from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointModel
+from calibration.engine.geometry.frames import JOINT_PARAMETERS, JointModel
 from calibration.engine.geometry.transforms import apply, inverse, transform
 from tests.engine.estimation.scenes import PINHOLE, WIDE, board, looks
 

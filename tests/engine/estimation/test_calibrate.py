@@ -10,7 +10,7 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels, PointLabels
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.geometry.transforms import inverse
 from tests.engine.estimation.scenes import errors, relabelled, sigmas_apart
 from tests.engine.estimation.systems import ALL, camera_and_lidar, two_patterns

@@ -5,7 +5,7 @@ import pytest
 
 from calibration.engine.dataset.model import CornerLabels, Labels, PointLabels
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.geometry.transforms import apply
 from tests.engine.estimation.scenes import errors, pose, relabelled
 from tests.engine.estimation.systems import (

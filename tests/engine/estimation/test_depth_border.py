@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.base.arrays import Array, IntArray
-from calibration.engine.estimation.residuals.border_rays import PIXELS_ON_EITHER_SIDE, depth_border_rays
+from calibration.engine.estimation.residuals.ray_residuals import PIXELS_ON_EITHER_SIDE, depth_border_rays
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob

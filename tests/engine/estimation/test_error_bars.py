@@ -12,9 +12,9 @@ from calibration.engine.estimation.covariance.error_bars import scatter_of_clust
 from calibration.engine.estimation.covariance.lens_errors import lens_errors
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT, OF_INTRINSICS, Assumptions
-from calibration.engine.estimation.solve import label_columns
-from calibration.engine.estimation.solve.normal_equations import assemble
+from calibration.engine.estimation.least_squares import label_columns
+from calibration.engine.estimation.least_squares.normal_equations import assemble
+from calibration.engine.estimation.options import ALL_EXACT, OF_INTRINSICS, Assumptions
 from calibration.engine.geometry.transforms import local, retract
 from tests.engine.estimation import systems
 

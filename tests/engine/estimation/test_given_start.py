@@ -8,8 +8,8 @@ import pytest
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.solve.options import Loss
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.options import Loss
+from calibration.engine.estimation.start.guesses import StartingNoise
 from tests.engine.estimation.scenes import Scene
 from tests.engine.estimation.systems import ALL, camera_and_lidar, eye_in_hand, stereo, two_bodies
 

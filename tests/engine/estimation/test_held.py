@@ -15,7 +15,7 @@ from calibration.engine.estimation.covariance.fixed_inputs import (
     seen_groups,
     velocities,
 )
-from calibration.engine.estimation.problem.assumptions import Assumptions
+from calibration.engine.estimation.options import Assumptions
 from calibration.engine.estimation.start.build import build
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import from_xyz_rpy, local, retract, transform, translation

@@ -8,7 +8,7 @@ import pytest
 from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.start.build import build
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from tests.engine.estimation.scenes import errors, pose
 from tests.engine.estimation.systems import arm_with_patterns, eye_to_hand, hand_and_world, stereo
 

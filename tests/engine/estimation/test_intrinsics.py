@@ -11,12 +11,12 @@ from calibration.engine.dataset.modalities import DEPTH, RGB
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
-from calibration.engine.estimation.problem.intrinsics import FreeIntrinsics
-from calibration.engine.estimation.solve.normal_equations import Weighting, assemble
-from calibration.engine.estimation.solve.observability import determined_parameters
+from calibration.engine.estimation.least_squares.normal_equations import Weighting, assemble
+from calibration.engine.estimation.least_squares.observability import determined_parameters
+from calibration.engine.estimation.options import ALL_EXACT
+from calibration.engine.estimation.problem.blocks import FreeIntrinsics
 from calibration.engine.estimation.start.build import Setup, build
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Distortion, Equidistant, PlumbBob, Rational

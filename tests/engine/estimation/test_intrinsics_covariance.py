@@ -10,11 +10,11 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
-from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels
-from calibration.engine.estimation.solve.normal_equations import Weighting, assemble
-from calibration.engine.estimation.solve.observability import determined_parameters
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
+from calibration.engine.estimation.least_squares.normal_equations import Weighting, assemble
+from calibration.engine.estimation.least_squares.observability import determined_parameters
+from calibration.engine.estimation.options import ALL_EXACT
+from calibration.engine.estimation.problem.blocks import CalibratedIntrinsics
 from calibration.engine.estimation.start.build import build
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob

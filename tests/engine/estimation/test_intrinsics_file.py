@@ -7,7 +7,7 @@ import pytest
 
 from calibration.base.errors import InputError
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.problem.intrinsics_file import read_intrinsics, write_intrinsics
+from calibration.engine.estimation.problem.intrinsics import read_intrinsics, write_intrinsics
 from tests.engine.estimation.systems import covering
 
 GOOD = {
@@ -101,6 +101,6 @@ def test_what_is_no_such_file(tmp_path, content):
 
 def test_a_file_that_is_too_large(tmp_path, monkeypatch):
     path = write(tmp_path)
-    monkeypatch.setattr("calibration.engine.estimation.problem.intrinsics_file.MAX_BYTES", 100)
+    monkeypatch.setattr("calibration.engine.estimation.problem.intrinsics.MAX_BYTES", 100)
     with pytest.raises(InputError, match=r"intrinsics\.json: found 142 bytes, a JSON document of at most 100 was"):
         read_intrinsics(path)

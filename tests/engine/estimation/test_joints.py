@@ -9,10 +9,10 @@ from calibration.base.errors import UndeterminedError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
+from calibration.engine.estimation.options import ALL_EXACT
 from calibration.engine.estimation.start.build import build
-from calibration.engine.estimation.start.starting_noise import StartingNoise
-from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
+from calibration.engine.estimation.start.guesses import StartingNoise
+from calibration.engine.geometry.frames import JOINT_PARAMETERS, JointParameter
 from calibration.engine.geometry.transforms import distance, inverse
 from tests.engine.estimation.scenes import Scene, board, camera, errors, pose
 from tests.engine.estimation.systems import jointed_arm

@@ -7,9 +7,7 @@ import pytest
 
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels
-from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL
-from calibration.engine.estimation.residuals.ray_residuals import elevations
-from calibration.engine.estimation.solve.label_columns import (
+from calibration.engine.estimation.least_squares.label_columns import (
     COLUMNS_OF_BENT_PATTERN,
     COLUMNS_OF_PATTERN,
     COLUMNS_OF_RANGES,
@@ -17,7 +15,9 @@ from calibration.engine.estimation.solve.label_columns import (
     ColumnNames,
     products,
 )
-from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
+from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL
+from calibration.engine.estimation.residuals.ray_residuals import elevations
 from calibration.engine.estimation.start.build import build
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, inverse, retract, translation

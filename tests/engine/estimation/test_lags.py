@@ -10,13 +10,13 @@ import pytest
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.document import Node
+from calibration.engine.dataset.frames import read_velocities
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
-from calibration.engine.dataset.velocities import read_velocities
 from calibration.engine.dataset.writing import DatasetWriter
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.doubts.suspects import explain
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
+from calibration.engine.estimation.covariance.suspects import explain
+from calibration.engine.estimation.options import ALL_EXACT
 from calibration.engine.geometry.transforms import inverse, local, retract
 from tests.engine.estimation.scenes import Scene, board, camera, looks, pose
 from tests.engine.estimation.systems import stereo

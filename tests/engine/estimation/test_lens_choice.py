@@ -10,9 +10,8 @@ from calibration.base.records import read
 from calibration.engine.dataset.model import ESTIMATED_KEY, CornerLabels, Dataset
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.chosen_lenses import fitting_lens, with_chosen_lenses
-from calibration.engine.estimation.start.lens_choice import LensChoice, choose_lens
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.start.lens_choice import LensChoice, fitting_lens, with_chosen_lenses
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Distortion, DoubleSphere, Equidistant, PlumbBob, Rational
@@ -36,9 +35,7 @@ def views_of(dataset: Dataset) -> list[tuple[Pattern, CornerLabels]]:
 
 def chosen(model: Camera, views: int = 25, seed: int = 0, noise: float = 0.2) -> LensChoice:
     dataset = covering(views, seed, 1, model=model, pixel_noise=noise).dataset(seed)
-    choice = choose_lens(model.width, model.height, views_of(dataset))
-    assert choice is not None
-    return choice
+    return fitting_lens("c0", model.width, model.height, views_of(dataset))
 
 
 @pytest.mark.parametrize(
@@ -74,10 +71,10 @@ def test_a_lens_of_195_degrees_is_found(lens: Distortion) -> None:
         (pattern, CornerLabels(np.arange(len(pattern.corners)), model.project(apply(T[i], pattern.corners)) + noise[i]))
         for i in range(40)
     ]
-    choice = choose_lens(1280, 960, views)
+    choice = fitting_lens("c0", 1280, 960, views)
     assert choice is not None
     assert choice.chosen.rms == pytest.approx(0.2 * np.sqrt(2), rel=0.1), choice.reason
-    named = choose_lens(1280, 960, views, (type(lens),))
+    named = fitting_lens("c0", 1280, 960, views, (type(lens),))
     assert named is not None
     assert named.chosen.camera.fx == pytest.approx(270.0, rel=0.01)
     assert named.chosen.camera.distortion.coefficients == pytest.approx(lens.coefficients, abs=0.01)
@@ -86,8 +83,8 @@ def test_a_lens_of_195_degrees_is_found(lens: Distortion) -> None:
 def test_the_start_is_found_for_every_field_of_view() -> None:
     for f in (300.0, 600.0, 1200.0, 3000.0):
         model = Camera(f, f, 640.0, 480.0, 1280, 960)
-        choice = choose_lens(
-            1280, 960, views_of(covering(25, 0, 1, model=model, pixel_noise=0.05).dataset()), (PlumbBob,)
+        choice = fitting_lens(
+            "c0", 1280, 960, views_of(covering(25, 0, 1, model=model, pixel_noise=0.05).dataset()), (PlumbBob,)
         )
         assert choice is not None
         assert choice.chosen.camera.fx == pytest.approx(f, rel=0.03)
@@ -105,7 +102,7 @@ def test_one_bad_view_does_not_choose_the_model() -> None:
     pattern, labels = views[4]
     blurred = labels.pixels + np.random.default_rng(0).normal(0, 3, labels.pixels.shape)
     views[4] = pattern, CornerLabels(labels.ids, blurred)
-    choice = choose_lens(1280, 960, views)
+    choice = fitting_lens("c0", 1280, 960, views)
     assert choice is not None
     assert choice.chosen.name == "plumb_bob"
 
@@ -156,6 +153,15 @@ def test_a_named_model_is_taken_and_nothing_is_chosen() -> None:
         with_chosen_lenses(dataset, Options(intrinsics=("all",), lens={"c7": "equidistant"}))
 
 
+def test_the_library_takes_the_lens_of_the_options_too() -> None:
+    dataset = covering(15, 2, 1, model=FISHEYE, pixel_noise=0.2).dataset(2)
+    options = Options(intrinsics=("c0",), lens={"c0": "equidistant"})
+    result = calibrate(guessed(dataset, "c0"), options)
+    assert result.intrinsics["c0"].model == "equidistant"
+    with pytest.raises(InputError, match="lens: found 'c7', expected a camera"):
+        calibrate(dataset, Options(intrinsics=("all",), lens={"c7": "equidistant"}))
+
+
 def test_the_options_take_all_as_a_word_and_refuse_a_lens_that_is_not_calibrated() -> None:
     assert read(Options, {"intrinsics": "all"}, "calibration.yml").intrinsics == ("all",)
     assert read(Options, {"intrinsics": ["left"]}, "calibration.yml").intrinsics == ("left",)
@@ -175,7 +181,7 @@ def test_corners_that_are_not_seen_do_not_count() -> None:
         (pattern, CornerLabels(labels.ids[k % 9 :], labels.pixels[k % 9 :]))
         for k, (pattern, labels) in enumerate(views_of(dataset))
     ]
-    choice = choose_lens(848, 600, partial)
+    choice = fitting_lens("c0", 848, 600, partial)
     assert choice is not None
     assert choice.chosen.name == "equidistant", choice.reason
     assert choice.chosen.camera.fx == pytest.approx(300, abs=2)

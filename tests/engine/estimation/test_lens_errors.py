@@ -7,8 +7,8 @@ import pytest
 
 from calibration.base.arrays import Array
 from calibration.engine.estimation.covariance.lens_errors import LensErrors, lens_errors
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT, Assumptions
-from calibration.engine.estimation.problem.intrinsics import Prior
+from calibration.engine.estimation.options import ALL_EXACT, Assumptions
+from calibration.engine.estimation.problem.blocks import Prior
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Distortion, Equidistant, PlumbBob, Rational
 

@@ -7,12 +7,11 @@ import pytest
 
 from calibration.base.errors import InputError
 from calibration.engine.dataset.model import CornerLabels, Labels
-from calibration.engine.estimation.solve.normal_equations import Weighting, assemble
+from calibration.engine.estimation.least_squares.normal_equations import Weighting, assemble
 from calibration.engine.estimation.start.build import Setup, build
-from calibration.engine.estimation.start.guesses import guess_of_dataset
+from calibration.engine.estimation.start.guesses import StartingNoise, guess_of_dataset, perturb
 from calibration.engine.estimation.start.linear_start import LinearStart, linear_start, pattern_poses
 from calibration.engine.estimation.start.single_views import robust_poses
-from calibration.engine.estimation.start.starting_noise import StartingNoise, perturb
 from calibration.engine.geometry.transforms import distance, transform
 from tests.engine.estimation.scenes import AHEAD, Scene, board, errors, lidar2d, pose, relabelled, shaken, true_values
 from tests.engine.estimation.systems import (

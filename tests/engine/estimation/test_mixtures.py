@@ -8,9 +8,9 @@ import pytest
 from calibration.base.errors import UndeterminedError
 from calibration.engine.dataset.model import Labels, PointLabels
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.estimation.start.build import build
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.geometry.transforms import local
 from tests.engine.estimation.scenes import Scene, errors, relabelled
 from tests.engine.estimation.systems import (

@@ -8,11 +8,11 @@ import pytest
 from calibration.base.errors import UndeterminedError
 from calibration.engine.dataset.model import Labels, PointLabels
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels
-from calibration.engine.estimation.solve.optimisation import optimise
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
+from calibration.engine.estimation.least_squares.optimisation import optimise
 from calibration.engine.estimation.start.build import build
+from calibration.engine.estimation.start.guesses import StartingNoise, perturb, with_starting_noise
 from calibration.engine.estimation.start.linear_start import linear_start
-from calibration.engine.estimation.start.starting_noise import StartingNoise, perturb, with_starting_noise
 from calibration.engine.geometry.transforms import distance, inverse, local
 from tests.engine.estimation.scenes import board, looks, pose, relabelled, sigmas_apart, true_values
 from tests.engine.estimation.systems import mobile_base

@@ -5,7 +5,7 @@ import pytest
 
 from calibration.engine.dataset.model import CornerLabels, Labels, PointLabels
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.solve.noise_levels import MIN_SIGMA_OF_KIND, NoiseLevels, estimate_scales
+from calibration.engine.estimation.least_squares.noise_levels import MIN_SIGMA_OF_KIND, NoiseLevels, estimate_scales
 from calibration.engine.estimation.start.build import build
 from tests.engine.estimation.scenes import relabelled, true_values
 from tests.engine.estimation.systems import ALL, camera_and_lidar, stereo

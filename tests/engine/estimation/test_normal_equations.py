@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from calibration.base.arrays import Array
-from calibration.engine.estimation.problem import batches
+from calibration.engine.estimation.least_squares.normal_equations import NormalEquations, Weighting, assemble
+from calibration.engine.estimation.least_squares.observability import covariances
+from calibration.engine.estimation.problem import problem as problem_module
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem
-from calibration.engine.estimation.solve.normal_equations import NormalEquations, Weighting, assemble
-from calibration.engine.estimation.solve.observability import covariances
 from tests.engine.estimation.tangled import COLLECTIONS, tangled
 
 PLAIN = Weighting({"pixel": 0.5, "range": 0.005}, None)
@@ -134,8 +134,8 @@ def test_the_cost_of_a_collection_is_that_of_its_views():
 def test_a_few_views_at_a_time_give_the_same(monkeypatch):
     problem, values = tangled(noise=0.5)
     whole = assemble(problem, values, ROBUST)
-    monkeypatch.setattr(batches, "VIEWS_AT_A_TIME", 1)
-    monkeypatch.setattr(batches, "LABELS_PER_CHUNK", 0)
+    monkeypatch.setattr(problem_module, "VIEWS_AT_A_TIME", 1)
+    monkeypatch.setattr(problem_module, "LABELS_PER_CHUNK", 0)
     alone = replace(problem)
     assert {batch.views for batch in alone.batches} == {1}
     one_by_one = assemble(alone, values, ROBUST)

@@ -8,9 +8,8 @@ import pytest
 from calibration.base.arrays import Array
 from calibration.base.errors import UndeterminedError
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.problem.problem import Block, Problem
-from calibration.engine.estimation.solve.normal_equations import NormalEquations, Weighting, assemble
-from calibration.engine.estimation.solve.observability import (
+from calibration.engine.estimation.least_squares.normal_equations import NormalEquations, Weighting, assemble
+from calibration.engine.estimation.least_squares.observability import (
     MIN_UNDETERMINED_SIGMA,
     MIN_WEAK_SIGMA,
     WeakDirection,
@@ -18,6 +17,7 @@ from calibration.engine.estimation.solve.observability import (
     determined_parameters,
     open_directions,
 )
+from calibration.engine.estimation.problem.problem import Block, Problem
 from calibration.engine.estimation.start.build import build
 from calibration.engine.geometry.lenses import Distortion, DoubleSphere, Equidistant, Eucm, Omni, PlumbBob, Rational
 from tests.engine.estimation.scenes import true_values

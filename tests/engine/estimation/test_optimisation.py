@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.least_squares import optimisation
+from calibration.engine.estimation.least_squares.minimisation import Evaluation, minimise
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels, estimate_scales, scales_of
+from calibration.engine.estimation.least_squares.normal_equations import Squares, Weighting, assemble
+from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD, WeightedOptimum, optimise
 from calibration.engine.estimation.problem.problem import Values
 from calibration.engine.estimation.residuals.planar_pose import mirrored_poses
-from calibration.engine.estimation.solve import optimisation
-from calibration.engine.estimation.solve.least_squares import Evaluation, minimise
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels, estimate_scales, scales_of
-from calibration.engine.estimation.solve.normal_equations import Squares, Weighting, assemble
-from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD, WeightedOptimum, optimise
 from calibration.engine.estimation.start import flipped_patterns
 from calibration.engine.estimation.start.build import Setup, build
 from calibration.engine.estimation.start.flipped_patterns import unflipped
@@ -40,7 +40,7 @@ def mirrored(setup: Setup, values: Values, which: list[int], camera: int = 0) ->
         v = np.flatnonzero(group.collections == i)
         T = setup.problem.poses(group, values)[v]
         before = T @ inverse(values[pattern][[i]])
-        out[pattern][i] = (inverse(before) @ mirrored_poses(T, np.zeros(3)))[0]
+        out[pattern][i] = (inverse(before) @ mirrored_poses(T))[0]
     return tuple(out)
 
 

@@ -9,7 +9,7 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.pattern import grid
 from calibration.engine.estimation.residuals.planar_pose import determines_pose, mean_pose, mirrored_poses, planar_poses
 from calibration.engine.geometry import rotations
-from calibration.engine.geometry.transforms import apply, distance, inverse, retract, transform
+from calibration.engine.geometry.transforms import apply, distance, inverse, retract, transform, translation
 
 CORNERS = grid(10, 5, 0.06, (0.06, 0.06))
 CENTRE = CORNERS.mean(0)
@@ -109,9 +109,14 @@ def test_no_view_at_all():
     assert planar_poses(np.empty((0, 2, 50)), CORNERS).shape == (0, 4, 4)
 
 
+def mirrored(T):
+    centre = translation(CENTRE)
+    return mirrored_poses(T @ centre) @ inverse(centre)
+
+
 def test_a_mirrored_pose_looks_the_same_from_afar():
     T = views(14, 50, depth=100.0)
-    M = mirrored_poses(T, CENTRE)
+    M = mirrored(T)
     assert np.median(distance(T, M)[1]) > 0.5
     size = 0.3 * FOCAL / 100  # of the pattern in the image, px
     assert (np.abs(rays_of(M) - rays_of(T)) * FOCAL).max() < 0.02 * size
@@ -119,10 +124,10 @@ def test_a_mirrored_pose_looks_the_same_from_afar():
 
 def test_a_mirrored_pose_is_a_rigid_motion_and_mirrors_back():
     T = views(15, 50)
-    M = mirrored_poses(T, CENTRE)
+    M = mirrored(T)
     np.testing.assert_allclose(np.linalg.det(M[:, :3, :3]), 1)
     np.testing.assert_allclose(apply(M, CENTRE[None]), apply(T, CENTRE[None]))
-    np.testing.assert_allclose(mirrored_poses(M, CENTRE), T, atol=1e-12)
+    np.testing.assert_allclose(mirrored(M), T, atol=1e-12)
     # the normal is turned by pi about the line of sight
     v = apply(T, CENTRE[None])[:, 0]
     v /= np.linalg.norm(v, axis=1, keepdims=True)
@@ -141,8 +146,8 @@ def test_the_mean_hardly_feels_outliers():
     T = views(18, 1)[0]
     poses = retract(np.repeat(T[None], 30, 0), rng.normal(size=(30, 6)) * 1e-3)
     poses[:10] = views(19, 10, tilt=2.0)
-    translation, angle = distance(T, mean_pose(poses))
-    assert translation < 1.5e-3
+    moved, angle = distance(T, mean_pose(poses))
+    assert moved < 1.5e-3
     assert angle < 1.5e-3
 
 
@@ -154,12 +159,10 @@ def test_the_mean_turns_with_the_frame():
     np.testing.assert_allclose(mean_pose(poses @ G)[:3, :3], (mean_pose(poses) @ G)[:3, :3], atol=1e-7)
 
 
-def test_weights_of_the_mean():
+def test_the_mean_of_positions_is_their_median():
     poses = transform(np.eye(3), np.array([[0.0, 0, 0], [1, 1, 1], [5, 6, 7], [2, 2, 2]]))
     np.testing.assert_allclose(mean_pose(poses)[:3, 3], np.median(poses[:, :3, 3], 0))
     np.testing.assert_allclose(mean_pose(poses[:3])[:3, 3], np.median(poses[:3, :3, 3], 0))
-    np.testing.assert_allclose(mean_pose(poses, [0, 0, 1, 0])[:3, 3], [5, 6, 7])
-    np.testing.assert_allclose(mean_pose(poses, [1, 1, 3, 1])[:3, 3], [3.5, 4, 4.5])
 
 
 def test_the_mean_of_no_poses_is_an_error():
@@ -172,7 +175,7 @@ def test_an_input_is_not_changed():
     rays = rays_of(T)
     before = T.copy(), rays.copy()
     planar_poses(rays, CORNERS, seen)
-    mirrored_poses(T, CENTRE)
+    mirrored(T)
     mean_pose(inverse(T))
     np.testing.assert_array_equal(T, before[0])
     np.testing.assert_array_equal(rays, before[1])

@@ -11,11 +11,11 @@ from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import Options, calibrate, solve, solve_from_guess
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.doubts.wrong_views import without
+from calibration.engine.estimation.least_squares.optimisation import WeightedOptimum, optimise
 from calibration.engine.estimation.prepare import prepare
-from calibration.engine.estimation.solve.optimisation import WeightedOptimum, optimise
-from calibration.engine.estimation.start.starting_noise import StartingNoise
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.estimation.start.guesses import StartingNoise
+from calibration.engine.estimation.start.wrong_views import without
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import transform
 from tests.engine.estimation.scenes import AHEAD, Scene, board, lidar2d, relabelled
 from tests.engine.estimation.systems import camera_and_lidar, eye_in_hand, jointed_arm, stereo

@@ -8,14 +8,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from calibration.base.arrays import Array
-from calibration.engine.estimation.problem.batches import table_of
+from calibration.engine.estimation.least_squares.normal_equations import Weighting, assemble
 from calibration.engine.estimation.problem.blocks import Block, FreeJoint, Values
-from calibration.engine.estimation.problem.problem import Problem
+from calibration.engine.estimation.problem.problem import Problem, table_of
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
 from calibration.engine.estimation.residuals.views import Chain, Link, ViewGroup
-from calibration.engine.estimation.solve.normal_equations import Weighting, assemble
 from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointModel
+from calibration.engine.geometry.frames import JOINT_PARAMETERS, JointModel
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob
 from calibration.engine.geometry.transforms import inverse, local, retract
 from tests.engine.estimation.scenes import PINHOLE, WIDE, board

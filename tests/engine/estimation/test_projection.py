@@ -9,8 +9,7 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.projection import Projection, projection_of
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.options import ALL_EXACT, Options
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob
 from calibration.engine.geometry.transforms import apply

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from calibration.base.arrays import Array
 from calibration.engine.estimation.problem.problem import Term
-from calibration.engine.estimation.residuals import residuals
+from calibration.engine.estimation.residuals import views
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
 from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
 from calibration.engine.estimation.residuals.ray_residuals import BorderTerm, RangeTerm
-from calibration.engine.estimation.residuals.residuals import robust, total_loss
+from calibration.engine.estimation.residuals.views import product, robust, sum_of_products, total_loss
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, retract, transform
@@ -129,7 +129,7 @@ def test_a_view_does_not_depend_on_its_neighbours(name, monkeypatch):
         for all_views, view in zip(together, alone, strict=True):
             np.testing.assert_allclose(all_views[v : v + 1], view, rtol=1e-12)
     magnitudes = term.magnitudes(T)
-    monkeypatch.setattr(residuals, "LABELS_PER_CHUNK", 2)
+    monkeypatch.setattr(views, "LABELS_PER_CHUNK", 2)
     for whole, chunked in zip(together, term.linearise(T, sigma, 1.5), strict=True):
         np.testing.assert_allclose(chunked, whole, rtol=1e-12)
     np.testing.assert_array_equal(term.magnitudes(T), magnitudes)
@@ -171,7 +171,7 @@ def test_the_squares_are_those_of_the_magnitudes(name):
 @pytest.mark.parametrize("labels", [2, 10**6])
 def test_views_with_few_points_do_not_cut_those_with_many(huber, labels, monkeypatch):
     """Views are evaluated in the order of their last points, in one chunk or in several."""
-    monkeypatch.setattr(residuals, "LABELS_PER_CHUNK", labels)
+    monkeypatch.setattr(views, "LABELS_PER_CHUNK", labels)
     term, T = ranges(0.01), poses()
     present = np.arange(20) < np.array([20, 3, 11, 7, 1])[:, None]
     term = replace(term, present=present)
@@ -266,3 +266,14 @@ def test_the_total_loss_is_that_of_all_labels_there_are(huber):
     assert total_loss(errors**2, 0.2, huber) == pytest.approx(expected.sum(), rel=1e-12)
     missing = np.concatenate([errors**2, np.full((7, 2), np.nan)], 1)
     assert total_loss(missing, 0.2, huber) == pytest.approx(expected.sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize("most", [1, 40, 1 << 18])
+@pytest.mark.parametrize("rows", [0, 1, 37])
+def test_products_in_pieces_are_those_of_the_whole(monkeypatch, most, rows):
+    monkeypatch.setattr(views, "MAX_MULTIPLICATIONS", most)
+    rng = np.random.default_rng([most, rows])  # others than those before, which may still lie in the memory
+    A, B, small = rng.normal(size=(rows, 4)), rng.normal(size=(rows, 3)), rng.normal(size=(4, 3))
+    np.testing.assert_allclose(product(A, small), A @ small, atol=1e-14)
+    np.testing.assert_allclose(sum_of_products(A, B), A.T @ B, atol=1e-13)
+    np.testing.assert_array_equal(sum_of_products(A[:, :0], B), np.zeros((0, 3)))

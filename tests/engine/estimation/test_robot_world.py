@@ -32,7 +32,6 @@ def test_exact_data_give_the_exact_answer(solve, seed, n):
     if tilt > 0.05:  # the random motion happened to determine it well
         np.testing.assert_allclose(found.X, X, atol=1e-9 / tilt**2)
         np.testing.assert_allclose(found.Y, Y, atol=1e-9 / tilt**2)
-        assert found.spectrum.rotation[0] == pytest.approx(1)
 
 
 @SOLVERS
@@ -58,7 +57,6 @@ def test_noise_of_one_part_in_a_thousand_moves_the_answer_as_much(solve):
     A, B, X, Y = problem(6, 50)
     found = solve(retract(A, np.random.default_rng(7).normal(size=(50, 6)) * 1e-3), B)
     assert max(*distance(found.X, X), *distance(found.Y, Y)) < 1.5e-3
-    assert found.spectrum.rotation[0] < 1
 
 
 @SOLVERS
@@ -115,8 +113,6 @@ def test_a_motion_about_one_axis_is_reported_with_its_axis(solve):
     spectrum = spectrum_of(solve, np.linspace(-1, 1, 7)[:, None] * axis)
     assert spectrum.axes() == 1
     assert abs(spectrum.axis @ axis) == pytest.approx(1)
-    np.testing.assert_allclose(spectrum.rotation[:3], 1)  # one free angle: three independent matrices X
-    assert spectrum.rotation[3] < 0.99
 
 
 @SOLVERS
@@ -124,7 +120,6 @@ def test_a_motion_without_rotation_is_reported(solve):
     spectrum = spectrum_of(solve, np.zeros((7, 3)))
     assert spectrum.axes() == 0
     np.testing.assert_allclose(spectrum.dispersion, 0, atol=1e-6)
-    np.testing.assert_allclose(spectrum.rotation, 1)
 
 
 @SOLVERS

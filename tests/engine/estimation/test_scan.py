@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.base.arrays import Array
-from calibration.engine.estimation.residuals.border_rays import scan_border_rays
+from calibration.engine.estimation.residuals.ray_residuals import scan_border_rays
 from calibration.engine.estimation.start.build import build
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import transform

@@ -8,7 +8,7 @@ import pytest
 from calibration.engine.dataset.modalities import LIDAR3D
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.geometry.transforms import distance, local
 
 PLAIN = Options(loss="linear")

@@ -8,10 +8,10 @@ import pytest
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import Pattern, grid, outline
+from calibration.engine.estimation.least_squares.minimisation import Termination
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm, side_by_side
-from calibration.engine.estimation.residuals.median import median
 from calibration.engine.estimation.residuals.planar_pose import mirrored_poses
-from calibration.engine.estimation.solve.least_squares import Termination
+from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.estimation.start.single_views import corner_term, fitted_poses, refined_poses
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
@@ -167,7 +167,7 @@ def test_the_better_of_both_minima_is_fitted() -> None:
 
     fitted, rms = fitted_poses(labels)
     one, one_rms = refined_poses(labels, labels.linear_poses)
-    _, back_rms = refined_poses(labels, mirrored_poses(fitted, np.zeros(3)))
+    _, back_rms = refined_poses(labels, mirrored_poses(fitted))
 
     assert (rms <= one_rms).all()
     wrong = rms < one_rms - 1e-6

@@ -13,7 +13,7 @@ from calibration.engine.dataset.truth import Truth, read_truth
 from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.truth import truth_error
 from calibration.engine.geometry.transforms import transform
 from tests.engine.estimation.scenes import Scene, board, errors, pose, relabelled

@@ -8,10 +8,10 @@ import pytest
 
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.doubts.suspects import explain
-from calibration.engine.estimation.doubts.wrong_views import wrong_views
+from calibration.engine.estimation.covariance.suspects import explain
 from calibration.engine.estimation.start.build import build
 from calibration.engine.estimation.start.linear_start import linear_start
+from calibration.engine.estimation.start.wrong_views import wrong_views
 from tests.engine.estimation.scenes import Scene, pose, true_values
 from tests.engine.estimation.systems import camera_and_lidar, eye_in_hand, eye_to_hand, ring, stereo, two_bodies
 

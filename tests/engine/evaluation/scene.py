@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.base.arrays import Array
+from calibration.engine.comparison.methods import COMPARISON_METHODS, Method
 from calibration.engine.dataset.modalities import DEPTH, LIDAR3D, RGB
 from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
 from calibration.engine.dataset.pattern import Pattern, grid, outline
@@ -250,3 +251,8 @@ def cut(base: Dataset, sensor: str, counts: list[int]) -> Dataset:
         assert isinstance(label, CornerLabels)
         labels.append(CornerLabels(label.ids[:count], label.pixels[:count]))
     return with_labels(base, sensor, labels)
+
+
+def applicable(dataset: Dataset) -> list[Method]:
+    """The other methods that apply to a dataset."""
+    return [] if dataset.joints else [each for each in COMPARISON_METHODS.values() if each.why_not(dataset) is None]

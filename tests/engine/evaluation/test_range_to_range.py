@@ -4,11 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from calibration.base.errors import InputError
 from calibration.engine.dataset.modalities import LIDAR2D
 from calibration.engine.dataset.model import Dataset, PointLabels
-from calibration.engine.evaluation.range_to_range import depth_to_depth, lidar_to_depth, lidar_to_lidar
+from calibration.engine.evaluation import range_to_range
+from calibration.engine.evaluation.range_to_range import depth_to_depth, lidar_to_depth, lidar_to_lidar, nearest
 from calibration.engine.geometry.transforms import apply, retract
 from tests.engine.evaluation.scene import CAMERA, range_pair, with_labels
 
@@ -143,3 +147,20 @@ def test_a_collection_without_border_points_is_left_out():
     assert table.left_out == ("000: no border point of one is on the image beside one of two",)
     with pytest.raises(InputError, match=r"nothing seen by both: .*; 000: no border point of one is on the image"):
         lidar_to_depth(left.with_collections([0]), "one", "two")
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 40), st.integers(1, 40), st.integers(1, 3))
+def test_no_other_point_lies_nearer(seed, count, among, dimensions):
+    rng = np.random.default_rng(seed)
+    points, others = rng.normal(size=(count, dimensions)), rng.normal(size=(among, dimensions)) + 100
+    found = np.linalg.norm(points - others[nearest(points, others)], axis=-1)
+    least = np.linalg.norm(points[:, None] - others, axis=-1).min(-1)
+    np.testing.assert_allclose(found, least, rtol=1e-12)
+
+
+@pytest.mark.parametrize("chunk", [1, 7000, 1 << 20])
+def test_a_tree_finds_the_same_whatever_the_chunk(monkeypatch, chunk):
+    monkeypatch.setattr(range_to_range, "_CHUNK", chunk)
+    rng = np.random.default_rng(1)
+    points, others = rng.normal(size=(300, 3)), rng.normal(size=(500, 3))
+    np.testing.assert_array_equal(nearest(points, others), cKDTree(others).query(points)[1])

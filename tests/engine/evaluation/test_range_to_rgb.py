@@ -10,12 +10,13 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.modalities import DEPTH, LIDAR2D, RGB
 from calibration.engine.dataset.model import Dataset, PointLabels
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.evaluation.annotation import Annotation, annotate, annotate_detections, read_annotation
 from calibration.engine.evaluation.range_to_rgb import (
+    Annotation,
+    annotate,
+    annotate_detections,
     depth_to_rgb,
-    inter_collection_depth_to_rgb,
-    inter_collection_lidar_to_rgb,
     lidar_to_rgb,
+    read_annotation,
 )
 from calibration.engine.geometry.transforms import apply, retract
 from tests.engine.evaluation.scene import (
@@ -245,7 +246,7 @@ def test_a_depth_cameras_border_pixels_lie_inside_the_border():
 
 def test_every_image_shows_the_border_points_of_every_collection():
     dataset, annotation = depth_and_camera(1)
-    table = inter_collection_depth_to_rgb(dataset, "one", "two", annotation)
+    table = depth_to_rgb(dataset, "one", "two", annotation, between=True)
     assert table.key == "Collection #"
     assert table.labels == tuple(f"{a}-{b}" for a in dataset.keys for b in dataset.keys)
     np.testing.assert_allclose(table.values[::4], depth_to_rgb(dataset, "one", "two", annotation).values, atol=1e-9)
@@ -257,28 +258,28 @@ def test_with_a_lidar_the_cameras_collection_stands_first():
     annotation = dict(true_annotation(dataset, T_world_pattern))
     fixed = replace(dataset.patterns["board"], fixed=True, parent_link="flange")
     arm = replace(dataset, patterns={"board": fixed}).with_transforms({("world", "flange"): T_world_pattern})
-    table = inter_collection_lidar_to_rgb(arm, "scan", "eye", annotation)
+    table = lidar_to_rgb(arm, "scan", "eye", annotation, between=True)
     assert table.key == "Collection Pair"
     assert table.labels == tuple(f"{a}-{b}" for a in arm.keys for b in arm.keys)
     np.testing.assert_allclose(table.values, 0, atol=1e-9)
     flange = T_world_pattern.copy()
     flange[1, 0, 3] += 0.2  # the arm lies about collection 001: of its own, image and cloud are wrong alike
-    wrong = inter_collection_lidar_to_rgb(arm.with_transforms({("world", "flange"): flange}), "scan", "eye", annotation)
+    wrong = lidar_to_rgb(arm.with_transforms({("world", "flange"): flange}), "scan", "eye", annotation, between=True)
     bad = {label for label, row in zip(wrong.labels, wrong.values, strict=True) if row[0] > 0.1}
     assert bad == {"000-001", "001-000", "001-002", "002-001"}
     # a collection whose cloud alone is wrong spoils the rows in which it stands second
     labels = [c.labels["board", "scan"] for c in arm.collections]
     labels[0] = replace(labels[0], points=labels[0].points + np.array([0, 0.1, 0]))
-    wrong = inter_collection_lidar_to_rgb(with_labels(arm, "scan", labels), "scan", "eye", annotation)
+    wrong = lidar_to_rgb(with_labels(arm, "scan", labels), "scan", "eye", annotation, between=True)
     assert {label for label, row in zip(wrong.labels, wrong.values, strict=True) if row[0] > 0.1} == {
         f"{key}-000" for key in arm.keys
     }
     with pytest.raises(InputError, match="pattern 'board' is not fixed"):
-        inter_collection_lidar_to_rgb(dataset, "scan", "eye", annotation)
+        lidar_to_rgb(dataset, "scan", "eye", annotation, between=True)
     with pytest.raises(
         InputError, match=r"no collection shows border points of 'scan' in an annotated image of 'eye'$"
     ):
-        inter_collection_lidar_to_rgb(arm, "scan", "eye", {})
+        lidar_to_rgb(arm, "scan", "eye", {}, between=True)
 
 
 def test_a_camera_without_intrinsics_is_told():

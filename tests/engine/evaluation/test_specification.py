@@ -15,8 +15,7 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.modalities import RGB
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import Truth, find_truth, truth_of
-from calibration.engine.evaluation.annotation import annotation_for
-from calibration.engine.evaluation.range_to_rgb import lidar_to_rgb
+from calibration.engine.evaluation.range_to_rgb import annotation_for, lidar_to_rgb
 from calibration.engine.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
 from calibration.engine.evaluation.specification import TABLE_KINDS, Evaluation, parse_evaluation
 from calibration.engine.geometry.transforms import retract

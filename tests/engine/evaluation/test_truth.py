@@ -12,7 +12,7 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import Truth, find_truth, truth_of
 from calibration.engine.evaluation.truth import JointError, PoseError, TruthError, truth_error
 from calibration.engine.geometry import rotations
-from calibration.engine.geometry.joints import JointModel, JointParameter
+from calibration.engine.geometry.frames import JointModel, JointParameter
 from calibration.engine.geometry.transforms import from_xyz_rpy, inverse, retract, translation
 from tests.engine.evaluation.scene import T_LINK_OPTICAL, arm, dataset, lidar_and_camera, pattern, rgb, two_cameras
 

@@ -5,8 +5,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from calibration.engine.estimation.options import LensModel
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
-from calibration.engine.estimation.solve.options import LensModel
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import (

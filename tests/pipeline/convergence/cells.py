@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from calibration.base.errors import ExitCode
-from calibration.engine.estimation.solve.options import Start
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.options import Start
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, maps_of
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, nothing_yet
 from calibration.pipeline.system import NoiseGrid

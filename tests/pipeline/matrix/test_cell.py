@@ -10,18 +10,17 @@ import pytest
 
 from calibration.base.errors import ExitCode, InputError
 from calibration.ci.report import Report
-from calibration.engine.comparison.methods import applicable, method_of
+from calibration.engine.comparison.methods import method_of
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import truth_of
 from calibration.engine.diagnosis.against_optimum import find_optimum
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
-from calibration.engine.estimation.problem.intrinsics_file import FILE_NAME as INTRINSICS
-from calibration.engine.estimation.problem.intrinsics_file import read_intrinsics
-from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.options import ALL_EXACT, Options
+from calibration.engine.estimation.problem.intrinsics import FILE_NAME as INTRINSICS
+from calibration.engine.estimation.problem.intrinsics import read_intrinsics
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.geometry.rotations import from_rpy, to_rpy
 from calibration.engine.geometry.transforms import retract, translation
@@ -37,7 +36,7 @@ from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import NoiseGrid
 from tests.engine.estimation.systems import jointed_arm, stereo, two_bodies
 from tests.engine.estimation.test_wrong_views import exchanged
-from tests.engine.evaluation.scene import T_LINK_OPTICAL, arm, range_pair, rgb, with_corners
+from tests.engine.evaluation.scene import T_LINK_OPTICAL, applicable, arm, range_pair, rgb, with_corners
 from tests.pipeline.conftest import DATASETS, T2RGB
 from tests.pipeline.matrix.test_cell_verdict import CELL
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.first_configuration import first_configuration
 from calibration.pipeline.matrix.cell_result import Cell, CellResult
 from calibration.pipeline.matrix.matrix import load

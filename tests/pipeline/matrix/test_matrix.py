@@ -15,7 +15,7 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import solve
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.prepare import Prepared
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.table import Table
 from calibration.engine.geometry.transforms import from_xyz_rpy
 from calibration.pipeline.matrix import running_cell

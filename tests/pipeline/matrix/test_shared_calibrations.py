@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from calibration.engine.diagnosis.diagnose import diagnose
-from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.starting_noise import StartingNoise
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.matrix import running_cell
 from calibration.pipeline.matrix.cell_result import Cell
 from calibration.pipeline.matrix.matrix import load

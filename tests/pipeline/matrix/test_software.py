@@ -17,11 +17,10 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import write_dataset
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.estimation.solve.least_squares import Termination, minimise
-from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.least_squares.minimisation import Termination, minimise
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.start.build import build
-from calibration.engine.estimation.start.guesses import guess_with_patterns
-from calibration.engine.estimation.start.starting_noise import StartingNoise, with_starting_noise
+from calibration.engine.estimation.start.guesses import StartingNoise, guess_with_patterns, with_starting_noise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.geometry.transforms import translation
 from calibration.pipeline.matrix.cell_result import Cell, CellResult

@@ -14,7 +14,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
+from calibration.engine.estimation.options import ALL_EXACT
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, local, transform
 from calibration.robot.importing.bags.bag import NS_PER_S

@@ -10,19 +10,19 @@ import yaml
 from calibration.__main__ import main
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError, UndeterminedError
-from calibration.engine.comparison.methods import COMPARISON_METHODS, applicable
+from calibration.engine.comparison.methods import COMPARISON_METHODS
 from calibration.engine.dataset.model import Dataset, PoseLabels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND
+from calibration.engine.estimation.options import ALL_EXACT, Options, PoseNoise
 from calibration.engine.estimation.pose_scale import better_scale, divided
-from calibration.engine.estimation.problem.assumptions import ALL_EXACT
-from calibration.engine.estimation.solve.options import Options, PoseNoise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.geometry.transforms import distance, local
 from calibration.robot.importing.importing import import_data
+from tests.engine.evaluation.scene import applicable
 from tests.robot.importing.conftest import change
 from tests.robot.importing.hand_eye import DEG, MM, WRITERS, X, Y, moveit, simulated, write_import
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from calibration.base.errors import InputError
 from calibration.base.records import Place, read_as
 from calibration.engine.geometry import transforms
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import from_xyz_rpy
 from calibration.robot.simulation.system import System, read_system
 from calibration.robot.urdf import (

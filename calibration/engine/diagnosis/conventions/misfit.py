@@ -7,18 +7,18 @@ import numpy as np
 
 from calibration.base.errors import CalibrationError
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.estimation.doubts.wrong_views import (
+from calibration.engine.estimation.least_squares.minimisation import Termination, minimise
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
+from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.problem.blocks import Values
+from calibration.engine.estimation.start.build import Setup
+from calibration.engine.estimation.start.guesses import problem_and_start
+from calibration.engine.estimation.start.wrong_views import (
     MIN_NOTICEABLE_RESIDUAL,
     median_residuals,
     noise_in_own_fits,
 )
-from calibration.engine.estimation.problem.blocks import Values
-from calibration.engine.estimation.solve.least_squares import Termination, minimise
-from calibration.engine.estimation.solve.normal_equations import Weighting
-from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD
-from calibration.engine.estimation.solve.options import Options
-from calibration.engine.estimation.start.build import Setup
-from calibration.engine.estimation.start.guesses import linear_problem
 
 SHARE_OF_VIEWS = 0.8
 """Share of a sensor's views that a misfit is of: of the others each may be wrong."""
@@ -51,7 +51,7 @@ def misfit(dataset: Dataset, options: Options, steps: bool = True) -> Misfit:
     """Return the misfit of a dataset, after a few steps or at the linear start."""
     with np.errstate(all="ignore"):
         try:
-            setup, start = linear_problem(dataset, options)
+            setup, start = problem_and_start(dataset, options)
             values = start.values
             at_start = misfit_at(setup, values)
             return misfit_at(setup, _values_nearer_to_optimum(setup, values)) if steps else at_start

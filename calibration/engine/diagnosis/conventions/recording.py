@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.dataset.model import CornerLabels, Dataset, Edge, PoseLabels
-from calibration.engine.estimation.problem.gauge import RIGID_TOLERANCE
+from calibration.engine.estimation.problem.fixing import RIGID_TOLERANCE
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
 from calibration.engine.estimation.start.single_views import corner_term
 from calibration.engine.geometry.transforms import inverse, translation

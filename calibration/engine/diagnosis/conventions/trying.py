@@ -15,7 +15,7 @@ from calibration.engine.diagnosis.conventions.sensor_hypotheses import (
 )
 from calibration.engine.diagnosis.finding import Finding, FindingKind
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.solve.options import Options
+from calibration.engine.estimation.options import Options
 
 Hypotheses = Callable[[Recording], Iterator[Hypothesis]]
 

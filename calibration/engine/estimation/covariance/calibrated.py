@@ -8,16 +8,15 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.modalities import BORDER_NOISE_KINDS
 from calibration.engine.dataset.model import Dataset, Edge, PointLabels
 from calibration.engine.estimation.covariance.result import CalibratedJoint, RejectedLabel, ViewResiduals
-from calibration.engine.estimation.problem.blocks import Pose, Values
-from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
-from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
+from calibration.engine.estimation.problem.blocks import CalibratedIntrinsics, Pose, Values
 from calibration.engine.estimation.start.build import Setup
 from calibration.engine.geometry.transforms import adjoint, inverse, translation
 
 
 def transforms_of(setup: Setup, values: Values) -> dict[Edge, Array]:
     """Return the transforms of the shared blocks; those of patterns in their own frame, not at their centre."""
-    patterns = {setup.pattern_edge(name): p for name, p in setup.dataset.patterns.items()}
+    patterns = {pattern.edge: pattern for pattern in setup.dataset.patterns.values()}
     return {
         edge: value @ inverse(translation(patterns[edge].centre)) if edge in patterns else value
         for block, value in zip(setup.problem.blocks, values, strict=True)
@@ -99,8 +98,8 @@ def covariances_of_transforms(setup: Setup, covariance: Mapping[int, Array]) -> 
     found = {
         edge: C for i, C in covariance.items() if isinstance(blocks[i].parameters, Pose) and (edge := blocks[i].edge)
     }
-    for name, pattern in setup.dataset.patterns.items():
-        if (edge := setup.pattern_edge(name)) in found:
+    for pattern in setup.dataset.patterns.values():
+        if (edge := pattern.edge) in found:
             to_frame = adjoint(translation(pattern.centre))
             found[edge] = to_frame @ found[edge] @ to_frame.T
     return found

@@ -11,20 +11,29 @@ The inverse of the information, C, is valid for independent noise of the labels 
   simulation output", 1982). With this factor the expected ``e^T (phi C)^-1 e`` is k for any shape of V. Where phi is
   large or clusters are such batches, it is told by few, and multiplied by n / (n - 2), with the effective number n of
   clusters: the mean of an inverse chi-square variable.
-- Fixed parameters are known with a standard deviation s (`problem.assumptions`). Their error changes the
+- Fixed parameters are known with a standard deviation s (`options.Assumptions`). Their error changes the
   result by ``W = -A^-1 B`` times it, so ``W diag(s^2) W^T`` is added (consider analysis: S. F. Schmidt, 1966).
 
 A cause that is calibrated (the scale of poses, a lag) is one of the columns of A.
+
+The nominal covariance is that of a good robot of this kind with the same views: labels with at most the noise that a
+detector keeps, collections that agree as those of a good arm do, fixed parameters known as assumed. The recording gives
+the views alone: whatever is wrong with it does not widen this covariance. It is the source of default limits.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.estimation.covariance.fixed_inputs import LAG_KIND
-from calibration.engine.estimation.covariance.linear_model import LinearModel
+from calibration.engine.dataset.modalities import NoiseKind
+from calibration.engine.estimation.covariance.fixed_inputs import ARM_ACCURACY, LAG_KIND, LINK_KIND
+from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
+from calibration.engine.estimation.problem.blocks import Pose
+from calibration.engine.estimation.problem.problem import Problem
 
 MIN_ALIKE = 2.0
 """Correlation of neighbouring clusters, in multiples of 1 over the root of their number, from which they are alike."""
@@ -60,16 +69,15 @@ class ErrorBars:
     """s: by sensor, total standard deviation of a calibrated lag."""
 
 
-def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collection[int]) -> ErrorBars:
+def error_bars(model: LinearModel, problem: Problem) -> ErrorBars:
     """Compute the covariances at the optimum.
 
     Args:
         model: of the calibration.
-        blocks: the parameters of each shared block.
-        poses: the blocks that are transforms; others have no displacement.
+        problem: its problem.
     """
-    S, T = model.shared, model.total
-    freed = [(cause, at) for cause, at in zip(model.causes, model.places, strict=True) if cause.free]
+    S, T, blocks = model.shared, model.total, problem.shared_parameters
+    freed = [(cause, at) for cause, at in model.placed() if cause.free]
     free = np.concatenate([np.arange(S), *(np.arange(at.start, at.stop) for _, at in freed)])
     C = np.linalg.inv(T[np.ix_(free, free)])
     C = 0.5 * (C + C.T)
@@ -80,7 +88,8 @@ def error_bars(model: LinearModel, blocks: Mapping[int, slice], poses: Collectio
     scatter, batches = scatter_of_clusters(shares, model.g[:, free] @ root)
     clustered = root @ scatter @ root.T
     moves = -C @ T[free]  # by a unit of each column
-    squares = np.stack([(moves[blocks[block]][:3] ** 2).sum(0) for block in poses] or [np.zeros(len(T))])
+    poses = [at for block, at in blocks.items() if isinstance(problem.blocks[block].parameters, Pose)]
+    squares = np.stack([(moves[at][:3] ** 2).sum(0) for at in poses] or [np.zeros(len(T))])
     worth, held, considered = {}, {}, np.zeros((len(free), len(free)))
     for cause, at, typical in zip(model.causes, model.places, model.typical, strict=True):
         if cause.counts and not cause.free:
@@ -149,8 +158,7 @@ def _changes_by_cluster(shares: Array, pulls: Array) -> Array:
     """Return the change (K, F) of the optimum by each cluster, without the bias by its own share in it."""
     w, U = np.linalg.eigh(np.eye(shares.shape[-1]) - shares)
     along = (pulls[:, None] @ U)[:, 0] / np.sqrt(np.maximum(w, MAX_INFORMATION_WITHOUT_DECISIVE))
-    changes: Array = (U @ along[..., None])[..., 0]
-    return changes
+    return np.asarray((U @ along[..., None])[..., 0])
 
 
 def _neighbour_correlation(changes: Array) -> float:
@@ -158,3 +166,58 @@ def _neighbour_correlation(changes: Array) -> float:
     K, total = len(changes), float((changes**2).sum())
     # what has sum 0 is correlated by -1 / K if independent
     return np.sqrt(K) * (float((changes[1:] * changes[:-1]).sum()) / total + 1 / K) if total > 0 else 0.0
+
+
+if TYPE_CHECKING:
+    from calibration.engine.estimation.covariance.result import Solution
+
+MAX_NOISE: Mapping[NoiseKind, float] = {
+    "pixel": 0.35,
+    "range": 0.03,
+    "border": 0.02,
+    "depth_border": 0.02,
+    "lidar2d_range": 0.03,
+    "lidar2d_border": 0.02,
+    "pose_translation": 0.005,
+    "pose_rotation": 0.01,
+}
+"""Largest noise of good labels (px, m or rad): what a detector in sharp images, a LiDAR, a tracker keeps."""
+
+
+def nominal_covariances(solution: "Solution") -> Mapping[int, Array]:
+    """Return the covariance (k, k) of each shared block of a good robot with these views.
+
+    Args:
+        solution: the optimum.
+    """
+    model = _nominal_model(solution)
+    S, at = model.shared, solution.setup.problem.shared_parameters
+    expected = error_bars(model, solution.setup.problem).expected
+    scatter = -np.linalg.inv(model.total[:S, :S]) @ arm_scatter(model)[:, :S]  # (K, S, H)
+    return {
+        block: C + np.einsum("kih,kjh->ij", scatter[:, at[block]], scatter[:, at[block]])
+        for block, C in expected.items()
+    }
+
+
+def arm_scatter(model: LinearModel) -> Array:
+    """Return the gradients (K, C, H) of each cluster by one standard deviation of the arm's H errors in it alone."""
+    columns = [model.G[:, :, at] * cause.assumed for cause, at in model.placed(LINK_KIND)]
+    if not columns:
+        return np.zeros((*model.g.shape, 0))
+    return np.asarray(np.concatenate(columns, -1) * (ARM_ACCURACY / np.sqrt(len(columns))))
+
+
+def _nominal_weighting(weighting: Weighting) -> Weighting:
+    """Return the weighting with the noise of good labels; itself where that is what they have."""
+    scales = {kind: min(scale, MAX_NOISE[kind]) for kind, scale in weighting.scales.items()}
+    return weighting if scales == weighting.scales else Weighting(scales, None)
+
+
+def _nominal_model(solution: "Solution") -> LinearModel:
+    weighting = _nominal_weighting(solution.weighting)
+    if weighting is solution.weighting:
+        return solution.model
+    return linear_model(
+        solution.setup.problem, solution.values, weighting, solution.dataset, solution.assume, solution.clusters
+    )

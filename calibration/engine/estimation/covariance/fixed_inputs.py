@@ -1,7 +1,7 @@
 """Fixed parameters that may be wrong: intrinsics, the pattern's shape, a LiDAR's errors, an arm's links.
 
 Each is a *cause*: a few parameters with a common error, the derivatives of the labels with respect to them
-(columns), and their assumed standard deviations (`calibration.engine.estimation.problem.assumptions`).
+(columns), and their assumed standard deviations (`calibration.engine.estimation.options`).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,12 +15,11 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Dataset, Edge, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.covariance.lens_errors import LensErrors, LensSource
-from calibration.engine.estimation.problem.assumptions import Assumptions
-from calibration.engine.estimation.residuals.border_rays import RING_GAP
+from calibration.engine.estimation.least_squares.label_columns import ColumnNames, ring_column
+from calibration.engine.estimation.options import Assumptions
 from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL
-from calibration.engine.estimation.residuals.ray_residuals import RangeTerm, elevations
+from calibration.engine.estimation.residuals.ray_residuals import RING_GAP, RangeTerm, elevations
 from calibration.engine.estimation.residuals.views import ViewGroup
-from calibration.engine.estimation.solve.label_columns import ColumnNames, ring_column
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import Step
@@ -398,16 +397,15 @@ def lag(dataset: Dataset, sensor: Sensor, free: bool) -> Cause:
 
     Where the dataset has no velocities, the motion from one collection to the next says the direction.
     """
+    timed = bool(dataset.velocities)
 
-    def of_frames(group: SeenGroup) -> Array | None:
-        return frame_velocities(dataset, group)[..., None] if group.sensor.name == sensor.name else None
+    def twists(group: SeenGroup) -> Array | None:
+        if group.sensor.name != sensor.name:
+            return None
+        return (frame_velocities(dataset, group) if timed else velocities(group))[..., None]
 
-    def of_collections(group: SeenGroup) -> Array | None:
-        return velocities(group)[..., None] if group.sensor.name == sensor.name else None
-
-    unit: Unit = "s" if dataset.velocities else "collections"
-    effect = of_frames if dataset.velocities else of_collections
-    return Cause(LAG_KIND, sensor.name, unit, (0.0,), effect, counts=False, tested=not free, free=free)
+    unit: Unit = "s" if timed else "collections"
+    return Cause(LAG_KIND, sensor.name, unit, (0.0,), twists, counts=False, tested=not free, free=free)
 
 
 def frame_velocities(dataset: Dataset, seen: SeenGroup) -> Array:
@@ -418,7 +416,7 @@ def frame_velocities(dataset: Dataset, seen: SeenGroup) -> Array:
         twists = seen.twist(edge, velocity[at][..., None])
         if twists is not None:
             total += twists[..., 0]
-    own = velocities.get((seen.pattern.parent_link, seen.pattern.link))
+    own = velocities.get(seen.pattern.edge)
     if own is not None:
         total += own[at] @ adjoint(translation(-seen.pattern.centre)).T
     return total

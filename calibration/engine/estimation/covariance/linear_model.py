@@ -19,7 +19,7 @@ import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.estimation.covariance.cluster_sums import ClusterSums, GroupColumns
+from calibration.engine.estimation.covariance.clusters import ClusterSums, GroupColumns
 from calibration.engine.estimation.covariance.fixed_inputs import (
     ARM_ACCURACY,
     CAMERA_INFO,
@@ -34,11 +34,10 @@ from calibration.engine.estimation.covariance.fixed_inputs import (
     seen_groups,
 )
 from calibration.engine.estimation.covariance.lens_errors import lens_errors
-from calibration.engine.estimation.problem.assumptions import Assumptions
-from calibration.engine.estimation.problem.batches import batches, table_of
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
+from calibration.engine.estimation.options import Assumptions
 from calibration.engine.estimation.problem.blocks import Values
-from calibration.engine.estimation.problem.problem import Problem
-from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.problem.problem import Problem, batches, table_of
 
 MAX_CLUSTERS = 100
 """Limit of the number of clusters; more give no better estimate of the collections' disagreement."""
@@ -67,6 +66,10 @@ class LinearModel:
     """(C,): information on each column if all others were known, the reference for rounding errors in what is left of
     it beside the others."""
 
+    def placed(self, kind: str | None = None) -> list[tuple[Cause, slice]]:
+        """Return the causes, of one kind or of all, with their columns."""
+        return [each for each in zip(self.causes, self.places, strict=True) if kind in (None, each[0].kind)]
+
     @cached_property
     def total(self) -> Array:
         """(C, C): sum over the clusters, and the prior."""
@@ -74,12 +77,11 @@ class LinearModel:
         total += self.prior
         return total
 
-    @cached_property
-    def gradient(self) -> Array:
-        """(C,): gradient of the causes; that of the shared parameters is zero at the optimum, up to rounding."""
-        gradient: Array = self.g.sum(0)
-        gradient[: self.shared] = 0.0
-        return gradient
+    def beside_shared(self, own: list[int]) -> tuple[Array, Array]:
+        """Return information (k, k) and gradient (k,) of some columns, with the shared parameters at their optimum."""
+        S, total, g = self.shared, self.total, self.g.sum(0)
+        moves = np.linalg.solve(total[:S, :S], np.concatenate([total[:S, own], g[:S, None]], -1))
+        return total[np.ix_(own, own)] - total[own, :S] @ moves[:, :-1], g[own] - total[own, :S] @ moves[:, -1]
 
 
 def linear_model(

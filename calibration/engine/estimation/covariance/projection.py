@@ -15,7 +15,7 @@ import numpy as np
 from calibration.base.arrays import Array, BoolArray
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.problem.intrinsics import FreeIntrinsics
+from calibration.engine.estimation.problem.blocks import FreeIntrinsics
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
 
@@ -61,8 +61,7 @@ class Projection:
         rays = self.camera.distortion.chart.rays(x, y)
         rays = rays / np.linalg.norm(rays, axis=0)
         own = np.moveaxis(self.camera.derivatives(x, y)[self.free.at], (0, 1), (-1, -2))
-        changes: Array = own + _of_twist(self.camera, rays, distance) @ self.gain
-        return changes
+        return own + _of_twist(self.camera, rays, distance) @ self.gain
 
     def sigmas(self, covariance: Array, distance: float = np.inf) -> Array:
         """Return the standard deviation (R, C) of the projection in its worst direction, px.
@@ -74,8 +73,7 @@ class Projection:
         J = self.changes(distance)
         C = J @ covariance @ np.swapaxes(J, -1, -2)
         a, b, c = C[..., 0, 0], C[..., 0, 1], C[..., 1, 1]
-        sigmas: Array = np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
-        return sigmas
+        return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
 
     def shift(self, changes: Array) -> float:
         """Return by how much changes (k,) of the free intrinsics shift points at the patterns' distance, as `most`."""

@@ -1,6 +1,6 @@
-"""Result of a calibration: transforms, covariances, residuals."""
+"""Result of a calibration: transforms, covariances, residuals, also of each label."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -8,22 +8,21 @@ from typing import Literal
 import numpy as np
 
 from calibration.base import records
-from calibration.base.arrays import Array, IntArray
+from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.base.records import record
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.dataset.model import Dataset, Edge
-from calibration.engine.estimation.covariance.error_bars import ErrorBars
+from calibration.engine.estimation.covariance.clusters import repeated_collections
+from calibration.engine.estimation.covariance.error_bars import ErrorBars, nominal_covariances
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
-from calibration.engine.estimation.covariance.nominal_covariance import nominal_covariances
-from calibration.engine.estimation.doubts.suspects import Explanation, explain
-from calibration.engine.estimation.problem.assumptions import Assumptions
-from calibration.engine.estimation.problem.blocks import Values
-from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
-from calibration.engine.estimation.problem.repeated_collections import repeated_collections
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels
-from calibration.engine.estimation.solve.normal_equations import Weighting
+from calibration.engine.estimation.covariance.suspects import Explanation, explain
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
+from calibration.engine.estimation.options import Assumptions
+from calibration.engine.estimation.problem.blocks import CalibratedIntrinsics, Values
+from calibration.engine.estimation.residuals.views import chunks
 from calibration.engine.estimation.start.build import Setup
-from calibration.engine.geometry.joints import JointParameter
+from calibration.engine.geometry.frames import JointParameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,3 +232,44 @@ class Calibration:
         if edge not in covariances and edge in self.transforms:
             return 0.0
         return float(np.sqrt(np.trace(covariances[edge][part, part])))
+
+
+@dataclass(frozen=True, eq=False)
+class LabelErrors:
+    """Residuals of one kind, of one sensor and one pattern."""
+
+    sensor: str
+    pattern: str
+    kind: NoiseKind
+    errors: Array
+    """(V, d, L): px, m or rad, scaled down by the robust loss's weight; 0 without a label."""
+    seen: BoolArray
+    """(V, L)."""
+    points: Array
+    """(V, 3, L): expected positions of the labels, in the sensor's frame, m."""
+
+
+def label_errors(solution: Solution) -> Iterator[LabelErrors]:
+    """Yield the errors of all labels.
+
+    Args:
+        solution: at the optimum.
+    """
+    problem, weighting = solution.setup.problem, solution.weighting
+    for group in problem.groups:
+        T = problem.poses(group, solution.values)
+        for term in problem.terms(group, solution.values):
+            scale = weighting.scales[term.kind]
+            errors, points = [], []
+            for part in chunks(len(T), term.length):
+                rows, places = term.rows(T[part], part, scale, weighting.huber)
+                errors.append(scale * rows[-1])
+                points.append(T[part, :3, :3] @ places + T[part, :3, 3:])
+            yield LabelErrors(
+                group.sensor,
+                group.pattern,
+                term.kind,
+                np.concatenate(errors),
+                np.isfinite(term.magnitudes(T)),
+                np.concatenate(points),
+            )

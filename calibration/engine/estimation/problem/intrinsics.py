@@ -1,187 +1,186 @@
-"""Free intrinsics of a camera: any subset, with or without a prior."""
+"""Intrinsics with a covariance: those of cameras in a problem, and the file ``intrinsics.json`` of a result.
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Literal
+``{"cameras": {"left": {"model": "plumb_bob", "parameters": ["fx", ...], "values": [...], "covariance": [[...]],
+"camera_info": {...}}}}``, pixels for fx, fy, cx and cy. An import takes all of it from there, a calibration the
+covariance.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from calibration.base.arrays import Array, BoolArray
-from calibration.engine.estimation.problem.motion import Motion
+from calibration.base.arrays import Array
+from calibration.base.errors import InputError
+from calibration.base.files import write_atomically
+from calibration.engine.dataset.document import Node, read_json
+from calibration.engine.dataset.lens_uncertainty import read_covariance, read_parameters
+from calibration.engine.dataset.model import CornerLabels, Dataset
+from calibration.engine.dataset.sensors import MAX_INTRINSIC, camera_document
+from calibration.engine.estimation.problem.blocks import (
+    ALL_CAMERAS,
+    PARAMETERS_IN_PIXELS,
+    Block,
+    CalibratedIntrinsics,
+    FreeIntrinsics,
+    Prior,
+    Values,
+)
 from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.lenses import MODELS
 
-ALL_CAMERAS = "all"
-"""Name for all cameras."""
-PARAMETERS_IN_PIXELS = ("fx", "fy", "cx", "cy")
-"""Parameters in pixels."""
-
-
-@dataclass(frozen=True, eq=False)
-class CalibratedIntrinsics:
-    """Estimates of intrinsics with their covariance: calibrated, or given."""
-
-    model: str
-    """ROS's name of the distortion model."""
-    parameters: tuple[str, ...]
-    """Some of fx, fy, cx, cy and the distortion coefficients, in this order."""
-    values: Array
-    """(k,): px, and 1."""
-    covariance: Array
-    """(k, k); NaN if the calibration has not converged."""
-
-    @property
-    def units(self) -> tuple[Literal["px", "1"], ...]:
-        """Unit of each parameter."""
-        return tuple("px" if parameter in PARAMETERS_IN_PIXELS else "1" for parameter in self.parameters)
-
-    @property
-    def sigmas(self) -> Array:
-        """(k,): standard deviation of each parameter."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+FILE_NAME = "intrinsics.json"
+MAX_CAMERAS = 1000
+MAX_BYTES = 1 << 24
+"""Limit of the file's size in bytes."""
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """Gaussian prior of some parameters."""
+def write_intrinsics(path: Path, intrinsics: Mapping[str, CalibratedIntrinsics], cameras: Mapping[str, Camera]) -> None:
+    """Write the intrinsics of cameras, by sensor.
 
-    at: tuple[int, ...]
-    """(u,): indices of these parameters among all of the camera, ascending."""
-    mean: Array
-    """(u,)."""
-    covariance: Array
-    """(u, u)."""
+    Args:
+        path: of the file.
+        intrinsics: what was calibrated.
+        cameras: the same cameras, with what was not.
 
-    @cached_property
-    def information(self) -> Array:
-        """(u, u): inverse of the covariance, scaled first, as pixels and coefficients differ in magnitude."""
-        s = np.sqrt(np.diagonal(self.covariance))
-        inverse: Array = np.linalg.inv(self.covariance / s[:, None] / s) / s[:, None] / s
-        return 0.5 * (inverse + inverse.T)
-
-
-@dataclass(frozen=True, eq=False)
-class FreeIntrinsics:
-    """Camera with some free intrinsics."""
-
-    sensor: str
-    """Name of the camera."""
-    camera: Camera
-    """With its nominal intrinsics."""
-    free: tuple[str, ...]
-    """Free parameters, in the order of `Camera.parameters`."""
-    rays: Array
-    """(2, n): its labels as coordinates in the lens's chart."""
-    prior: Prior | None = None
-
-    @property
-    def dimension(self) -> int:
-        """Number of free parameters."""
-        return len(self.free)
-
-    @cached_property
-    def at(self) -> list[int]:
-        """Indices of the free parameters among all."""
-        return [self.camera.parameters.index(parameter) for parameter in self.free]
-
-    def motions(self, size: float) -> list[Motion]:
-        """Return the effect of each free parameter on the labels' rays; ``size`` of the pattern is not used."""
-        units, extents = self.unit, self.unit * self.reach
-        parts = zip(self.free, units.tolist(), extents.tolist(), strict=True)
-        return [Motion("ray", 1, *part) for part in parts]
-
-    def with_free(self, parameters: Sequence[str]) -> "FreeIntrinsics":
-        """Return the camera with these parameters free, in any order."""
-        return replace(self, free=tuple(each for each in self.camera.parameters if each in parameters))
-
-    def without(self, parameter: str) -> "FreeIntrinsics":
-        """Return the camera with one parameter fewer free."""
-        return self.with_free([each for each in self.free if each != parameter])
-
-    def moved(self, value: Array, step: Array) -> Array:
-        """Return all parameters (4 + n,) after a step (k,) of the free ones."""
-        out = value.copy()
-        out[self.at] += step
-        return out
-
-    def possible(self, value: Array) -> bool:
-        """Whether the values are valid: positive focal lengths, no folding of the image at the labels."""
-        if not (np.isfinite(value).all() and value[0] > 0 and value[1] > 0):
-            return False
-        return bool(self._does_not_fold(self.camera.with_intrinsics(value))[self._sound_probes].all())
-
-    @cached_property
-    def _probe_points(self) -> Array:
-        """Points (2, p) all over the circle that contains the labels, in the lens's chart."""
-        around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-        r = np.hypot(*self.rays).max(initial=0.0) * np.linspace(0, 1, 9)[1:, None]
-        return np.stack([(r * np.cos(around)).ravel(), (r * np.sin(around)).ravel()])
-
-    @cached_property
-    def _sound_probes(self) -> BoolArray:
-        """Mask (p,) of the probes at which the nominal camera does not fold."""
-        return self._does_not_fold(self.camera)
-
-    def _does_not_fold(self, camera: Camera) -> BoolArray:
-        with np.errstate(all="ignore"):
-            _, ((a, b), (c, d)) = camera.distortion.distort_with_jacobian(self._probe_points)
-            unfolded: BoolArray = (a > 0) & (a * d - b * c > 0)
-        return unfolded
-
-    def pull(self, value: Array) -> tuple[float, Array, Array]:
-        """Return the prior's cost at all parameters (4 + n,), its gradient (k,) and Hessian (k, k) by the free ones."""
-        off = np.zeros(len(value))
-        if self.prior is not None:
-            off[list(self.prior.at)] = value[list(self.prior.at)] - self.prior.mean
-        gradient = self.information @ off
-        return float(off @ gradient), gradient[self.at], self.information[np.ix_(self.at, self.at)]
-
-    @cached_property
-    def information(self) -> Array:
-        """(4 + n, 4 + n): the prior's, of all parameters."""
-        n = len(self.camera.parameters)
-        information = np.zeros((n, n))
-        if self.prior is not None:
-            information[np.ix_(self.prior.at, self.prior.at)] = self.prior.information
-        return information
-
-    @cached_property
-    def reach(self) -> Array:
-        """Rotation (k,) of a ray per unit of each free parameter, rad; root mean square over the labels."""
-        return root_mean_square(self._ray_rotations(*self.rays))
-
-    @cached_property
-    def unit(self) -> Array:
-        """Unit (k,) of each free parameter, to compare directions.
-
-        The change that rotates the labels' rays by 1 rad; or ten standard deviations of the prior if that is less, so
-        that parameters with a prior neither count as undetermined nor dominate all others.
-        """
-        everything = np.full(len(self.camera.parameters), np.inf)
-        if self.prior is not None:
-            everything[list(self.prior.at)] = 10 * np.sqrt(np.diagonal(self.prior.covariance))
-        unit: Array = np.minimum(everything[self.at], 1 / np.maximum(self.reach, 1e-30))
-        return unit
-
-    @cached_property
-    def bends(self) -> Array:
-        """Rotation (k, 2, n) of the rays all over the image per unit of each free parameter, rad."""
-        camera = self.camera
-        u, v = np.meshgrid(np.linspace(0, camera.width - 1, 16), np.linspace(0, camera.height - 1, 12))
-        x, y = camera.from_pixels(u.ravel(), v.ravel())
-        return self._ray_rotations(x[np.isfinite(x)], y[np.isfinite(x)])
-
-    def _ray_rotations(self, x: Array, y: Array) -> Array:
-        """Rotation (k, 2, n) of rays, as coordinates (n,) in the chart, per unit of each free parameter.
-
-        In pixels over the focal length, which is close to the angle, and for a fisheye lens equal to it.
-        """
-        focal = np.array([[self.camera.fx], [self.camera.fy]])
-        turns: Array = self.camera.derivatives(x, y)[self.at] / focal
-        return turns
+    Raises:
+        InfrastructureError: the file cannot be written.
+    """
+    documents = {
+        name: {
+            "model": each.model,
+            "parameters": list(each.parameters),
+            "values": each.values.tolist(),
+            "covariance": each.covariance.tolist(),
+            "camera_info": camera_document(cameras[name]),
+        }
+        for name, each in intrinsics.items()
+    }
+    write_atomically(path, json.dumps({"cameras": documents}, indent=1, allow_nan=False) + "\n")
 
 
-def root_mean_square(turns: Array) -> Array:
-    """Root mean square (...) of vectors (..., 2, n)."""
-    mean: Array = np.sqrt((turns * turns).sum(-2).mean(-1))
-    return mean
+def read_intrinsics(path: Path) -> dict[str, CalibratedIntrinsics]:
+    """Read the file of `write_intrinsics`, or an equivalent one.
+
+    Raises:
+        InputError: the file cannot be read, or something in it is missing or wrong; names file and key.
+    """
+    cameras = read_json(path, MAX_BYTES)["cameras"]
+    if not 0 < len(cameras.mapping()) <= MAX_CAMERAS:
+        raise cameras.unexpected(f"1 to {MAX_CAMERAS} cameras")
+    return {name: read_calibrated(node) for name, node in cameras.items()}
+
+
+def read_calibrated(node: Node) -> CalibratedIntrinsics:
+    """Parse the entry of one camera.
+
+    Raises:
+        InputError: something in it is missing or wrong.
+    """
+    model = node["model"]
+    if model.text() not in MODELS:
+        raise model.unexpected(f"a known distortion model: {', '.join(MODELS)}")
+    known = (*PARAMETERS_IN_PIXELS, *MODELS[model.value].names())
+    parameters = read_parameters(node["parameters"], known)
+    node["values"].numbers(len(parameters))
+    values = np.array([element.within(-MAX_INTRINSIC, MAX_INTRINSIC) for element in node["values"].elements()])
+    return CalibratedIntrinsics(model.value, parameters, values, read_covariance(node["covariance"], len(parameters)))
+
+
+MIN_SIGMAS_OF_CONTRADICTION = 6
+"""A prior is contradicted if its distance from the result exceeds the expected one by this, in standard deviations."""
+
+
+def intrinsics_blocks(
+    dataset: Dataset, wanted: Sequence[str], known: Mapping[str, CalibratedIntrinsics]
+) -> tuple[Block, ...]:
+    """Return a block for each camera with intrinsics to calibrate, or with a given covariance.
+
+    With a covariance alone the intrinsics are fixed, and their covariance is considered
+    (`calibration.engine.estimation.covariance.lens_errors`). With both, the covariance is a prior.
+
+    Args:
+        dataset: the dataset.
+        wanted: names of rgb sensors, or "all".
+        known: by sensor; it may have sensors that are not in the dataset.
+
+    Raises:
+        InputError: a sensor is unknown or not an rgb camera; none of the known cameras exists, or one has another
+            distortion model.
+    """
+    cameras = {name: each for name, each in dataset.sensors.items() if each.modality.has_corners and each.camera}
+    for name in wanted:
+        if name != ALL_CAMERAS and name not in cameras:
+            what = f"a {dataset.sensors[name].modality} sensor" if name in dataset.sensors else "no sensor"
+            raise InputError(
+                f"{dataset.path}: intrinsics: '{name}' is {what}, expected {ALL_CAMERAS} or cameras "
+                f"({', '.join(cameras) or 'there are none'})"
+            )
+    if known and not known.keys() & cameras.keys():
+        raise InputError(
+            f"{dataset.path}: intrinsics-covariance: it is of {', '.join(known)}, expected one of the cameras "
+            f"({', '.join(cameras) or 'there are none'})"
+        )
+    blocks = []
+    for name, sensor in cameras.items():
+        chosen = name in wanted or ALL_CAMERAS in wanted
+        if sensor.camera and (chosen or name in known):
+            prior = _prior_of_camera(dataset, name, sensor.camera, known[name], chosen) if name in known else None
+            free = sensor.camera.parameters if chosen else ()
+            intrinsics = FreeIntrinsics(
+                name, sensor.camera, free, _labels_in_chart(dataset, name, sensor.camera), prior
+            )
+            blocks.append(Block(f"intrinsics-{name}", held=not chosen, parameters=intrinsics))
+    return tuple(blocks)
+
+
+def contradicted_priors(blocks: Sequence[Block], values: Values) -> list[str]:
+    """Return a warning for each camera whose labels contradict the prior.
+
+    The squared Mahalanobis distance of the result from a prior of u parameters is at most that of chi-squared with
+    u degrees of freedom, whose mean is u and whose variance is 2 u.
+    """
+    warnings = []
+    for block, value in zip(blocks, values, strict=True):
+        if (intrinsics := block.intrinsics) and not block.held and (prior := intrinsics.prior):
+            squared, count = intrinsics.pull(value)[0], len(prior.at)
+            if squared > count + MIN_SIGMAS_OF_CONTRADICTION * np.sqrt(2 * count):
+                off = (value[list(prior.at)] - prior.mean) / np.sqrt(np.diagonal(prior.covariance))
+                k = int(np.abs(off).argmax())
+                warnings.append(
+                    f"'{block.name}': the labels contradict the given covariance: "
+                    f"{intrinsics.camera.parameters[prior.at[k]]} comes out {abs(off[k]):.0f} standard deviations from "
+                    f"the {prior.mean[k]:.6g} that was given"
+                )
+    return warnings
+
+
+def _prior_of_camera(
+    dataset: Dataset, name: str, camera: Camera, known: CalibratedIntrinsics, calibrated: bool
+) -> Prior:
+    where = f"{dataset.path}: covariance of the intrinsics of '{name}'"
+    if known.model != camera.distortion.ros_name:
+        raise InputError(f"{where}: it is of a lens {known.model}, the dataset has {camera.distortion.ros_name}")
+    for parameter in known.parameters:
+        if parameter not in camera.parameters:
+            raise InputError(f"{where}: found '{parameter}', expected some of {', '.join(camera.parameters)}")
+    at = [camera.parameters.index(parameter) for parameter in known.parameters]
+    order = np.argsort(at)
+    off = np.abs(camera.intrinsics[at] - known.values) / known.sigmas
+    if not calibrated and (off > 1).any():
+        worst = int(off.argmax())
+        raise InputError(
+            f"{where}: it is of {known.parameters[worst]} = {known.values[worst]:.6g}, more than a standard deviation "
+            f"from the {camera.intrinsics[at[worst]]:.6g} of the dataset; take the camera_info that it belongs to, "
+            f"or calibrate these intrinsics"
+        )
+    return Prior(tuple(sorted(at)), known.values[order], known.covariance[np.ix_(order, order)])
+
+
+def _labels_in_chart(dataset: Dataset, name: str, camera: Camera) -> Array:
+    """Return the labels of a camera in its lens's chart (2, n), without those that have none."""
+    labels = [c.labels[key] for c in dataset.collections for key in c.labels if key[1] == name]
+    pixels = [each.pixels for each in labels if isinstance(each, CornerLabels)]
+    rays = np.stack(camera.from_pixels(*np.concatenate(pixels).T))
+    return rays[:, np.isfinite(rays[0])]

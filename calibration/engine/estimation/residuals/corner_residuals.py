@@ -23,9 +23,8 @@ import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.modalities import NoiseKind
-from calibration.engine.estimation.residuals.one_thread import product
 from calibration.engine.estimation.residuals.planar_pose import planar_poses
-from calibration.engine.estimation.residuals.residuals import Linearised, chunks, robust, squeezed
+from calibration.engine.estimation.residuals.views import Linearised, chunks, product, robust, squeezed
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import LAST_STEP
@@ -305,9 +304,8 @@ def _hessian_and_gradient(R: Array, found: _Projected, monomials: Array) -> tupl
         found: the corners.
         monomials: (K, 6), or (v, K, 6), of the corners' places.
     """
-    affine = _moments_of_projected(found, monomials).take(
-        _PLACES_OF_AFFINE, 1
-    )  # (v, 9, 10): its Hessian, and its gradient beside it
+    # (v, 9, 10): its Hessian, and its gradient beside it
+    affine = _moments_of_projected(found, monomials).take(_PLACES_OF_AFFINE, 1)
     to_affine = (R.reshape(-1, 9) @ _TO_AFFINE).reshape(-1, 9, 6)
     turned = to_affine.transpose(0, 2, 1) @ affine
     return turned[:, :, :9] @ to_affine, turned[:, :, 9]

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.base.arrays import Array, ArrayLike, BoolArray
-from calibration.engine.estimation.residuals.median import median
+from calibration.base.arrays import Array, BoolArray
+from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.geometry import rotations
-from calibration.engine.geometry.transforms import apply, transform
+from calibration.engine.geometry.transforms import transform
 
 _VIEWS_PER_CHUNK = 128  # views at a time, so that the temporaries of a pass stay in the cache
 _MIN_EIGENVALUE_RATIO = 1e-7  # ratio of the eigenvalues of a 2x2 moment matrix below which it counts as singular
@@ -164,45 +164,41 @@ def _inverse_sqrt(S: Array) -> Array:
     out = np.empty_like(S)
     out[..., 0, 0], out[..., 1, 1] = c + s, a + s
     out[..., 0, 1] = out[..., 1, 0] = -b
-    root: Array = out / (s * t)[..., None, None]
-    return root
+    return np.asarray(out / (s * t)[..., None, None])
 
 
 def _solve_2x2(S: Array, r: Array) -> Array:
     """Solve symmetric 2x2 systems (..., 2, 2), (..., 2)."""
     a, b, c = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
     adjugate = np.stack([c * r[..., 0] - b * r[..., 1], a * r[..., 1] - b * r[..., 0]], -1)
-    solution: Array = adjugate / (a * c - b * b)[..., None]
-    return solution
+    return adjugate / (a * c - b * b)[..., None]
 
 
 def _is_regular(S: Array) -> BoolArray:
     """Return a mask of the symmetric 2x2 matrices that are finite and not nearly singular."""
     a, b, c = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
-    regular: BoolArray = a * c - b * b > _MIN_EIGENVALUE_RATIO * (a + c) ** 2
-    return regular
+    return a * c - b * b > _MIN_EIGENVALUE_RATIO * (a + c) ** 2
 
 
-def mirrored_poses(T: Array, centre: Array) -> Array:
+def mirrored_poses(T: Array) -> Array:
     """Return the mirrored pose in which each planar pattern looks nearly the same.
 
     Far away, a plane and its reflection in the image plane through its centre have one image: the
-    normal turns half a revolution about the line of sight to the centre. Least squares from there
-    reaches the second local minimum (G. Schweighofer and A. Pinz, "Robust pose estimation from a
+    normal turns half a revolution about the line of sight to the centre, the origin of the frame. Least squares
+    from there reaches the second local minimum (G. Schweighofer and A. Pinz, "Robust pose estimation from a
     planar target", 2006; T. Collins and A. Bartoli, "Infinitesimal plane-based pose estimation", 2014).
 
     Args:
-        T: (V, 4, 4), ``T_camera_pattern``.
-        centre: (3,), the fixed point of the mirroring, in the pattern's frame.
+        T: (V, 4, 4), ``T_camera_centre``.
     """
-    p = apply(T, centre[None])[:, 0]
-    v = p / np.linalg.norm(p, axis=-1, keepdims=True)
+    t = T[:, :3, 3]
+    v = t / np.linalg.norm(t, axis=-1, keepdims=True)
     mirror = np.eye(3) - 2 * v[:, :, None] * v[:, None]
     R = mirror @ T[:, :3, :3] * np.array([1.0, 1.0, -1.0])  # the plane is mirrored, the frame stays right-handed
-    return transform(R, p - (R @ centre[:, None])[..., 0])
+    return transform(R, t)
 
 
-def mean_pose(T: Array, weights: ArrayLike | None = None) -> Array:
+def mean_pose(T: Array) -> Array:
     """Return a robust mean of poses (n, 4, 4).
 
     The rotation is the one nearest to the geometric median of the matrices, which minimises the sum of distances (not
@@ -214,25 +210,14 @@ def mean_pose(T: Array, weights: ArrayLike | None = None) -> Array:
     """
     if not len(T):
         raise ValueError("the mean of no poses")
-    w = np.ones(len(T)) if weights is None else np.asarray(weights, float)
     matrices = T[:, :3, :3].reshape(-1, 9)
-    middle = w @ matrices / w.sum()
+    middle = matrices.mean(0)
     for _ in range(20):
         difference = matrices - middle
         distance = np.sqrt(np.einsum("ni,ni->n", difference, difference))
-        nearness = w / np.maximum(distance, 0.05 * median(distance) + 1e-12)
+        nearness = 1.0 / np.maximum(distance, 0.05 * median(distance) + 1e-12)
         step = nearness @ difference / nearness.sum()
         middle = middle + step
         if np.abs(step).max() < 1e-6:
             break
-    return transform(rotations.nearest(middle.reshape(3, 3)), _weighted_median(T[:, :3, 3], w))
-
-
-def _weighted_median(values: Array, weights: Array) -> Array:
-    """Weighted median of each column of (n, d); the mean of two values if they tie."""
-    order = values.argsort(0, kind="stable")
-    ranked, share = np.take_along_axis(values, order, 0), weights[order].cumsum(0) / weights.sum()
-    low = (share > 0.5 - 1e-12).argmax(0)
-    high = (share > 0.5 + 1e-12).argmax(0)  # another one where `low` has exactly one half
-    median: Array = 0.5 * (np.take_along_axis(ranked, low[None], 0) + np.take_along_axis(ranked, high[None], 0))[0]
-    return median
+    return transform(rotations.nearest(middle.reshape(3, 3)), [median(each) for each in T[:, :3, 3].T])

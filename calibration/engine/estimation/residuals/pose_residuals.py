@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.engine.estimation.residuals.residuals import Linearised, robust, spread, squeezed
+from calibration.engine.estimation.residuals.views import Linearised, robust, spread, squeezed
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 
@@ -67,8 +67,7 @@ class PoseTerm:
 
     def magnitudes(self, T: Array) -> Array:
         """(V, 1): distance in m, or angle in rad, weighted."""
-        norms: Array = np.linalg.norm(self._weight_rows(self._residuals_at(T)[:, None]), axis=-1)
-        return norms
+        return np.asarray(np.linalg.norm(self._weight_rows(self._residuals_at(T)[:, None]), axis=-1))
 
     def along_and_across(self, T: Array) -> tuple[Array, Array]:
         """Return the squared residuals (V,) along the line of sight and across."""

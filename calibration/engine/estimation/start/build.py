@@ -10,18 +10,20 @@ from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, PoseLabels, Sensor
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.estimation.problem.blocks import Block, FreeJoint
-from calibration.engine.estimation.problem.fixing import held_blocks
-from calibration.engine.estimation.problem.gauge import free_gauge
-from calibration.engine.estimation.problem.intrinsics import CalibratedIntrinsics
+from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.problem.blocks import Block, CalibratedIntrinsics, FreeJoint
+from calibration.engine.estimation.problem.fixing import held_blocks, with_gauge_fixed
+from calibration.engine.estimation.problem.intrinsics import intrinsics_blocks
 from calibration.engine.estimation.problem.problem import Problem
-from calibration.engine.estimation.problem.unknown_intrinsics import intrinsics_blocks
 from calibration.engine.estimation.problem.usable_labels import usable_labels
-from calibration.engine.estimation.residuals.border_rays import depth_border_rays, scan_border_rays
 from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
-from calibration.engine.estimation.residuals.ray_residuals import BorderTerm, RangeTerm
+from calibration.engine.estimation.residuals.ray_residuals import (
+    BorderTerm,
+    RangeTerm,
+    depth_border_rays,
+    scan_border_rays,
+)
 from calibration.engine.estimation.residuals.views import Chain, Link, Term, ViewGroup
-from calibration.engine.estimation.solve.options import Options
 from calibration.engine.estimation.start.sights import Sight, sights_of
 from calibration.engine.estimation.start.single_views import corner_term
 from calibration.engine.geometry.transforms import inverse, translation
@@ -58,7 +60,7 @@ class Setup:
     def pattern_edge(self, pattern: str) -> Edge:
         """Return the edge of a pattern, from its parent to its link."""
         p = self.dataset.patterns[pattern]
-        return (p.parent_link, p.link)
+        return p.edge
 
 
 def build_with(dataset: Dataset, options: Options) -> Setup:
@@ -77,7 +79,7 @@ def build(
     Args:
         dataset: the labels and the transforms.
         hold: names of fixed parameters (see `calibration.engine.estimation.problem.fixing`).
-        intrinsics: the cameras with free intrinsics (see `calibration.engine.estimation.problem.unknown_intrinsics`).
+        intrinsics: the cameras with free intrinsics (see `calibration.engine.estimation.problem.intrinsics`).
         intrinsics_covariance: by camera, prior covariance of its intrinsics.
 
     Raises:
@@ -90,10 +92,7 @@ def build(
     known = [pattern.name for pattern in dataset.patterns.values() if pattern.known_pose]
     blocks = held_blocks(dataset, blocks, (*hold, *known))
     groups = tuple(_groups_of_views(dataset, blocks))
-    gauge = free_gauge(dataset, groups, blocks)
-    fixing = [dataset.sensors[gauge.sensor].edge] if gauge.sensor else []
-    fixing += [(p.parent_link, p.link) for p in (dataset.patterns[name] for name in gauge.patterns)]
-    blocks = tuple(replace(block, held=block.held or block.edge in fixing) for block in blocks)
+    gauge, blocks = with_gauge_fixed(dataset, groups, blocks)
     problem = Problem(blocks, groups, len(dataset.collections))
     if all(blocks[i].name in dataset.patterns for i in (*problem.shared, *problem.local)):
         raise UndeterminedError(
@@ -124,7 +123,7 @@ def _unknown_blocks(dataset: Dataset) -> list[Block]:
     for joint in dataset.joints.values():
         blocks[joint.edge] = Block(f"joint-{joint.name}", parameters=FreeJoint(joint.model, joint.parameters))
     for pattern in dataset.patterns.values():
-        blocks[pattern.parent_link, pattern.link] = Block(pattern.name, per_collection=not pattern.fixed)
+        blocks[pattern.edge] = Block(pattern.name, per_collection=not pattern.fixed)
     return [replace(block, edge=edge) for edge, block in blocks.items()]
 
 
@@ -164,7 +163,7 @@ def _chain_of_views(
         else:
             links[-1] = replace(links[-1], after=constant)
 
-    others = {(p.parent_link, p.link): p.name for p in dataset.patterns.values()}
+    others = {p.edge: p.name for p in dataset.patterns.values()}
     constant: Array | None = None
     for step in dataset.tree.path(sensor.frame, pattern.parent_link):
         edge = (step.parent, step.child)
@@ -184,7 +183,7 @@ def _chain_of_views(
             T = dataset.transform(*(edge if not step.inverted else edge[::-1]))[collections]
             constant = T if constant is None else constant @ T
     follow_with(_simplify_constant(constant))
-    own = (pattern.parent_link, pattern.link)
+    own = pattern.edge
     centre = translation(pattern.centre)
     motion = _in_the_lag(dataset, sensor, own, collections)
     motion = None if motion is None else inverse(centre) @ motion @ centre

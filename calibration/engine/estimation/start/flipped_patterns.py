@@ -3,14 +3,14 @@
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
+from calibration.engine.estimation.least_squares.minimisation import settle
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
-from calibration.engine.estimation.residuals.median import median
 from calibration.engine.estimation.residuals.planar_pose import mirrored_poses
+from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.estimation.residuals.views import ViewGroup
-from calibration.engine.estimation.solve.least_squares import settle
-from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.geometry.transforms import inverse
 
 MIN_SUSPICIOUS_COST_RATIO = 1.5
@@ -112,10 +112,9 @@ def _ambiguous_collections(problem: Problem, values: Values, weighting: Weightin
 def _nearly_same(problem: Problem, group: ViewGroup, values: Values, weighting: Weighting) -> BoolArray:
     """Return a mask (V,) of a group's views that would look nearly the same if the pattern were mirrored."""
     term = problem.terms(group, values)[0]
-    magnitudes = term.magnitudes(mirrored_poses(problem.poses(group, values), np.zeros(3)))
+    magnitudes = term.magnitudes(mirrored_poses(problem.poses(group, values)))
     squares = np.nan_to_num(magnitudes / weighting.scales[term.kind], copy=False) ** 2
-    same: BoolArray = squares.sum(-1) < MAX_AMBIGUOUS_RESIDUAL * term.counts * term.dimension
-    return same
+    return np.asarray(squares.sum(-1) < MAX_AMBIGUOUS_RESIDUAL * term.counts * term.dimension)
 
 
 def _only_moving_link(problem: Problem, group: ViewGroup) -> int | None:
@@ -129,7 +128,7 @@ def _mirror_pattern(problem: Problem, group: ViewGroup, values: Values) -> Value
     if (k := _only_moving_link(problem, group)) is None:
         return None
     links = group.chain.links
-    mirrored = mirrored_poses(problem.poses(group, values), np.zeros(3))
+    mirrored = mirrored_poses(problem.poses(group, values))
     parts = (group.chain.part(-1, k), group.chain.part(k, len(links)))
     before, after = (part.poses(problem.transforms(values), group.collections) for part in parts)
     moved = inverse(before) @ mirrored @ inverse(after)

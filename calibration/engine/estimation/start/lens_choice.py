@@ -14,19 +14,18 @@ from typing import cast
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.dataset.model import CornerLabels
+from calibration.base.errors import InputError
+from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.estimation.problem.blocks import Block, Values
-from calibration.engine.estimation.problem.intrinsics import FreeIntrinsics
+from calibration.engine.estimation.least_squares.minimisation import Termination
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
+from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD, optimise
+from calibration.engine.estimation.options import LensModel, Options
+from calibration.engine.estimation.problem.blocks import Block, FreeIntrinsics, Values
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
 from calibration.engine.estimation.residuals.planar_pose import determines_pose
-from calibration.engine.estimation.residuals.residuals import robust
-from calibration.engine.estimation.residuals.views import Chain, Link, ViewGroup
-from calibration.engine.estimation.solve.least_squares import Termination
-from calibration.engine.estimation.solve.noise_levels import NoiseLevels
-from calibration.engine.estimation.solve.optimisation import HUBER_THRESHOLD, optimise
-from calibration.engine.estimation.solve.options import LensModel
+from calibration.engine.estimation.residuals.views import Chain, Link, ViewGroup, robust
 from calibration.engine.estimation.start.flipped_patterns import unflipped
 from calibration.engine.estimation.start.single_views import corner_term, refined_poses
 from calibration.engine.geometry.cameras import Camera
@@ -57,6 +56,8 @@ GUESSED_ZERO = ("k3",)
 """Coefficients that plumb_bob has and Kalibr's radtan has not."""
 MAX_PINHOLE_ANGLE = np.radians(85.0)
 """Limit of the angle at which a pinhole is fitted to another lens."""
+MAX_RMS = 5.0
+"""px: a lens that fits its corners worse than this does not fit."""
 NUMBER_OF_RADII = 50
 """Number of radii at which a rational lens is fitted to another one."""
 
@@ -110,22 +111,24 @@ class LensChoice:
         )
 
 
-def choose_lens(
+def fitting_lens(
+    where: str,
     width: int,
     height: int,
     views: Sequence[tuple[Pattern, CornerLabels]],
     models: Sequence[type[Distortion]] = SIMPLEST_FIRST,
-) -> LensChoice | None:
+) -> LensChoice:
     """Fit lens models to the corners of one camera, and choose the simplest of those that fit best.
 
     Args:
+        where: what the message of an error begins with.
         width: of the images, px.
         height: the same.
         views: of which pattern, and the corners, of each view.
         models: the models to compare.
 
-    Returns:
-        The choice; None if no model has a minimum.
+    Raises:
+        InputError: no lens model fits the corners.
     """
     terms = _terms_of_views(Camera(1.0, 1.0, 0.0, 0.0, width, height), views)
     fits: list[LensFit] = []
@@ -137,9 +140,13 @@ def choose_lens(
             if model is Rational:
                 found += [_fit_lens(start, terms) for fit in fits if (start := _rational_like(fit.camera, terms))]
             fits += sorted(filter(None, found), key=lambda fit: fit.rms)[:1]
-        if not fits:
-            return None
-        choice = _choose_simplest(fits)
+        choice = _choose_simplest(fits) if fits else None
+        if choice is None or not choice.chosen.rms < MAX_RMS:
+            best = f" (the best, {choice.chosen.name}, leaves {choice.chosen.rms:.3g} px)" if choice else ""
+            raise InputError(
+                f"{where}: no lens model fits its corners{best}: are the patterns as described, with their columns, "
+                f"rows and the right corners, and all images of one focus and zoom?"
+            )
         model = type(choice.chosen.camera.distortion)
         guess = _from_best_start(model, width, height, terms, GUESSED_ZERO) if model is PlumbBob else None
     return replace(choice, guess=guess.camera if guess else choice.chosen.camera)
@@ -291,3 +298,55 @@ def _problem_of_camera(free: FreeIntrinsics, terms: Sequence[CornerTerm]) -> Pro
     ]
     blocks = (Block("view", per_collection=True), Block("intrinsics", parameters=free))
     return Problem(blocks, tuple(groups), sum(counts))
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenLenses:
+    """Dataset with lens models for its free intrinsics, and how those that nobody named were chosen."""
+
+    dataset: Dataset
+    choices: dict[str, LensChoice]
+    """By camera; empty where the model was given."""
+
+
+def with_chosen_lenses(dataset: Dataset, options: Options) -> ChosenLenses:
+    """Return the dataset with the lens models that the options name, or that fit cameras without given intrinsics.
+
+    A camera whose model is another one than the dataset's starts from a fit to its corners.
+
+    Raises:
+        InputError: there is no such camera, or no lens model fits its corners.
+    """
+    for name in options.lens:
+        if name not in dataset.sensors or dataset.sensors[name].camera is None:
+            raise InputError(
+                f"{dataset.path}: lens: found '{name}', expected a camera ({', '.join(_cameras_to_choose(dataset))})"
+            )
+    cameras, choices = {}, {}
+    for name in _cameras_to_choose(dataset):
+        camera, views = dataset.sensors[name].camera, _views_of_camera(dataset, name)
+        if camera is None or not views or not options.frees_intrinsics_of(name):
+            continue
+        named = options.lens.get(name)
+        if named == camera.distortion.ros_name or (named is None and name not in dataset.cameras_of_unknown_model):
+            continue
+        models = SIMPLEST_FIRST if named is None else (MODELS[named],)
+        choice = fitting_lens(f"{dataset.path}: '{name}'", camera.width, camera.height, views, models)
+        if named is None:
+            choices[name] = choice
+        if type(choice.chosen.camera.distortion) is not type(camera.distortion):
+            cameras[name] = choice.guess
+    return ChosenLenses(dataset.with_cameras(cameras) if cameras else dataset, choices)
+
+
+def _cameras_to_choose(dataset: Dataset) -> list[str]:
+    return [name for name, sensor in dataset.sensors.items() if sensor.modality.has_corners]
+
+
+def _views_of_camera(dataset: Dataset, camera: str) -> list[tuple[Pattern, CornerLabels]]:
+    return [
+        (dataset.patterns[pattern], labels)
+        for collection in dataset.collections
+        for (pattern, sensor), labels in collection.labels.items()
+        if sensor == camera and isinstance(labels, CornerLabels)
+    ]

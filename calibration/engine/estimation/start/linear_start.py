@@ -30,9 +30,8 @@ from calibration.engine.estimation.residuals.planar_pose import mean_pose
 from calibration.engine.estimation.residuals.ray_residuals import RangeTerm
 from calibration.engine.estimation.residuals.views import Link
 from calibration.engine.estimation.start.build import Setup
-from calibration.engine.estimation.start.plane_alignment import align_planes, fit_planes
+from calibration.engine.estimation.start.plane_alignment import align_planes, align_scans, fit_planes, scan_equations
 from calibration.engine.estimation.start.robot_world import RobotWorld, solve_robot_world_robustly
-from calibration.engine.estimation.start.scan_alignment import align_scans, scan_equations
 from calibration.engine.estimation.start.sights import Sight
 from calibration.engine.geometry.transforms import inverse
 
@@ -68,7 +67,7 @@ def linear_start(setup: Setup, guess: Values) -> LinearStart:
     search = _Search(setup, guess, unknown)
     while search.find() or search.take_guess():
         pass
-    patterns = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.dataset.patterns}
+    patterns = {setup.block(pattern.edge) for pattern in setup.dataset.patterns.values()}
     return LinearStart(search.found(), tuple(search.guessed), bool(search.left_to_guess - patterns))
 
 
@@ -108,7 +107,7 @@ def place_gauge_patterns(setup: Setup, values: Values) -> Values:
 
 def _free_patterns(setup: Setup) -> set[int]:
     """Return the blocks of the patterns that are not fixed by the user."""
-    patterns = {setup.block(setup.pattern_edge(pattern)) for pattern in setup.dataset.patterns}
+    patterns = {setup.block(pattern.edge) for pattern in setup.dataset.patterns.values()}
     return {i for i in patterns if not setup.problem.blocks[i].held}
 
 
@@ -190,8 +189,7 @@ class _Search:
 
     def _collections_missing(self, block: int) -> BoolArray:
         """Return a mask (N,) of the collections whose views depend on a block that is unknown there."""
-        missing: BoolArray = self.problem.collections_with(block) & ~self._known[block]
-        return missing
+        return np.asarray(self.problem.collections_with(block) & ~self._known[block])
 
     def _solve_moving(self) -> bool:
         """Solve for the moving patterns and transforms per collection that a camera sees through a known chain.

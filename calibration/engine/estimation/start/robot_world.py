@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.base.arrays import Array, ArrayLike
-from calibration.engine.estimation.residuals.median import median
+from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, transform
 
@@ -25,9 +25,6 @@ MAX_MISFIT_IF_FITTING = 0.03
 class Spectrum:
     """Observability of a robot-world problem, from the motion and the measurements."""
 
-    rotation: Array
-    """(9,): singular values of the mean Kronecker product, descending. With exact measurements the first is 1,
-    and as many are 1 as there are independent solutions X of the rotation; noise lowers the first."""
     dispersion: Array
     """(3,): by how much the rotations of B tilt a fixed direction (rad), for the least tilted direction first.
     All 0: no rotation. One 0: rotations about one axis only. None 0: the motion determines X and Y."""
@@ -72,13 +69,13 @@ def solve_robot_world(A: Array, B: Array, weights: ArrayLike | None = None) -> R
     RA, RB = A[:, :3, :3], B[:, :3, :3]
     # R_A = R_X R_B R_Y: maximise sum w <R_A R_Y^T, R_X R_B> = vec(R_X)^T K vec(R_Y^T)
     K = np.einsum("n,nij,nkl->ikjl", w, RA, RB).reshape(9, 9)
-    U, singular, Vt = np.linalg.svd(K)
+    U, _, Vt = np.linalg.svd(K)
     X, Yt = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
     sign = np.sign(np.linalg.det(X)) or 1.0  # both singular vectors may be negated together
     R_X, R_Yt = rotations.nearest(sign * X), rotations.nearest(sign * Yt)
     # t_A = R_X t_B + t_X + R_A R_Y^T t_Y
     t_X, t_Y = _solve_translations(A, B, w, R_X, RA @ R_Yt)
-    return RobotWorld(transform(R_X, t_X), transform(R_Yt.T, t_Y), _spectrum_of_rotations(singular, RB, w))
+    return RobotWorld(transform(R_X, t_X), transform(R_Yt.T, t_Y), _spectrum_of_rotations(RB, w))
 
 
 def solve_robot_world_robustly(A: Array, B: Array) -> RobotWorld:
@@ -118,9 +115,7 @@ def solve_li(A: Array, B: Array, weights: ArrayLike | None = None) -> RobotWorld
     solution = np.linalg.lstsq((root * system).reshape(-1, 24), (root * right).reshape(-1), rcond=None)[0]
     R_Z, R_X = (rotations.nearest(part.reshape(3, 3)) for part in (solution[:9], solution[9:18]))
     Z = transform(R_Z, solution[18:21])
-    K = np.einsum("n,nij,nkl->ikjl", w, RA, RB).reshape(9, 9)
-    spectrum = _spectrum_of_rotations(np.linalg.svd(K, compute_uv=False), RB, w)
-    return RobotWorld(transform(R_X, solution[21:]), inverse(Z), spectrum)
+    return RobotWorld(transform(R_X, solution[21:]), inverse(Z), _spectrum_of_rotations(RB, w))
 
 
 def _normalised_weights(A: Array, weights: ArrayLike | None) -> Array:
@@ -128,8 +123,7 @@ def _normalised_weights(A: Array, weights: ArrayLike | None) -> Array:
     if not len(A):
         raise ValueError("a robot-world problem without poses")
     w = np.ones(len(A)) if weights is None else np.asarray(weights, float)
-    normalised: Array = w / w.sum()
-    return normalised
+    return np.asarray(w / w.sum())
 
 
 def _solve_translations(A: Array, B: Array, w: Array, R_X: Array, R: Array) -> tuple[Array, Array]:
@@ -141,12 +135,12 @@ def _solve_translations(A: Array, B: Array, w: Array, R_X: Array, R: Array) -> t
     return solution[:3], solution[3:]
 
 
-def _spectrum_of_rotations(singular: Array, RB: Array, w: Array) -> Spectrum:
-    """Compute the spectrum from the singular values of the Kronecker product and the rotations of B.
+def _spectrum_of_rotations(RB: Array, w: Array) -> Spectrum:
+    """Compute the spectrum from the rotations of B.
 
     The motion spreads a direction a of B's child frame to R_B a, whose mean has the length
     cos(dispersion); so the singular values of the mean rotation determine all three.
     """
     _, lengths, Vt = np.linalg.svd(np.einsum("n,nij->ij", w, RB))
     sines = np.sqrt(np.clip((1 - lengths) * (1 + lengths), 0.0, None))
-    return Spectrum(rotation=singular, dispersion=np.arctan2(sines, lengths), axis=Vt[0])
+    return Spectrum(dispersion=np.arctan2(sines, lengths), axis=Vt[0])

@@ -11,14 +11,14 @@ import numpy as np
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import Pattern
+from calibration.engine.estimation.least_squares.minimisation import TERMINATION_OF_SETTLING, Termination, settle
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.problem.blocks import Block, Values
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
-from calibration.engine.estimation.residuals.median import median
 from calibration.engine.estimation.residuals.planar_pose import mirrored_poses
+from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.estimation.residuals.views import Chain, Link, ViewGroup
-from calibration.engine.estimation.solve.least_squares import TERMINATION_OF_SETTLING, Termination, settle
-from calibration.engine.estimation.solve.normal_equations import Weighting
 from calibration.engine.geometry.cameras import Camera
 
 TERMINATION_AT_PRECISION = Termination(decrease=1e-12, iterations=100)
@@ -88,7 +88,7 @@ def fitted_poses(term: CornerTerm) -> tuple[Array, Array]:
     Returns as `refined_poses`, for each view the better of two minima.
     """
     T, rms = refined_poses(term, term.linear_poses)
-    mirrored, mirrored_rms = refined_poses(term, mirrored_poses(T, np.zeros(3)))
+    mirrored, mirrored_rms = refined_poses(term, mirrored_poses(T))
     flipped = mirrored_rms < rms
     return np.where(flipped[:, None, None], mirrored, T), np.where(flipped, mirrored_rms, rms)
 

@@ -231,8 +231,7 @@ class AllAround(Chart):
         directions = points / distance
         u, v, _ = directions
         A, B = _angle_over_sine(directions)
-        slopes: Array = np.array([(A + B * u * u, B * u * v, -u), (B * u * v, A + B * v * v, -v)]) / distance
-        return slopes
+        return np.asarray(np.array([(A + B * u * u, B * u * v, -u), (B * u * v, A + B * v * v, -v)]) / distance)
 
 
 def _angle_over_sine(directions: Array) -> tuple[Array, Array]:

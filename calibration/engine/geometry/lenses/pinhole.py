@@ -128,8 +128,7 @@ class PlumbBob(_RadialTangential):
         return [(x1, y1), (x2, y2), (xy, r2 + 2 * yy), (r2 + 2 * xx, xy), (x2 * r2, y2 * r2)]
 
     def _radial(self, r2: Array) -> Array:
-        radial: Array = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        return radial
+        return 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
 
     def _radial_and_slope(self, r2: Array) -> tuple[Array, Array]:
         return self._radial(r2), 2 * self.k1 + r2 * (4 * self.k2 + 6 * self.k3 * r2)
@@ -175,12 +174,10 @@ class Rational(_RadialTangential):
         return x * shrink, y * shrink
 
     def _denominator(self, r2: Array) -> Array:
-        below: Array = 1 + r2 * (self.k4 + r2 * (self.k5 + r2 * self.k6))
-        return below
+        return 1 + r2 * (self.k4 + r2 * (self.k5 + r2 * self.k6))
 
     def _radial(self, r2: Array) -> Array:
-        radial: Array = (1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))) / self._denominator(r2)
-        return radial
+        return (1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))) / self._denominator(r2)
 
     def _radial_and_slope(self, r2: Array) -> tuple[Array, Array]:
         radial = self._radial(r2)

@@ -112,8 +112,7 @@ class _Sphere(_Wide):
         """See `Distortion`: D is positive and r grows, ``dr/dt = (cos t D + sin^2 t D') / D^2``."""
         with np.errstate(invalid="ignore"):
             D, slope = self._depth_and_slope(cosine)
-            seen: BoolArray = (D > 0) & (cosine * D + (1 - cosine * cosine) * slope > 0)
-        return seen
+            return (D > 0) & (cosine * D + (1 - cosine * cosine) * slope > 0)
 
     def derivatives(self, x: Array, y: Array) -> list[Distorted]:
         """See `Distortion`."""

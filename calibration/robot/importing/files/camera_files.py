@@ -15,7 +15,7 @@ from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.lens_uncertainty import LensUncertainty
 from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.sensors import MAX_INTRINSIC, MAX_PIXELS, read_camera
-from calibration.engine.estimation.problem.intrinsics_file import read_calibrated
+from calibration.engine.estimation.problem.intrinsics import read_calibrated
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS, SYNONYMS

@@ -23,7 +23,7 @@ from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.dataset.sensors import camera_document
 from calibration.engine.dataset.writing import write_document
 from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.robot.simulation.collection.record import (
     POSE_DECIMALS,
     Record,

@@ -19,7 +19,7 @@ from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.execution.workspace import Workspace
 from calibration.engine.dataset.model import CornerLabels, Edge
 from calibration.engine.geometry import rotations
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import apply, inverse
 from calibration.robot.labelling.points import PatternPoints
 from calibration.robot.simulation.collection.capture import Capture, Requirements, capture, reasons_to_lose

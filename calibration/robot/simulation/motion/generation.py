@@ -20,7 +20,7 @@ import numpy as np
 from calibration.base.arrays import Array, BoolArray
 from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.pattern import UNMARKED_KINDS, Pattern
-from calibration.engine.estimation.solve.design import choose
+from calibration.engine.estimation.least_squares.observability import choose
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, inverse, transform

@@ -3,6 +3,9 @@
 The engine's own terms are linearised at the truth, for the expected labels: every sensor's exact labels at every pose,
 without noise. So the prediction here equals the report of `calibration.engine.estimation.solve.observability` on the
 collected dataset.
+The engine's own terms are linearised at the truth, for the expected labels
+(`calibration.robot.simulation.motion.expected`): so the prediction here equals the report of
+`calibration.engine.estimation.least_squares.observability` on the collected dataset.
 """
 
 from collections.abc import Mapping
@@ -16,12 +19,11 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import SensorConfiguration
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.dataset.model import Collection, Dataset, Joint, Labels, Sensor
+from calibration.engine.estimation.least_squares.normal_equations import Weighting
+from calibration.engine.estimation.least_squares.observability import MIN_RELATIVE_INFORMATION, informations
 from calibration.engine.estimation.problem.blocks import Values
-from calibration.engine.estimation.solve.design import informations
-from calibration.engine.estimation.solve.normal_equations import Weighting
-from calibration.engine.estimation.solve.observability import MIN_RELATIVE_INFORMATION
 from calibration.engine.estimation.start.build import Setup, build
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import inverse, translation
 from calibration.robot.simulation.motion.sequence import Motion
 from calibration.robot.simulation.placement import Placement, place, views

@@ -54,7 +54,7 @@ from calibration.base.records import (
     unknown_key,
 )
 from calibration.base.text import shorten
-from calibration.engine.geometry.joints import JOINT_PARAMETERS
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.robot.simulation.scenarios.distributions import Distribution, Drawn, drawn
 from calibration.robot.simulation.scenarios.scenario import Scenario
 from calibration.robot.simulation.scenarios.world import build_world, clearance

@@ -9,7 +9,7 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.engine.geometry import rotations
-from calibration.engine.geometry.joints import JOINT_PARAMETERS, JointParameter
+from calibration.engine.geometry.frames import JOINT_PARAMETERS, JointParameter
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, transform
 from calibration.robot.simulation.motion.generation import filling_distances, generate_motion
 from calibration.robot.simulation.motion.sequence import Motion

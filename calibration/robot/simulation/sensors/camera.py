@@ -23,7 +23,7 @@ from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.modalities import RGB, Modality, NoiseKind
 from calibration.engine.dataset.model import CornerLabels, Labels
 from calibration.engine.dataset.pattern import UNMARKED_KINDS, Pattern, grid, staggered_grid, tag_lines
-from calibration.engine.estimation.solve.options import LensModel
+from calibration.engine.estimation.options import LensModel
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 from calibration.engine.geometry.lenses.charts import IN_FRONT

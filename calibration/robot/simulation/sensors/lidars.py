@@ -18,7 +18,7 @@ from calibration.engine.dataset.modalities import LIDAR2D, LIDAR3D, Modality, No
 from calibration.engine.dataset.model import PointLabels
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.dataset.pointcloud import encode_pcd, read_points
-from calibration.engine.estimation.residuals.median import median
+from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.geometry.transforms import apply, inverse
 from calibration.robot.labelling.detection import Image
 from calibration.robot.labelling.points import label_points

@@ -57,7 +57,7 @@ def test_the_dataset_has_the_kept_collections(collected: Writer, tmp_path: Path)
     truth = find_truth(dataset)
     assert truth is not None
     assert set(truth.patterns) == {"000", "002"}
-    assert 0.01 < truth.notes["corner_rms_px"] < 0.2
+    assert 0.01 < json.loads(truth.path.read_text())["corner_rms_px"] < 0.2
 
 
 def test_a_dataset_is_not_overwritten_unless_asked(collected: Writer, tmp_path: Path) -> None:

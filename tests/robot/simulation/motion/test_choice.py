@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.engine.estimation.solve.design import PRIOR_SIGMA, choose
+from calibration.engine.estimation.least_squares.observability import PRIOR_SIGMA, choose
 from tests.properties import at_most
 
 SEEDS = st.integers(0, 10_000)

@@ -9,8 +9,8 @@ from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.modalities import DEPTH
 from calibration.engine.dataset.model import CornerLabels, PointLabels
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.solve.design import informations
-from calibration.engine.estimation.solve.normal_equations import Weighting, assemble
+from calibration.engine.estimation.least_squares.normal_equations import Weighting, assemble
+from calibration.engine.estimation.least_squares.observability import informations
 from calibration.engine.estimation.start.build import build
 from calibration.engine.geometry.transforms import apply, distance, inverse
 from calibration.robot.labelling.depth import label_depth
