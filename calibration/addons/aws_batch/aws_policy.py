@@ -113,7 +113,7 @@ def _allow_statement(name: str, resource: str | list[str], *actions: str) -> dic
 
 
 def _arn(settings: BatchSettings, service: str, resource: str, region: str | None = None) -> str:
-    """Return an ARN in the account and the partition (``aws``, China, the government) of the role of the jobs."""
+    """Return an ARN in the account and partition of the job role; a partition is that of AWS, China or governments."""
     _, partition, _, _, account, _ = settings.job_role.split(":", 5)
     return f"arn:{partition}:{service}:{region or settings.region}:{account}:{resource}"
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.analysis.results import CodeFinding
+from calibration.addons.analysis.results import CodeFinding, Suppressed
 from calibration.addons.analysis.settings import Suppression, parse_limits, read_suppressions, sift
 from calibration.base.errors import InputError
 
@@ -18,7 +18,7 @@ def test_what_is_covered_is_taken_out_with_its_reason() -> None:
     suppression = Suppression("ruff/*", "constants", "scripts/*")
     found = sift([FINDING, OTHER], [suppression], TODAY)
     assert found.kept == (OTHER,)
-    assert found.suppressed == ((FINDING, suppression),)
+    assert found.suppressed == (Suppressed(FINDING, "constants"),)
     assert not found.remarks
 
 
