@@ -16,6 +16,7 @@ from collections.abc import Generator, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from calibration.addons.coverage.coverage_py import INJECTED_FOLDER, plain
@@ -189,9 +190,9 @@ class Investigation:
             names = ", ".join(self.tests[:3])
             raise InputError(f"pseudo-tested: no test passes in a copy of the checkout ({shorten(one_line(names))})")
 
-    @property
+    @cached_property
     def passing(self) -> set[str]:
-        """Tests that pass."""
+        """Tests that pass, once they are recorded."""
         return {test for test, outcome in self.recording.outcomes.items() if outcome == "passed"}
 
     def order(self) -> list[int]:
@@ -330,7 +331,10 @@ def find_pseudo_tested(
                 f"pseudo-tested: one run of the tests took longer than {seconds:g} s (pseudo-tested-budget)"
             )
         order = investigation.order()
-        runner.log(f"pseudo-tested: {len(order)} functions are replaced, one after the other, and their tests run")
+        runner.log(
+            f"pseudo-tested: {len(order)} functions are replaced, one after the other, and their tests run in copies "
+            "of the checkout (home folder, absolute paths, servers and network are not isolated)"
+        )
         if not run_on(workers, map(investigation.judgement, order), deadline, selector):
             decided = {*investigation.judged, *investigation.left}
             for number in order:
