@@ -108,7 +108,7 @@ def of_an_arm(seed: int) -> Draw:
     frequencies, phases = rng.uniform(*SWAY_HZ, 6), rng.uniform(0, 2 * np.pi, 6)
 
     def hand_at(times: Array) -> Array:
-        sway = SWAY * np.sin(2 * np.pi * frequencies * times[:, None] + phases)
+        sway = np.array(SWAY) * np.sin(2 * np.pi * frequencies * times[:, None] + phases)
         R = exp(sway[:, 3:])
         T_camera_board = transform(R, sway[:, :3] + BOARD_AT - R @ pattern.centre)
         return T_world_board @ inverse(T_camera_board) @ inverse(T_hand_camera)
