@@ -18,7 +18,7 @@ from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL, CornerTerm
 from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
-from calibration.engine.estimation.residuals.ray_residuals import RING_GAP, BorderTerm, elevations
+from calibration.engine.estimation.residuals.ray_residuals import RING_GAP, BorderTerm, RangeTerm, elevations
 from calibration.engine.estimation.residuals.views import LABELS_PER_CHUNK, MAX_MULTIPLICATIONS, Term
 from calibration.engine.geometry.cameras import Camera
 
@@ -124,7 +124,7 @@ def _columns_of_views(
     elif isinstance(term, PoseTerm):
         rows, _ = term.rows(T, views, scale, huber, len(COLUMNS_OF_MEASURED_POSES))
         _fill_measured(rows[POSE_COLUMNS], rows[:3], T, pattern)
-    else:
+    elif isinstance(term, RangeTerm | BorderTerm):
         spare = len(COLUMNS_OF_RANGES) + len(rings) + len(COLUMNS_OF_PATTERN)
         rows, places = term.rows(T, views, scale, huber, spare)
         ranging, of_rings = np.split(rows[POSE_COLUMNS : -1 - len(COLUMNS_OF_PATTERN)], [len(COLUMNS_OF_RANGES)])
@@ -132,6 +132,8 @@ def _columns_of_views(
         _fill_rings(of_rings, ranging[COLUMNS_OF_RANGES.index("elevation")], term.rays[views], rings)
         _fill_bent(rows[-1 - len(COLUMNS_OF_PATTERN) : -2], rows[:3], places, pattern)
         _fill_border(rows[-2], rows[:2], term, places)
+    else:
+        raise AssertionError(f"labels of {term.kind} have no columns")
     return rows.reshape(*rows.shape[:2], -1)
 
 

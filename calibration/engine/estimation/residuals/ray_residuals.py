@@ -405,4 +405,4 @@ class _Meeting:
 def elevations(rays: Array) -> Array:
     """Return the angles (..., L) of rays (..., 3, L) over the sensor's xy plane, rad."""
     x, y, z = np.moveaxis(rays, -2, 0)
-    return np.arctan2(z, np.hypot(x, y))
+    return np.asarray(np.arctan2(z, np.hypot(x, y)))
