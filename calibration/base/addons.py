@@ -44,6 +44,8 @@ class AddonStage(NamedTuple):
     """Its section of calibration.yml, and the key of its result in results.json."""
     result: DocumentSection
     """Its result, a `StageResult` (`calibration.pipeline.results`)."""
+    needs_image: bool = False
+    """Whether it runs in the image of the run, which is built for it."""
 
 
 class BackendKind(NamedTuple):

@@ -111,8 +111,10 @@ def _read_ctest_case(test: Element) -> CaseOutcome:
     if status == "notrun" and completion in ("Disabled", "SKIP_RETURN_CODE=77", "Skipped"):
         return _case_outcome(name, "skipped", seconds)
     output = test.findtext("Results/Measurement/Value") or ""
-    ends = [part for part in (measured.get("Exit Code"), measured.get("Exit Value")) if part]
-    reason = f"{status} ({', '.join(ends) or completion or 'no reason given'})"
+    code = measured.get("Exit Code", "")  # Failed, or what ended it: SEGFAULT, Timeout
+    reason = f"exit code {measured.get('Exit Value', '?')}" if code in ("", "Failed") else code
+    if status == "notrun":
+        reason = f"not run ({completion or 'no reason given'})"
     last = next((line for line in reversed(output.splitlines()) if line.strip()), "")
     return _case_outcome(name, "failed", seconds, f"{reason}: {last}" if last else reason, text=output)
 

@@ -86,10 +86,12 @@ class PipelineStage:
     """``module:function`` from run to run; imported when it runs, as it may need packages that others do not."""
     applies: Callable[[PipelineRun], bool] = lambda _: True
     """Returns whether the stage has something to do in a run."""
+    needs_image: bool = False
+    """Whether it runs in the image of the run, which is built for it."""
 
 
 def _stage_of_addon(stage: AddonStage) -> PipelineStage:
-    return PipelineStage(stage.target, lambda run: run.sections.of(stage.section) is not None)
+    return PipelineStage(stage.target, lambda run: run.sections.of(stage.section) is not None, stage.needs_image)
 
 
 STAGES: Mapping[str, PipelineStage] = {
@@ -130,9 +132,10 @@ def run_stages(run: PipelineRun, stages: Collection[str] = tuple(STAGES)) -> Pip
 def _run_stages(run: PipelineRun, stages: Collection[str]) -> PipelineResults:
     if "calibrate" in stages or "collect" in stages:
         clear_results(run.output, _input_paths(run.matrix))
+    wants_image = run.wants_image or any(STAGES[name].needs_image and STAGES[name].applies(run) for name in stages)
     try:
         for name, stage in STAGES.items():
-            if stage.applies(run) and (name in stages or (name == "build" and run.wants_image)):
+            if stage.applies(run) and (name in stages or (name == "build" and wants_image)):
                 run = import_attribute(stage.target)(run)
         write_cells(run.results, run.output, run.jobs)
         found = report(run.results, run.output, run.title)

@@ -240,7 +240,7 @@ def best_moments(
     """Select moments, in their order; and the reason why they are evenly spaced, if they cannot be calibrated.
 
     All of them are calibrated once, by the cameras alone; the information of each is additive
-    (`calibration.engine.estimation.solve.design`).
+    (`calibration.engine.estimation.least_squares.observability`).
 
     Args:
         moments: to choose from.

@@ -296,7 +296,7 @@ class MovingBoards:
     """Those of them that move, such as an arm's."""
 
     def motions(self, configuration: Configuration, cameras: Mapping[str, Camera]) -> dict[Edge, Array]:
-        """Return velocity, acceleration, jerk (N, 3, 6) of each pattern, as `calibration.engine.dataset.velocities`.
+        """Return velocity, acceleration, jerk (N, 3, 6) of each pattern, as `calibration.engine.dataset.frames`.
 
         Of several cameras the anchored one, else the first, gives the motion: it is the clock. Zero at a moment
         without images before and after it.

@@ -1,10 +1,7 @@
 """Fisher information of each pose of a motion on the calibrated transforms, as in the engine.
 
 The engine's own terms are linearised at the truth, for the expected labels: every sensor's exact labels at every pose,
-without noise. So the prediction here equals the report of `calibration.engine.estimation.solve.observability` on the
-collected dataset.
-The engine's own terms are linearised at the truth, for the expected labels
-(`calibration.robot.simulation.motion.expected`): so the prediction here equals the report of
+without noise. So the prediction here equals the report of
 `calibration.engine.estimation.least_squares.observability` on the collected dataset.
 """
 

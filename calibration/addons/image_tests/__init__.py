@@ -1,0 +1,33 @@
+"""Tests of the team's software in its image: run in containers, judged by the reports that they leave.
+
+Nothing of the image is trusted: containers have the limits of jobs, and their reports are read within bounds.
+
+- ``settings``: an entry of the section ``tests``, and its job;
+- ``run_tests.sh``: what the container runs: finds the tool of the workspace, and collects reports and coverage;
+- ``judging``: the files and the end of one run, as its verdict;
+- ``repeated``: runs of the same tests together: which of them are flaky;
+- ``results``, ``report``: what was found, and how it is shown;
+- ``running``: all entries, with their repeats and retries; ``stage``, ``test_image``: the stage and the command.
+"""
+
+from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyCommand, SchemaFile
+
+ADDON = Addon(
+    commands={
+        "test-image": LazyCommand(f"{__name__}.test_image:command", "Run the tests of the software in its image.")
+    },
+    sections={
+        "tests": DocumentSection(
+            f"{__name__}.settings:TESTS_BY_NAME", "Tests of the software in its image, by name: a stage of run."
+        )
+    },
+    stages={
+        "test": AddonStage(
+            f"{__name__}.stage:test_stage",
+            section="tests",
+            result=DocumentSection(f"{__name__}.results:Tested", "Tests in the image, where calibration.yml has any."),
+            needs_image=True,
+        )
+    },
+    schemas={"tests": SchemaFile(__name__, "results.schema.json", "results:ImageTestsResults", "test-image")},
+)

@@ -1,0 +1,148 @@
+"""Results of tests in the image, and their documents."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from calibration.addons.image_tests.judging import RUN_CASE, JudgedRun
+from calibration.addons.image_tests.repeated import RepeatedTest
+from calibration.addons.image_tests.settings import ImageTests
+from calibration.base.records import computed, field, result
+from calibration.base.text import count_of
+from calibration.ci.report import Verdict, verdict_of
+from calibration.ci.report.junit import ErrorCode
+
+MAX_NAMED_TESTS = 20
+"""Limit of the tests that reasons and warnings of one entry name."""
+
+
+@result
+class TestRun:
+    """One run of the tests of an entry."""
+
+    __test__ = False  # keeps pytest from collecting it
+
+    passed: int = field("Number of tests that passed.")
+    failed: int = field("Number of tests that failed.")
+    skipped: int = field("Number of tests that were skipped.")
+    seconds: float = field("How long the run took.")
+    retries: int = field("How often it was repeated because it failed; the numbers are of the last time.", default=0)
+    folder: str = field("Folder of its reports and its log, relative to the output folder.", default="")
+    last_lines: tuple[str, ...] = field("Last output of its container, if the run itself failed.", default=())
+
+
+@result(kw_only=True)
+class TestsOfEntry:
+    """Results of one entry of ``tests``."""
+
+    __test__ = False
+
+    name: str = field("The entry in calibration.yml.")
+    image: str = field("The image.")
+    runs: tuple[TestRun, ...] = field("Its runs, in order.")
+    failures: tuple[RepeatedTest, ...] = field("Tests that failed at least once; those that always fail first.")
+    coverage: tuple[str, ...] = field("Files of coverage, relative to the output folder, for coverage-upload.")
+    max_flake_rate: float | None = field("Largest share of runs in which a flaky test may fail.", default=None)
+    error: ErrorCode | None = field("Exit code of a run that could not be made.", default=None)
+
+    @property
+    def tolerated(self) -> tuple[RepeatedTest, ...]:
+        """Flaky tests that do not fail the verdict: within the allowed rate; without one those that a retry passed."""
+        return tuple(test for test in self.failures if self._is_tolerated(test))
+
+    def _is_tolerated(self, test: RepeatedTest) -> bool:
+        if not test.flaky:
+            return False
+        if self.max_flake_rate is not None:
+            return test.rate.share <= self.max_flake_rate
+        return not any(run.failed or run.last_lines for run in self.runs)
+
+    @property
+    @computed()
+    def reasons(self) -> list[str]:
+        """Reasons of a fail verdict, one line each."""
+        failing = [test for test in self.failures if not self._is_tolerated(test)]
+        lines = [self._failure_line(test) for test in failing[:MAX_NAMED_TESTS]]
+        more = len(failing) - MAX_NAMED_TESTS
+        return lines + ([f"{self.name}: and {count_of(more, 'more test')} failed"] if more > 0 else [])
+
+    def _failure_line(self, test: RepeatedTest) -> str:
+        message = f": {test.message}" if test.message else ""
+        what = self.name if test.name == RUN_CASE else f"{self.name}: {test.name}"
+        if test.flaky:
+            return f"{what} is flaky, {test.rate}{message}"
+        every = f" in each of {test.rate.runs} runs" if test.rate.runs > 1 else ""
+        return f"{what} failed{every}{message}"
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Fail if a test fails beyond the allowed rate, or none ran."""
+        return verdict_of(not self.reasons and self.error is None)
+
+
+def results_of_entry(
+    tests: ImageTests, attempts: Sequence[Sequence[JudgedRun]], failures: Sequence[RepeatedTest], output: Path
+) -> TestsOfEntry:
+    """Return the results of an entry.
+
+    Args:
+        tests: the entry.
+        attempts: of each run its attempts.
+        failures: tests that failed, at their places in the repository.
+        output: folder to which paths are relative.
+    """
+    last = [each[-1] for each in attempts]
+    return TestsOfEntry(
+        name=tests.name,
+        image=tests.container.image,
+        runs=tuple(_test_run(each, output) for each in attempts),
+        failures=tuple(failures),
+        coverage=tuple(str(path.relative_to(output)) for run in last for path in run.coverage),
+        max_flake_rate=tests.max_flake_rate,
+        error=next((run.error for run in last if run.error is not None), None),
+    )
+
+
+def _test_run(attempts: Sequence[JudgedRun], output: Path) -> TestRun:
+    last = attempts[-1]
+    tally, folder = last.tally, str(last.folder.relative_to(output))
+    return TestRun(tally.passed, tally.failed, tally.skipped, last.seconds, len(attempts) - 1, folder, last.last_lines)
+
+
+@result
+class ImageTestsResults:
+    """Results of test-image."""
+
+    tests: tuple[TestsOfEntry, ...] = field("The entries.")
+    notes: tuple[str, ...] = field("What is worth knowing: flaky tests that are allowed, how rare a flake shows.")
+
+    @property
+    @computed()
+    def reasons(self) -> list[str]:
+        """Reasons of a fail verdict, one line each."""
+        return [reason for each in self.tests for reason in each.reasons]
+
+
+@result(kw_only=True)
+class Tested:
+    """Tests in the image."""
+
+    passed: int = field("Number of tests that passed, of all entries and runs.")
+    failed: int = field("Number of tests that failed.")
+    folder: str = field("The folder with their results, relative to the output folder.")
+    reasons: tuple[str, ...] = field("Tests that failed.", default=())
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Fail if there is a reason."""
+        return verdict_of(not self.reasons)
+
+    @property
+    def sentence(self) -> str:
+        """Return the number of tests, for the line of the verdict."""
+        return f"{self.failed} of {count_of(self.passed + self.failed, 'test')} in the image failed"
+
+    def line(self, output: Path) -> str:
+        """Return the path of the tests' own summary, for the report."""
+        return f"Tests in the image: {output / self.folder / 'summary.md'}"

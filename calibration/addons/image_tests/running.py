@@ -1,0 +1,130 @@
+"""All entries of ``tests`` with their repeats and retries."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import takewhile
+from pathlib import Path, PurePosixPath
+
+from calibration.addons.image_tests.judging import JudgedRun, judge_run
+from calibration.addons.image_tests.repeated import RepeatedTest, failing_tests
+from calibration.addons.image_tests.report import TITLE, report
+from calibration.addons.image_tests.results import MAX_NAMED_TESTS, ImageTestsResults, TestsOfEntry, results_of_entry
+from calibration.addons.image_tests.settings import ImageTests
+from calibration.base.errors import InputError
+from calibration.base.flake_rate import rate_seen_by
+from calibration.base.text import count_of
+from calibration.ci.execution.backends import ExecutionTarget
+from calibration.ci.execution.job import with_secrets
+from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.ci.git import Repository
+from calibration.ci.report import FILES, Report, remove_results
+from calibration.ci.workflow import Runner
+from calibration.ci.workflow.progress import progress
+
+
+def run_image_tests(
+    entries: Sequence[ImageTests], output: Path, repository: Path, target: ExecutionTarget, runner: Runner
+) -> tuple[Report, ImageTestsResults]:
+    """Run the tests of all entries, and return the report and the results.
+
+    Args:
+        entries: the tests, with their images.
+        output: folder of the results, from which those of an earlier run are removed.
+        repository: folder with the sources, to which the places of failures are mapped.
+        target: execution target of the containers.
+        runner: for progress and logs.
+
+    Raises:
+        InputError: a job is invalid, a secret is not set, or an image is missing.
+        InfrastructureError: there is no engine, or a file cannot be written.
+    """
+    remove_results(output, FILES)
+    results, last_runs = [], {}
+    tracked = _tracked_files(repository)
+    for tests in entries:
+        attempts = _run_entry(tests, output, target, runner)
+        last_runs[tests.name] = [each[-1] for each in attempts]
+        failures = [_at_place(failure, tracked) for failure in failing_tests(attempts)]
+        results.append(results_of_entry(tests, attempts, failures, output))
+    found = ImageTestsResults(tuple(results), tuple(note for each in results for note in _notes(each)))
+    return report(found, last_runs, output), found
+
+
+def _run_entry(tests: ImageTests, output: Path, target: ExecutionTarget, runner: Runner) -> list[list[JudgedRun]]:
+    """Run the tests of an entry, and again those runs that fail, as often as it allows; return each run's attempts."""
+    tests = replace(tests, container=with_secrets(tests.container, f"tests.{tests.name}"))
+    attempts: list[list[JudgedRun]] = [[] for _ in range(tests.repeat)]
+    for retry in range(tests.retries + 1):
+        missing = [number for number, made in enumerate(attempts) if not made or not made[-1].passes]
+        if not missing:
+            break
+        names = {number: _job_name(tests, number, retry) for number in missing}
+        tasks = [
+            Task.containers(name, tests.job(name), lambda outcome: judge_run(tests, outcome)) for name in names.values()
+        ]
+        with progress(runner, f"test {tests.name}", bar=False) as advance:
+
+            def done(count: int, total: int, run: JudgedRun) -> None:
+                tally = run.tally
+                line = f"{tests.name}: {tally.failed} of {count_of(tally.ran, 'test')} failed ({run.seconds:.1f} s)"
+                advance(count, total, line, important=not run.passes)
+
+            found = run_tasks(tasks, output, tests.parallel, target, done=done)
+        for number, name in names.items():
+            attempts[number].append(found[name])
+    return attempts
+
+
+def _job_name(tests: ImageTests, number: int, retry: int) -> str:
+    run = f"/run-{number + 1}" if tests.repeat > 1 else ""
+    return f"{tests.name}{run}{f'/retry-{retry}' if retry else ''}"
+
+
+def _tracked_files(folder: Path) -> list[PurePosixPath]:
+    """Return the files of the repository around a folder, relative to its root; none without a repository."""
+    try:
+        return [PurePosixPath(path) for path in Repository.around(folder).tracked()]
+    except InputError:
+        return []
+
+
+def _at_place(failure: RepeatedTest, tracked: Sequence[PurePosixPath]) -> RepeatedTest:
+    """Return the failure with its file in the repository: the one that shares the longest end with its path.
+
+    Without such a file, or with several, it has no place.
+    """
+    if failure.file is None:
+        return failure
+    parts = PurePosixPath(failure.file).parts
+    same_name = [path for path in tracked if path.name == parts[-1]] if parts else []
+    lengths = {path: _length_of_common_end(path.parts, parts) for path in same_name}
+    longest = [path for path, length in lengths.items() if length == max(lengths.values())]
+    if len(longest) != 1:
+        return replace(failure, file=None, line=None)
+    return replace(failure, file=str(longest[0]))
+
+
+def _length_of_common_end(one: Sequence[str], other: Sequence[str]) -> int:
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(reversed(one), reversed(other), strict=False)))
+
+
+def _notes(found: TestsOfEntry) -> Iterator[str]:
+    for test in found.tolerated[:MAX_NAMED_TESTS]:
+        yield f"{found.name}: {test.name} is flaky, {test.rate}: {test.message}"
+    if len(found.runs) > 1:
+        seen = 100 * rate_seen_by(len(found.runs))
+        yield f"{found.name}: {len(found.runs)} runs show a test that fails in {seen:.2g} % of them, at 95 %"
+
+
+def check_tests(entries: Sequence[ImageTests], has_image: bool) -> None:
+    """Refuse tests without an image.
+
+    Raises:
+        InputError: names the entry.
+    """
+    for tests in entries:
+        if not tests.container.image and not has_image:
+            raise InputError(f"tests.{tests.name}: missing image, as there is no section image that builds one")
+
+
+__all__ = ["TITLE", "check_tests", "run_image_tests"]
