@@ -1,15 +1,18 @@
 """Traces of messages for the state machine of a property."""
 
 from collections.abc import Iterable
+from functools import lru_cache
 
 from calibration.addons.requirements.hpl import parse_property
 from calibration.addons.requirements.patterns import HplRequirement
 from calibration.addons.requirements.requirement import NS_PER_S, Judgement, Message
 
+parsed_once = lru_cache(parse_property)
+
 
 def judged(hpl: str, sent: Iterable[tuple[int, str, int]], end: int) -> Judgement:
     """Judge a property over messages: time in s, topic, x."""
-    requirement = HplRequirement(parse_property(hpl, "hpl"), (("hpl",), hpl))
+    requirement = HplRequirement(parsed_once(hpl, "hpl"), (("hpl",), hpl))
     requirement.start(0)
     for time, topic, x in sent:
         if f"/{topic}" in requirement.wanted:
