@@ -12,6 +12,7 @@ from typing import Any, Self
 from calibration.addons.coverage.coverage_py import SQLITE_MAGIC, copied, measured_names, merge, report_of
 from calibration.addons.coverage.formats import MAX_BYTES, CoverageReport, parse_cobertura, parse_lcov
 from calibration.addons.coverage.functions import functions_of
+from calibration.addons.coverage.gcov import GCOV_START, parse_gcov
 from calibration.addons.coverage.lines import FileCoverage, combined
 from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, language_of
 from calibration.base.errors import InputError
@@ -175,7 +176,7 @@ def _read_content(path: Path) -> bytes:
         return b""
 
 
-KINDS_OF_REPORTS = "a data file of coverage.py, Cobertura XML or LCOV"
+KINDS_OF_REPORTS = "a data file of coverage.py, Cobertura XML, LCOV or JSON of gcov"
 
 
 @dataclass(frozen=True)
@@ -262,6 +263,8 @@ def _separate_reports(files: Sequence[Path]) -> tuple[list[CoverageReport], list
             raise InputError(f"{file}: it is empty, {KINDS_OF_REPORTS} was expected")
         elif begin.startswith((b"<", b"\xff\xfe", b"\xfe\xff")):  # the latter: XML in UTF-16
             reports.append(parse_cobertura(content, str(file)))
+        elif begin.startswith(GCOV_START):
+            reports.append(parse_gcov(content, str(file)))
         elif b"SF:" in content:
             reports.append(parse_lcov(content, str(file)))
         else:

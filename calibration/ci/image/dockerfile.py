@@ -29,14 +29,14 @@ def copied_path(number: int) -> str:
     return f"files/{number}"
 
 
-def source_path(number: int) -> str:
-    """Return the path of a folder of the workspace's sources."""
-    return f"sources/{number}"
+def source_path(prefix: str, number: int) -> str:
+    """Return the path of a folder of sources of the workspace with this prefix (`Recipe.workspaces`)."""
+    return f"{prefix}sources/{number}"
 
 
-def manifests_path(number: int) -> str:
+def manifests_path(prefix: str, number: int) -> str:
     """Return the path of a copy of such a folder that contains only its package.xml files."""
-    return f"manifests/{number}"
+    return f"{prefix}manifests/{number}"
 
 
 def folder_name(path: Path) -> str:
@@ -57,7 +57,7 @@ APT_CLEAN = "rm -rf /var/lib/apt/lists/*"
 PIP_VARIABLES = "PIP_BREAK_SYSTEM_PACKAGES=1 PIP_ROOT_USER_ACTION=ignore"
 SHELL_WORDS = ("/bin/bash", "-eo", "pipefail", "-c")
 ENTRYPOINT_PATH = "/usr/local/bin/calibration-entrypoint"
-CLONES_FOLDER = "/repositories"
+CLONES_NAME = "repositories"
 _SETUP_OF_BUILDER = {"catkin_make": "devel/setup.bash", "colcon": "install/setup.bash"}
 
 # Commands with a special meaning in RUN: by their start, by the end of a line, or by a here-document.
@@ -92,7 +92,7 @@ def render(specification: ImageSpecification, base_digest: str | None = None) ->
     entrypoint = entrypoint_script(recipe)
     stages = [
         "# Made by `calibration build-image`: change the specification, not this file.",
-        *_clone_stage(base, recipe.workspace, specification.secrets, mounts, specification.ssh),
+        *_clone_stage(base, recipe, specification.secrets, mounts, specification.ssh),
         *_image_stage(base, recipe, mounts),
         *(f"LABEL {quoted(name)}={quoted(value)}" for name, value in sorted(specification.labels.items())),
         *_start_instructions(recipe, has_entrypoint=entrypoint is not None),
@@ -100,11 +100,9 @@ def render(specification: ImageSpecification, base_digest: str | None = None) ->
     return Rendered("\n".join(stages) + "\n", entrypoint, needs_buildkit=bool(mounts))
 
 
-def _clone_stage(
-    base: str, workspace: Workspace | None, secrets: Iterable[Secret], mounts: str, ssh: bool
-) -> Iterator[str]:
+def _clone_stage(base: str, recipe: Recipe, secrets: Iterable[Secret], mounts: str, ssh: bool) -> Iterator[str]:
     """Generate a separate stage for the clones, so that only their files reach the image, not secrets in its layers."""
-    if workspace is None or not workspace.repositories:
+    if not recipe.repositories:
         return
     yield f"FROM {base} AS repositories"
     yield f"SHELL {json_words(*SHELL_WORDS)}"
@@ -116,13 +114,18 @@ def _clone_stage(
             helper = f'!f() {{ echo username={secret.username}; echo "password=$(cat /run/secrets/{secret.id})"; }}; f'
             key = f"credential.https://{secret.host}.helper"
             yield _run_step(f"git config --global {shlex.quote(key)} {shlex.quote(helper)}")
-    for repository in workspace.repositories:
-        yield _run_step(*_clone_repository(repository), mounts=mounts)
+    for prefix, workspace in recipe.workspaces.items():
+        for repository in workspace.repositories:
+            yield _run_step(*_clone_repository(_clones_folder(prefix), repository), mounts=mounts)
     yield ""
 
 
-def _clone_repository(repository: Repository) -> Iterator[str]:
-    folder = shlex.quote(f"{CLONES_FOLDER}/{repository.path}")
+def _clones_folder(prefix: str) -> str:
+    return f"/{prefix}{CLONES_NAME}"
+
+
+def _clone_repository(clones: str, repository: Repository) -> Iterator[str]:
+    folder = shlex.quote(f"{clones}/{repository.path}")
     yield f"git clone -- {shlex.quote(repository.url)} {folder}"
     if repository.version is not None:
         yield f"git -C {folder} checkout --quiet {shlex.quote(repository.version)} --"
@@ -142,8 +145,11 @@ def _image_stage(base: str, recipe: Recipe, mounts: str) -> Iterator[str]:
     if recipe.user != "root":
         # Without a fixed uid, because some bases already have a user 1000.
         yield f"RUN id -u {recipe.user} >/dev/null 2>&1 || useradd --create-home --shell /bin/bash {recipe.user}"
-    if recipe.workspace is not None:
-        yield from _install_dependencies(recipe, recipe.workspace)
+    for prefix, workspace in recipe.workspaces.items():
+        yield from _install_dependencies(recipe, prefix, workspace)
+        if prefix:  # an underlay, which changes less often than the files below
+            yield from _build_workspace(recipe, prefix, workspace)
+            yield "USER root"
     for number, file in enumerate(recipe.files):
         owner = f"--chown={file.owner} " if file.owner else ""
         slash = "/" if file.source.is_dir() else ""
@@ -152,7 +158,7 @@ def _image_stage(base: str, recipe: Recipe, mounts: str) -> Iterator[str]:
     for command in recipe.commands:
         yield _run_step(command.strip(), mounts=mounts)
     if recipe.workspace is not None:
-        yield from _build_workspace(recipe, recipe.workspace)
+        yield from _build_workspace(recipe, "", recipe.workspace)
 
 
 def _install_packages(packages: Iterable[str]) -> str:
@@ -176,15 +182,15 @@ def _install_pip_packages(recipe: Recipe, mounts: str) -> Iterator[str]:
     )
 
 
-def _install_dependencies(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
+def _install_dependencies(recipe: Recipe, prefix: str, workspace: Workspace) -> Iterator[str]:
     """Install dependencies from the package.xml files only, so that this layer does not depend on the code."""
     path, user = workspace.path, recipe.user
     yield f"RUN install --directory --owner={user} {path} {path}/src"
     if workspace.repositories:
-        yield f"COPY --from=repositories --chown={user} {path_words(CLONES_FOLDER + '/', path + '/src/')}"
+        yield f"COPY --from=repositories --chown={user} {path_words(_clones_folder(prefix) + '/', path + '/src/')}"
     for number, source in enumerate(workspace.sources):
         target = f"{path}/src/{folder_name(source)}/"
-        yield f"COPY --chown={user} {path_words(manifests_path(number) + '/', target)}"
+        yield f"COPY --chown={user} {path_words(manifests_path(prefix, number) + '/', target)}"
     steps = []
     if workspace.rosdep:
         distro = f" --rosdistro {recipe.ros}" if recipe.ros else ""
@@ -205,26 +211,26 @@ def _install_dependencies(recipe: Recipe, workspace: Workspace) -> Iterator[str]
         yield _run_step(*steps, APT_CLEAN)
 
 
-def _build_workspace(recipe: Recipe, workspace: Workspace) -> Iterator[str]:
+def _build_workspace(recipe: Recipe, prefix: str, workspace: Workspace) -> Iterator[str]:
     yield f"WORKDIR {workspace.path}"
     if recipe.user != "root":
         yield f"USER {recipe.user}"
     for number, source in enumerate(workspace.sources):
         target = f"{workspace.path}/src/{folder_name(source)}/"
-        yield f"COPY --chown={recipe.user} {path_words(source_path(number) + '/', target)}"
+        yield f"COPY --chown={recipe.user} {path_words(source_path(prefix, number) + '/', target)}"
     arguments = [shlex.quote(f"-D{name}={value}") for name, value in sorted(workspace.cmake_arguments.items())]
     only = "--packages-up-to" if workspace.tool == "colcon" else "--only-pkg-with-deps"
     command = ["colcon build"] if workspace.tool == "colcon" else ["catkin_make"]
     command += [only, *workspace.packages] if workspace.packages else []
     command += ["--cmake-args", *arguments] if arguments else []
-    yield _run_step(*(f"source {file}" for file in setup_files(recipe, built=False)), " ".join(command))
+    yield _run_step(*(f"source {file}" for file in setup_files(recipe, before=prefix)), " ".join(command))
 
 
 def _start_instructions(recipe: Recipe, *, has_entrypoint: bool) -> Iterator[str]:
     if has_entrypoint:
         yield f"COPY {path_words(ENTRYPOINT_NAME, ENTRYPOINT_PATH)}"
         yield f"ENTRYPOINT {json_words(ENTRYPOINT_PATH)}"
-    if recipe.user != "root" and recipe.workspace is None:
+    if recipe.user != "root" and recipe.workspace is None:  # which has set it
         yield f"USER {recipe.user}"
     if recipe.command:
         yield f"CMD {json_words(*recipe.command)}"
@@ -250,9 +256,11 @@ def entrypoint_script(recipe: Recipe) -> str | None:
     return "\n".join(["#!/bin/bash", "set -e", *lines, 'exec "$@"']) + "\n"
 
 
-def setup_files(recipe: Recipe, *, built: bool = True) -> Iterator[str]:
-    """Yield the setup files to source; the workspace's only after its build."""
+def setup_files(recipe: Recipe, before: str | None = None) -> Iterator[str]:
+    """Yield the setup files to source: of all workspaces, or of those before the one with this prefix."""
     if recipe.ros is not None:
         yield f"/opt/ros/{recipe.ros}/setup.bash"
-    if recipe.workspace is not None and built:
-        yield f"{recipe.workspace.path}/{_SETUP_OF_BUILDER[recipe.workspace.tool]}"
+    for prefix, workspace in recipe.workspaces.items():
+        if prefix == before:
+            return
+        yield f"{workspace.path}/{_SETUP_OF_BUILDER[workspace.tool]}"

@@ -5,7 +5,7 @@ A user's Dockerfile is analysed for its base images, and whether it needs BuildK
 
 import platform
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +25,6 @@ from calibration.ci.image.dockerfile import (
     requirements_path,
     source_path,
 )
-from calibration.ci.image.repositories import Repository
 from calibration.ci.image.specification import ImageSpecification, OwnDockerfile, Recipe
 
 if TYPE_CHECKING:
@@ -191,10 +190,11 @@ def add_recipe(specification: ImageSpecification, context: Context, base_digest:
             context.add_folder(copied_path(number), copied.source, "files", _ignored_files(copied.source))
         else:
             context.add_file(copied_path(number), copied.source, "files")
-    for number, folder in enumerate(recipe.workspace.sources if recipe.workspace else ()):
-        ignored = _ignored_files(folder)
-        context.add_folder(manifests_path(number), folder, "workspace.sources", ignored, only=MANIFEST_NAMES)
-        context.add_folder(source_path(number), folder, "workspace.sources", ignored)
+    for prefix, workspace in recipe.workspaces.items():
+        for number, folder in enumerate(workspace.sources):
+            ignored, where = _ignored_files(folder), "underlays.sources" if prefix else "workspace.sources"
+            context.add_folder(manifests_path(prefix, number), folder, where, ignored, only=MANIFEST_NAMES)
+            context.add_folder(source_path(prefix, number), folder, where, ignored)
     rendered = render(specification, base_digest)
     context.add_bytes(DOCKERFILE_NAME, rendered.dockerfile.encode())
     if rendered.entrypoint is not None:
@@ -223,10 +223,9 @@ def _ignored_files(folder: Path) -> Ignored:
 
 
 def _moving_parts(recipe: Recipe) -> list[str]:
-    repositories: Sequence[Repository] = recipe.workspace.repositories if recipe.workspace else ()
     return [
         f"{repository.url} is at {repository.version or 'its default branch'}, which may move: pin a commit"
-        for repository in repositories
+        for repository in recipe.repositories
         if not repository.pinned
     ]
 

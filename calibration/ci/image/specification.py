@@ -208,6 +208,9 @@ class Recipe:
     commands: tuple[Annotated[str, Converted(str, _check_command)], ...] = field(
         "Shell (bash) commands, a step each, run by root before the workspace is built.", default=()
     )
+    underlays: tuple[Workspace, ...] = field(
+        "Workspaces that are built before, each in layers of its own, and sourced by those after it.", default=()
+    )
     workspace: Workspace | None = field("A ROS workspace that is built into the image.", default=None)
     entrypoint: tuple[Annotated[str, _checked_text(check_text)], ...] = field(
         "Lines of shell for the start of a container, after ROS and the workspace are sourced.", default=()
@@ -219,11 +222,25 @@ class Recipe:
     user: User = field("User that runs containers; created if the base does not have it.", default="robot")
 
     def __post_init__(self) -> None:
-        """Set the default base: the image of the ROS distribution."""
+        """Set the default base: the image of the ROS distribution; refuse two workspaces in one folder."""
         if not self.base:
             if self.ros is None:
                 raise Misfit("found none of base, ros and dockerfile: name the image to start from, in base")
             object.__setattr__(self, "base", str(parse_reference(f"ros:{self.ros}")))
+        paths = [workspace.path for workspace in self.workspaces.values()]
+        if twice := [path for path in paths if paths.count(path) > 1]:
+            raise Misfit(f"two workspaces have the same path {twice[0]}: give each underlay a path", "underlays")
+
+    @property
+    def workspaces(self) -> Mapping[str, Workspace]:
+        """All workspaces in the order in which they are built, by the prefix of their files in the build context."""
+        underlays = {f"underlay-{number}/": underlay for number, underlay in enumerate(self.underlays)}
+        return underlays if self.workspace is None else {**underlays, "": self.workspace}
+
+    @property
+    def repositories(self) -> tuple[Repository, ...]:
+        """Repositories of all workspaces."""
+        return tuple(each for workspace in self.workspaces.values() for each in workspace.repositories)
 
     @property
     def pip(self) -> tuple[str, ...]:
@@ -307,8 +324,8 @@ class ImageSpecification:
         ids = [secret.id for secret in self.secrets]
         if twice := [each for each in ids if ids.count(each) > 1]:
             raise Misfit(f"the id {twice[0]!r} occurs twice", "secrets")
-        if isinstance(self.source, Recipe) and self.source.workspace and not self.ssh:
-            for repository in self.source.workspace.repositories:
+        if isinstance(self.source, Recipe) and not self.ssh:
+            for repository in self.source.repositories:
                 if repository.by_ssh:
                     raise Misfit(f"the repository {repository.url} is cloned by SSH: add ssh: true")
 

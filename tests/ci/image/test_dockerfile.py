@@ -255,3 +255,41 @@ def test_a_single_file_keeps_its_name_in_a_folder_and_requirements_are_installed
     assert 'COPY ["files/0", "/b.yml"]\n' in found.dockerfile
     assert 'COPY ["requirements/0.txt", "/tmp/requirements/0.txt"]\n' in found.dockerfile
     assert "pip install --no-cache-dir --requirement /tmp/requirements/0.txt\n" in found.dockerfile
+
+
+def test_underlays_are_built_before_in_layers_of_their_own(tmp_path: Path) -> None:
+    for name in ("lower", "upper"):
+        (tmp_path / name).mkdir()
+    url = "https://github.com/team/driver"
+    (tmp_path / "a.repos").write_text(f"repositories: {{driver: {{type: git, url: '{url}', version: v1}}}}")
+    found = rendered(
+        tmp_path,
+        underlays=[
+            {"tool": "colcon", "sources": ["lower"], "rosdep": False, "path": "/lower", "repositories": ["a.repos"]}
+        ],
+        files=[{"from": "x.yml", "to": "/opt/"}],
+        workspace={"tool": "catkin_make", "sources": ["upper"], "rosdep": False},
+    )
+    lines = instructions(found.dockerfile)
+    places = [
+        lines.index(line)
+        for line in (
+            'COPY --from=repositories --chown=robot ["/underlay-0/repositories/", "/lower/src/"]',
+            'COPY --chown=robot ["underlay-0/manifests/0/", "/lower/src/lower/"]',
+            'COPY --chown=robot ["underlay-0/sources/0/", "/lower/src/lower/"]',
+            "RUN colcon build",
+            'COPY --chown=robot ["manifests/0/", "/workspace/src/upper/"]',
+            'COPY ["files/0", "/opt/x.yml"]',
+            "RUN source /lower/install/setup.bash  && catkin_make",
+        )
+    ]
+    assert places == sorted(places)
+    assert any(f"git clone -- {url} /underlay-0/repositories/driver" in line for line in lines)
+    assert found.entrypoint is not None
+    assert re.findall("source (.*)", found.entrypoint) == ["/lower/install/setup.bash", "/workspace/devel/setup.bash"]
+
+
+def test_two_workspaces_in_one_folder_are_refused() -> None:
+    workspace = {"tool": "colcon", "rosdep": False}
+    with pytest.raises(InputError, match=r"f\.yml: underlays: .* /workspace"):
+        rendered(underlays=[workspace], workspace=workspace)
