@@ -1,4 +1,4 @@
-"""Tests in the image: the workspaces of examples/ built in a real engine, green, and with a planted failure of each kind."""
+"""Tests in the image: the workspaces of examples/ in a real engine, green, and with a planted failure of each kind."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,14 +28,14 @@ PLANTED: dict[str, tuple[dict[str, Any], str]] = {
 FLAKY_RUNS = 20
 
 
-def rows(quick: bool) -> Iterator[Row]:
+def measure(quick: bool) -> Iterator[Row]:
     """Yield the number of green and red entries that are judged as they should be."""
     with TemporaryDirectory() as folder:
         specification = read_image_specification(PROJECT / "examples" / "workspaces" / "calibration.yml")
         image = build_image(specification, Runner()).reference
         output = Path(folder)
         green = [_tested(image, output / name, entry) for name, entry in (("catkin", {}), ("colcon", UNDERLAY))]
-        yield Row("image_tests/workspaces/: green", sum(not each.reasons for each in green), "of 2", Bar(low=2))
+        yield Row("image_tests/workspaces are green", sum(not each.reasons for each in green), "of 2", Bar(low=2))
         red = [
             any(reason in line for line in _tested(image, output / "red" / str(number), entry).reasons)
             for number, (entry, reason) in enumerate(PLANTED.values())
