@@ -53,7 +53,7 @@ class PathMap:
         The first successful rule decides: the path below one of the report's own folders, the working directory
         of the tests, or the root; if such a file exists but is not tracked, the tracked file that it is a copy of
         (installed before it was tested); the end of a tracked file's path; a tracked file's path at the end of the
-        name (the tests ran in another checkout).
+        name (the tests ran in another checkout); the end of a tracked file's path below ``src`` of a workspace.
         """
         name = os.path.normpath(name.replace("\\", "/")) if name.strip() else ""
         if not name or "\0" in name:
@@ -86,8 +86,10 @@ class PathMap:
         if longer := tuple(path for path in same_name if path.endswith("/" + name)):
             return longer
         # the path of a file in the root is its name alone, which may occur in any other program too
-        inside = [path for path in same_name if "/" in path and name.endswith("/" + path)]
-        return tuple(sorted(inside, key=len)[-1:])
+        if inside := [path for path in same_name if "/" in path and name.endswith("/" + path)]:
+            return (max(inside, key=len),)
+        package = name.partition("/src/")[2]  # in the workspace of an image, to which a folder was copied
+        return tuple(path for path in same_name if "/" in package and path.endswith("/" + package))
 
     def _paths_of_copies(self, places: Iterable[Path]) -> tuple[str, ...]:
         for place in places:

@@ -43,6 +43,8 @@ def paths(tmp_path: Path) -> PathMap:
         ("naming.py", [], ["lib/robot/naming.py", "src/robot/naming.py"]),
         ("/app/src/robot/naming.py", [], ["src/robot/naming.py"]),  # another checkout
         ("/app/deep/src/only.cpp", [], ["deep/src/only.cpp"]),  # the longer path
+        ("/ws/src/arm/__init__.py", [], ["src/robot/arm/__init__.py"]),  # a package in the workspace of an image
+        ("/usr/src/naming.py", [], []),
         ("/usr/lib/python3/setup.py", [], []),  # not the one in the root
         ("../../../../../etc/passwd", [], []),
         ("../setup.py", [], ["setup.py"]),
