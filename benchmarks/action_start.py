@@ -16,6 +16,7 @@ from benchmarks.shared_data import ROOT
 INPUTS = {
     "build-image": {"INPUT_SPEC": "nowhere.yml"},
     "calibrate-matrix": {"INPUT_DATASET": "nowhere"},
+    "test-image": {"INPUT_IMAGE": "nowhere"},
     "collect-data-sim": {"INPUT_SYSTEM": "nowhere", "INPUT_OUTPUT": "nowhere/output"},
     "comment": {"INPUT_RESULTS": "nowhere"},
     "convergence": {"INPUT_DATASET": "nowhere"},

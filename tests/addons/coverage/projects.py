@@ -42,7 +42,7 @@ def robot(folder: Path) -> Path:
             "robot/__init__.py": "",
             "robot/naming.py": NAMING,
             "tests/test_naming.py": NAMING_TEST,
-            ".gitignore": "out\n",
+            ".gitignore": "out\n__pycache__\n",
         },
     )
     return folder

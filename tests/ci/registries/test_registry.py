@@ -446,7 +446,6 @@ def test_no_message_quotes_a_secret(status: int) -> None:
         name = f"{server.address}/robot:v1"
         for call in (
             client.read_manifest,
-            client.tags,
             lambda name: client.put_manifest(name, Manifest(DIGEST, OCI, b"")),
         ):
             with pytest.raises(CalibrationError) as caught:

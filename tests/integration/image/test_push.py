@@ -28,7 +28,6 @@ def test_one_image_under_every_tag(engine: "DockerClient", registry: Registry) -
         digest = push_image(engine, f"{name}:key-1", ["v1", "latest", "key-1"], None, advance)
         with RegistryClient() as client:
             assert {client.find_manifest(f"{name}:{tag}") for tag in ("key-1", "v1", "latest")} == {digest}
-            assert sorted(client.tags(name)) == ["key-1", "latest", "v1"]
         assert digest in engine.images.get(f"{name}:key-1").attrs["RepoDigests"][0]
         assert log.getvalue().startswith("[1/1] layer ")
         assert " pushed" in log.getvalue()

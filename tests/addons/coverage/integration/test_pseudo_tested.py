@@ -202,7 +202,7 @@ def names(found: dict[str, Any]) -> set[str]:
     return {each["name"] for each in functions}
 
 
-@pytest.mark.parametrize("run", [PYTEST, f"{PYTEST} -n 2", "python3 -m unittest tests.test_arm"])
+@pytest.mark.parametrize("run", [f"{PYTEST} -n 2", "python3 -m unittest tests.test_arm"])
 def test_functions_that_tests_only_walk_through(
     root: Path, judge: Judge, run: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -232,7 +232,7 @@ def test_functions_that_tests_only_walk_through(
 
 @pytest.mark.parametrize(
     "project",
-    [each for each in planted_projects(3, 3) if each.style in ("parameters", "fixtures")],
+    [each for each in planted_projects(3, 3) if each.style == "fixtures"],
     ids=lambda p: p.style,
 )
 def test_a_share_of_the_benchmark(root: Path, judge: Judge, project: PlantedProject) -> None:
