@@ -134,7 +134,7 @@ def test_the_root_action_passes_the_example_and_not_what_got_worse(
     assert {"verdict", "image", "digest"} <= run.outputs
 
     configuration = yaml.safe_load(path.read_text())
-    del configuration["noise"], configuration["simulation"]
+    del configuration["noise"], configuration["simulation"], configuration["requirements"]  # of what is recorded
     shutil.copytree(collected.folder, path.with_name("collected"))  # the same system's, collected by our simulation
     configuration["systems"]["ros1"]["dataset"] = "collected"
     del configuration["systems"]["ros1"]["limits"]  # against the truth, which is not beside it

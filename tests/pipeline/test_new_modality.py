@@ -63,7 +63,7 @@ class SimulatedSonar(SimulatedLidar2d):
 
     def message(self, data: Data) -> dict[str, Any]:
         ranges = np.rint(1000 * data).astype(int).tolist()
-        return {"first_rad": self.angle_min, "step_rad": self.step, "ranges_mm": ranges}
+        return {"first_rad": self.angles[0], "step_rad": self.step, "ranges_mm": ranges}
 
 
 @pytest.fixture

@@ -156,7 +156,7 @@ def test_tests_that_fail_before_anything_is_measured(
     assert server.asked == []
     out = capsys.readouterr().out
     assert out.count("fail: the tests failed: exit code 3; not uploaded (nothing was measured)") == 2
-    assert "no coverage: none.xml: a data file of coverage.py, Cobertura XML or LCOV was expected" in out
+    assert "no coverage: none.xml: a data file of coverage.py, Cobertura XML, LCOV or JSON of gcov was expected" in out
     jsonschema.validate(json.loads(Path("out/results.json").read_text()), SCHEMA)
 
 
@@ -496,7 +496,7 @@ def test_errors_are_reported(
     ("report", "message"),
     [
         ("*.xml", "*.xml: no file matches this pattern"),
-        ("none.xml", "none.xml: a data file of coverage.py, Cobertura XML or LCOV was expected, but it cannot be read"),
+        ("none.xml", "none.xml: a data file of coverage.py, Cobertura XML, LCOV or JSON of gcov was expected"),
         ("robot/naming.py", "robot/naming.py: found none of the known forms"),
         (
             "foreign.info",

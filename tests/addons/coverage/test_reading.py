@@ -193,10 +193,10 @@ def too_large(path: Path) -> None:
         (with_lines_without_end, "it contains line numbers above 10000000"),
         (
             too_large,
-            "found 104857601 bytes, a data file of coverage.py, Cobertura XML or LCOV of at most 104857600 was",
+            "found 104857601 bytes, a data file of coverage.py, Cobertura XML, LCOV or JSON of gcov",
         ),
         (Path.mkdir, "this is no regular file"),
-        (Path.touch, "it is empty, a data file of coverage.py, Cobertura XML or LCOV was expected"),
+        (Path.touch, "it is empty, a data file of coverage.py, Cobertura XML, LCOV or JSON of gcov was expected"),
         (lambda path: path.write_text("hello"), "found none of the known forms, a data file of coverage.py, Cob"),
         (lambda path: path.write_text("<html/>"), "found XML with the root <html>"),
         (lambda path: None, "cannot be read: No such file"),

@@ -18,7 +18,6 @@ def test_images_pushed_by_docker_are_found(engine: "DockerClient", registry: Reg
     name = fresh_name(registry.address)
     with small_image(engine, name, "v1"), RegistryClient() as client:
         assert client.find_manifest(f"{name}:v1") is None
-        assert client.tags(name) == []
         told = [
             line["aux"]["Digest"] for line in engine.images.push(name, "v1", stream=True, decode=True) if "aux" in line
         ]
@@ -27,7 +26,6 @@ def test_images_pushed_by_docker_are_found(engine: "DockerClient", registry: Reg
         assert manifest is not None
         assert manifest.media_type == "application/vnd.docker.distribution.manifest.v2+json"
         assert f"sha256:{hashlib.sha256(manifest.content).hexdigest()}" == told[0]
-        assert client.tags(name) == ["v1"]
 
 
 def test_a_manifest_for_several_platforms_stays_byte_for_byte(engine: "DockerClient", registry: Registry) -> None:
@@ -60,7 +58,6 @@ def test_a_registry_with_a_password(engine: "DockerClient", private_registry: Re
             manifest = client.read_manifest(f"{name}:v1")
             assert manifest is not None
             client.put_manifest(f"{name}:v2", manifest)
-            assert sorted(client.tags(name)) == ["v1", "v2"]
         with RegistryClient() as nobody:
             assert nobody.find_manifest(f"{name}:v1") is None
             with pytest.raises(InputError, match="not logged in"):

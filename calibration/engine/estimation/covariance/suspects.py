@@ -30,7 +30,13 @@ import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.estimation.covariance.error_bars import MAX_INFORMATION_WITHOUT_DECISIVE, arm_scatter
-from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND, PROJECTION_KIND, RADIAL_KIND, Cause
+from calibration.engine.estimation.covariance.fixed_inputs import (
+    PLACE_KIND,
+    PROJECTION_KIND,
+    RADIAL_KIND,
+    SAG_KIND,
+    Cause,
+)
 from calibration.engine.estimation.covariance.linear_model import LinearModel
 from calibration.engine.estimation.residuals.statistics import score_of_f, threshold
 
@@ -308,8 +314,10 @@ def _sum_of_outer_products(columns: Array) -> Array:
 
 
 def _is_plausible(suspect: Suspect) -> bool:
-    """Whether a suspected convention of pixel centres is off by about half a pixel."""
+    """Whether a suspected convention of pixel centres is off by about half a pixel, and a sagging arm hangs lower."""
     low, high = HALF_PIXEL
+    if suspect.cause.kind == SAG_KIND:  # a good arm with a board 0.5 % too large would "sag" upwards
+        return bool(suspect.value[0] > 0)
     return suspect.cause.kind != "pixel convention" or bool(low < abs(suspect.value[0]) < high)
 
 
