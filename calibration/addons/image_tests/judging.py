@@ -18,6 +18,8 @@ MAX_LOG_LINES, MAX_LOG_TAIL_BYTES = 20, 64 * 1024
 """Limits of what is kept of the container's last output."""
 RUN_CASE = "(the run)"
 """Case that stands for the run itself: it fails if its process crashes or hangs, or if a report is missing or bad."""
+_ENDS_CUT_SHORT = (End.TIMED_OUT, End.SIGNALLED, End.OUT_OF_MEMORY)
+"""Ends of a container after which tests may not have run, whatever the reports say."""
 _BYTES_OF_ROOT = 4096
 _ROOTS_OF_REPORTS = (b"<testsuite", b"<Site")
 
@@ -66,8 +68,9 @@ def judge_run(tests: ImageTests, outcome: JobOutcome) -> JudgedRun:
     container = next((each for each in outcome.containers if each.log is not None), None)
     log = container.log if container else None
     timed_out = any(each.end == End.TIMED_OUT for each in outcome.containers)
+    cut_short = any(each.end in _ENDS_CUT_SHORT for each in outcome.containers)
     tally = Tally.of(cases)
-    if timed_out or (outcome.exit_code != ExitCode.PASS and not tally.failed):
+    if cut_short or (outcome.exit_code != ExitCode.PASS and not tally.failed):
         problems = [*outcome.reasons, *problems]  # of failed tests it is only the consequence
     elif not tally.ran and not tests.allow_no_tests:
         skipped = f" ({tally.skipped} were skipped)" if tally.skipped else ""

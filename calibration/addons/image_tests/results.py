@@ -28,6 +28,7 @@ class TestRun:
     retries: int = field("How often it was repeated because it failed; the numbers are of the last time.", default=0)
     folder: str = field("Folder of its reports and its log, relative to the output folder.", default="")
     last_lines: tuple[str, ...] = field("Last output of its container, if the run itself failed.", default=())
+    verdict: Verdict = field("Fail if a test failed, or the run itself.", default="pass")
 
 
 @result(kw_only=True)
@@ -54,7 +55,7 @@ class TestsOfEntry:
             return False
         if self.max_flake_rate is not None:
             return test.rate.share <= self.max_flake_rate
-        return not any(run.failed or run.last_lines for run in self.runs)
+        return all(run.verdict == "pass" for run in self.runs)
 
     @property
     @computed()
@@ -105,8 +106,16 @@ def results_of_entry(
 
 def _test_run(attempts: Sequence[JudgedRun], output: Path) -> TestRun:
     last = attempts[-1]
-    tally, folder = last.tally, str(last.folder.relative_to(output))
-    return TestRun(tally.passed, tally.failed, tally.skipped, last.seconds, len(attempts) - 1, folder, last.last_lines)
+    return TestRun(
+        passed=last.tally.passed,
+        failed=last.tally.failed,
+        skipped=last.tally.skipped,
+        seconds=last.seconds,
+        retries=len(attempts) - 1,
+        folder=str(last.folder.relative_to(output)),
+        last_lines=last.last_lines,
+        verdict=verdict_of(last.passes),
+    )
 
 
 @result

@@ -1,6 +1,7 @@
 """Runs of tests judged by the files that they leave, without an engine."""
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -145,6 +146,20 @@ def test_a_retry_that_passes_is_a_flake_and_passes(tmp_path: Path) -> None:
     assert [test.name for test in found.tolerated] == ["two"]
     assert found.runs[0].retries == 1
     assert entry([[red, red]], tmp_path).reasons == ["t: two failed in each of 2 runs: off by two"]
+
+
+def test_a_run_that_crashes_without_output_is_no_tolerated_flake(tmp_path: Path) -> None:
+    crashed = judged(tmp_path, {"reports/a.xml": GREEN}, ("it was killed by SIGSEGV",), ExitCode.FAIL, End.SIGNALLED)
+    silent, green = replace(crashed, last_lines=()), judged(tmp_path, {"reports/a.xml": GREEN})
+    found = entry([[silent], [green]], tmp_path)
+    assert found.verdict == "fail"
+    [reason] = found.reasons
+    assert reason.startswith("t is flaky, failed 1 of 2: ")
+
+
+def test_a_crash_is_not_hidden_by_a_flaky_test(tmp_path: Path) -> None:
+    run = judged(tmp_path, {"reports/a.xml": RED}, ("it was killed by SIGSEGV",), ExitCode.FAIL, End.SIGNALLED)
+    assert [case.name for case in run.cases if case.state == "failed"] == ["one", RUN_CASE]
 
 
 def test_a_test_that_always_fails_is_named_before_flakes(tmp_path: Path) -> None:
