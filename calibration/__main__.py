@@ -104,7 +104,9 @@ def load_command(name: str) -> click.Command:
     return command
 
 
-@click.group("calibration", cls=LazyGroup, no_args_is_help=False)
+@click.group(
+    "calibration", cls=LazyGroup, no_args_is_help=False, context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__, prog_name="calibration-ci", message="%(prog)s %(version)s")
 def group() -> None:
     """Check whether the robot still calibrates.

@@ -67,7 +67,7 @@ def rows(quick: bool) -> Iterator[Row]:
     for name, draw in (("arm", of_an_arm), ("stereo", of_two_cameras)):
         found = on_all_cores(draw, list(range(count)))
         within = float(np.mean([abs(each.in_sigmas) <= WITHIN for each in found]))
-        note = f"{count} lags of 0 to 50 ms, +- {np.median([each.sigma_ms for each in found]):.2g} ms"
+        note = f"{count} lags of 0 to 50 ms, ± {np.median([each.sigma_ms for each in found]):.2g} ms"
         yield Row(f"trust/lag, {name}, within 2 sigma", within, "", SHARE, note)
         yield Row(f"trust/lag, {name}, NEES/6", float(np.mean([each.nees for each in found])), "", NEES)
     scattering = on_all_cores(of_scattering_cameras, list(range(count)))

@@ -10,7 +10,10 @@ from calibration.base.errors import InfrastructureError
 
 PACKAGE_OF_MODULE = {
     "av": ("PyAV", "av"),
+    "boto3": ("boto3", "'calibration-ci[aws]'"),
+    "coverage": ("coverage", "'calibration-ci[coverage]'"),
     "cv2": ("OpenCV", "opencv-python-headless"),
+    "docker": ("docker", "'calibration-ci[containers]'"),
     "hpl": ("hpl-specs", "'calibration-ci[requirements]'"),
     "yaml": ("PyYAML", "pyyaml"),
     "rosbags": ("rosbags", "'calibration-ci[bags]'"),

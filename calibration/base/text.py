@@ -81,6 +81,12 @@ def parse_number(text: str) -> float | None:
     return number if math.isfinite(number) else None
 
 
+def not_a_number(text: str) -> str:
+    """Describe a text that `parse_number` rejects; a decimal comma is named."""
+    comma = parse_number(text.replace(",", ".", 1)) is not None
+    return f"{shorten(text)!r}, which is no finite number" + (": its decimal comma must be a point" if comma else "")
+
+
 def number_text(number: float) -> str:
     """Format a number with all its digits, whole numbers without a point."""
     text = repr(float(number))

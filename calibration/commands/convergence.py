@@ -1,5 +1,6 @@
 """``convergence``: map how large errors of the starting guess may be, by a sweep over the start noise."""
 
+import math
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -83,7 +84,9 @@ def _levels_of_part(part: str) -> tuple[float, ...]:
         raise click.BadParameter(
             f"{part!r} is no range: FIRST below LAST, and a COUNT of 2 to {MAX_LEVELS} were expected, such as 0:2:9"
         )
-    return tuple(float(f"{low + (high - low) * step / (number - 1):.12g}") for step in range(number))
+    decimals = 3 - math.floor(math.log10(high - low))  # as many as one reads: 0.3333 m, not 0.333333333333 m
+    inner = (round(low + (high - low) * step / (number - 1), decimals) for step in range(1, number - 1))
+    return (low, *inner, high)
 
 
 def starts(value: str) -> tuple[str, ...]:

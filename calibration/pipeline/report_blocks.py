@@ -222,9 +222,9 @@ def recordings_table(results: PipelineResults) -> Table:
 
 
 def _vector_text(values: Sequence[float], sigmas: Sequence[float] | None, factor: float, digits: int) -> str:
-    """Format three numbers with the norm of their standard deviations: "10.00, -3.25, 0.40 +- 0.023"."""
+    """Format three numbers with the norm of their standard deviations: "10.00, -3.25, 0.40 ± 0.023"."""
     text = ", ".join(f"{round(factor * value, digits) + 0.0:.{digits}f}" for value in values)  # no -0.00
-    return text if sigmas is None else f"{text} +- {factor * math.hypot(*sigmas):.2g}"
+    return text if sigmas is None else f"{text} ± {factor * math.hypot(*sigmas):.2g}"
 
 
 def _distance_text(transform: TransformResult) -> str:
@@ -269,7 +269,7 @@ def cameras_table(results: PipelineResults) -> Table:
             parameters = {row.parameter: row for row in details.intrinsics if row.name == camera.camera}
             focal, centre = (
                 ", ".join(
-                    f"{parameters[p].value:.2f} +- {parameters[p].sigma or 0:.2g}" for p in names if p in parameters
+                    f"{parameters[p].value:.2f} ± {parameters[p].sigma or 0:.2g}" for p in names if p in parameters
                 )
                 or "held"
                 for names in (("fx", "fy"), ("cx", "cy"))
@@ -277,7 +277,7 @@ def cameras_table(results: PipelineResults) -> Table:
             off = f"{camera.median_px:.2g} ({camera.worst_px:.2g}) at {camera.distance_m:.2g} m, "
             off += f"{camera.far_median_px:.2g} ({camera.far_worst_px:.2g}) far away"
             rows.append((f"{system}: {camera.camera}", camera.model, focal, centre, off))
-    header = ("Camera", "Lens", "fx, fy (px)", "cx, cy (px)", "Projection +- median (worst), px")
+    header = ("Camera", "Lens", "fx, fy (px)", "cx, cy (px)", "Projection ± median (worst), px")
     return Table(header, tuple(rows), TRANSFORMS_SHOWN, brief=True)
 
 
@@ -313,9 +313,9 @@ def _change_text(change: BaselineChange) -> str:
     if change.kind != "pose":
         return change.kind if change.value is None else f"{change.value:+.3g} {change.unit}"
     return (
-        f"{change.mm:.3g} +- {change.sigma_mm:.2g} mm"
+        f"{change.mm:.3g} ± {change.sigma_mm:.2g} mm"
         f"{_direction_text(change.translation_mm, 2) if change.mm > change.sigma_mm else ''}, "
-        f"{change.deg:.2g} +- {change.sigma_deg:.1g} deg"
+        f"{change.deg:.2g} ± {change.sigma_deg:.1g} deg"
         f"{_direction_text(change.rotation_deg, 3) if change.deg > change.sigma_deg else ''}"
     )
 

@@ -11,7 +11,7 @@ from calibration.base.tables.rule_set import RuleSet
 from calibration.base.tables.rules import ChangeRule, LimitRule, Limits, Rule, TextRule
 from calibration.base.tables.selection import Aggregate, EveryRow, KeyedTable
 from calibration.base.tables.table import Table
-from calibration.base.text import count_of, number_text, parse_number, shorten
+from calibration.base.text import count_of, not_a_number, number_text, parse_number, shorten
 from calibration.base.verdict import Verdict, expectation, verdict_of
 
 
@@ -242,7 +242,7 @@ def _judge_text(rule: TextRule, cells: Sequence[_Cell]) -> list[_Finding]:
 def _judge_number(cell: _Cell, limits: Limits, expected: str) -> list[_Finding]:
     number = _number_of_cell(cell)
     if number is None:
-        found = f"{shorten(cell.text)!r}, which is no finite number" if cell.text else "an empty cell"
+        found = not_a_number(cell.text) if cell.text else "an empty cell"
         return [(cell, found, f"a number {expected}")]
     return [] if limits.admit(number) else [(cell, shorten(cell.text), expected)]
 
@@ -282,7 +282,7 @@ def _baseline_numbers(baseline: KeyedTable, rule: ChangeRule) -> dict[str, float
         number = _number_of_cell(cell)
         if number is None:
             line = "" if cell.line is None else f":{cell.line}"
-            raise InputError(f"{name}{line}: {rule.column}: the baseline has {cell.text!r}, which is no finite number")
+            raise InputError(f"{name}{line}: {rule.column}: the baseline has {not_a_number(cell.text)}")
         numbers[cell.row] = number
     return numbers
 

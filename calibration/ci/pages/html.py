@@ -80,8 +80,8 @@ def _class_of_verdict(text: str) -> str | None:
 
 
 def _keep_values_unbroken(text: str) -> str:
-    """Return a cell's text with no-break spaces inside its values, and the sign ±, after which no line breaks."""
-    parts = BETWEEN_VALUES.split(text.replace(" +- ", " ± "))
+    """Return a cell's text with no-break spaces inside its values, so that none is broken after its sign ±."""
+    parts = BETWEEN_VALUES.split(text)
     whole = (len(part) <= LONGEST_VALUE and any(map(str.isdigit, part)) for part in parts)
     return ", ".join(part.replace(" ", NO_BREAK) if keep else part for part, keep in zip(parts, whole, strict=True))
 
@@ -128,5 +128,5 @@ def verdict_line(verdict: str, sentence: str) -> Html:
 
 def bullets(lines: Sequence[str]) -> Html:
     """Return a list; empty if there are no lines."""
-    items = (element("li", line.replace(" +- ", " ± ")) for line in lines)
+    items = (element("li", line) for line in lines)
     return element("ul", *items, class_="reasons") if lines else Html("")

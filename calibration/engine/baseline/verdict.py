@@ -153,15 +153,15 @@ def _nothing_moved(comparison: BaselineComparison, since: str) -> list[Finding]:
 
 
 def size_of_change(change: BaselineChange) -> str:
-    """Describe a change's size and direction: "4.9 +- 0.3 mm along its x, 0.5 +- 0.02 deg about its z"."""
+    """Describe a change's size and direction: "4.9 ± 0.3 mm along its x, 0.5 ± 0.02 deg about its z"."""
     if change.kind == "lens":
         return f"its parameters together by {_sigmas_text(change.sigmas)}"
     if change.kind == "parameter":
-        sigma = "" if change.sigma is None else f" +- {change.sigma:.2g}"
+        sigma = "" if change.sigma is None else f" ± {change.sigma:.2g}"
         unit = "" if change.unit in (None, "1") else f" {change.unit}"
         return f"by {change.value:+.3g}{sigma}{unit}"
     parts = [
-        f"{size:.3g} +- {sigma:.2g} {unit}{_direction_text(vector, word) if size > sigma else ''}"
+        f"{size:.3g} ± {sigma:.2g} {unit}{_direction_text(vector, word) if size > sigma else ''}"
         for size, sigma, unit, vector, word in (
             (change.mm, change.sigma_mm, "mm", change.translation_mm, "along"),
             (change.deg, change.sigma_deg, "deg", change.rotation_deg, "about"),
@@ -181,7 +181,9 @@ def _direction_text(vector: tuple[float, ...], word: str) -> str:
 
 
 def _sigmas_text(sigmas: float) -> str:
-    return f"{sigmas:.2g} standard deviations" if sigmas < 1e6 else "with no error bar"
+    if sigmas >= 1e6:
+        return "with no error bar"
+    return f"{sigmas:.2g} standard deviations" if sigmas < 100 else f"{sigmas:.0f} standard deviations"
 
 
 def _probability_text(p: float) -> str:

@@ -45,8 +45,8 @@ def test_labels_of_a_scene_lie_neither_over_the_drawing_nor_over_each_other() ->
     ("text", "shown"),
     [
         ("0.12 mm, 0.5 deg, FAIL", "0.12_mm, 0.5_deg, FAIL"),
-        ("0.00, -45.00, -0.02 +- 0.046", "0.00,_-45.00,_-0.02_±_0.046"),
-        ("0.1 +- 0.03 mm (0.1, 0.0), 0.5 +- 0.02 deg", "0.1_±_0.03_mm_(0.1,_0.0), 0.5_±_0.02_deg"),
+        ("0.00, -45.00, -0.02 ± 0.046", "0.00,_-45.00,_-0.02_±_0.046"),
+        ("0.1 ± 0.03 mm (0.1, 0.0), 0.5 ± 0.02 deg", "0.1_±_0.03_mm_(0.1,_0.0), 0.5_±_0.02_deg"),
         ("the board of 11 x 8 corners was printed anew in May", "the board of 11 x 8 corners was printed anew in May"),
     ],
 )

@@ -57,8 +57,8 @@ def test_a_rotation_within_its_error_bar_has_no_axis() -> None:
     moved = BaselineChange(name="camera", kind="pose", translation_mm=(0, 0, 3.0), mm=3.0, sigma_mm=0.1, deg=0.002)
     within = replace(moved, rotation_deg=(-0.001, -0.001, 0.0014), sigma_deg=0.005)
     beyond = replace(moved, rotation_deg=(0, 0.002, 0), sigma_deg=0.0005)
-    assert size_of_change(within) == "3 +- 0.1 mm along its z, 0.002 +- 0.005 deg"
-    assert size_of_change(beyond) == "3 +- 0.1 mm along its z, 0.002 +- 0.0005 deg about its y"
+    assert size_of_change(within) == "3 ± 0.1 mm along its z, 0.002 ± 0.005 deg"
+    assert size_of_change(beyond) == "3 ± 0.1 mm along its z, 0.002 ± 0.0005 deg about its y"
 
 
 def test_a_sensor_that_has_moved_is_red_by_name_size_and_direction(

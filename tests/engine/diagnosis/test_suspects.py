@@ -328,7 +328,7 @@ def test_freedom_is_that_of_the_few_errors_that_contribute() -> None:
 
 
 def test_what_is_known_by_few_views_is_said_after_what_is_certain() -> None:
-    """The last two views say that the camera has moved by 12 +- 2 mm; all of them that it is 10 mm off by its lens."""
+    """The last two views say that the camera has moved by 12 ± 2 mm; all of them that it is 10 mm off by its lens."""
 
     def longer(values: Array) -> None:
         values[:2] *= 1.007

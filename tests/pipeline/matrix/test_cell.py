@@ -241,7 +241,7 @@ def test_transforms_are_shown_with_their_error_bars() -> None:
     np.testing.assert_allclose(to_rpy(moved[:, :3, :3]).std(0), free.sigma_rpy, rtol=0.06)
     rows = transforms_table(PipelineResults((replace(CELL, details=Details(transforms=(free, held))),))).rows
     assert [row[-1] for row in rows] == [f"{free.moved_mm:.3g} mm, {free.moved_deg:.2g} deg", "held"]
-    assert f" +- {free.sigma_mm:.2g}" in rows[0][1]
+    assert f" ± {free.sigma_mm:.2g}" in rows[0][1]
     assert "+-" not in rows[1][1]
     assert "-0.00," not in "".join(rows[1])
 
