@@ -76,7 +76,8 @@ test-versions: ## the tests of engine, detectors and rendering with the oldest n
 		rm -rf build/versions; \
 		'$(uv)' pip install --quiet --no-deps --only-binary :all: --python $(python) --target build/versions "$$1"; \
 		CALIBRATION_CI_STRICT= PYTHONPATH='$(CURDIR)/build/versions' \
-			$(python) -m pytest -n 2 -q -p no:cacheprovider --hypothesis-profile few -m 'not many_scenes' "$${@:2}"; \
+			$(python) -m pytest -n 2 -q -p no:cacheprovider --hypothesis-profile few \
+			-m 'not many_scenes and not thorough' "$${@:2}"; \
 	}; \
 	with 'numpy==1.26.*' $(engine_tests); \
 	with 'opencv-python-headless>=5' $(opencv_tests)

@@ -67,6 +67,7 @@ def test_pip_installs_where_uv_fails(suite: Suite, tmp_path: Path) -> None:
 MANY = {f"part{number}": "1.0" for number in range(8)}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("program", ['#!/bin/bash\necho brought >&2\nexec {uv} "$@"\n', "#!/bin/false\n", ""])
 def test_pip_brings_uv_where_there_is_much_to_install(suite: Suite, program: str) -> None:
     """And installs it all itself where that uv fails, or cannot be brought."""
@@ -85,6 +86,7 @@ def test_pip_brings_uv_where_there_is_much_to_install(suite: Suite, program: str
     assert len(suite.environments) == 1
 
 
+@pytest.mark.thorough
 def test_pip_does_it_all_where_uv_does_not_know_a_setting(suite: Suite) -> None:
     suite.lock("introspect.txt", tiny="1.0", **MANY)
     suite.lock("uv.txt", "#!/bin/false\n", uv="1.0")
@@ -216,6 +218,7 @@ def test_settings_of_the_job_do_not_break_the_installation(suite: Suite, install
     assert "did not succeed" not in result.stdout
 
 
+@pytest.mark.thorough
 def test_a_mirror_in_pips_configuration_is_used(suite: Suite, tmp_path: Path) -> None:
     (tmp_path / "pip.conf").write_text(
         f"[global]\nno-index = true\nfind-links = {suite.variables.pop('PIP_FIND_LINKS')}\n"
@@ -271,6 +274,7 @@ def bare(suite: Suite, tmp_path: Path, bootstrap: ModuleType, monkeypatch: pytes
     return tmp_path / "venv" / "bin" / "python"
 
 
+@pytest.mark.thorough
 def test_a_python_without_pip_borrows_the_one_of_ensurepip(suite: Suite, bare: Path, bootstrap: ModuleType) -> None:
     bootstrap.install(bare, ["-r", str(suite.folder / "requirements" / "introspect.txt")])
     assert packages(bare.parents[1]) == {"tiny"}
@@ -379,6 +383,7 @@ def test_the_makefiles_environment_takes_one_line_in_a_terminal(suite: Suite, tm
     assert result.stdout == "setting up .venv with requirements/introspect.txt (once)\n"
 
 
+@pytest.mark.thorough
 def test_a_terminal_shows_what_the_installers_print_if_all_fail(suite: Suite, tmp_path: Path) -> None:
     del suite.variables["GITHUB_ACTIONS"]
     suite.lock("introspect.txt", tiny="1.0", absent="1.0")

@@ -30,6 +30,7 @@ from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import inverse, transform
 from tests.engine.estimation import systems
 from tests.engine.estimation.scenes import PINHOLE, camera
+from tests.thorough import thorough
 
 EDGES = {"eye_to_hand": ("base", "flange"), "eye_in_hand": ("world", "flange")}
 ROUGH = replace(Options(), description="rough")
@@ -119,8 +120,9 @@ ARM_MISTAKES: dict[str, tuple[Callable[[Array], Array], str]] = {
 # The same equations with the board on the arm: what is tried is shown to be the same by some of them.
 @pytest.mark.parametrize(
     ("name", "mistake"),
-    [("eye_to_hand", mistake) for mistake in ARM_MISTAKES]
-    + [("eye_in_hand", some) for some in ("inverse", "wxyz", "mm")],
+    [("eye_to_hand", "wxyz and inverse"), ("eye_in_hand", "mm")]
+    + [thorough("eye_to_hand", each) for each in ARM_MISTAKES if each != "wxyz and inverse"]
+    + [thorough("eye_in_hand", each) for each in ("inverse", "wxyz")],
 )
 def test_poses_of_an_arm_by_another_convention(name: str, mistake: str) -> None:
     change, named = ARM_MISTAKES[mistake]
@@ -129,7 +131,7 @@ def test_poses_of_an_arm_by_another_convention(name: str, mistake: str) -> None:
     assert "px (as they are: " in said
 
 
-@pytest.mark.parametrize("by", [1, -2])
+@pytest.mark.parametrize("by", [1, thorough(-2)])
 def test_images_and_poses_of_neighbouring_collections(by: int) -> None:
     later = f"{abs(by)} collection{'s' * (abs(by) > 1)} {'earlier' if by > 0 else 'later'}"
     assert f"the views taken from {later}" in first_reason(with_later_labels(arm(), by, ("cam",)))
@@ -155,9 +157,9 @@ def test_a_mounting_the_other_way_round_is_told_from_inverse_poses() -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        (inverse, "the pattern's poses inverted"),
-        (lambda T: scaled_translations(T, 1000.0), "the pattern's poses in mm"),
-        (lambda T: scaled_translations(T, 1.2), "the pattern's poses, which are too long by 20 %"),
+        thorough(inverse, "the pattern's poses inverted"),
+        thorough(lambda T: scaled_translations(T, 1000.0), "the pattern's poses in mm"),
+        thorough(lambda T: scaled_translations(T, 1.2), "the pattern's poses, which are too long by 20 %"),
         (rotated(wxyz), "the rotations of the pattern's poses as quaternions wxyz"),
     ],
     ids=["inverse", "mm", "20 % too long", "wxyz"],
@@ -190,7 +192,9 @@ RIG_MISTAKES: dict[str, tuple[Callable[[Dataset], Dataset], str]] = {
 }
 
 
-@pytest.mark.parametrize("mistake", RIG_MISTAKES)
+@pytest.mark.parametrize(
+    "mistake", ["camera_info", *(thorough(each) for each in RIG_MISTAKES if each != "camera_info")]
+)
 def test_two_cameras_by_another_convention(mistake: str) -> None:
     change, named = RIG_MISTAKES[mistake]
     assert named in first_reason(change(systems.stereo(14, seed=1, pixel_noise=0.1).dataset()))
@@ -218,7 +222,9 @@ def test_mirrored_points_of_a_lidar() -> None:
     assert "the points of 'lidar' mirrored back" in first_reason(wrong)
 
 
-@pytest.mark.parametrize("name", ["stereo", "eye_to_hand", "eye_in_hand", "two_bodies", "camera_and_lidar", "tripod"])
+@pytest.mark.parametrize(
+    "name", ["stereo", "eye_to_hand", *map(thorough, ("eye_in_hand", "two_bodies", "camera_and_lidar", "tripod"))]
+)
 def test_a_good_recording_is_not_accused(name: str) -> None:
     dataset = systems.__dict__[name](12, seed=4).dataset(4)
     assert conventions(None, dataset, ROUGH) == ()
