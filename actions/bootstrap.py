@@ -47,6 +47,7 @@ ACTIONS = {
     "collect-data-sim": ("collect-data-sim/main.py", "run.txt"),
     "coverage-upload": ("coverage-upload/main.py", "coverage.txt"),
     "static-analysis": ("static-analysis/main.py", "analysis.txt"),
+    "check-messages": ("check-messages/main.py", "run.txt"),
     "test-image": ("test-image/main.py", "calibrate.txt"),
     "run": ("run.py", "run.txt"),  # the root action.yml; no folder, because a folder here is a sub-action
 }

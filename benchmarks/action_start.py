@@ -16,6 +16,7 @@ from benchmarks.shared_data import ROOT
 INPUTS = {
     "build-image": {"INPUT_SPEC": "nowhere.yml"},
     "calibrate-matrix": {"INPUT_DATASET": "nowhere"},
+    "check-messages": {"INPUT_CONFIG": "nowhere.yml"},
     "test-image": {"INPUT_IMAGE": "nowhere"},
     "collect-data-sim": {"INPUT_SYSTEM": "nowhere", "INPUT_OUTPUT": "nowhere/output"},
     "comment": {"INPUT_RESULTS": "nowhere"},

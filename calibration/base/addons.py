@@ -46,6 +46,8 @@ class AddonStage(NamedTuple):
     """Its result, a `StageResult` (`calibration.pipeline.results`)."""
     needs_image: bool = False
     """Whether it runs in the image of the run, which is built for it."""
+    job: str = ""
+    """The job of the reusable workflow that runs this stage alone; empty for none."""
 
 
 class BackendKind(NamedTuple):

@@ -342,7 +342,7 @@ def verdict_sentence(results: PipelineResults) -> str:
     for things, what, verb in ((results.cells, "cell", "calibrated"), (results.collections, "dataset", "collected")):
         verdicts = Counter(thing.verdict for thing in things)
         count = count_of(len(things), what)
-        nothing = not results.judged and results.image is None and not results.of_stages.all
+        nothing = not results.has_verdict and results.image is None
         counted = [(verdicts["fail"], "failed")] if verdicts["fail"] or (what == "cell" and nothing) else []
         counted += [(verdicts["undecided"], "undecided")] if verdicts["undecided"] else []
         if counted:

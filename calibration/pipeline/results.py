@@ -84,6 +84,10 @@ class StageResult(Protocol):
     """Result of a stage of an add-on: a record of results, which is part of the verdict."""
 
     @property
+    def folder(self) -> str:
+        """The folder of its own files, relative to the output folder."""
+
+    @property
     def reasons(self) -> tuple[str, ...]:
         """Reasons of a fail verdict."""
 
@@ -208,12 +212,17 @@ class PipelineResults:
         return (*self.cells, *self.collections)
 
     @property
+    def has_verdict(self) -> bool:
+        """Whether a cell, a collection or a stage of an add-on was judged."""
+        return bool(self.judged or self.of_stages.all)
+
+    @property
     def verdict(self) -> Verdict:
         """Pass if all cells and collections passed; without any, if an image was built or a stage of an add-on ran.
 
         Undecided if a cell is, and nothing failed.
         """
-        found = bool(self.judged or self.image is not None or self.of_stages.all)
+        found = self.has_verdict or self.image is not None
         comparable = self.baseline is None or not self.baseline.reasons
         whole = comparable and not any(each.reasons for each in self.exports)
         whole = whole and not any(each.reasons for each in self.of_stages.all)

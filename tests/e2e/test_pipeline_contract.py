@@ -93,7 +93,7 @@ def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
 def test_no_call_gathers_what_another_one_left() -> None:
     """Whatever their names, of those that plan-matrix takes, and a job's slug are."""
     steps = [step["with"] for job in JOBS.values() for step in job["steps"] if "artifact@" in step.get("uses", "")]
-    assert len(steps) == 18
+    assert len(steps) == 21
 
     def names(key: str, call: str) -> list[str]:
         texts = [step[key] for step in steps if key in step]
@@ -174,7 +174,7 @@ def test_a_login_goes_to_the_image_that_it_is_for() -> None:
     given = calibrate["env"]
     assert given["INPUT_REGISTRY_PASSWORD"] == f"${{{{ env.CELL_IMAGE == 'given' && {password} || '' }}}}"
     assert given["INPUT_REGISTRY_USERNAME"] == f"${{{{ env.CELL_IMAGE == 'given' && {password} && {user} || '' }}}}"
-    for job in ("calibrate-in-image", "collect-data-in-containers"):
+    for job in ("calibrate-in-image", "collect-data-in-containers", "test-image"):
         [build] = [step for step in JOBS[job]["steps"] if step.get("name") == "Build the image"]
         assert build["env"]["INPUT_LOAD"] is True
 
@@ -189,6 +189,8 @@ def test_jobs_have_the_time_that_the_caller_gives_their_kind() -> None:
         "calibrate-collected-in-image": "${{ inputs.timeout-minutes }}",
         "collect-data": "${{ inputs.collect-timeout-minutes || inputs.timeout-minutes }}",
         "collect-data-in-containers": "${{ inputs.collect-timeout-minutes || inputs.timeout-minutes }}",
+        "test-image": "${{ inputs.tests-timeout-minutes || inputs.timeout-minutes }}",
+        "check-messages": "${{ inputs.timeout-minutes }}",
         "unit-tests": "${{ inputs.tests-timeout-minutes || inputs.timeout-minutes }}",
         "static-analysis": "${{ inputs.timeout-minutes }}",
     }
@@ -210,12 +212,13 @@ def test_permissions_are_small() -> None:
     # These use what the caller gives: a registry, AWS, the comment.
     assert {name for name, job in JOBS.items() if "permissions" not in job} == {
         *("image", "calibrate-in-image", "collect-data-in-containers", "calibrate-collected-in-image"),
-        *("comment", "promote"),
+        *("test-image", "comment", "promote"),
     }
 
 
 def test_a_job_with_the_least_permissions_has_no_secret_but_the_one_that_reads_the_suite() -> None:
-    for name in ("calibrate", "calibrate-collected", "collect-data", "unit-tests", "static-analysis", "verdict"):
+    code = "unit-tests", "static-analysis"
+    for name in ("calibrate", "calibrate-collected", "collect-data", "check-messages", *code, "verdict"):
         assert JOBS[name]["permissions"] == {"contents": "read"}
         text = str([step for step in JOBS[name]["steps"] if step.get("name") != "Calibrate"])
         assert set(re.findall(r"secrets\.([\w-]+)", text)) <= {"suite-token"}, name

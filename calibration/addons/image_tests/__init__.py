@@ -27,6 +27,7 @@ ADDON = Addon(
             section="tests",
             result=DocumentSection(f"{__name__}.results:Tested", "Tests in the image, where calibration.yml has any."),
             needs_image=True,
+            job="test-image",
         )
     },
     schemas={"tests": SchemaFile(__name__, "results.schema.json", "results:ImageTestsResults", "test-image")},

@@ -30,6 +30,7 @@ ADDON = Addon(
                 f"{__name__}.results:JudgedMessages",
                 "Requirements over messages, where calibration.yml asks for them.",
             ),
+            job="check-messages",
         )
     },
     schemas={"messages": SchemaFile(__name__, "results.schema.json", "results:MessageResults", "check-messages")},

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from calibration.base import records
 from calibration.base.errors import ExitCode, InputError, brief
@@ -12,11 +13,20 @@ from calibration.ci.report import RESULTS_FILE, Report, Text, Verdict, reasons_i
 from calibration.ci.report.badge import BADGE_FILE as BADGE
 from calibration.ci.report.badge import verdict_badge
 from calibration.pipeline.distribution.jobs import JOB_SUCCESS, Cost, Needs, jobs_table, money
-from calibration.pipeline.distribution.plan import COLLECTED_DATA, JobCell, WorkflowPlan
+from calibration.pipeline.distribution.plan import COLLECTED_DATA, STAGE_OF_JOB, JobCell, WorkflowPlan
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, nothing_yet
 from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 from calibration.pipeline.report import report
-from calibration.pipeline.results import CELLS_FILE, Collected, PipelineResults, own_details, own_file, read_results
+from calibration.pipeline.results import (
+    CELLS_FILE,
+    Collected,
+    PipelineResults,
+    StageResult,
+    StageResults,
+    own_details,
+    own_file,
+    read_results,
+)
 
 NO_RESULT = "its job left no result: see the job's log"
 
@@ -45,13 +55,13 @@ class Gathered:
     @property
     def verdict(self) -> Verdict:
         """Fail if a job or a cell failed, else undecided if a cell is."""
-        undecided = self.results.judged and self.results.verdict == "undecided" and not self.problems
+        undecided = self.results.has_verdict and self.results.verdict == "undecided" and not self.problems
         return "undecided" if undecided else verdict_of(self.exit_code == ExitCode.PASS)
 
     @property
     def exit_code(self) -> ExitCode:
         """Pass if every job succeeded and every planned cell passed."""
-        found = self.results.exit_code if self.results.judged else ExitCode.PASS
+        found = self.results.exit_code if self.results.has_verdict else ExitCode.PASS
         return max(found, ExitCode.FAIL) if self.problems else found
 
 
@@ -75,6 +85,7 @@ def gather(needs: Needs, plan: WorkflowPlan | None, folder: Path) -> Gathered:
     jobs |= {job: result for job, result in needs.unplanned.items() if result != "skipped"}
     parts = [_cells_of(cell, plan, folder) for cell in plan.cells]
     collected = _collections_of(plan, folder)
+    of_stages = {job: found for job in plan.stages if (found := _stage_result(job, folder)) is not None}
     results = PipelineResults(
         tuple(cell for part in parts for cell in part.cells),
         _each_once(other for part in parts for other in part.comparisons),
@@ -82,14 +93,17 @@ def gather(needs: Needs, plan: WorkflowPlan | None, folder: Path) -> Gathered:
         collected.image,
         next((part.baseline for part in parts if part.baseline is not None), None),
         tuple({each.system: each for part in parts for each in part.exports}.values()),
-        commit=next((part.commit for part in parts if part.commit is not None), None),
+        StageResults(**{STAGE_OF_JOB[job].section: found for job, found in of_stages.items()}),
+        next((part.commit for part in parts if part.commit is not None), None),
     )
     failed = {
         cell.job for cell, part in zip(plan.cells, parts, strict=True) if not all(found.passes for found in part.cells)
     }
     if any(each.verdict == "fail" for each in results.collections):
         failed |= {job for job in jobs if job.startswith("collect-data")}
+    failed |= {job for job, found in of_stages.items() if found.reasons}
     lost = [job for job, result in jobs.items() if result != JOB_SUCCESS and job not in failed]
+    lost += [job for job in plan.stages if jobs[job] == JOB_SUCCESS and job not in of_stages]
     needs = replace(needs, results={**needs.results, **jobs})
     return Gathered(results, jobs, tuple(each for job in lost for each in _reasons_of_job(job, needs, folder)), plan)
 
@@ -101,7 +115,8 @@ def _reasons_of_job(job: str, needs: Needs, folder: Path) -> tuple[str, ...]:
     if error := needs.errors.get(job):
         return (f"{job}: {brief(one_line(error))}",)
     result = needs.results[job]
-    what = {"failure": "failed", "cancelled": "was cancelled", "skipped": "did not run"}.get(result, f"is {result}")
+    words = {JOB_SUCCESS: "left no result", "failure": "failed", "cancelled": "was cancelled", "skipped": "did not run"}
+    what = words.get(result, f"is {result}")
     return (f"the job {job} {what}: see its log",)
 
 
@@ -116,7 +131,7 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
     """
     report_of_cells = report(gathered.results, output, title)
     others = [f"{job} {result}" for job, result in gathered.jobs.items() if result != JOB_SUCCESS]
-    judged = [report_of_cells.sentence] if gathered.results.judged else []
+    judged = [report_of_cells.sentence] if gathered.results.has_verdict else []
     verdict = gathered.verdict
     return replace(
         report_of_cells,
@@ -169,6 +184,12 @@ def _collections_of(plan: WorkflowPlan, folder: Path) -> PipelineResults:
     if unplanned := by_name.keys() - set(plan.simulations):
         raise InputError(f"{folder / COLLECTED_DATA / RESULTS_FILE}: has {min(unplanned)}, which was not planned")
     return replace(results, collections=tuple(collections))
+
+
+def _stage_result(job: str, folder: Path) -> StageResult | None:
+    """Return the result of the stage that a job has run; None if it has left none."""
+    found: Any = getattr(_read_results(folder / job).of_stages, STAGE_OF_JOB[job].section)
+    return None if found is None else replace(found, folder=f"{job}/{found.folder}")
 
 
 def _each_once(comparisons: Iterable[CellResult]) -> tuple[CellResult, ...]:

@@ -8,17 +8,23 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
+from calibration.base.addons import AddonStage, of_addons
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import read_bytes
 from calibration.base.records import between, field, record
 from calibration.base.text import did_you_mean, number_text
+from calibration.ci.execution.backends import Sections
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.configuration import PipelineConfiguration
 from calibration.pipeline.matrix.cell_result import Cell
 from calibration.pipeline.system import NoiseGrid, System
 
-CHOOSABLE_JOBS = ("calibrate", "collect-data", "unit-tests", "static-analysis")
+STAGE_OF_JOB: Mapping[str, AddonStage] = {
+    stage.job: stage for stage in of_addons(lambda addon: addon.stages).values() if stage.job
+}
+"""Stages of add-ons by their jobs, whose names are the slugs of their artifacts too."""
+CHOOSABLE_JOBS = ("calibrate", "collect-data", *STAGE_OF_JOB, "unit-tests", "static-analysis")
 """Jobs that a user can choose."""
 MAX_SLUG_LENGTH = 80
 """Limit of a slug's length."""
@@ -100,6 +106,10 @@ class WorkflowPlan:
     minute_rate: float | None = None
     """Cost of a minute of a job."""
     static_analysis: bool = False
+    stages: tuple[str, ...] = ()
+    """Jobs that run a stage of an add-on."""
+    tests_in_image: bool = False
+    """Whether such a stage runs in the image that the pipeline builds."""
 
     @property
     def cells_of_job(self) -> Mapping[str, tuple[JobCell, ...]]:
@@ -118,6 +128,7 @@ class WorkflowPlan:
             "collect-data-in-containers": bool(self.simulations) and self.collects_in_containers,
             "calibrate-collected": cells["calibrate-collected"],
             "calibrate-collected-in-image": cells["calibrate-collected-in-image"],
+            **{job: job in self.stages for job in STAGE_OF_JOB},
             "unit-tests": self.unit_tests,
             "static-analysis": self.static_analysis,
         }
@@ -183,7 +194,9 @@ def plan_jobs(
         InputError: a selected job has nothing to do, or the matrix is too large.
     """
     simulations = configuration.simulations if configuration else ()
-    wanted = _wanted_jobs(inputs, bool(systems), bool(simulations))
+    sections = configuration.sections if configuration else Sections()
+    stages = [job for job, stage in STAGE_OF_JOB.items() if sections.of(stage.section) is not None]
+    wanted = _wanted_jobs(inputs, bool(systems), bool(simulations), stages)
     calibrated = systems if "calibrate" in wanted else ()
     waiting = [system.name for system in calibrated if system.collected is not None]
     if waiting and "collect-data" not in wanted:
@@ -199,7 +212,9 @@ def plan_jobs(
         raise InputError(f"command: the system '{built.system}' has no image to run it in: add the input image")
     push = section is not None and section.push and inputs.push
     in_image = any(map(_runs_in_built_image, collected))
-    image = push and (built is not None or in_image)
+    stages = [job for job in stages if job in wanted]
+    tests_in_image = section is not None and any(STAGE_OF_JOB[job].needs_image for job in stages)
+    image = push and (built is not None or in_image or tests_in_image)
     return WorkflowPlan(
         cells,
         noise.seeds,
@@ -212,6 +227,8 @@ def plan_jobs(
         promote=section.promote if section is not None and image and inputs.promote else (),
         minute_rate=inputs.minute_rate,
         static_analysis="static-analysis" in wanted,
+        stages=tuple(stages),
+        tests_in_image=tests_in_image,
     )
 
 
@@ -219,16 +236,18 @@ def _runs_in_built_image(simulation: CollectionRequest) -> bool:
     return any(not container.image for container in simulation.applications.containers)
 
 
-def _wanted_jobs(inputs: JobInputs, systems: bool, simulations: bool) -> list[str]:
+def _wanted_jobs(inputs: JobInputs, systems: bool, simulations: bool, stages: Sequence[str]) -> list[str]:
     possible = {
         "calibrate": systems,
         "collect-data": simulations,
+        **{job: job in stages for job in STAGE_OF_JOB},
         "unit-tests": bool(inputs.tests),
         "static-analysis": inputs.analyse,
     }
     missing = {
         "calibrate": "the configuration has no systems",
         "collect-data": "the configuration has no simulation",
+        **{job: f"the configuration has no section {stage.section}" for job, stage in STAGE_OF_JOB.items()},
         "unit-tests": "the input tests is empty: name the command that runs them",
         "static-analysis": "the input analyse is not true",
     }
@@ -266,7 +285,7 @@ def _planned_cells(
             f"{len(noise.rotations)} rotation noises), GitHub takes {MAX_JOBS}: {advice}"
         )
     names = [_name_of_job(system.name, t, r) for system, t, r in pairs]
-    taken = (PLAN_SLUG, COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS)
+    taken = (PLAN_SLUG, COLLECTED_DATA, *STAGE_OF_JOB, UNIT_TESTS, STATIC_ANALYSIS)
     found = slugs([name.replace(", ", "_").replace(" ", "") for name in names], taken)
     return tuple(
         JobCell(
@@ -365,6 +384,7 @@ def plan_outputs(plan: WorkflowPlan) -> dict[str, str]:
         **{f"{job}-names": _compact_json([cell.name for cell in cells]) for job, cells in plan.cells_of_job.items()},
         "cells": _compact_json({cell.name: _matrix_entry(cell) for cell in plan.cells}),
         "collects-in-image": "true" if plan.collects_in_image else "false",
+        "tests-in-image": "true" if plan.tests_in_image else "false",
         "push": "true" if plan.push else "false",
         "promote": _compact_json(plan.promote),
         "plan-sha256": hashlib.sha256(plan_text(plan).encode()).hexdigest(),

@@ -4,7 +4,7 @@ A stage takes a `PipelineRun` and returns it with its results; it only decides w
 function in a module of its own, and a line in `STAGES`.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from calibration.base.documents import line_of
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.text import did_you_mean
 from calibration.ci.execution.backends import ExecutionTarget, Sections
+from calibration.ci.execution.job import Container
 from calibration.ci.execution.workspace import locked
 from calibration.ci.report import Report, publish
 from calibration.ci.workflow import Runner
@@ -65,13 +66,6 @@ class PipelineRun:
     given: Mapping[str, Dataset] = field(default_factory=dict)
     """Datasets that the stage calibrate has read, by system."""
 
-    @property
-    def wants_image(self) -> bool:
-        """Whether a container has no image of its own."""
-        software = [software.container for software in self.matrix.software.values()]
-        theirs = [container for each in self.simulations for container in each.applications.containers]
-        return not all(container.image for container in (*software, *theirs))
-
     def with_result(self, section: str, result: StageResult) -> "PipelineRun":
         """Return the run with the result of an add-on's stage."""
         of_stages = replace(self.results.of_stages, **{section: result})
@@ -86,18 +80,32 @@ class PipelineStage:
     """``module:function`` from run to run; imported when it runs, as it may need packages that others do not."""
     applies: Callable[[PipelineRun], bool] = lambda _: True
     """Returns whether the stage has something to do in a run."""
-    needs_image: bool = False
-    """Whether it runs in the image of the run, which is built for it."""
+    needs_image: Callable[[PipelineRun], bool] = lambda _: False
+    """Returns whether it runs in the image of the run, which is built for it."""
+
+
+def _lack_image(containers: Iterable[Container]) -> bool:
+    """Return whether one of them has no image of its own."""
+    return not all(container.image for container in containers)
 
 
 def _stage_of_addon(stage: AddonStage) -> PipelineStage:
-    return PipelineStage(stage.target, lambda run: run.sections.of(stage.section) is not None, stage.needs_image)
+    return PipelineStage(
+        stage.target, lambda run: run.sections.of(stage.section) is not None, lambda _: stage.needs_image
+    )
 
 
 STAGES: Mapping[str, PipelineStage] = {
     "build": PipelineStage("calibration.pipeline.stages.building:build_stage", lambda run: run.image is not None),
-    "collect": PipelineStage("calibration.pipeline.stages.collecting:collect_stage", lambda run: bool(run.simulations)),
-    "calibrate": PipelineStage("calibration.pipeline.stages.calibrating:calibrate_stage"),
+    "collect": PipelineStage(
+        "calibration.pipeline.stages.collecting:collect_stage",
+        lambda run: bool(run.simulations),
+        lambda run: _lack_image(each for request in run.simulations for each in request.applications.containers),
+    ),
+    "calibrate": PipelineStage(
+        "calibration.pipeline.stages.calibrating:calibrate_stage",
+        needs_image=lambda run: _lack_image(software.container for software in run.matrix.software.values()),
+    ),
     "introspect": PipelineStage("calibration.pipeline.stages.calibrating:introspect_stage"),
     "export": PipelineStage(
         "calibration.pipeline.stages.exporting:export_stage",
@@ -116,7 +124,7 @@ def run_stages(run: PipelineRun, stages: Collection[str] = tuple(STAGES)) -> Pip
 
     Args:
         run: options of the run.
-        stages: the stages to run; an image that containers need is built in any case.
+        stages: the stages to run; an image that their containers need is built in any case.
 
     Raises:
         InputError: there is no such stage, an input is wrong, or another run uses the output folder.
@@ -132,7 +140,7 @@ def run_stages(run: PipelineRun, stages: Collection[str] = tuple(STAGES)) -> Pip
 def _run_stages(run: PipelineRun, stages: Collection[str]) -> PipelineResults:
     if "calibrate" in stages or "collect" in stages:
         clear_results(run.output, _input_paths(run.matrix))
-    wants_image = run.wants_image or any(STAGES[name].needs_image and STAGES[name].applies(run) for name in stages)
+    wants_image = any(STAGES[name].needs_image(run) and STAGES[name].applies(run) for name in stages)
     try:
         for name, stage in STAGES.items():
             if stage.applies(run) and (name in stages or (name == "build" and wants_image)):
@@ -142,7 +150,7 @@ def _run_stages(run: PipelineRun, stages: Collection[str]) -> PipelineResults:
         files = {**found.files, PAGE_FILE: _page_of_run(found, run)}
     except BaseException as error:  # signals too: the results of earlier stages are kept for another run
         # results of an earlier run are not replaced if only an image was built
-        if run.results.judged or run.results.of_stages.all:
+        if run.results.has_verdict:
             why = str(error) if isinstance(error, CalibrationError) else "it was stopped"
             write_results(run.results, run.output, why)
         raise

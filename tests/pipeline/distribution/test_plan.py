@@ -78,6 +78,8 @@ def test_every_pair_of_noises_of_every_system_is_a_job() -> None:
         "collect-data-in-containers": False,
         "calibrate-collected": False,
         "calibrate-collected-in-image": False,
+        "test-image": False,
+        "check-messages": False,
         "unit-tests": False,
         "static-analysis": False,
     }
