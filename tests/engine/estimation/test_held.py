@@ -1,6 +1,7 @@
 """Columns of fixed parameters, against poses that are computed with changed parameters."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -115,7 +116,7 @@ def test_velocities_carry_a_pose_to_the_next() -> None:
     T = [group.T[0]]
     for _ in range(len(group.T) - 1):
         T.append(retract(T[-1], step))
-    even = SeenGroup(group.group, group.sensor, group.pattern, np.stack(T), group.names, group.path, group.prefixes)
+    even = replace(group, T=np.stack(T))
     along = velocities(even)
     for i in range(len(T) - 1):
         np.testing.assert_allclose(along[i], step, atol=5e-6)

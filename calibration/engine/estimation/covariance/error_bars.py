@@ -23,13 +23,13 @@ the views alone: whatever is wrong with it does not widen this covariance. It is
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from calibration.base.arrays import Array
+from calibration.base.arrays import Array, IntArray
 from calibration.engine.dataset.modalities import NoiseKind
-from calibration.engine.estimation.covariance.fixed_inputs import ARM_ACCURACY, LAG_KIND, LINK_KIND
+from calibration.engine.estimation.covariance.fixed_inputs import ARM_ACCURACY, CAMERA_INFO, LAG_KIND, LINK_KIND
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.problem.blocks import Pose
@@ -45,6 +45,28 @@ MIN_CLUSTERS = 4.0
 """Minimum of the clusters that a factor is taken to come from."""
 MAX_INFORMATION_WITHOUT_DECISIVE = 1e-6
 """Information left without a cluster, relative to the total, below which that cluster alone determines a direction."""
+
+
+SourceKind = Literal["labels", "collections", "lens", "board", "arm", "ranges", "held"]
+"""Noise of the labels, disagreement of collections, and what is held: intrinsics, patterns, an arm, a LiDAR's ranges,
+other things."""
+SOURCE_KIND_OF_CAUSE: Mapping[str, SourceKind] = {
+    CAMERA_INFO: "lens",
+    **dict.fromkeys(("size", "stretch", "bow", "twist", "border"), "board"),
+    **dict.fromkeys((LINK_KIND, "accuracy"), "arm"),
+    **dict.fromkeys(("range bias", "range scale", "beam elevation"), "ranges"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorSource:
+    """Independent errors of one standard deviation each, and what they do to the parameters of a linear model."""
+
+    kind: SourceKind
+    name: str
+    """Of the cause; the kind of what is none."""
+    columns: Array
+    """(C, n): changes of all C columns of the model, calibrated and held, by each of n errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +89,9 @@ class ErrorBars:
     """(S, k): by cause, the changes of the parameters by an error of one assumed standard deviation."""
     lags: Mapping[str, float]
     """s: by sensor, total standard deviation of a calibrated lag."""
+    sources: tuple[ErrorSource, ...]
+    """What the total is made of. Of two blocks whose collections disagree, that part is taken to be as correlated as
+    the labels' noise is."""
 
 
 def error_bars(model: LinearModel, problem: Problem) -> ErrorBars:
@@ -91,6 +116,7 @@ def error_bars(model: LinearModel, problem: Problem) -> ErrorBars:
     poses = [at for block, at in blocks.items() if isinstance(problem.blocks[block].parameters, Pose)]
     squares = np.stack([(moves[at][:3] ** 2).sum(0) for at in poses] or [np.zeros(len(T))])
     worth, held, considered = {}, {}, np.zeros((len(free), len(free)))
+    sources = [ErrorSource("labels", "labels", _placed_rows(root, free, len(T)))]
     for cause, at, typical in zip(model.causes, model.places, model.typical, strict=True):
         if cause.counts and not cause.free:
             usual = cause.assumed
@@ -98,15 +124,21 @@ def error_bars(model: LinearModel, problem: Problem) -> ErrorBars:
                 moved = moves[:, at] * np.array(cause.assumed)
                 held[cause.name] = moved[:S]
                 considered = considered + moved @ moved.T
+                columns = _placed_rows(moved, free, len(T))
+                columns[at] = np.diag(cause.assumed)
+                sources.append(ErrorSource(SOURCE_KIND_OF_CAUSE.get(cause.kind, "held"), cause.name, columns))
             else:
                 usual = typical
             worth[cause.name] = float(np.sqrt((squares[:, at] @ np.square(usual)).max()))
+
+    disagreement = np.zeros(len(free))  # variance of each parameter by it, over that by the labels
 
     def bars(at: slice) -> tuple[Array, Array]:
         own = C[at, at]
         factor = max(1.0, float(np.trace(np.linalg.solve(own, clustered[at, at]))) / len(own))
         if factor > MIN_CONTRADICTING_FACTOR or len(batches) < len(shares):
             factor *= _for_few_clusters(root[at] @ batches @ root[at].T, own)
+        disagreement[at] = factor - 1
         return own + considered[at, at], factor * own + considered[at, at]
 
     labels, expected, total = {}, {}, {}
@@ -121,7 +153,16 @@ def error_bars(model: LinearModel, problem: Problem) -> ErrorBars:
     }
     effective = float(leverages.sum() ** 2 / (leverages**2).sum())
     decisive = float(np.linalg.eigvalsh(shares).max())
-    return ErrorBars(labels, expected, total, effective, decisive, worth, held, lags)
+    apart = _placed_rows(np.sqrt(disagreement)[:, None] * root, free, len(T))
+    sources.insert(1, ErrorSource("collections", "collections", apart))
+    return ErrorBars(labels, expected, total, effective, decisive, worth, held, lags, tuple(sources))
+
+
+def _placed_rows(rows: Array, at: IntArray, count: int) -> Array:
+    """Return rows (r, n) as those of indices (r,) among so many, the others zero."""
+    out = np.zeros((count, rows.shape[1]))
+    out[at] = rows
+    return out
 
 
 def _for_few_clusters(parts: Array, own: Array) -> float:

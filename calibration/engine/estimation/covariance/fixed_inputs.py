@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.base.arrays import Array
+from calibration.base.arrays import Array, IntArray
 from calibration.engine.dataset.model import Dataset, Edge, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.covariance.lens_errors import LensErrors, LensSource
@@ -63,19 +63,54 @@ MAX_MOTION_OFF_AXIS = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class SeenGroup:
-    """Views of one sensor and one pattern at the optimum."""
+class Chain:
+    """Chain of transforms from a frame to a pose that its last frame carries, in V collections."""
+
+    collections: IntArray
+    """(V,): their indices."""
+    T: Array
+    """``T_frame_pose`` (V, 4, 4)."""
+    path: tuple[Step, ...]
+    """From the frame to the last one."""
+    prefixes: Mapping[Edge, Array]
+    """``T_frame_child`` (V, 4, 4) of each edge in the path."""
+
+    @cached_property
+    def _from_frame(self) -> Array:
+        """``T_pose_frame`` (V, 4, 4)."""
+        return inverse(self.T)
+
+    def twist(self, edge: Edge, columns: Array | None = None) -> Array | None:
+        """Map twists (V, 6, k) or (6, k) in an edge's child frame to the pose's; None outside of the chain."""
+        step = next((each for each in self.path if (each.parent, each.child) == edge), None)
+        if step is None:
+            return None
+        moved = adjoint(self._from_frame @ self.prefixes[edge])
+        moved = moved if columns is None else moved @ columns
+        return -moved if step.inverted else moved
+
+
+def chain_along(dataset: Dataset, path: tuple[Step, ...], collections: IntArray) -> Chain:
+    """Return the chain along a path; its pose is the last frame."""
+    prefixes, at = {}, np.broadcast_to(np.eye(4), (len(collections), 4, 4))
+    for step in path:
+        edge = dataset.transforms[step.parent, step.child][collections]
+        if step.inverted:
+            prefixes[step.parent, step.child] = at
+        at = at @ (inverse(edge) if step.inverted else edge)
+        if not step.inverted:
+            prefixes[step.parent, step.child] = at
+    return Chain(collections, at, path, prefixes)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenGroup(Chain):
+    """Views of one sensor and one pattern at the optimum; the pose is the pattern's frame at its corners' centre."""
 
     group: ViewGroup
     sensor: Sensor
     pattern: Pattern
-    T: Array
-    """``T_sensor_pattern`` (V, 4, 4), the pattern's frame at the centre of its corners."""
     names: ColumnNames
-    path: tuple[Step, ...]
-    """Chain from the sensor's frame to the pattern's parent."""
-    prefixes: dict[Edge, Array]
-    """``T_sensor_child`` (V, 4, 4) of each edge in the chain."""
 
     @property
     def label_columns(self) -> list["LabelColumn"]:
@@ -85,27 +120,13 @@ class SeenGroup:
             *((self.pattern.name, name) for name in self.names.of_pattern),
         ]
 
-    @cached_property
-    def _from_sensor(self) -> Array:
-        """``T_pattern_sensor`` (V, 4, 4)."""
-        return inverse(self.T)
-
-    def twist(self, edge: Edge, columns: Array | None = None) -> Array | None:
-        """Map twists (V, 6, k) or (6, k) in an edge's child frame to the pattern's; None outside of the chain."""
-        step = next((each for each in self.path if (each.parent, each.child) == edge), None)
-        if step is None:
-            return None
-        moved = adjoint(self._from_sensor @ self.prefixes[edge])
-        moved = moved if columns is None else moved @ columns
-        return -moved if step.inverted else moved
-
 
 LabelColumn = tuple[str, str]
 """Column of labels, see `ColumnNames`: the name of the sensor or pattern, and the column's own."""
 Combination = dict[LabelColumn, float]
 """Linear combination of columns of labels, by their weights, which are the same in all views."""
-Twists = Callable[[SeenGroup], Array | None]
-"""Function of a group's views that returns twists of the pose (V, 6, k); None for no effect."""
+Twists = Callable[[Chain], Array | None]
+"""Function of a chain that returns twists of its pose (V, 6, k); None for no effect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,7 +306,7 @@ def _combinations_of_subject(subject: str, weights: Sequence[dict[str, float]]) 
 def _of_moving_edge(edge: Edge, T: Array, assume: Assumptions) -> Iterator[Cause]:
     name = "-".join(edge)
     sigma = (assume.arm_translation,) * 3 + (assume.arm_rotation,) * 3
-    yield Cause(LINK_KIND, name, "m", sigma, lambda group: group.twist(edge))
+    yield Cause(LINK_KIND, name, "m", sigma, lambda chain: chain.twist(edge))
     axis = joint_axis(T)
     if axis is None:
         lengths = _lengthening_twists(T)
@@ -311,7 +332,7 @@ def _of_whole_arm(edge: Edge, assume: Assumptions) -> Cause:
     """
     beyond = float(np.sqrt(ARM_ACCURACY**2 - 1))
     sigma = (beyond * assume.arm_translation,) * 3 + (beyond * assume.arm_rotation,) * 3
-    return Cause("accuracy", "-".join(edge), "m", sigma, lambda group: group.twist(edge), tested=False)
+    return Cause("accuracy", "-".join(edge), "m", sigma, lambda chain: chain.twist(edge), tested=False)
 
 
 def _of_sagging_arms(dataset: Dataset, moving: Sequence[Edge]) -> Iterator[Cause]:
@@ -340,7 +361,7 @@ def _of_sagging_arms(dataset: Dataset, moving: Sequence[Edge]) -> Iterator[Cause
 
 def _on_views(edge: Edge, twists: Array) -> Twists:
     """Return the effect of twists (N, 6, k) in an edge's child frame, one for each collection."""
-    return lambda group: group.twist(edge, twists[group.group.collections])
+    return lambda chain: chain.twist(edge, twists[chain.collections])
 
 
 def _lengthening_twists(T: Array) -> Array:
@@ -377,8 +398,9 @@ def joint_axis(T: Array) -> tuple[Array, Array, bool] | None:
 def moved_sensor(sensor: Sensor, assumed: tuple[float, ...] = (0.0,) * 6) -> Cause:
     """Cause of a displaced sensor, apart from others that may share its transform."""
 
-    def twists(group: SeenGroup) -> Array | None:
-        return group.twist(sensor.edge) if group.sensor.name == sensor.name else None
+    def twists(chain: Chain) -> Array | None:
+        seen = isinstance(chain, SeenGroup) and chain.sensor.name == sensor.name
+        return chain.twist(sensor.edge) if seen else None
 
     return Cause(PLACE_KIND, sensor.name, "m", assumed, twists, counts=False)
 
@@ -386,8 +408,9 @@ def moved_sensor(sensor: Sensor, assumed: tuple[float, ...] = (0.0,) * 6) -> Cau
 def moved_pattern(pattern: Pattern, assumed: tuple[float, ...] = (0.0,) * 6) -> Cause:
     """Cause of a displaced fixed pattern."""
 
-    def twists(group: SeenGroup) -> Array | None:
-        return np.tile(np.eye(6), (len(group.T), 1, 1)) if group.pattern.name == pattern.name else None
+    def twists(chain: Chain) -> Array | None:
+        seen = isinstance(chain, SeenGroup) and chain.pattern.name == pattern.name
+        return np.tile(np.eye(6), (len(chain.T), 1, 1)) if seen else None
 
     return Cause(PLACE_KIND, pattern.name, "m", assumed, twists, counts=False)
 
@@ -399,10 +422,10 @@ def lag(dataset: Dataset, sensor: Sensor, free: bool) -> Cause:
     """
     timed = bool(dataset.velocities)
 
-    def twists(group: SeenGroup) -> Array | None:
-        if group.sensor.name != sensor.name:
+    def twists(chain: Chain) -> Array | None:
+        if not isinstance(chain, SeenGroup) or chain.sensor.name != sensor.name:
             return None
-        return (frame_velocities(dataset, group) if timed else velocities(group))[..., None]
+        return (frame_velocities(dataset, chain) if timed else velocities(chain))[..., None]
 
     unit: Unit = "s" if timed else "collections"
     return Cause(LAG_KIND, sensor.name, unit, (0.0,), twists, counts=False, tested=not free, free=free)
@@ -449,18 +472,10 @@ def seen_groups(dataset: Dataset, groups: Sequence[ViewGroup], poses: Sequence[A
     for group, T in zip(groups, poses, strict=True):
         sensor, pattern = dataset.sensors[group.sensor], dataset.patterns[group.pattern]
         path = dataset.tree.path(sensor.frame, pattern.parent_link)
-        prefixes, at = {}, np.broadcast_to(np.eye(4), (len(T), 4, 4))
-        transforms = dataset.seen_by(sensor.name).transforms
-        for step in path:
-            edge = transforms[step.parent, step.child][group.collections]
-            if step.inverted:
-                prefixes[step.parent, step.child] = at
-            at = at @ (inverse(edge) if step.inverted else edge)
-            if not step.inverted:
-                prefixes[step.parent, step.child] = at
+        chain = chain_along(dataset.seen_by(sensor.name), path, group.collections)
         camera = sensor.camera if sensor.modality.has_corners else None
         names = ColumnNames(camera, sensor.modality.has_poses, _rings(group))
-        found.append(SeenGroup(group, sensor, pattern, T, names, path, prefixes))
+        found.append(SeenGroup(chain.collections, T, path, chain.prefixes, group, sensor, pattern, names))
     return found
 
 

@@ -1,0 +1,431 @@
+"""Points of a robot task at a calibration, and the derivatives of its error by all parameters of the calibration.
+
+What the sensors measure of a point is given: pixels, ranges. Parameters that are off then put the point elsewhere. In
+the frame F in which the error counts, the displacement ``dy`` of a point y follows from one equation for each
+measurement, with the displacement ``c`` by the chain of transforms from F to the sensor (of its measured point, carried
+along)::
+
+    S (dy - c) + D dk = 0      a pixel, by its slopes S by the point, and its derivatives D by the intrinsics k
+    u^T (dy - c) = 0           the known distance along the ray u of a single camera
+    n^T dy = 0                 a point on a plane
+    dy = c - d                 a point of a LiDAR or a depth camera, whose ranges and beams are off by d
+
+solved by least squares where there are more than three. In the image of a camera whose frame is F the error is
+``S dy + D dk``.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calibration.base.arrays import Array, BoolArray, IntArray
+from calibration.base.errors import InputError
+from calibration.base.text import did_you_mean
+from calibration.engine.dataset.model import Dataset, Edge, Sensor
+from calibration.engine.estimation.covariance.fixed_inputs import STILL_TOLERANCE, Chain, chain_along, joint_axis
+from calibration.engine.estimation.covariance.result import Solution
+from calibration.engine.estimation.problem.blocks import Pose
+from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL
+from calibration.engine.geometry import rotations
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.transforms import adjoint, apply, inverse, translation
+from calibration.engine.tasks.robot_task import RobotTask, TaskUnit
+
+COLUMNS_OVER_IMAGE, ROWS_OVER_IMAGE = 9, 7
+"""Points of a task all over an image; those of the outer ones are on its border."""
+POINTS_ALONG_BOX = 4
+"""Points of a box along each of its sides that have a length."""
+MAX_POSES = 12
+"""Poses of the recording at which a task of a robot that moves is looked at."""
+UNIT_PER_SI: dict[TaskUnit, float] = {"mm": 1e3, "px": 1.0, "deg": 180 / np.pi}
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedTask:
+    """Points of a task, at poses of the recording."""
+
+    task: RobotTask
+    frame: str
+    """F, in which the error counts."""
+    collections: IntArray
+    """(V,): the poses, by the indices of their collections."""
+    points: Array
+    """(V, P, 3): in F, m."""
+    seen: BoolArray
+    """(V, P): whether the sensors see them; the others do not count."""
+    pixels: Array | None
+    """(P, 2): in the image over which they are spread; None if they are in a space."""
+
+    @cached_property
+    def at(self) -> tuple[IntArray, IntArray]:
+        """Pose and number of each of the n points that count."""
+        pose, number = np.nonzero(self.seen)
+        return pose, number
+
+    @cached_property
+    def places(self) -> Array:
+        """(n, 3): the points that count, in F, m."""
+        return np.asarray(self.points[self.at])
+
+
+def place_task(dataset: Dataset, task: RobotTask, gauge: str | None = None) -> PlacedTask:
+    """Return the points of a task at a calibration.
+
+    Args:
+        dataset: with the transforms and cameras of the calibration.
+        task: the task.
+        gauge: the sensor that was fixed because the data determine only where the others are relative to it.
+
+    Raises:
+        InputError: a sensor, a frame or a collection is unknown, frames are not connected, or no sensor sees a point.
+    """
+    sensors = [_known_sensor(dataset, task, "seen-by", name) for name in task.seen_by]
+    image = _known_sensor(dataset, task, "in-image-of", task.image) if task.image else None
+    cameras = [each for each in (image, *sensors) if each and _camera_of(each)]
+    for key, each in (("in-image-of", image), *(("seen-by", sensor) for sensor in sensors)):
+        must = key == "in-image-of" or len(sensors) > 1 or task.plane is not None or not _is_metric(each)
+        if each is not None and must and _camera_of(each) is None:
+            raise _fault(task, key, f"'{each.name}' has no intrinsics, which this task needs: expected a camera")
+    frame = image.frame if image else task.plane or task.frame or sensors[0].frame
+    points_in = task.points_in or task.of or frame
+    if task.plane is not None and task.points and any(point[2] for point in task.points) and points_in == frame:
+        raise _fault(task, "points", f"found a point off the plane z = 0 of {frame}, expected points on it")
+    if task.distance is not None:
+        if not cameras:
+            raise _fault(task, "distance", "found no camera over whose image the points could be; give points or a box")
+        points_in = cameras[0].frame
+    ends = dict.fromkeys((*(each.frame for each in cameras), *(each.frame for each in sensors), points_in))
+    ends |= dict.fromkeys([task.of] if task.of else [])
+    collections = _poses_of_robot(dataset, task, frame, ends)
+    if gauge is not None:
+        _refuse_unknown_place(dataset, task, frame, ends, gauge)
+    pixels = None
+    if task.distance is not None:
+        pixels, points = _over_image(cameras[0], task.distance)
+    else:
+        points = _given_points(task)
+    placed = apply(
+        dataset.transform(frame, points_in, collections), np.broadcast_to(points, (len(collections), *points.shape))
+    )
+    seen: BoolArray = np.asarray(np.isfinite(placed).all(-1))
+    for each in cameras:
+        seen = seen & _sees(each, apply(dataset.transform(each.frame, frame, collections), placed))
+    _refuse_unreachable(dataset, task, frame, collections, placed)
+    if not seen.any() or (task.points is not None and not seen.any(0).all()):
+        number = 0 if not seen.any() else int((~seen.any(0)).argmax())
+        names = " and ".join(each.name for each in cameras)
+        x, y, z = apply(dataset.transform(cameras[0].frame, frame, collections[:1]), placed[:1])[0, number].tolist()
+        behind = "behind it" if z <= 0 else "beside its image"
+        raise _fault(
+            task,
+            "points" if task.points else "box" if task.box else "distance",
+            f"{names} cannot see ({x:.4g}, {y:.4g}, {z:.4g}) m in {cameras[0].frame}: it is {behind}; expected points "
+            "that the camera sees, x right, y down, z forward in its own frame",
+        )
+    return PlacedTask(task, frame, collections, placed, seen, pixels)
+
+
+def _fault(task: RobotTask, key: str, text: str) -> InputError:
+    return InputError(f"tasks.{task.name}.{key}: {text}")
+
+
+def _known_sensor(dataset: Dataset, task: RobotTask, key: str, name: str) -> Sensor:
+    if name not in dataset.sensors:
+        known = ", ".join(dataset.sensors)
+        raise _fault(
+            task,
+            key,
+            f"found '{name}', expected a sensor of the dataset{did_you_mean(name, dataset.sensors)} ({known})",
+        )
+    return dataset.sensors[name]
+
+
+def _camera_of(sensor: Sensor) -> Camera | None:
+    """Return the camera of a sensor whose labels are corners; a depth camera measures points."""
+    return sensor.camera if sensor.modality.has_corners else None
+
+
+def _is_metric(sensor: Sensor | None) -> bool:
+    """Whether a sensor measures where a point is, not only its direction."""
+    return sensor is not None and not sensor.modality.has_corners
+
+
+def _poses_of_robot(dataset: Dataset, task: RobotTask, frame: str, ends: Iterable[str]) -> IntArray:
+    """Return the collections (V,) at which the robot is looked at: one if nothing moves between the frames."""
+    edges: dict[Edge, None] = {}
+    for end in ends:
+        try:
+            edges |= dict.fromkeys((step.parent, step.child) for step in dataset.tree.path(frame, end))
+        except InputError as error:
+            raise _fault(task, "in" if task.frame else "of" if task.of else "points-in", str(error)) from None
+    calibrated = {
+        pattern.edge for pattern in dataset.patterns.values() if not pattern.fixed
+    } | dataset.moving_transforms
+    if free := next((edge for edge in edges if edge in calibrated), None):
+        raise _fault(
+            task,
+            "in",
+            f"between the frames is '{'-'.join(free)}', which has another place in each collection and is calibrated "
+            "there; expected frames of the robot",
+        )
+    if task.collections is not None:
+        if missing := next((key for key in task.collections if key not in dataset.keys), None):
+            raise _fault(
+                task, "collections", f"found '{missing}', expected the key of a collection, such as {dataset.keys[0]}"
+            )
+        chosen = np.array([dataset.keys.index(key) for key in task.collections])
+    else:
+        chosen = np.arange(len(dataset.keys))
+    known = np.all(
+        [np.isfinite(dataset.transforms[edge][chosen, 0, 0]) for edge in edges] or [np.ones(len(chosen), bool)], 0
+    )
+    chosen = chosen[known]
+    if not len(chosen):
+        raise _fault(task, "collections", "no collection has all transforms between the frames")
+    moving = any(np.abs(T - T[0]).max() > STILL_TOLERANCE for T in (dataset.transforms[edge][chosen] for edge in edges))
+    if not moving:
+        return chosen[:1]
+    return np.asarray(
+        chosen[np.unique(np.linspace(0, len(chosen) - 1, min(MAX_POSES, len(chosen))).round().astype(int))]
+    )
+
+
+def _refuse_unknown_place(dataset: Dataset, task: RobotTask, frame: str, ends: Iterable[str], gauge: str) -> None:
+    """Refuse frames between which there is one sensor whose place on the robot the data do not tell.
+
+    Raises:
+        InputError: there is one.
+    """
+    edges = {sensor.edge for sensor in dataset.sensors.values()}
+    for end in ends:
+        if sum((step.parent, step.child) in edges for step in dataset.tree.path(frame, end)) == 1:
+            raise _fault(
+                task,
+                "seen-by",
+                f"between {frame} and {end} is a sensor whose place on the robot this recording does not tell, only "
+                f"where it is relative to the others ('{gauge}' is held): expected frames of sensors",
+            )
+
+
+def _over_image(sensor: Sensor, distance: float) -> tuple[Array, Array]:
+    """Return pixels (P, 2) all over an image, and points (P, 3) that are seen there, in the camera's frame."""
+    camera = _camera_of(sensor)
+    if camera is None:
+        raise AssertionError("a camera has intrinsics")
+    u = np.linspace(0, camera.width - 1, COLUMNS_OVER_IMAGE)
+    v = np.linspace(0, camera.height - 1, ROWS_OVER_IMAGE)
+    pixels = np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
+    rays = camera.rays(pixels)
+    return pixels, distance * rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+def _given_points(task: RobotTask) -> Array:
+    if task.box is None:
+        return np.array(task.points, float)
+    ends = zip(task.box.low, task.box.high, strict=True)
+    axes = [np.unique(np.linspace(low, high, POINTS_ALONG_BOX)) for low, high in ends]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+
+
+def _sees(sensor: Sensor, points: Array) -> BoolArray:
+    camera = _camera_of(sensor)
+    if camera is None:
+        raise AssertionError("a camera has intrinsics")
+    pixels, visible = camera.project_visible(points)
+    return visible & camera.contains(np.where(np.isfinite(pixels), np.rint(pixels), -1e9))
+
+
+def _refuse_unreachable(dataset: Dataset, task: RobotTask, frame: str, collections: IntArray, placed: Array) -> None:
+    """Refuse points that the arm between them and the frame in which the error counts is too short to reach.
+
+    The links' lengths in all are the limit. An arm that is one transform from base to flange does not tell its own.
+
+    Raises:
+        InputError: there is one.
+    """
+    if task.points_in is None:
+        return
+    path = dataset.tree.path(task.points_in, frame)
+    moving = [k for k, step in enumerate(path) if _moves(dataset, (step.parent, step.child))]
+    if not moving or any(joint_axis(dataset.transforms[path[k].parent, path[k].child]) is None for k in moving):
+        return
+    first = path[moving[0]]
+    base = first.child if first.inverted else first.parent
+    edges = [(step.parent, step.child) for step in path[moving[0] :]]
+    reach = sum(float(np.linalg.norm(dataset.transforms[edge][:, :3, 3], axis=1).max()) for edge in edges)
+    far = np.linalg.norm(apply(dataset.transform(base, frame, collections), placed), axis=-1).max()
+    if far > reach:
+        raise _fault(
+            task,
+            "box" if task.box else "points",
+            f"found a point {far:.3g} m from {base}, beyond the reach of {frame}: its links are {reach:.3g} m long",
+        )
+
+
+def _moves(dataset: Dataset, edge: Edge) -> bool:
+    T = dataset.transforms[edge]
+    return bool(np.nanmax(np.abs(T - T[0])) > STILL_TOLERANCE)
+
+
+def task_jacobian(solution: Solution, placed: PlacedTask) -> Array:
+    """Return the derivatives (n, m, C) of a task's error by the C columns of the linear model, in its unit.
+
+    Args:
+        solution: optimum of the calibration.
+        placed: the task at it: n points that count; m is 2 in an image and on a plane, else 3.
+    """
+    task, y = placed.task, placed.places
+    dataset = solution.dataset
+    columns = TaskColumns(solution, placed)
+    if task.of is not None:
+        moved = columns.displacement(task.of)
+    else:
+        moved = _measured_displacement(columns, [dataset.sensors[name] for name in task.seen_by])
+    if task.image is not None:
+        camera = dataset.sensors[task.image]
+        slopes, own = columns.slopes(camera), columns.of_intrinsics(camera)
+        moved = slopes @ moved + own
+    elif task.plane is not None:
+        moved = moved[:, :2]
+    elif task.unit == "deg":
+        far = np.linalg.norm(y, axis=-1)[:, None, None]
+        unit = y[..., None] / far
+        moved = (moved - unit @ (np.swapaxes(unit, 1, 2) @ moved)) / far
+    return np.asarray(UNIT_PER_SI[task.unit] * moved)
+
+
+def _measured_displacement(columns: "TaskColumns", sensors: Sequence[Sensor]) -> Array:
+    """Return the displacement (n, 3, C) in F of points that sensors measure, see the module."""
+    placed = columns.placed
+    first = sensors[0]
+    if _is_metric(first):
+        return columns.displacement(first.frame) + columns.of_ranges(first)
+    rows, sides = [], []
+    for sensor in sensors:
+        slopes = columns.slopes(sensor)
+        rows.append(slopes)
+        sides.append(slopes @ columns.displacement(sensor.frame) - columns.of_intrinsics(sensor))
+    if len(sensors) == 1:
+        scale = np.linalg.norm(rows[0], axis=(1, 2))[:, None, None]  # a row as large as those of the pixels
+        if placed.task.plane is not None:
+            rows.append(np.broadcast_to([0.0, 0.0, 1.0], (len(placed.places), 1, 3)) * scale)
+            sides.append(np.zeros((len(placed.places), 1, columns.count)))
+        else:
+            along = scale * columns.rays(first)[:, None]
+            rows.append(along)
+            sides.append(along @ columns.displacement(first.frame))
+    return np.asarray(np.linalg.pinv(np.concatenate(rows, 1)) @ np.concatenate(sides, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class TaskColumns:
+    """Effects of each column of the linear model on the n points of a task: C columns, calibrated ones first."""
+
+    solution: Solution
+    placed: PlacedTask
+
+    @property
+    def count(self) -> int:
+        """C."""
+        model = self.solution.model
+        return model.places[-1].stop if model.places else model.shared
+
+    def displacement(self, end: str) -> Array:
+        """Return the displacement (n, 3, C) in F of points that a frame carries, by the transforms between."""
+        placed, dataset = self.placed, self.solution.dataset
+        chain = chain_along(dataset, dataset.tree.path(placed.frame, end), placed.collections)
+        twists = np.zeros((len(placed.collections), 6, self.count))  # in the frame that carries them
+        for at, columns in self._twists(chain):
+            twists[:, :, at] += columns
+        pose, _ = placed.at
+        R = chain.T[pose, :3, :3]
+        p = np.einsum("nji,nj->ni", R, placed.places - chain.T[pose, :3, 3])
+        by_turn = -rotations.hat(p) @ twists[pose, 3:]
+        return np.asarray(R @ (twists[pose, :3] + by_turn))
+
+    def _twists(self, chain: Chain) -> Iterator[tuple[slice, Array]]:
+        """Yield the twists (V, 6, k) of a chain's pose by the parameters of transforms, calibrated and held."""
+        solution = self.solution
+        problem, dataset = solution.setup.problem, solution.dataset
+        joints = {joint.edge: joint for joint in dataset.joints.values()}
+        centres = {pattern.edge: adjoint(translation(pattern.centre)) for pattern in dataset.patterns.values()}
+        for block, at in problem.shared_parameters.items():
+            edge, kind = problem.blocks[block].edge, problem.blocks[block]
+            if edge is None:
+                continue
+            columns: Array | None = centres.get(edge)  # a pattern's block is at the centre of its corners
+            if kind.joint is not None:
+                joint = joints[edge]
+                own = kind.joint.model.columns(solution.values[block])[:, kind.joint.at]
+                columns = adjoint(inverse(joint.model.motion(joint.positions[chain.collections]))) @ own
+            elif not isinstance(kind.parameters, Pose):
+                continue
+            if (moved := chain.twist(edge, columns)) is not None:
+                yield at, moved
+        for cause, at in solution.model.placed():
+            if callable(cause.effect) and (moved := cause.effect(chain)) is not None:
+                yield at, moved
+
+    def _in_sensor(self, sensor: Sensor) -> tuple[Array, Array]:
+        """Return ``R_F_sensor`` (n, 3, 3), and the points (n, 3) in the sensor's frame."""
+        placed, (pose, _) = self.placed, self.placed.at
+        T = self.solution.dataset.transform(placed.frame, sensor.frame, placed.collections)[pose]
+        R = T[:, :3, :3]
+        return R, np.einsum("nji,nj->ni", R, placed.places - T[:, :3, 3])
+
+    def rays(self, sensor: Sensor) -> Array:
+        """Return the directions (n, 3) from a sensor to the points, in F."""
+        R, p = self._in_sensor(sensor)
+        return np.asarray(np.einsum("nij,nj->ni", R, p / np.linalg.norm(p, axis=-1, keepdims=True)))
+
+    def slopes(self, sensor: Sensor) -> Array:
+        """Return the derivatives (n, 2, 3) of the pixels by the points, in F."""
+        R, p = self._in_sensor(sensor)
+        return np.asarray(np.moveaxis(_known_camera(sensor).slopes(p.T), -1, 0) @ np.swapaxes(R, 1, 2))
+
+    def of_intrinsics(self, sensor: Sensor) -> Array:
+        """Return the derivatives (n, 2, C) of the pixels by a camera's intrinsics."""
+        camera = _known_camera(sensor)
+        _, p = self._in_sensor(sensor)
+        x, y = camera.distortion.chart.coordinates(p.T, camera.distortion.sees)
+        own = np.moveaxis(_derivatives_of_pixels(camera, x, y), -1, 0)  # (n, parameters, 2)
+        return self._of_labels(sensor, (*camera.parameters, *ERRORS_BEYOND_LENS_MODEL), np.swapaxes(own, 1, 2))
+
+    def of_ranges(self, sensor: Sensor) -> Array:
+        """Return the displacement (n, 3, C) in F by the errors of a sensor's ranges and beams."""
+        R, p = self._in_sensor(sensor)
+        far, flat = np.linalg.norm(p, axis=-1), np.maximum(np.hypot(p[:, 0], p[:, 1]), 1e-9)
+        lower = np.stack([p[:, 0] * p[:, 2] / flat, p[:, 1] * p[:, 2] / flat, -flat], -1)
+        errors = np.stack([p / far[:, None], p, lower], -1)
+        return self._of_labels(sensor, ("bias", "scale", "elevation"), -R @ errors)
+
+    def _of_labels(self, sensor: Sensor, names: Sequence[str], effects: Array) -> Array:
+        """Return effects (n, m, C) by effects (n, m, k) of a sensor's own parameters, by their names."""
+        problem, model = self.solution.setup.problem, self.solution.model
+        weights = np.zeros((len(names), self.count))
+        rows = {(sensor.name, name): k for k, name in enumerate(names)}
+        for block, at in problem.shared_parameters.items():
+            if (free := problem.blocks[block].intrinsics) is not None and free.sensor == sensor.name:
+                weights[[rows[sensor.name, name] for name in free.free], range(at.start, at.stop)] = 1.0
+        for cause, at in model.placed():
+            for column, combination in enumerate(() if callable(cause.effect) else cause.effect, at.start):
+                for label, weight in combination.items():
+                    if label in rows:
+                        weights[rows[label], column] = weight
+        return np.asarray(effects @ weights)
+
+
+def _known_camera(sensor: Sensor) -> Camera:
+    if sensor.camera is None:
+        raise AssertionError("a camera has intrinsics")
+    return sensor.camera
+
+
+def _derivatives_of_pixels(camera: Camera, x: Array, y: Array) -> Array:
+    """Return the derivatives (k, 2, n) by the intrinsics, and by the errors beyond the lens's model."""
+    xd, yd = camera.distortion.distort(x, y)
+    none, r2 = np.zeros_like(x), xd * xd + yd * yd
+    beyond = np.array([(camera.fx * yd, none), (camera.fx * r2, none), (none, camera.fy * r2)])
+    return np.asarray(np.concatenate([camera.derivatives(x, y), beyond]))

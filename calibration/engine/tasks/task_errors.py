@@ -1,0 +1,100 @@
+"""Error of robot tasks at a calibration, by the delta method, split by what it comes from.
+
+The error of a task at a point is ``e = J d``, with its derivatives J by all parameters (`placed_task.task_jacobian`)
+and the errors d of these, calibrated and held, as independent ones of one standard deviation each
+(`covariance.error_bars.ErrorSource`). So its covariance is the sum over these sources, and what is held counts both by
+what it does to the calibrated parameters and by what it does itself: a focal length that is off moves the camera, and
+the two nearly cancel where the patterns were.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calibration.base.arrays import Array
+from calibration.engine.estimation.covariance.error_bars import ErrorSource, SourceKind
+from calibration.engine.estimation.covariance.result import Calibration, Solution
+from calibration.engine.tasks.gaussian_norm import quantile_of_norm
+from calibration.engine.tasks.placed_task import PlacedTask, place_task, task_jacobian
+from calibration.engine.tasks.robot_task import RobotTask
+
+MEDIAN, MOST = 0.5, 0.95
+"""Probabilities of the quantiles that are stated."""
+
+
+@dataclass(frozen=True, eq=False)
+class TaskError:
+    """Error of a task at its n points, in its unit."""
+
+    placed: PlacedTask
+    jacobian: Array
+    """(n, m, C): derivatives by the columns of the linear model."""
+    sources: tuple[ErrorSource, ...]
+
+    @property
+    def task(self) -> RobotTask:
+        """The task."""
+        return self.placed.task
+
+    @cached_property
+    def variances(self) -> Mapping[str, Array]:
+        """By source, its part (n,) of the mean square error."""
+        return {each.name: ((self.jacobian @ each.columns) ** 2).sum((1, 2)) for each in self.sources}
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(n, m, m)."""
+        moved = self.jacobian @ np.concatenate([each.columns for each in self.sources], 1)
+        return np.asarray(moved @ np.swapaxes(moved, 1, 2))
+
+    @cached_property
+    def median(self) -> Array:
+        """(n,): the size that the error does not exceed with a probability of one half."""
+        return quantile_of_norm(self.covariance, MEDIAN)
+
+    @cached_property
+    def most(self) -> Array:
+        """(n,): the size that it does not exceed with a probability of 95 %."""
+        return quantile_of_norm(self.covariance, MOST)
+
+    @cached_property
+    def worst(self) -> int:
+        """Number of the point with the largest error."""
+        return int(self.most.argmax())
+
+    def parts(self) -> dict[SourceKind, float]:
+        """Return by kind of source its standard deviation at the worst point, largest first."""
+        sums: dict[SourceKind, float] = {}
+        for each in self.sources:
+            sums[each.kind] = sums.get(each.kind, 0.0) + float(self.variances[each.name][self.worst])
+        return {kind: part**0.5 for kind, part in sorted(sums.items(), key=lambda each: -each[1]) if part > 0}
+
+    def change(self, shared: Array, held: Mapping[int, float] | None = None) -> Array:
+        """Return how far changes (S,) of the calibrated parameters, and of columns of held ones, move it: (n,)."""
+        d = np.zeros(self.jacobian.shape[-1])
+        d[: len(shared)] = shared
+        for column, value in (held or {}).items():
+            d[column] += value
+        return np.asarray(np.linalg.norm(self.jacobian @ d, axis=1))
+
+
+def task_errors(calibration: Calibration, tasks: Sequence[RobotTask]) -> list[TaskError]:
+    """Return the errors of tasks at a calibration that has converged; none of one that has not.
+
+    Raises:
+        InputError: a task does not fit the dataset: frames that are not connected, points that no camera sees ...
+    """
+    bars = calibration.error_bars
+    return [] if bars is None else [task_error(calibration.solution, task, bars.sources) for task in tasks]
+
+
+def task_error(solution: Solution, task: RobotTask, sources: tuple[ErrorSource, ...]) -> TaskError:
+    """Return the error of a task at an optimum, by the errors of its parameters.
+
+    Raises:
+        InputError: as `task_errors`.
+    """
+    placed = place_task(solution.dataset, task, solution.setup.gauge)
+    return TaskError(placed, task_jacobian(solution, placed), sources)
