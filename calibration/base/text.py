@@ -87,6 +87,16 @@ def not_a_number(text: str) -> str:
     return f"{shorten(text)!r}, which is no finite number" + (": its decimal comma must be a point" if comma else "")
 
 
+def rounded(number: float, digits: int) -> str:
+    """Format a number with some significant digits: 270 for 268.4 and 2 digits, where ``:.2g`` has 2.7e+02."""
+    return f"{float(f'{number:.{digits}g}'):g}"
+
+
+def with_error_bar(value: float, sigma: float) -> str:
+    """Format a value with its standard deviation: ``3.05 ± 0.07``."""
+    return f"{rounded(value, 3)} ± {rounded(sigma, 1)}"
+
+
 def number_text(number: float) -> str:
     """Format a number with all its digits, whole numbers without a point."""
     text = repr(float(number))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.base.text import rounded
 from calibration.base.verdict import at_most
 from calibration.engine.baseline.calibration_document import CalibrationDocument, SoftwareStart
 from calibration.engine.baseline.comparison import BaselineChange, BaselineComparison, compare
@@ -183,7 +184,7 @@ def _direction_text(vector: tuple[float, ...], word: str) -> str:
 def _sigmas_text(sigmas: float) -> str:
     if sigmas >= 1e6:
         return "with no error bar"
-    return f"{sigmas:.2g} standard deviations" if sigmas < 100 else f"{sigmas:.0f} standard deviations"
+    return f"{rounded(sigmas, 2)} standard deviations"
 
 
 def _probability_text(p: float) -> str:

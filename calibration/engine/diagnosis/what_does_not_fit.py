@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.base.arrays import Array
+from calibration.base.text import rounded, with_error_bar
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, sizes, stated
 from calibration.engine.diagnosis.precision import MIN_FAILURE_PROBABILITY, false_accept
@@ -321,28 +322,28 @@ def _describe_size(cause: Cause, value: Array, sigma: Array) -> str:
     """Describe the deviation of a cause, with its standard deviation, in the user's units."""
     if cause.size == 6:  # a twist: translation and rotation
         return (
-            f"{1e3 * np.linalg.norm(value[:3]):.3g} ± {1e3 * np.linalg.norm(sigma[:3]):.1g} mm, "
-            f"{np.degrees(np.linalg.norm(value[3:])):.3g} ± {np.degrees(np.linalg.norm(sigma[3:])):.1g} deg"
+            f"{with_error_bar(*(1e3 * np.linalg.norm(each[:3]) for each in (value, sigma)))} mm, "
+            f"{with_error_bar(*(np.degrees(np.linalg.norm(each[3:])) for each in (value, sigma)))} deg"
         )
     if cause.unit == "collections":
-        return f"{value[0]:+.3g} ± {sigma[0]:.1g} of the way to the next collection"
+        return f"{value[0]:+.3g} ± {rounded(sigma[0], 1)} of the way to the next collection"
     if cause.kind == LENS_KIND:
         return "off in several parameters at once"
     if cause.kind == SAG_KIND:
         (low, tilt), (of_low, of_tilt) = value, sigma
         return (
-            f"its end hangs lower by {1e3 * low:.3g} ± {1e3 * of_low:.1g} mm and is tilted by "
-            f"{np.degrees(tilt):.2g} ± {np.degrees(of_tilt):.1g} deg where it reaches 1 m"
+            f"its end hangs lower by {with_error_bar(1e3 * low, 1e3 * of_low)} mm and is tilted by "
+            f"{with_error_bar(np.degrees(tilt), np.degrees(of_tilt))} deg where it reaches 1 m"
         )
     if cause.kind == ECCENTRICITY_KIND:
         turn, of_turn = (np.degrees(np.linalg.norm(each[:2])) for each in (value, sigma))
-        return f"off by {turn:.3g} ± {of_turn:.1g} deg to either side in a turn"
+        return f"off by {with_error_bar(turn, of_turn)} deg to either side in a turn"
     factor, unit = _UNIT_FOR_USER.get(cause.unit, (1.0, cause.unit))
     if cause.unit == "1":  # a relative change of d is extrapolated with an error of its square
         sigma = np.hypot(sigma, value**2 / 2)
     if "distortion" in cause.kind or cause.kind in ("lens model", PROJECTION_KIND):
         factor, unit = 1.0, ""
-    numbers = ", ".join(f"{factor * v:+.3g} ± {factor * s:.1g}" for v, s in zip(value, sigma, strict=True))
+    numbers = ", ".join(f"{factor * v:+.3g} ± {rounded(factor * s, 1)}" for v, s in zip(value, sigma, strict=True))
     return f"off by {numbers} {unit}".rstrip()
 
 

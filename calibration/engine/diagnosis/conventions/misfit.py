@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.base.errors import CalibrationError
+from calibration.base.text import rounded
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.least_squares.minimisation import Termination, minimise
 from calibration.engine.estimation.least_squares.normal_equations import Weighting
@@ -89,7 +90,7 @@ def misfit_at(setup: Setup, values: Values) -> Misfit:
         above_noise = max(above_noise, size / noise if noise > 0 else np.inf)
         if not size / MIN_NOTICEABLE_RESIDUAL[kind] <= noticed:
             noticed = size / MIN_NOTICEABLE_RESIDUAL[kind]
-            text = f"{size:.2g} px" if kind == "pixel" else f"{1e3 * size:.2g} mm"
+            text = f"{rounded(size, 2)} px" if kind == "pixel" else f"{rounded(1e3 * size, 2)} mm"
     return Misfit(noticed, text if np.isfinite(noticed) else "no result", above_noise, setup, values)
 
 
