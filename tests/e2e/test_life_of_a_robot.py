@@ -105,6 +105,7 @@ CHANGES: list[tuple[Callable[[Path, str], None], int, list[str]]] = [
 ]
 
 
+@pytest.mark.thorough
 def test_from_a_bag_to_pull_requests(caller: Caller, api: GitHub, python_image: str, tmp_path: Path) -> None:
     folder = caller.repository.folder
     shutil.copy(SYSTEM / "robot.urdf", folder)

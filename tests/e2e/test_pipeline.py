@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.thorough import thorough
+
 from .conftest import FORK, PROJECT, Repository, commit
 from .pipeline import Caller
 
@@ -132,6 +134,7 @@ def test_what_cannot_be_planned_is_red(caller: Caller) -> None:
 UNUSED = "::warning::a token of Codacy is given, and the coverage goes nowhere: add coverage-service: codacy"
 
 
+@pytest.mark.thorough
 def test_names_are_no_code_and_a_token_that_nobody_uses_is_warned_of(caller: Caller) -> None:
     caller = replace(caller, secrets={"codacy-project-token": TOKEN})
     name = "ri$(touch pwned)`touch pwned`;touch pwned #'wbot"
@@ -149,6 +152,7 @@ def test_names_are_no_code_and_a_token_that_nobody_uses_is_warned_of(caller: Cal
     assert UNUSED in run.log
 
 
+@pytest.mark.thorough
 def test_two_calls_keep_apart_what_their_jobs_leave(caller: Caller) -> None:
     """The name of one begins with that of the other, which gathers after it: a result that it lost is not replaced."""
     inputs = {"translation-noise": "0", "datasets": "data of robots/riwbot"}
@@ -197,6 +201,7 @@ def test_a_pull_request_from_a_fork_by_commit_without_secrets(caller: Caller, sm
     assert not (caller.artifacts / "calibration~fresh" / "collected").exists()  # it is in the other artifact
 
 
+@pytest.mark.thorough
 def test_this_repositorys_own_pipeline_runs_what_is_checked_out(
     suite_with_robots: Path, cache: Path, tmp_path: Path
 ) -> None:
@@ -243,7 +248,7 @@ class Robot(unittest.TestCase):
 """
 
 
-@pytest.mark.parametrize("good", [True, False])
+@pytest.mark.parametrize("good", [thorough(True), False])
 def test_unit_tests_and_static_analysis_without_a_calibration(good: bool, caller: Caller, tmp_path: Path) -> None:
     """A job each; a fork has no token for the coverage, which is no reason to be red: nor is its upload, skipped."""
     event = tmp_path / "event.json"
@@ -273,6 +278,7 @@ def test_unit_tests_and_static_analysis_without_a_calibration(good: bool, caller
     assert list(caller.artifacts.glob("calibration~static-analysis/findings.sarif"))
 
 
+@pytest.mark.thorough
 def test_the_coverage_is_uploaded_by_a_job_in_which_no_test_runs(repository: Repository, tmp_path: Path) -> None:
     caller = Caller(repository, tmp_path / "artifacts", {"python": sys.executable}, {"codacy-project-token": TOKEN})
     inputs = {

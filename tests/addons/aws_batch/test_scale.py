@@ -13,6 +13,7 @@ JOBS = 300
 PROGRAM = """
 import json, sys, time
 from pathlib import Path
+import pytest
 from calibration.addons.aws_batch.backend import BatchBackend
 from tests.addons.aws_batch.client import SETTINGS, jobs
 
@@ -34,6 +35,7 @@ with BatchBackend(SETTINGS) as backend:
 """
 
 
+@pytest.mark.thorough
 def test_many_jobs(batch_emulator: Aws, tmp_path: Path) -> None:
     Tasks(batch_emulator, lambda task, attempt: Did())
     done = subprocess.run(

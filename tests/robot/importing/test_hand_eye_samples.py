@@ -277,6 +277,7 @@ def moved_along_sight(dataset: Dataset, shifts: Array) -> Dataset:
     return replace(dataset, collections=tuple(collections))
 
 
+@pytest.mark.thorough
 def test_distances_that_are_worse_than_the_rest_count_for_less(tmp_path: Path) -> None:
     """Against the same noise in all directions; and the error bars are those of the errors."""
     errors, isotropic, squares = [], [], []

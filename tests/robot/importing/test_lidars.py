@@ -19,6 +19,7 @@ from calibration.robot.importing.importing import import_data
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile, Kind
 from tests.robot.importing.conftest import DATASETS
 from tests.robot.importing.test_bags import describe, file_of
+from tests.thorough import thorough
 
 RLBOT = DATASETS / "rlbot"
 SENSORS = {
@@ -117,7 +118,7 @@ def test_clouds_calibrate_to_the_truth(tmp_path: Path) -> None:
     assert np.degrees(rad) < 0.3
 
 
-@pytest.mark.parametrize("kind", ["bag", "mcap"])
+@pytest.mark.parametrize("kind", [thorough("bag"), "mcap"])
 def test_clouds_of_livox_are_those_of_a_pointcloud(tmp_path: Path, kind: Kind) -> None:
     found = []
     for data in ("livox", "clouds"):
