@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.addons.aws_batch.client import Did, Tasks
 from tests.addons.aws_batch.fixtures import Aws
 
@@ -13,7 +15,6 @@ JOBS = 300
 PROGRAM = """
 import json, sys, time
 from pathlib import Path
-import pytest
 from calibration.addons.aws_batch.backend import BatchBackend
 from tests.addons.aws_batch.client import SETTINGS, jobs
 
