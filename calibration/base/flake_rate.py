@@ -5,6 +5,8 @@ import math
 from calibration.base.records import computed, field, result
 
 CONFIDENCE = 0.95
+MAX_REPETITIONS = 1000
+"""Limit of the runs of one piece of work."""
 _BISECTIONS = 60
 """Halvings of [0, 1] until the interval's ends are exact in double precision."""
 
@@ -53,9 +55,22 @@ def _probability_of_at_most(most: int, runs: int, rate: float) -> float:
 
 def runs_to_see(rate: float) -> int:
     """Return the number of runs of which at least one fails with a probability of 95 %, at this rate of failures."""
-    return math.ceil(math.log(1 - CONFIDENCE) / math.log1p(-rate))
+    return 1 if rate == 1 else math.ceil(math.log(1 - CONFIDENCE) / math.log1p(-rate))
 
 
 def rate_seen_by(runs: int) -> float:
     """Return the smallest rate of failures that shows at least once in these runs with a probability of 95 %."""
     return -math.expm1(math.log(1 - CONFIDENCE) / runs)
+
+
+def runs_show(runs: int, what: str, rate: float = 0.01) -> str:
+    """Return what so many runs show: ``60 runs show a test that fails in 4.9 % of them, at 95 %``.
+
+    Args:
+        runs: their number.
+        what: what may fail in them.
+        rate: rate of failures for which the number of runs is named, if these are too few.
+    """
+    needed = runs_to_see(rate)
+    more = f"; {needed} show one of {100 * rate:.2g} %" if needed > runs else ""
+    return f"{runs} runs show a {what} that fails in {100 * rate_seen_by(runs):.2g} % of them, at 95 %{more}"

@@ -33,7 +33,9 @@ from calibration.commands.parameters import (
 from calibration.commands.target import execution_target
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import Software, adjusted_software
-from calibration.pipeline.stages import PipelineRun, run_stages
+from calibration.pipeline.repetition.pipeline_runs import repeat_stages
+from calibration.pipeline.repetition.settings import Repetitions
+from calibration.pipeline.stages import PipelineRun
 from calibration.pipeline.system import Noise, NoiseGrid, System, chosen_systems
 
 if TYPE_CHECKING:
@@ -79,6 +81,8 @@ class MatrixSettings:
     )
     fail_fast: bool = field("The first cell that fails stops the others.", default=False)
     output: Path = field("Folder for results, tables and datasets (output).", default=Path("output"))
+    repetitions: Mapping[str, Any] = dataclass_field(default_factory=dict)
+    """Keys of `Repetitions` that replace those of the configuration."""
 
     @classmethod
     def of_options(cls, options: Mapping[str, Any]) -> "MatrixSettings":
@@ -90,6 +94,7 @@ class MatrixSettings:
             of_systems=given(System, options),
             software=given(Software, options, *OF_SOFTWARE),
             password_variable=options.get("password_variable"),
+            repetitions=given(Repetitions, options),
         )
 
 
@@ -102,6 +107,7 @@ class MatrixSettings:
 @record_options(MatrixSettings, "registry-username")
 @registry_password_option
 @record_options(MatrixSettings, "backend", "aws-batch", "run", "resume", "jobs", "fail-fast", "output")
+@record_options(Repetitions)
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Calibrate systems from every noisy start; the verdict is fail if one of them fails."""
@@ -124,7 +130,9 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
         baseline=baseline,
         target=target,
     )
-    return run_stages(run, ("calibrate", "introspect", "export")).exit_code
+    known = configuration.repetitions if configuration else Repetitions()
+    repetitions = changed(known, settings.repetitions, "options")
+    return repeat_stages(run, ("calibrate", "introspect", "export"), repetitions)[0]
 
 
 def target_of(

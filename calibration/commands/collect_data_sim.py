@@ -1,5 +1,6 @@
 """``collect-data-sim``: collect a dataset of a system and a motion in simulation, and check it by calibrating it."""
 
+import time
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import field as dataclass_field
@@ -21,9 +22,10 @@ from calibration.ci.execution.backends import (
     ExecutionTarget,
     check_backend,
 )
-from calibration.ci.report import publish, show
+from calibration.ci.report import Report, publish, show
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.ci.workflow.progress import progress
+from calibration.ci.workflow.runner import OutputValue
 from calibration.ci.workflow.streams import LogDisplay
 from calibration.commands.parameters import chosen, find_system, given, option_keys, record_options, system_folder
 from calibration.commands.target import execution_target
@@ -38,8 +40,12 @@ from calibration.pipeline.collection.request import (
     ScenarioRequest,
     Share,
 )
+from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenario_report import scenario_line
 from calibration.pipeline.collection.scenarios import ScenarioFolder
+from calibration.pipeline.repetition.repetition import Repetition, repetition_of_collection
+from calibration.pipeline.repetition.running import repeated, run_of_repetition
+from calibration.pipeline.repetition.settings import Repetitions
 from calibration.pipeline.results import PAGE_FILE
 from calibration.robot.simulation.collection.record import Record
 from calibration.robot.simulation.motion.sequence import Motion
@@ -178,6 +184,7 @@ _UNTIL_APPLICATIONS = tuple(
 @record_options(CollectionSettings, *_UNTIL_APPLICATIONS)
 @record_options(CollectionRequest, *OF_APPLICATIONS)
 @record_options(CollectionSettings, "jobs", "output", "overwrite", required=True)
+@record_options(Repetitions)
 def command(**options: Any) -> ExitCode:
     """Collect a dataset in simulation: images, point clouds, labels and ground truth; and calibrate it."""
     keys = given(CollectionRequest, options, *OF_DATASET, *OF_APPLICATIONS)
@@ -189,9 +196,16 @@ def command(**options: Any) -> ExitCode:
     _check_settings(settings, backend, applications=bool(applications))
     request = collection_request(settings, applications)
     request = replace(request, target=_target_of(settings, backend, runner))
+    repetitions = read(Repetitions, given(Repetitions, options), "options")
     if settings.scenarios is not None:
+        if repetitions.repeat > 1:
+            raise InputError("repeat: is for one dataset: with scenarios remove it")
         return _many_scenarios(settings, settings.scenarios, request, backend, runner)
-    return _one_scenario(settings, request, backend, runner)
+    if repetitions.repeat > 1:
+        return _repeated_collection(settings, repetitions, request, backend, runner)
+    _, found = _one_scenario(settings, request, backend, runner)
+    show(found, runner, settings.output)
+    return found.exit_code
 
 
 def _check_settings(settings: CollectionSettings, backend: str, applications: bool) -> None:
@@ -242,8 +256,35 @@ def _check_settings(settings: CollectionSettings, backend: str, applications: bo
         raise InputError(f"resume: is for scenarios in containers: backend {containers}")
 
 
-def _one_scenario(settings: CollectionSettings, request: CollectionRequest, backend: str, runner: Runner) -> ExitCode:
-    """Collect one dataset."""
+def _repeated_collection(
+    settings: CollectionSettings,
+    repetitions: Repetitions,
+    request: CollectionRequest,
+    backend: str,
+    runner: Runner,
+) -> ExitCode:
+    """Collect one dataset, as often as it is asked for."""
+    outputs: Mapping[str, OutputValue | None] = {}
+
+    def once(folder: Path) -> Repetition:
+        nonlocal outputs
+        target = request.target and replace(request.target, run=run_of_repetition(request.target.run, folder))
+        begin = time.perf_counter()
+        results, found = _one_scenario(
+            replace(settings, output=folder), replace(request, target=target), backend, runner
+        )
+        outputs = found.outputs
+        return repetition_of_collection(results, found, folder, time.perf_counter() - begin)
+
+    _, found = repeated(repetitions, settings.output, runner, COMMAND_NAME, once)
+    show(replace(found, outputs={**outputs, **found.outputs}), runner, settings.output)
+    return found.exit_code
+
+
+def _one_scenario(
+    settings: CollectionSettings, request: CollectionRequest, backend: str, runner: Runner
+) -> tuple[CollectionResults, Report]:
+    """Collect one dataset, and write its report, which is not shown yet."""
 
     def begin(system: System, motion: Motion) -> None:
         scenario = "" if settings.scenario is None else f" in scenario {settings.scenario}"
@@ -263,8 +304,7 @@ def _one_scenario(settings: CollectionSettings, request: CollectionRequest, back
         sheet = settings.output / report.CONTACT_SHEET if results.contact_sheet else None
         write_atomically(settings.output / PAGE_FILE, collection_page(found, sheet))
         found = replace(found, outputs={**found.outputs, "report": settings.output / PAGE_FILE})
-    show(found, runner, settings.output)
-    return found.exit_code
+    return results, found
 
 
 def _many_scenarios(

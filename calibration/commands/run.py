@@ -1,5 +1,7 @@
 """``run``: run the whole pipeline of ``calibration.yml``, with one verdict."""
 
+from collections.abc import Mapping
+from dataclasses import field as dataclass_field
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -7,13 +9,15 @@ from typing import Annotated, Any
 import click
 
 from calibration.base.errors import ExitCode
-from calibration.base.records import at_least, field, record
+from calibration.base.records import at_least, changed, field, record
 from calibration.ci.image.specification import ImageSpecification
 from calibration.ci.workflow import Runner, set_outputs
-from calibration.commands.parameters import chosen, record_options
+from calibration.commands.parameters import chosen, given, record_options
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.stages import STAGES, PipelineRun, run_stages
+from calibration.pipeline.repetition.pipeline_runs import repeat_stages
+from calibration.pipeline.repetition.settings import Repetitions
+from calibration.pipeline.stages import STAGES, PipelineRun
 
 
 @record(kw_only=True)
@@ -27,13 +31,17 @@ class RunSettings:
         "Number of parallel processes or containers (one per core).", default=None
     )
     push: bool | None = field("Push the image; if false, it is not promoted either (as in config).", default=None)
+    repetitions: Mapping[str, Any] = dataclass_field(default_factory=dict)
+    """Keys of `Repetitions` that replace those of the configuration."""
 
 
 @click.command("run")
 @record_options(RunSettings)
+@record_options(Repetitions)
 def command(**options: Any) -> ExitCode:
     """Run the pipeline of calibration.yml, stage by stage; the verdict is fail if one of them fails."""
-    return run(chosen(RunSettings, options), Runner.from_environment())
+    settings = chosen(RunSettings, options, repetitions=given(Repetitions, options))
+    return run(settings, Runner.from_environment())
 
 
 def run(settings: RunSettings, runner: Runner) -> ExitCode:
@@ -57,10 +65,11 @@ def run(settings: RunSettings, runner: Runner) -> ExitCode:
         sections=configuration.sections,
         target=configuration.target,
     )
-    results = run_stages(asked, settings.only or STAGES)
+    repetitions = changed(configuration.repetitions, settings.repetitions, "options")
+    exit_code, results = repeat_stages(asked, settings.only or tuple(STAGES), repetitions)
     image = results.image
     set_outputs(runner, {"image": image.reference if image else "", "digest": (image.digest if image else None) or ""})
-    return results.exit_code
+    return exit_code
 
 
 def _image_to_build(image: ImageSpecification | None, push: bool | None) -> ImageSpecification | None:

@@ -20,6 +20,9 @@ SHIPPED_SCHEMAS = {
     "results": SchemaFile(
         _PIPELINE_PACKAGE, _RESULTS_FILE, "distribution.gathering:RunResults", "calibrate-matrix and run"
     ),
+    "repeated-results": SchemaFile(
+        f"{_PIPELINE_PACKAGE}.repetition", _RESULTS_FILE, "results:RepeatedResults", "repeated runs"
+    ),
     "convergence": SchemaFile(
         _CONVERGENCE_PACKAGE, "convergence.schema.json", "convergence_map:ConvergenceResults", "convergence"
     ),

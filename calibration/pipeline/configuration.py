@@ -15,6 +15,7 @@ from calibration.engine.baseline.quality import BASELINE_FILE, BaselineSettings
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import Options
 from calibration.pipeline.collection.request import CollectionRequest
+from calibration.pipeline.repetition.settings import Repetitions
 from calibration.pipeline.system import Exports, Noise, NoiseGrid, System, Undecided, chosen_systems
 
 DEFAULT_FILE = Path("calibration.yml")
@@ -62,6 +63,7 @@ class PipelineConfiguration:
         "The accepted calibration that every cell is compared with; required: a system that has none fails.",
         default_factory=BaselineSettings,
     )
+    repetitions: Repetitions = field(flat=True, default_factory=Repetitions)
     sections: Sections = field(flat=True, default_factory=Sections)
     systems: Annotated[tuple[System, ...], ByName(_NAME_PATTERN)] = field(
         "The robots to calibrate, by name.", default=()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from calibration.base.addons import import_attribute, of_addons
-from calibration.base.errors import ExitCode, InputError, exit_code_of
+from calibration.base.errors import CalibrationError, ExitCode, InputError, exit_code_of
 from calibration.base.records import computed, field, result, with_fields
 from calibration.base.text import shorten
 from calibration.ci.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
@@ -302,6 +302,13 @@ def own_details(cell: CellResult, output: Path) -> Details | None:
     return (
         None if file is None else read_results_file(PipelineResults, output / file, _COMMANDS_TEXT)[0].cells[0].details
     )
+
+
+def reason_of_end(error: BaseException) -> str:
+    """Return why a run ended early."""
+    if isinstance(error, CalibrationError):
+        return str(error)
+    return error.strerror or str(error) if isinstance(error, OSError) else "it was stopped"
 
 
 def clear_results(output: Path, inputs: Collection[Path] = ()) -> None:

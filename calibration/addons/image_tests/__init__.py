@@ -5,7 +5,6 @@ Nothing of the image is trusted: containers have the limits of jobs, and their r
 - ``settings``: an entry of the section ``tests``, and its job;
 - ``run_tests.sh``: what the container runs: finds the tool of the workspace, and collects reports and coverage;
 - ``judging``: the files and the end of one run, as its verdict;
-- ``repeated``: runs of the same tests together: which of them are flaky;
 - ``results``, ``report``: what was found, and how it is shown;
 - ``running``: all entries, with their repeats and retries; ``stage``, ``test_image``: the stage and the command.
 """

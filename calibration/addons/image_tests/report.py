@@ -4,10 +4,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from calibration.addons.image_tests.judging import RUN_CASE, JudgedRun
-from calibration.addons.image_tests.repeated import RepeatedTest
 from calibration.addons.image_tests.results import ImageTestsResults, TestsOfEntry
 from calibration.base.text import count_of
 from calibration.ci.report import Block, Code, Lines, Outcome, Report, Table, verdict_of
+from calibration.ci.report.repeated import RepeatedFailure
 from calibration.ci.workflow.runner import Annotation, Level
 
 TITLE = "test-image"
@@ -82,7 +82,7 @@ def _row(each: TestsOfEntry) -> tuple[str, ...]:
     return (each.name, str(len(each.runs)), *map(str, counts), str(flaky), f"{seconds:.1f}")
 
 
-def _failure_row(test: RepeatedTest) -> tuple[str, ...]:
+def _failure_row(test: RepeatedFailure) -> tuple[str, ...]:
     place = "-" if test.file is None else test.file if test.line is None else f"{test.file}:{test.line}"
     return test.name, f"{test.rate.failed} of {test.rate.runs}", place, test.message
 

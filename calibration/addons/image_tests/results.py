@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calibration.addons.image_tests.judging import RUN_CASE, JudgedRun
-from calibration.addons.image_tests.repeated import RepeatedTest
 from calibration.addons.image_tests.settings import ImageTests
 from calibration.base.records import computed, field, result
 from calibration.base.text import count_of
 from calibration.ci.report import Verdict, verdict_of
 from calibration.ci.report.junit import ErrorCode
+from calibration.ci.report.repeated import RepeatedFailure
 
 MAX_NAMED_TESTS = 20
 """Limit of the tests that reasons and warnings of one entry name."""
@@ -40,22 +40,20 @@ class TestsOfEntry:
     name: str = field("The entry in calibration.yml.")
     image: str = field("The image.")
     runs: tuple[TestRun, ...] = field("Its runs, in order.")
-    failures: tuple[RepeatedTest, ...] = field("Tests that failed at least once; those that always fail first.")
+    failures: tuple[RepeatedFailure, ...] = field("Tests that failed at least once; those that always fail first.")
     coverage: tuple[str, ...] = field("Files of coverage, relative to the output folder, for coverage-upload.")
     max_flake_rate: float | None = field("Largest share of runs in which a flaky test may fail.", default=None)
     error: ErrorCode | None = field("Exit code of a run that could not be made.", default=None)
 
     @property
-    def tolerated(self) -> tuple[RepeatedTest, ...]:
+    def tolerated(self) -> tuple[RepeatedFailure, ...]:
         """Flaky tests that do not fail the verdict: within the allowed rate; without one those that a retry passed."""
         return tuple(test for test in self.failures if self._is_tolerated(test))
 
-    def _is_tolerated(self, test: RepeatedTest) -> bool:
-        if not test.flaky:
-            return False
+    def _is_tolerated(self, test: RepeatedFailure) -> bool:
         if self.max_flake_rate is not None:
-            return test.rate.share <= self.max_flake_rate
-        return all(run.verdict == "pass" for run in self.runs)
+            return test.is_within(self.max_flake_rate)
+        return test.flaky and all(run.verdict == "pass" for run in self.runs)
 
     @property
     @computed()
@@ -66,13 +64,8 @@ class TestsOfEntry:
         more = len(failing) - MAX_NAMED_TESTS
         return lines + ([f"{self.name}: and {count_of(more, 'more test')} failed"] if more > 0 else [])
 
-    def _failure_line(self, test: RepeatedTest) -> str:
-        message = f": {test.message}" if test.message else ""
-        what = self.name if test.name == RUN_CASE else f"{self.name}: {test.name}"
-        if test.flaky:
-            return f"{what} is flaky, {test.rate}{message}"
-        every = f" in each of {test.rate.runs} runs" if test.rate.runs > 1 else ""
-        return f"{what} failed{every}{message}"
+    def _failure_line(self, test: RepeatedFailure) -> str:
+        return f"{self.name if test.name == RUN_CASE else f'{self.name}: {test.name}'} {test}"
 
     @property
     @computed()
@@ -82,7 +75,7 @@ class TestsOfEntry:
 
 
 def results_of_entry(
-    tests: ImageTests, attempts: Sequence[Sequence[JudgedRun]], failures: Sequence[RepeatedTest], output: Path
+    tests: ImageTests, attempts: Sequence[Sequence[JudgedRun]], failures: Sequence[RepeatedFailure], output: Path
 ) -> TestsOfEntry:
     """Return the results of an entry.
 

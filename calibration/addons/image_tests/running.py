@@ -6,18 +6,18 @@ from itertools import takewhile
 from pathlib import Path, PurePosixPath
 
 from calibration.addons.image_tests.judging import JudgedRun, judge_run
-from calibration.addons.image_tests.repeated import RepeatedTest, failing_tests
 from calibration.addons.image_tests.report import TITLE, report
 from calibration.addons.image_tests.results import MAX_NAMED_TESTS, ImageTestsResults, TestsOfEntry, results_of_entry
 from calibration.addons.image_tests.settings import ImageTests
 from calibration.base.errors import InputError
-from calibration.base.flake_rate import rate_seen_by
+from calibration.base.flake_rate import runs_show
 from calibration.base.text import count_of
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.job import with_secrets
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.git import Repository
 from calibration.ci.report import FILES, Report, remove_results
+from calibration.ci.report.repeated import RepeatedFailure, repeated_failures
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.progress import progress
 
@@ -44,10 +44,11 @@ def run_image_tests(
     for tests in entries:
         attempts = _run_entry(tests, output, target, runner)
         last_runs[tests.name] = [each[-1] for each in attempts]
-        failures = [_at_place(failure, tracked) for failure in failing_tests(attempts)]
+        found = repeated_failures([attempt.cases for attempt in run] for run in attempts)
+        failures = [_at_place(failure, tracked) for failure in found]
         results.append(results_of_entry(tests, attempts, failures, output))
-    found = ImageTestsResults(tuple(results), tuple(note for each in results for note in _notes(each)))
-    return report(found, last_runs, output), found
+    whole = ImageTestsResults(tuple(results), tuple(note for each in results for note in _notes(each)))
+    return report(whole, last_runs, output), whole
 
 
 def _run_entry(tests: ImageTests, output: Path, target: ExecutionTarget, runner: Runner) -> list[list[JudgedRun]]:
@@ -88,7 +89,7 @@ def _tracked_files(folder: Path) -> list[PurePosixPath]:
         return []
 
 
-def _at_place(failure: RepeatedTest, tracked: Sequence[PurePosixPath]) -> RepeatedTest:
+def _at_place(failure: RepeatedFailure, tracked: Sequence[PurePosixPath]) -> RepeatedFailure:
     """Return the failure with its file in the repository: the one that shares the longest end with its path.
 
     Without such a file, or with several, it has no place.
@@ -110,10 +111,9 @@ def _length_of_common_end(one: Sequence[str], other: Sequence[str]) -> int:
 
 def _notes(found: TestsOfEntry) -> Iterator[str]:
     for test in found.tolerated[:MAX_NAMED_TESTS]:
-        yield f"{found.name}: {test.name} is flaky, {test.rate}: {test.message}"
+        yield f"{found.name}: {test.name} {test}"
     if len(found.runs) > 1:
-        seen = 100 * rate_seen_by(len(found.runs))
-        yield f"{found.name}: {len(found.runs)} runs show a test that fails in {seen:.2g} % of them, at 95 %"
+        yield f"{found.name}: {runs_show(len(found.runs), 'test')}"
 
 
 def check_tests(entries: Sequence[ImageTests], has_image: bool) -> None:

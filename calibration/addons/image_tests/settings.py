@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+from calibration.base.flake_rate import MAX_REPETITIONS
 from calibration.base.records import ByName, Misfit, at_least, between, field, length, matching, record
 from calibration.ci.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network, fill
 from calibration.ci.execution.ros import ROS_HELP, Ros, with_ros
@@ -14,7 +15,7 @@ SCRIPT_PATH = "/calibration/run_tests.sh"
 REPORTS_FOLDER, COVERAGE_FOLDER = "reports", "coverage"
 """Folders in the container's output, in which the script leaves what the tests wrote."""
 CONTAINER_OF_TESTS = "tests"
-MAX_RUNS, MAX_RETRIES = 1000, 10
+MAX_RETRIES = 10
 Pattern = Annotated[str, length(1)]
 
 
@@ -49,7 +50,7 @@ class ImageTests:
         default=(),
     )
     allow_no_tests: bool = field("Whether it may be that no test runs.", default=False)
-    repeat: Annotated[int, between(1, MAX_RUNS)] = field(
+    repeat: Annotated[int, between(1, MAX_REPETITIONS)] = field(
         "Number of runs of these tests, side by side; tests that do not always pass are flaky.", default=1
     )
     retries: Annotated[int, between(0, MAX_RETRIES)] = field(

@@ -191,8 +191,10 @@ def plan_jobs(
         by_path: whether the cells name datasets, because there is no file with the systems.
 
     Raises:
-        InputError: a selected job has nothing to do, or the matrix is too large.
+        InputError: a selected job has nothing to do, the matrix is too large, or the configuration repeats its runs.
     """
+    if configuration is not None and (repeat := configuration.repetitions.repeat) > 1:
+        raise InputError(f"repeat: found {repeat}: a workflow of jobs runs once; use the root action, or remove it")
     simulations = configuration.simulations if configuration else ()
     sections = configuration.sections if configuration else Sections()
     stages = [job for job, stage in STAGE_OF_JOB.items() if sections.of(stage.section) is not None]

@@ -4,6 +4,7 @@ A stage takes a `PipelineRun` and returns it with its results; it only decides w
 function in a module of its own, and a line in `STAGES`.
 """
 
+import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,12 +12,12 @@ from typing import TYPE_CHECKING
 
 from calibration.base.addons import AddonStage, import_attribute, of_addons
 from calibration.base.documents import line_of
-from calibration.base.errors import CalibrationError, InputError
+from calibration.base.errors import InputError
 from calibration.base.text import did_you_mean
 from calibration.ci.execution.backends import ExecutionTarget, Sections
 from calibration.ci.execution.job import Container
 from calibration.ci.execution.workspace import locked
-from calibration.ci.report import Report, publish
+from calibration.ci.report import Report, show
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay
 from calibration.engine.baseline.quality import BaselineSettings
@@ -24,7 +25,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.page.run_page import accepted_history, report_page
 from calibration.pipeline.report import report, write_cells, write_results
-from calibration.pipeline.results import PAGE_FILE, PipelineResults, StageResult, clear_results
+from calibration.pipeline.results import PAGE_FILE, PipelineResults, StageResult, clear_results, reason_of_end
 
 if TYPE_CHECKING:
     from calibration.ci.image.specification import ImageSpecification
@@ -63,6 +64,8 @@ class PipelineRun:
     target: ExecutionTarget = field(default_factory=ExecutionTarget)
     """Execution target of the containers, and settings of the others."""
     results: PipelineResults = field(default_factory=PipelineResults)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """Duration of each stage that has run."""
     given: Mapping[str, Dataset] = field(default_factory=dict)
     """Datasets that the stage calibrate has read, by system."""
 
@@ -120,7 +123,14 @@ STAGES: Mapping[str, PipelineStage] = {
 
 
 def run_stages(run: PipelineRun, stages: Collection[str] = tuple(STAGES)) -> PipelineResults:
-    """Run stages, and report their results.
+    """Run stages, and report their results; see `stages_reported`."""
+    run, found = stages_reported(run, stages)
+    show(found, run.runner, run.output)
+    return run.results
+
+
+def stages_reported(run: PipelineRun, stages: Collection[str]) -> tuple[PipelineRun, Report]:
+    """Run stages, and write the report of their results, which is not shown yet.
 
     Args:
         run: options of the run.
@@ -137,27 +147,29 @@ def run_stages(run: PipelineRun, stages: Collection[str] = tuple(STAGES)) -> Pip
         return _run_stages(_with_collected_datasets(run), stages)
 
 
-def _run_stages(run: PipelineRun, stages: Collection[str]) -> PipelineResults:
+def _run_stages(run: PipelineRun, stages: Collection[str]) -> tuple[PipelineRun, Report]:
     if "calibrate" in stages or "collect" in stages:
         clear_results(run.output, _input_paths(run.matrix))
     wants_image = any(STAGES[name].needs_image(run) and STAGES[name].applies(run) for name in stages)
     try:
         for name, stage in STAGES.items():
             if stage.applies(run) and (name in stages or (name == "build" and wants_image)):
+                begin = time.perf_counter()
                 run = import_attribute(stage.target)(run)
+                run = replace(run, seconds={**run.seconds, name: time.perf_counter() - begin})
         write_cells(run.results, run.output, run.jobs)
         found = report(run.results, run.output, run.title)
         files = {**found.files, PAGE_FILE: _page_of_run(found, run)}
     except BaseException as error:  # signals too: the results of earlier stages are kept for another run
         # results of an earlier run are not replaced if only an image was built
         if run.results.has_verdict:
-            why = str(error) if isinstance(error, CalibrationError) else "it was stopped"
-            write_results(run.results, run.output, why)
+            write_results(run.results, run.output, reason_of_end(error))
         raise
     outputs = {**found.outputs, "report": run.output / PAGE_FILE}
     places = _places_of_reasons(found.all_reasons, run)
-    publish(replace(found, places=places, files=files, outputs=outputs), run.runner, run.output)
-    return run.results
+    found = replace(found, places=places, files=files, outputs=outputs)
+    found.write(run.output)
+    return run, found
 
 
 def _page_of_run(found: Report, run: PipelineRun) -> str:

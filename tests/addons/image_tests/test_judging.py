@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from calibration.addons.image_tests.judging import RUN_CASE, JudgedRun, judge_run
-from calibration.addons.image_tests.repeated import failing_tests
 from calibration.addons.image_tests.results import TestsOfEntry, results_of_entry
 from calibration.addons.image_tests.settings import ImageTests
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import Container
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
+from calibration.ci.report.repeated import RepeatedFailure, repeated_failures
 
 GREEN = '<testsuite name="s"><testcase classname="c" name="one" time="0.5"/><testcase name="two"/></testsuite>'
 RED = '<testsuite><testcase name="one"><failure message="off by one"/></testcase><testcase name="two"/></testsuite>'
@@ -48,6 +48,10 @@ def judged(
     container = ContainerOutcome("tests", end, 0, log=log)
     outcome = JobOutcome("t", folder, (container,), tuple(artifacts), (), reasons, code, 2.5)
     return judge_run(tests or ImageTests("t"), outcome)
+
+
+def failing_tests(runs: list[list[JudgedRun]]) -> tuple[RepeatedFailure, ...]:
+    return repeated_failures([attempt.cases for attempt in run] for run in runs)
 
 
 def entry(runs: list[list[JudgedRun]], folder: Path, **settings: float) -> TestsOfEntry:

@@ -1,17 +1,16 @@
-"""Runs of the same tests together: which always fail, and which are flaky."""
+"""Failures over repeated runs of the same work: which always fail, and which are flaky."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 
-from calibration.addons.image_tests.judging import JudgedRun
 from calibration.base.flake_rate import FlakeRate
 from calibration.base.records import field, result
 from calibration.ci.report.xunit_reading import CaseOutcome
 
 
 @result
-class RepeatedTest:
-    """A test that failed in at least one run."""
+class RepeatedFailure:
+    """What failed in at least one run: a test, a cell."""
 
     name: str
     rate: FlakeRate = field("How often it failed, of the runs in which it ran.")
@@ -25,23 +24,34 @@ class RepeatedTest:
         """Whether it passed in other runs."""
         return self.rate.failed < self.rate.runs
 
+    def is_within(self, max_flake_rate: float | None) -> bool:
+        """Return whether it is flaky, and fails in no larger share of the runs than is allowed."""
+        return self.flaky and max_flake_rate is not None and self.rate.share <= max_flake_rate
 
-def failing_tests(attempts: Sequence[Sequence[JudgedRun]]) -> tuple[RepeatedTest, ...]:
-    """Return the tests that failed at least once, those that always fail first, then the most frequent.
+    def __str__(self) -> str:
+        message = f": {self.message}" if self.message else ""
+        if self.flaky:
+            return f"is flaky, {self.rate}{message}"
+        every = f" in each of {self.rate.runs} runs" if self.rate.runs > 1 else ""
+        return f"failed{every}{message}"
+
+
+def repeated_failures(runs: Iterable[Iterable[Iterable[CaseOutcome]]]) -> tuple[RepeatedFailure, ...]:
+    """Return what failed at least once: first what always fails, then the most frequent.
 
     Args:
-        attempts: of each run its attempts: the run, and its retries.
+        runs: of each run its attempts, of each attempt its outcomes, of which each name counts once.
     """
     failures: dict[str, list[tuple[int, CaseOutcome]]] = defaultdict(list)
     ran: dict[str, int] = defaultdict(int)
-    for number, run in enumerate(attempts, start=1):
-        for attempt in run:
-            for name, case in _case_by_name(attempt.cases).items():
+    for number, attempts in enumerate(runs, start=1):
+        for cases in attempts:
+            for name, case in _case_by_name(cases).items():
                 ran[name] += case.state != "skipped"
                 if case.state == "failed":
                     failures[name].append((number, case))
     found = [
-        RepeatedTest(
+        RepeatedFailure(
             name,
             FlakeRate(len(failed), ran[name]),
             failed[0][1].message,
@@ -51,11 +61,11 @@ def failing_tests(attempts: Sequence[Sequence[JudgedRun]]) -> tuple[RepeatedTest
         )
         for name, failed in failures.items()
     ]
-    return tuple(sorted(found, key=lambda test: (test.flaky, -test.rate.share, test.name)))
+    return tuple(sorted(found, key=lambda each: (each.flaky, -each.rate.share, each.name)))
 
 
-def _case_by_name(cases: Iterable[CaseOutcome]) -> Mapping[str, CaseOutcome]:
-    """Return the outcome of each test; of cases of one name the first that failed, else the last."""
+def _case_by_name(cases: Iterable[CaseOutcome]) -> dict[str, CaseOutcome]:
+    """Return the outcome of each name; of several the first that failed, else the last."""
     found: dict[str, CaseOutcome] = {}
     for case in cases:
         if case.name not in found or found[case.name].state != "failed":
