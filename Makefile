@@ -20,7 +20,7 @@ rooms = $(patsubst tests/%/__init__.py,%,$(wildcard tests/*/__init__.py tests/*/
 engine_tests = $(addprefix tests/engine/,geometry dataset estimation evaluation comparison) tests/robot/labelling tests/robot/simulation/rendering
 opencv_tests = $(addprefix tests/,engine/dataset/test_depth_image.py engine/dataset/test_reading.py engine/comparison robot/labelling robot/simulation/rendering)
 
-.PHONY: help run check lint test test-coverage fuzz faults bench bench-table lock test-versions actions pictures aws-example clean
+.PHONY: help run check lint test test-coverage fuzz faults bench bench-table lock test-versions actions pictures docs aws-example clean
 
 help: ## this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1\t\2/p' Makefile | expand -t 16
@@ -128,6 +128,10 @@ pictures: ## draw the pictures of the README, docs/recording.svg and the maps of
 	$(python) -m benchmarks.recording.pictures
 	$(python) -m calibration convergence --dataset datasets/t2rgb --translation-noise 0:2:9 --rotation-noise 0:3:13 --output build/convergence
 	cp build/convergence/convergence.svg docs/convergence-t2rgb.svg
+
+docs: ## the documentation as a site, in build/site (ARGS=serve shows it while one writes)
+	@$(setup) dev.txt .
+	@NO_MKDOCS_2_WARNING=1 $(python) -m mkdocs $(or $(ARGS),build --quiet)
 
 aws-example: ## scenarios on an emulated AWS Batch, in real containers, without an account (IMAGE=one with calibration-ci in it)
 	@$(setup) dev.txt .
