@@ -1,6 +1,7 @@
 """The ROS 1 example as a user's workflow runs it: built, collected, calibrated, judged and promoted, under act."""
 
 import json
+import re
 import shutil
 import sys
 import urllib.request
@@ -109,6 +110,16 @@ def whole(config: str, pushes: str, python: str = "") -> str:
     return WHOLE.replace("CONFIG", config).replace("PUSH", pushes).replace("PYTHON", python)
 
 
+KEEP = """
+- run: cp output/collected/ros1-collected/messages/*.bag "$KEPT"
+  env:
+    KEPT: FILE
+"""
+WRONG_REQUIREMENTS = {
+    "bag": "recorded.bag",
+    "nodes": ["/simulation"],
+    "hpl": ["globally: no /pattern/pose {pose.position.x > -100}"],
+}
 EXAMPLES = {"examples": PROJECT / "examples", "calibration": PROJECT / "calibration"}
 
 
@@ -120,29 +131,41 @@ def test_the_four_actions_one_after_the_other(repository: Repository, base_image
 
 
 def test_the_root_action_passes_the_example_and_not_what_got_worse(
-    repository: Repository, base_image: str, registry: Registry, collected: Collected
+    repository: Repository, base_image: str, registry: Registry, collected: Collected, tmp_path: Path
 ) -> None:
-    """Without a push: it takes longer to compress the example's image than to do all the rest."""
+    """Without a push: it takes longer to compress the example's image than to do all the rest.
+
+    What gets worse: the software, which its own tests tell too, and a requirement over the messages that were recorded.
+    """
     path = repository.folder / "examples" / "ros1" / "calibration.yml"
     steps = whole("examples/ros1/calibration.yml", "false").replace("REGISTRY_ADDRESS", registry.address)
-    repository.write(steps, EXAMPLES)
+    repository.write(steps + KEEP.replace("FILE", str(tmp_path / "recorded.bag")), EXAMPLES)
     path.write_text(path.read_text().replace("[0, 0.1]", "[0.1]"))  # one cell of its four
     commit(repository.folder)
     run = repository.act("push")
     assert run.code == 0, run.log
     assert "verdict=pass" in run.printed
+    assert "0 of 2 tests in the image failed, 12 requirements over messages met" in run.log, run.log
     assert {"verdict", "image", "digest"} <= run.outputs
 
     configuration = yaml.safe_load(path.read_text())
-    del configuration["noise"], configuration["simulation"], configuration["requirements"]  # of what is recorded
+    del configuration["noise"], configuration["simulation"]
+    shutil.copy(tmp_path / "recorded.bag", path.parent)
+    configuration["requirements"] = WRONG_REQUIREMENTS
+    configuration["tests"]["robot"]["environment"] = {"ROBOT_BUG": "1"}
     shutil.copytree(collected.folder, path.with_name("collected"))  # the same system's, collected by our simulation
     configuration["systems"]["ros1"]["dataset"] = "collected"
     del configuration["systems"]["ros1"]["limits"]  # against the truth, which is not beside it
     configuration["systems"]["ros1"]["software"]["environment"] = {"ROBOT_BUG": "1"}
     path.write_text(json.dumps(configuration))
-    commit(repository.folder)
+    repository.write(steps, {})
     run = repository.act("push")
     assert run.code == 1
+    test = r"::error file=examples/ros1/robot/test/test_camera\.py,line=\d+,title=test failed::"
+    assert [line for line in run.annotations if re.match(test, line)], run.log
+    [counterexample] = {line for line in run.annotations if "title=check-messages::" in line}
+    stamps = r"/pattern/pose at \d+\.\d{3} s \(\d{10}\.\d{3}\): pose\.position\.x = [\d.]+"
+    assert re.search(stamps, counterexample), run.log
     assert any("our engine passes on the same data from the same start" in line for line in run.annotations), run.log
 
 

@@ -21,6 +21,7 @@ from .pipeline import Caller
 if TYPE_CHECKING:
     from docker import DockerClient
 
+messages = pytest.importorskip("tests.addons.requirements.messages")
 EVALUATE = "inter-collection-rgb-to-rgb:rgb_world:rgb_world"
 
 
@@ -44,7 +45,7 @@ SOFTWARE = """
 image:
   name: "{name}"
   base: "{base}"
-  files: [{{from: table.csv, to: /opt/table.csv}}]
+  files: [{{from: table.csv, to: /opt/table.csv}}, {{from: report.xml, to: /opt/report.xml}}]
   push: true
   promote: [{tag}]
 noise: {{translation: {noise}}}
@@ -53,7 +54,14 @@ systems:
     dataset: data/riwbot
     software: {{command: {command}, calibrated: none}}
     rules: [{{column: RMS (pix), row: Averages, max: 1}}]
+tests:
+  own: {{command: [cp, /opt/report.xml, "{{output}}/report.xml"]}}
+requirements:
+  bag: robot.bag
+  hpl: ["globally: no /cmd_vel {{linear.x > {fastest}}}"]
 """
+REPORT = '<testsuite><testcase classname="Robot" name="test_still"/>{more}</testsuite>'
+FAILED = '<testcase classname="Robot" name="test_moves"><failure message="found 1 m, expected 2 m"/></testcase>'
 COPY = '[cp, /opt/table.csv, "{output}/table.csv"]'
 
 
@@ -71,11 +79,22 @@ class Team:
         self.registry = registry
         self.base = base
         self.name = f"{registry.address}/team-{secrets.token_hex(4)}/robot"
+        messages.bag_file(caller.repository.folder, "bag", messages.drive)
 
-    def run(self, *arguments: str, tag: str, noise: str = "[0]", command: str = COPY) -> Run:
-        text = SOFTWARE.format(name=self.name, base=self.base, tag=tag, noise=noise, command=command)
+    def run(
+        self,
+        *arguments: str,
+        tag: str,
+        noise: str = "[0]",
+        command: str = COPY,
+        fastest: float = 1.0,
+        more: str = "",
+        only: str = "",
+    ) -> Run:
+        text = SOFTWARE.format(name=self.name, base=self.base, tag=tag, noise=noise, command=command, fastest=fastest)
         data = {"data/riwbot": PROJECT / "datasets" / "riwbot", "table.csv": TABLE, "calibration.yml": text}
-        self.caller.write({}, data)
+        data["report.xml"] = REPORT.format(more=more)
+        self.caller.write({"jobs": only}, data)
         run = self.caller.run(*arguments)
         shown = [line for line in run.log.splitlines() if "::add-mask::" not in line]
         assert self.registry.password not in "\n".join(shown)
@@ -101,38 +120,50 @@ def team(
     team.forget(engine)
 
 
+STAGES = ("test-image", "check-messages")
+
+
 def jobs(run: Run) -> set[str]:
     """Return the jobs that have begun; act writes a number behind the name of each job of a matrix."""
     return {re.sub(r"-\d+$", "", job) for job in re.findall(r"^\[robot/pipeline/(.*?) *\].*Set up job", run.log, re.M)}
 
 
 def test_the_image_is_built_once_every_cell_runs_in_it_and_then_it_is_promoted(team: Team, tmp_path: Path) -> None:
-    """Built, found by both cells, and promoted by its digest; red or in a fork's pull request, nothing is promoted."""
+    """Built, found by both cells and the tests, and promoted by its digest.
+
+    Red or in a fork's pull request, nothing is promoted. The tests in the image and the requirements over messages are
+    jobs of their own, in the one verdict.
+    """
     run = team.run(tag="stable", noise="[0, 0.5]")
     assert run.code == 0, run.log
     built = re.findall(r"set-output:: built=(\w+)", run.log)
-    assert built == ["true", "false", "false", "false"]  # the last by the promotion
+    assert built == ["true", *["false"] * 4]  # the last by the promotion
     cells = run.tables["Start"]
     assert cells[0] == ["Start", "arm: software", "arm: calibration-ci"]
     assert [row[1] for row in cells[1:]] == ["0.5000 px", "0.5000 px"]
     [digest] = set(re.findall(r"set-output:: digest=(sha256:\w+)", run.log))
     assert team.digest("stable") == digest
     assert "| promote | to come | 1 | ? | ? |" in run.log
-    assert jobs(run) == {"plan", "image", "calibrate", "verdict", "promote"}
+    assert jobs(run) == {"plan", "image", "calibrate", *STAGES, "verdict", "promote"}
+    sentence = "2 cells calibrated, 0 of 1 test in the image failed, 1 requirement over messages met"
+    assert f"pass: {sentence}" in run.log
 
-    run = team.run(tag="red", command="[sh, -c, exit 7]")
+    run = team.run(tag="red", command="[sh, -c, exit 7]", fastest=0.6, more=FAILED)
     assert run.code == 1
     crashed = "container 'calibration' ended with exit code 7"
     own, gathered = [line for line in run.annotations if crashed in line]
     at_its_rule = "::error file=calibration.yml,line=10,title="
     assert own.startswith(f"{at_its_rule}calibrate-matrix::{crashed}")
     assert gathered.startswith(f"::error title=gather-results::{crashed}")
+    said = [line for line in run.annotations if line.startswith("::error title=gather-results::")]
+    assert [found for found in said if "tests: own: Robot.test_moves failed: found 1 m, expected 2 m" in found]
+    assert [found for found in said if "/cmd_vel at 9.000 s (1700000009.000): linear.x = 0.9" in found]
     assert "promote" not in jobs(run)
     assert team.digest("red") is None
 
     event = tmp_path / "event.json"
     event.write_text(json.dumps(FORK))
-    run = team.run("pull_request", "-e", str(event), tag="strange")
+    run = team.run("pull_request", "-e", str(event), tag="strange", only="calibrate")
     assert run.code == 0, run.log
     assert jobs(run) == {"plan", "calibrate", "verdict"}  # nothing is pushed either
     assert team.digest("strange") is None

@@ -6,6 +6,7 @@ untrusted, as it runs the tests.
 
 import json
 import os
+import select
 import selectors
 import shutil
 import signal
@@ -29,6 +30,7 @@ MAX_COPY_BYTES = 2 << 30
 MAX_MESSAGE_BYTES = 64 << 20
 """Largest message of a process of the tests: the names of all tests."""
 SECONDS_BETWEEN_POLLS = 0.05
+SECONDS_TO_END_JOB = 2.0
 SECONDS_TO_COLLECT = 120.0
 """How long the tests may take to be imported while a function is replaced that is run then."""
 CACHE_FOLDERS = (".mypy_cache", ".ruff_cache", ".pytest_cache", ".hypothesis")
@@ -178,16 +180,22 @@ class TestWorker:
             return
         task, self.task = self.task, None  # what is still read goes on with nothing
         try:
-            with suppress(OSError):
-                os.killpg(process.pid, signal.SIGKILL)  # from now on it starts no job
             with suppress(OSError, InputError):
-                while self._connection is not None and self._read_messages(self._connection):
-                    pass
-            self._kill_child()
+                self._end_job()
+            with suppress(OSError):
+                os.killpg(process.pid, signal.SIGKILL)
         finally:
             self.task, self._process, self._connection, self._child = task, None, None, None
             stack, self._stack = self._stack, ExitStack()
             stack.close()
+
+    def _end_job(self) -> None:
+        """Kill the job, and wait until its process has ended what the job has left behind."""
+        deadline = time.monotonic() + SECONDS_TO_END_JOB
+        while self._sent and self._connection is not None and time.monotonic() < deadline:
+            self._kill_child()
+            select.select([self._connection], [], [], SECONDS_BETWEEN_POLLS)
+            self._read_messages(self._connection)
 
     def _start(self, preset: dict[str, Any]) -> None:
         self.close()

@@ -1,9 +1,12 @@
 # ruff: noqa: E501 (Rigelfiles on one line)
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+import yaml
 
-from calibration.addons.rigel.conversion import Conversion
+from calibration.addons.rigel.conversion import Conversion, convert
+from calibration.addons.rigel.document import read_rigelfile
 from calibration.addons.rigel.fields import variable_name
 from calibration.base.errors import InputError
 from tests.addons.rigel.conftest import noted, software
@@ -404,3 +407,10 @@ def test_a_test_job_without_requirements_is_noted(converted: Converted) -> None:
 def test_requirements_of_components_are_converted_too(converted: Converted) -> None:
     conversion = converted(compose("introspection: {requirements: ['globally: some /x']}"))
     assert conversion.requirements["hpl"] == ["globally: some /x"]
+
+
+def test_the_examples_job_of_tests_becomes_the_properties_that_the_example_judges() -> None:
+    example = Path(__file__).parents[3] / "examples" / "ros1"
+    conversion = convert(read_rigelfile(example / "Rigelfile"))
+    judged = yaml.safe_load((example / "calibration.yml").read_text())["requirements"]
+    assert conversion.requirements["hpl"] == judged["hpl"]

@@ -9,7 +9,7 @@ Runs in the Python of the team's tests, whichever version that is (3.8 and newer
 """
 
 # mypy: ignore-errors
-# ruff: noqa: D102, N815, PTH112, PTH118, PTH119, PTH123, S307, SIM105, UP031
+# ruff: noqa: D102, N815, PTH112, PTH118, PTH119, PTH123, PTH208, S307, SIM105, UP031
 
 import ast
 import builtins
@@ -33,6 +33,8 @@ MAX_VALUES = 2
 """Different results of one type that are noted."""
 MORE_MEMORY = 4 << 30
 """Bytes that a job may take more than the process that it is forked from."""
+PR_SET_CHILD_SUBREAPER = 36
+"""Linux's prctl option by which a process becomes the parent of what its descendants leave behind."""
 FINISHED = 17
 """Exit code of a job whose tests have passed; a test that ends its process has another one."""
 _SCALARS = {
@@ -315,10 +317,54 @@ def serve(tests, runner, run):
             while data:
                 data = data[os.write(descriptor, data) :]
 
+        adopts = _adopt_orphans()
+        own = _children() if adopts else ()
         tell({"tests": tests, "runner": runner})
         with open(descriptor, "rb", closefd=False) as lines:
             for line in lines:
-                tell({"ended": _fork(json.loads(line), run, tell)})
+                passed = _fork(json.loads(line), run, tell)
+                if adopts:
+                    _end_orphans(own)
+                tell({"ended": passed})
+
+
+def _adopt_orphans():
+    """Become the parent of what jobs leave behind in sessions of their own; return whether the system can do that."""
+    try:
+        import ctypes
+
+        return ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) == 0
+    except (ImportError, OSError, AttributeError):
+        return False
+
+
+def _children():
+    """Return the processes that this one is the parent of."""
+    found = set()
+    for name in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            with open("/proc/%s/stat" % name, "rb") as file:
+                parent = int(file.read().rpartition(b")")[2].split()[1])
+        except OSError:  # it has ended
+            continue
+        if parent == os.getpid():
+            found.add(int(name))
+    return found
+
+
+def _end_orphans(own):
+    """Kill what a job has left behind, and what that leaves in turn; not the children that were there before it."""
+    while True:
+        try:
+            os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+        except ChildProcessError:
+            return
+        orphans = _children().difference(own)
+        if not orphans:
+            return
+        for orphan in orphans:
+            os.kill(orphan, signal.SIGKILL)
+            os.waitpid(orphan, 0)
 
 
 def _fork(job, run, tell):

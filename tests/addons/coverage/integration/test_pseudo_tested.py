@@ -288,18 +288,30 @@ def test_needs_its_place(): assert os.getcwd() == {str(root)!r} and split("a_b")
 
 
 def test_a_function_without_which_tests_never_end_is_tested(
-    root: Path, judge: Judge, monkeypatch: pytest.MonkeyPatch
+    root: Path, judge: Judge, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    """What its tests start in sessions of their own ends with them."""
+    test = f"""import os, subprocess
+from robot.arm import drive
+def test_drive():
+    if os.getcwd() != {str(root)!r}:
+        with open({str(tmp_path / "pids")!r}, "a") as file:
+            print(subprocess.Popen(["sleep", "60"], start_new_session=True).pid, file=file)
+    drive(3)
+"""
     monkeypatch.setattr("calibration.addons.coverage.pseudo_tested.SECONDS_OF_JOB", 0.5)
     commit(
         root,
         {
             "robot/arm.py": "def left(n):\n return n - 1\n\n\ndef drive(n):\n while n > 0:\n  n = left(n)\n",
-            "tests/test_naming.py": "from robot.arm import drive\n\n\ndef test_drive():\n    drive(3)\n",
+            "tests/test_naming.py": test,
         },
     )
     code, found = judge(PYTEST, "--pseudo-tested", "all", "--source", "robot/arm.py")
     assert (code, names(found), found["judged"]) == (0, {"drive"}, 2)
+    started = [int(pid) for pid in (tmp_path / "pids").read_text().split()]
+    assert len(started) >= 3
+    assert [pid for pid in started if runs(pid)] == []
 
 
 @pytest.mark.thorough
@@ -366,7 +378,7 @@ def test_a_signal_leaves_nothing_behind(root: Path, tmp_path: Path, number: sign
 from robot.naming import joined
 def test():
     if joined("a") != "a":
-        nap = subprocess.Popen(["sleep", "60"])
+        nap = subprocess.Popen(["sleep", "60"], start_new_session=True)
         line = f"{{os.getpid()}} {{nap.pid}} {{os.getcwd()}}\\n"
         with open({str(tmp_path / "pids")!r}, "a") as file: file.write(line)
         time.sleep(60)
