@@ -110,7 +110,7 @@ lock: ## resolve requirements/*.txt again after a change in pyproject.toml
 	'$(uv)' $(compile) --extra calibrate --extra opencv --constraint requirements/dev.txt --output-file requirements/engine.txt
 	'$(uv)' $(compile) --extra calibrate --extra opencv --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/calibrate.txt
 	'$(uv)' $(compile) --extra containers --extra aws --constraint requirements/dev.txt --output-file requirements/image.txt
-	'$(uv)' $(compile) --extra calibrate --extra opencv --extra bags --extra xacro --extra figures --extra containers --extra aws --extra analysis --extra requirements --constraint requirements/dev.txt --output-file requirements/run.txt
+	'$(uv)' $(compile) --extra calibrate --extra opencv --extra bags --extra xacro --extra figures --extra containers --extra aws --extra analysis --extra requirements --extra delivery --constraint requirements/dev.txt --output-file requirements/run.txt
 	'$(uv)' $(compile) --extra coverage --constraint requirements/dev.txt --output-file requirements/coverage.txt
 	'$(uv)' $(compile) --extra github --constraint requirements/dev.txt --output-file requirements/github.txt
 	'$(uv)' $(compile) --extra analysis --constraint requirements/dev.txt --output-file requirements/analysis.txt

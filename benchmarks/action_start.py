@@ -15,6 +15,7 @@ from benchmarks.shared_data import ROOT
 # Each stops at its first look at its inputs, which are missing or name nothing.
 INPUTS = {
     "build-image": {"INPUT_SPEC": "nowhere.yml"},
+    "bundle": {"INPUT_CONFIG": "nowhere.yml"},
     "calibrate-matrix": {"INPUT_DATASET": "nowhere"},
     "check-messages": {"INPUT_CONFIG": "nowhere.yml"},
     "test-image": {"INPUT_IMAGE": "nowhere"},

@@ -6,6 +6,7 @@ what it brings (`calibration.base.addons`), so that its folder can be deleted an
 - ``analysis``: analysers run on a repository, their findings compared with the base;
 - ``aws_batch``: jobs of containers on AWS Batch, images in ECR;
 - ``coverage``: tests measured, reports read, compared with limits, sent to a service;
+- ``delivery``: a bundle of accepted calibrations, signed, and a check of it on the robot;
 - ``recorder``: the page on which a motion is recorded;
 - ``requirements``: requirements over messages, judged over a bag;
 - ``rigel``: Rigelfiles, read to be converted.

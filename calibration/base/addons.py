@@ -48,6 +48,8 @@ class AddonStage(NamedTuple):
     """Whether it runs in the image of the run, which is built for it."""
     job: str = ""
     """The job of the reusable workflow that runs this stage alone; empty for none."""
+    last: bool = False
+    """Whether it runs after the stages of other add-ons, as it needs their results."""
 
 
 class BackendKind(NamedTuple):

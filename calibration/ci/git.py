@@ -172,6 +172,11 @@ class Repository:
         code, output, _ = self._run_git("log", "--format=%H%x09%cs%x09%s", "--max-count=1", "--no-show-signature")
         return None if code else Commit(*output.decode("utf-8", "replace").rstrip("\n").split("\t", 2))
 
+    def commit_time(self, commit: str) -> int | None:
+        """Return when a commit was made, seconds since 1970; None if this checkout does not have it."""
+        code, output, _ = self._run_git("log", "--format=%ct", "--max-count=1", "--no-show-signature", commit, "--")
+        return None if code else int(output)
+
     def parents(self, commit: str) -> list[str]:
         """Return the hashes of a commit's parents, including those missing in a shallow checkout."""
         code, output, _ = self._run_git("cat-file", "commit", commit)

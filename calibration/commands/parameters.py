@@ -227,12 +227,19 @@ def record_options(
 
 def given(kind: type, options: Mapping[str, Any], *keys: str, names: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Convert values of options of `record_options` to a document; empty and missing options are omitted."""
-    document = {}
+    document: dict[str, Any] = {}
     for key in keys or option_keys(kind):
         value = options.get((names or {}).get(key, key).replace("-", "_"))
         if value not in (None, ()):
-            document[key] = list(dict.fromkeys(value)) if isinstance(value, tuple) else value
-    return {key: str(value) if isinstance(value, Path) else value for key, value in document.items()}
+            document[key] = _in_document(value)
+    return document
+
+
+def _in_document(value: Any) -> Any:
+    """Return the value of an option as a document has it: a text for a path, a list without repeats."""
+    if isinstance(value, tuple):
+        return [_in_document(each) for each in dict.fromkeys(value)]
+    return str(value) if isinstance(value, Path) else value
 
 
 def chosen(kind: type[_Record], options: Mapping[str, Any], **more: Any) -> _Record:

@@ -177,7 +177,7 @@ def test_pip_and_the_actions_compare_with_the_same_opencv() -> None:
         ("github.txt", ["github"], []),
         ("analysis.txt", ["analysis"], []),
         ("image.txt", ["containers", "aws"], []),
-        ("run.txt", ["calibrate", "opencv", "bags", "figures", "containers", "aws", "requirements"], []),
+        ("run.txt", ["calibrate", "opencv", "bags", "figures", "containers", "aws", "requirements", "delivery"], []),
         ("dev.txt", ["opencv", "bags", "figures", "record"], ["dev"]),
     ],
 )

@@ -11,7 +11,7 @@ from typing import Self
 from urllib.parse import urlencode, urlsplit
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.http import Answer, Http, Timeouts, is_loopback
+from calibration.base.http import MAX_BYTES, Answer, Http, Timeouts, is_loopback
 from calibration.base.text import one_line, shorten
 from calibration.ci.registries.credentials import Credentials
 from calibration.ci.registries.reference import DOCKER_HUB, Reference, is_digest, parse_reference
@@ -129,10 +129,18 @@ class RegistryClient:
         *,
         pause: Callable[[float], None] = time.sleep,
         timeouts: Timeouts | None = None,
+        most_bytes: int = MAX_BYTES,
     ) -> None:
-        """Open a session; ``pause`` and ``timeouts`` are those of `Http`."""
+        """Open a session; ``pause``, ``timeouts`` and ``most_bytes`` are those of `Http`."""
         secrets = credentials.secrets if credentials else ()
-        self._http = Http(secrets, address="the image's name", explain=_error_messages, pause=pause, timeouts=timeouts)
+        self._http = Http(
+            secrets,
+            address="the image's name",
+            explain=_error_messages,
+            pause=pause,
+            timeouts=timeouts,
+            most_bytes=most_bytes,
+        )
         self._credentials = credentials
         self._authorizations: dict[tuple[str, str, bool], str] = {}
 
@@ -189,6 +197,22 @@ class RegistryClient:
                     f"{reference}: the registry's answer has the digest {digest}, not {one_line(other)}"
                 )
         return Manifest(reference.digest or digest, media_type, answer.body)
+
+    def read_blob(self, reference: Reference | str, digest: str) -> bytes:
+        """Return a layer of the repository of a reference.
+
+        Raises:
+            InputError: the digest is none, the user has no access, or there is no such layer.
+            InfrastructureError: the registry cannot be reached, or its answer does not match the digest.
+        """
+        reference = _as_reference(reference).with_digest(digest)
+        answer = self._request_with_login("GET", reference, f"blobs/{digest}", {})
+        if self._is_missing(answer, reference):
+            raise InputError(f"{reference}: the registry has no such layer")
+        algorithm, _, expected = digest.partition(":")
+        if hashlib.new(algorithm, answer.body).hexdigest() != expected:
+            raise InfrastructureError(f"{reference}: the registry's answer has another digest")
+        return answer.body
 
     def put_manifest(self, reference: Reference | str, manifest: Manifest) -> None:
         """Upload a manifest of the repository under the tag of the reference.

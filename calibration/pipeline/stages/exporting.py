@@ -10,6 +10,7 @@ from calibration.base.files import write_atomically
 from calibration.base.records import field, result, text_of
 from calibration.ci.report import Verdict
 from calibration.engine.baseline.calibration_document import CalibrationDocument
+from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.results import Exported, own_details
@@ -57,21 +58,44 @@ def _export_system(system: System, exports: Exports, cells: Sequence[CellResult]
     first = cells[0]
     folder = str(Path(first.dataset or "").parent / EXPORTS_FOLDER)
     try:
-        # The labels' data files stay beside the dataset that was calibrated.
-        dataset = read_dataset(output / (first.dataset or ""), data=_dataset_folder(system), given=system.dataset)
-        files, notes = exported(dataset, exports.formats, exports.robot_description, exports.xacro)
-        details = first.details or own_details(first, output)
+        files, notes = files_for_robot(calibrated_dataset(system, first, output), exports, first, output)
     except CalibrationError as error:
         return Exported(system=system.name, folder=folder, reasons=(f"{system.name}: exports: {error}",))
-    if details is not None and details.snapshot is not None:
-        truth = first.truth.translation_mm if first.truth else None
-        document = ExportedCalibration(1, system.name, first.verdict, truth, details.snapshot)
-        files[CALIBRATION_FILE] = text_of(document).encode()
     for name, content in files.items():
         write_atomically(output / folder / name, content)
     notes += [f"undecided: {line}" for line in dict.fromkeys(line for cell in cells for line in cell.undecided)]
     return Exported(system=system.name, folder=folder, files=tuple(sorted(files)), notes=tuple(notes))
 
 
-def _dataset_folder(system: System) -> Path:
-    return system.dataset if system.dataset.is_dir() else system.dataset.parent
+def calibrated_dataset(system: System, cell: CellResult, output: Path) -> Dataset:
+    """Read the calibrated dataset of a cell, which has one.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    # The labels' data files stay beside the dataset that was calibrated.
+    folder = system.dataset if system.dataset.is_dir() else system.dataset.parent
+    return read_dataset(output / (cell.dataset or ""), data=folder, given=system.dataset)
+
+
+def files_for_robot(
+    dataset: Dataset, exports: Exports, cell: CellResult, output: Path
+) -> tuple[dict[str, bytes], list[str]]:
+    """Return the exports of a cell by name, `CALIBRATION_FILE` among them, and notes for the user.
+
+    Args:
+        dataset: its calibrated dataset.
+        exports: formats and description.
+        cell: its result.
+        output: the output folder of the run.
+
+    Raises:
+        InputError: the description does not match, or the dataset does not support a format.
+    """
+    files, notes = exported(dataset, exports.formats, exports.robot_description, exports.xacro)
+    details = cell.details or own_details(cell, output)
+    if details is not None and details.snapshot is not None:
+        truth = cell.truth.translation_mm if cell.truth else None
+        document = ExportedCalibration(1, cell.system, cell.verdict, truth, details.snapshot)
+        files[CALIBRATION_FILE] = text_of(document).encode()
+    return files, notes

@@ -114,7 +114,10 @@ STAGES: Mapping[str, PipelineStage] = {
         "calibration.pipeline.stages.exporting:export_stage",
         lambda run: any(system.exports for system in run.matrix.systems),
     ),
-    **{name: _stage_of_addon(stage) for name, stage in of_addons(lambda addon: addon.stages).items()},
+    **{
+        name: _stage_of_addon(stage)
+        for name, stage in sorted(of_addons(lambda addon: addon.stages).items(), key=lambda entry: entry[1].last)
+    },
     "promote": PipelineStage(
         "calibration.pipeline.stages.building:promote_stage", lambda run: bool(run.image and run.image.promote)
     ),

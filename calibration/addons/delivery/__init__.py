@@ -1,0 +1,41 @@
+"""Delivery of calibrations: a bundle with a proof, and a check of it on the robot.
+
+- ``settings``: the section ``delivery``; ``manifest``: what a bundle says of itself;
+- ``archive``: the tar of a bundle, which has one possible form;
+- ``attestation``: an in-toto statement in a DSSE envelope, signed by a team's key;
+- ``bundling``: a bundle of the results of a run; ``writing``: its files;
+- ``bundle``, ``stage``: the command and the stage;
+- ``fetching``: a bundle read from a file, a folder or a registry;
+- ``checking``: whether a bundle is accepted on this robot;
+- ``poses``, ``in_use``, ``in_use_bag``: transforms and cameras that are in use; ``comparing``: with those of a bundle;
+- ``results``: the output; ``verify``: the command, which needs no numpy.
+"""
+
+from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyCommand, SchemaFile
+
+ADDON = Addon(
+    commands={
+        "bundle": LazyCommand(f"{__name__}.bundle:command", "Pack accepted calibrations for the robot, and sign them."),
+        "verify": LazyCommand(f"{__name__}.verify:command", "Check on the robot what was bundled, and what is in use."),
+    },
+    sections={
+        "delivery": DocumentSection(
+            f"{__name__}.settings:DeliverySettings",
+            "A bundle for the robot of what passed and is accepted, a stage of run; {} for the defaults.",
+        )
+    },
+    stages={
+        "deliver": AddonStage(
+            f"{__name__}.stage:deliver_stage",
+            section="delivery",
+            result=DocumentSection(
+                f"{__name__}.results:Delivered", "The bundle for the robot, where calibration.yml asks for one."
+            ),
+            last=True,
+        )
+    },
+    schemas={
+        "verify-results": SchemaFile(__name__, "results.schema.json", "results:VerifyResults", "verify"),
+        "bundle-manifest": SchemaFile(__name__, "manifest.schema.json", "manifest:Manifest"),
+    },
+)

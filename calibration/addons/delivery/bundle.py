@@ -1,0 +1,115 @@
+"""``bundle``: pack what systems that passed and are accepted leave for their robot, with a signed statement."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import click
+
+from calibration.addons.delivery.bundling import RunToBundle, make_bundle, with_collected
+from calibration.addons.delivery.results import BundleResults
+from calibration.addons.delivery.settings import KEY_VARIABLE, DeliverySettings
+from calibration.addons.delivery.writing import write_bundle
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.records import changed, field, record
+from calibration.base.text import one_line
+from calibration.ci.execution.workspace import locked
+from calibration.ci.workflow import Level, Runner, add_mask, annotate, set_outputs, stop_commands
+from calibration.ci.workflow.runner import Annotation
+from calibration.commands.parameters import chosen, given, record_options
+from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
+from calibration.pipeline.results import read_results
+from calibration.pipeline.stages.running import COLLECTED_FOLDER
+
+TITLE = "bundle"
+BUNDLE_FOLDER = "bundle"
+
+
+@record(kw_only=True)
+class BundleSettings:
+    """Inputs of ``bundle`` beside those of the section ``delivery``."""
+
+    config: Path = field("The configuration (calibration.yml).", default=DEFAULT_FILE)
+    output: Path = field(
+        "Folder of the run's results; the bundle is written to its folder bundle.", default=Path("output")
+    )
+    although: str | None = field(
+        "Reason to bundle red, undecided and not accepted systems too; they are marked, and verify refuses them.",
+        default=None,
+    )
+
+
+@click.command(TITLE)
+@record_options(BundleSettings)
+@record_options(DeliverySettings)
+@click.option(
+    "--signing-key",
+    envvar=KEY_VARIABLE,
+    help=f"The private key itself, in PEM; on a command line by the variable {KEY_VARIABLE} instead.",
+)
+@click.pass_context
+def command(context: click.Context, /, signing_key: str | None, **options: Any) -> ExitCode:
+    """Pack what systems that passed and are accepted leave for their robot: the same input, the same digest.
+
+    A system that is red, undecided or not accepted is left out, or refused if --systems names it; --although bundles
+    and marks it.
+    """
+    runner = Runner.from_environment()
+    if signing_key and signing_key.strip():
+        add_mask(runner, signing_key)
+        if context.get_parameter_source("signing_key") is click.core.ParameterSource.COMMANDLINE:
+            raise InputError(
+                "signing-key: found on the command line, where every process reads it: "
+                f"put it into the environment variable {KEY_VARIABLE}, or use signing-key-file"
+            )
+    settings = chosen(BundleSettings, options)
+    if settings.although is not None and not settings.although.strip():
+        raise InputError("--although: found nothing, expected the reason")
+    found = bundle_results(settings, given(DeliverySettings, options), signing_key or "")
+    _show(found, settings.output, runner)
+    return ExitCode.PASS
+
+
+def bundle_results(settings: BundleSettings, document: dict[str, Any], signing_key: str) -> BundleResults:
+    """Write the bundle of a run, and return what it is.
+
+    Args:
+        settings: of the command.
+        document: keys of the section ``delivery`` that take precedence over it.
+        signing_key: the private key in PEM; empty for none.
+
+    Raises:
+        InputError: an input is wrong, or no system can be bundled.
+        InfrastructureError: a file cannot be written.
+    """
+    configuration = read_configuration(settings.config)
+    section = configuration.sections.of("delivery") or DeliverySettings()
+    delivery = changed(section, document, "options")
+    with locked(settings.output):  # no run may write the results meanwhile
+        run = RunToBundle(
+            read_results(settings.output),
+            with_collected(configuration.systems, settings.output / COLLECTED_FOLDER),
+            settings.output,
+            settings.config,
+            configuration.baseline,
+        )
+        bundle = make_bundle(run, delivery, settings.although)
+        environment = {**os.environ, KEY_VARIABLE: signing_key}
+        written = write_bundle(bundle, settings.output / BUNDLE_FOLDER, delivery.signing_key_file, environment)
+    return written.results(settings.output)
+
+
+def _show(found: BundleResults, output: Path, runner: Runner) -> None:
+    annotate(runner, [Annotation(warning, Level.WARNING, title=TITLE) for warning in found.warnings])
+    set_outputs(
+        runner,
+        {
+            "bundle": output / found.file,
+            "digest": found.digest,
+            "version": found.version,
+            "attestation": output / found.attestation if found.attestation else "",
+            "predicate": output / found.predicate,
+        },
+    )
+    with stop_commands(runner):
+        runner.log(one_line(f"{found.sentence}: {found.digest} ({output / found.file})"))

@@ -1,0 +1,122 @@
+"""A bundle and its attestation, read from a file, an unpacked folder or a registry."""
+
+import json
+import os
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.addons.delivery.archive import MAX_BUNDLE_BYTES, MAX_FILES, RefusedBundleError, pack_files
+from calibration.addons.delivery.attestation import ATTESTATION_ENDING, MAX_ATTESTATION_BYTES
+from calibration.addons.delivery.manifest import MANIFEST_FILE
+from calibration.base.errors import InputError
+from calibration.base.files import read_bytes
+from calibration.ci.workflow import Runner
+
+BUNDLE_ENDING = ".calibration.tar"
+ATTESTATION_IN_FOLDER = f"attestation{ATTESTATION_ENDING}"
+"""Name of the attestation in an unpacked folder."""
+ARTIFACT_TYPE = "application/vnd.calibration-ci.bundle.v1"
+"""Type of a bundle in a registry: a manifest of OCI with the layers of these two types."""
+BUNDLE_LAYER, ATTESTATION_LAYER = f"{ARTIFACT_TYPE}.tar", f"{ARTIFACT_TYPE}.attestation"
+
+
+@dataclass(frozen=True)
+class FetchedBundle:
+    """A bundle to be verified."""
+
+    where: str
+    content: bytes
+    attestation: bytes | None
+
+
+def fetch_bundle(text: str, attestation: Path | None, runner: Runner, *, offline: bool) -> FetchedBundle:
+    """Read a bundle.
+
+    Args:
+        text: path of a bundle or a folder, or its name in a registry.
+        attestation: file of its attestation; None for that beside it.
+        runner: runner that masks the secrets of a registry.
+        offline: whether a registry is an error.
+
+    Raises:
+        InputError: there is none, or it is too large.
+        InfrastructureError: a registry does not answer.
+        RefusedBundleError: an unpacked folder has links or special files.
+    """
+    path = Path(text)
+    if path.is_dir():
+        found = _from_folder(path)
+    elif os.path.lexists(path) or ("/" not in text and ":" not in text):
+        found = _from_file(path)
+    elif offline:
+        raise InputError(f"{text}: found no such file or folder, expected one, as --offline allows no registry")
+    else:
+        found = _from_registry(text, runner)
+    if attestation is None:
+        return found
+    return FetchedBundle(text, found.content, read_bytes(attestation, MAX_ATTESTATION_BYTES, "an attestation"))
+
+
+def _from_file(path: Path) -> FetchedBundle:
+    content, beside = read_bytes(path, MAX_BUNDLE_BYTES, "a bundle"), path.with_name(path.name + ATTESTATION_ENDING)
+    attestation = read_bytes(beside, MAX_ATTESTATION_BYTES, "an attestation") if beside.exists() else None
+    return FetchedBundle(str(path), content, attestation)
+
+
+def _from_folder(folder: Path) -> FetchedBundle:
+    """Read a folder: an unpacked bundle, or a folder with one bundle in it."""
+    if not (folder / MANIFEST_FILE).exists():
+        bundles = sorted(path for path in folder.iterdir() if path.name.endswith(BUNDLE_ENDING))
+        if len(bundles) != 1:
+            expected = f"expected one file *{BUNDLE_ENDING}, or an unpacked bundle with {MANIFEST_FILE}"
+            raise InputError(f"{folder}: found {len(bundles)} bundles, {expected}")
+        return _from_file(bundles[0])
+    files: dict[str, bytes] = {}
+    for path in _regular_files(folder):
+        files[path.relative_to(folder).as_posix()] = read_bytes(path, MAX_BUNDLE_BYTES, "a file of a bundle")
+        if len(files) > MAX_FILES or sum(map(len, files.values())) > MAX_BUNDLE_BYTES:
+            raise RefusedBundleError("it has more files or bytes than a bundle may have")
+    attestation = files.pop(ATTESTATION_IN_FOLDER, None)
+    return FetchedBundle(str(folder), pack_files(files), attestation)
+
+
+def _regular_files(folder: Path) -> Iterator[Path]:
+    for path in sorted(folder.iterdir()):
+        mode = path.lstat().st_mode
+        if stat.S_ISDIR(mode):
+            yield from _regular_files(path)
+        elif stat.S_ISREG(mode):
+            yield path
+        else:
+            raise RefusedBundleError(f"its file '{path.relative_to(folder)}' is a link or no regular file")
+
+
+def _from_registry(text: str, runner: Runner) -> FetchedBundle:
+    # A robot that reads files needs no client of a registry.
+    from calibration.ci.registries.login import registry_login
+    from calibration.ci.registries.reference import parse_reference
+    from calibration.ci.registries.registry import RegistryClient
+
+    reference = parse_reference(text)
+    with RegistryClient(registry_login(None, text, runner), most_bytes=MAX_BUNDLE_BYTES) as client:
+        manifest = client.read_manifest(reference)
+        if manifest is None:
+            raise InputError(f"{text}: found no such file, folder or artifact of a registry, expected a bundle")
+        layers = _layers_by_type(manifest.content, text)
+        content = client.read_blob(reference, layers[BUNDLE_LAYER])
+        attested = layers.get(ATTESTATION_LAYER)
+        attestation = None if attested is None else client.read_blob(reference, attested)
+    return FetchedBundle(text, content, attestation)
+
+
+def _layers_by_type(content: bytes, text: str) -> dict[str, str]:
+    """Return the digests of an artifact's layers by their media types."""
+    try:
+        layers = {str(each["mediaType"]): str(each["digest"]) for each in json.loads(content)["layers"]}
+    except (ValueError, LookupError, TypeError, RecursionError):
+        layers = {}
+    if BUNDLE_LAYER not in layers:
+        raise InputError(f"{text}: found an artifact without a layer {BUNDLE_LAYER}, expected a bundle")
+    return layers

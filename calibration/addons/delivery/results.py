@@ -1,0 +1,98 @@
+"""Results of ``bundle``, of the stage deliver and of ``verify``, and their documents."""
+
+from pathlib import Path
+
+from calibration.addons.delivery.manifest import SystemLeftOut
+from calibration.base.records import computed, field, result
+from calibration.base.text import count_of
+from calibration.base.verdict import Verdict, verdict_of
+
+
+@result(kw_only=True)
+class BundleResults:
+    """Results of bundle."""
+
+    name: str = field("The robot.")
+    version: str = field("Version of the bundle.")
+    file: str = field("The bundle, relative to the output folder.")
+    digest: str = field("Its digest, sha256:...")
+    attestation: str | None = field("Its signed statement, relative to the output folder; null without a key.")
+    predicate: str = field("Its test results, relative to the output folder, for actions/attest or cosign.")
+    systems: tuple[str, ...] = field("The systems in it.")
+    left_out: tuple[SystemLeftOut, ...] = field("The systems that are not in it, with why.", default=())
+    marks: tuple[str, ...] = field("Why systems in it are marked: red, undecided or not accepted.", default=())
+    uncommitted: bool = field("Whether files differed from the commit.", default=False)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What speaks against it, one line each."""
+        return (
+            *(f"{mark}: bundled and marked, verify refuses it" for mark in self.marks),
+            *(f"{each.name}: left out: {each.why}" for each in self.left_out),
+            *(["files differ from the commit: commit them, and run again"] if self.uncommitted else []),
+            *(["it is not signed: there is no key"] if self.attestation is None else []),
+        )
+
+    @property
+    def sentence(self) -> str:
+        """Return the result in a few words."""
+        signed = "signed" if self.attestation else "not signed"
+        marked = ", marked" if self.marks else ""
+        return f"{count_of(len(self.systems), 'system')} bundled as {self.name} {self.version}, {signed}{marked}"
+
+
+@result(kw_only=True)
+class Delivered:
+    """Bundle for the robot."""
+
+    bundle: BundleResults | None = field("The bundle; null if no system has passed and is accepted.", default=None)
+    why_not: str | None = field("Why there is none.", default=None)
+    folder: str = field("The folder with it, relative to the output folder.")
+    reasons: tuple[str, ...] = field("Reasons of a fail verdict.", default=())
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Fail if there is a reason."""
+        return verdict_of(not self.reasons)
+
+    @property
+    def sentence(self) -> str:
+        """Return the result in a few words, for the line of the verdict."""
+        return self.bundle.sentence if self.bundle else "no bundle"
+
+    def line(self, output: Path) -> str:
+        """Return the path of the bundle and what speaks against it, for the report."""
+        if self.bundle is None:
+            return f"No bundle: {self.why_not}"
+        return "; ".join([f"Bundle: {output / self.bundle.file}, {self.bundle.digest}", *self.bundle.warnings])
+
+
+@result(kw_only=True)
+class DifferenceInUse:
+    """Difference of what is in use from what was verified."""
+
+    place: str = field("File, bag or topic in which it was found.")
+    of: str = field("The frame, or the camera.")
+    text: str = field("What was found, and what was expected.")
+    mm: float | None = field("Distance of the translations.", unit="mm", default=None)
+    deg: float | None = field("Difference of the rotations.", unit="degrees", default=None)
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.of}: {self.text}"
+
+
+@result(kw_only=True)
+class VerifyResults:
+    """Results of verify."""
+
+    bundle: str = field("What was verified: a path, or a name in a registry.")
+    digest: str | None = field("Digest of the bundle, sha256:...; null if it could not be read.", default=None)
+    name: str | None = field("The robot, as the bundle says.", default=None)
+    version: str | None = field("Version of the bundle.", default=None)
+    commit: str | None = field("The commit that was tested.", default=None)
+    age_days: float | None = field("Time since it was made.", unit="days", default=None)
+    signed_by: str | None = field("Id of the key that signed it; null where that was not checked.", default=None)
+    compared: int = field("Number of transforms and cameras that were compared with what is in use.", default=0)
+    differences: tuple[DifferenceInUse, ...] = field("Differences of what is in use.", default=())
+    warnings: tuple[str, ...] = field("What was not checked, and what the bundle says of itself.", default=())
