@@ -249,7 +249,8 @@ def _origin(run: RunToBundle, environment: Mapping[str, str]) -> _Origin:
     if commit is not None:
         try:
             repository = Repository.around(run.config.resolve().parent)
-            made, uncommitted = repository.commit_time(commit), _is_uncommitted(repository, run.baseline.file)
+            made = repository.commit_time(commit)
+            uncommitted = made is None or _is_uncommitted(repository, commit, run.baseline.file)
         except InputError:  # the folder of the configuration has left its repository
             made = None
     if epoch := environment.get(EPOCH_VARIABLE):
@@ -263,11 +264,16 @@ def _origin(run: RunToBundle, environment: Mapping[str, str]) -> _Origin:
     return _Origin(made, commit, uncommitted)
 
 
-def _is_uncommitted(repository: Repository, baseline: Path) -> bool:
-    """Return whether tracked files differ from the commit, or the accepted calibrations are not in it."""
+def _is_uncommitted(repository: Repository, commit: str, baseline: Path) -> bool:
+    """Return whether files differ from the tested commit, or the accepted calibrations from any commit.
+
+    These are accepted after the test, hence in a later commit.
+    """
     path = repository.path(baseline) if baseline.is_file() else None
-    tracked = path is None or repository.content("HEAD", path, MAX_BASELINE_BYTES) is not None
-    return not tracked or bool(repository.changed("HEAD"))
+    if path is None:
+        return bool(repository.changed(commit))
+    accepted = repository.content("HEAD", path, MAX_BASELINE_BYTES)
+    return accepted != baseline.read_bytes() or bool(set(repository.changed(commit)) - {path})
 
 
 def _sha256(content: bytes) -> str:

@@ -19,12 +19,13 @@ from calibration.base.text import one_line, shorten
 MAX_FILE_BYTES = 16 * 1024**2
 MAX_LAUNCH_BYTES = 1024**2
 BAG_ENDINGS = (".bag", ".db3", ".mcap")
-SUPPORTED_FILES = "a URDF, a launch file, camera_info or messages as YAML, or a bag"
+SUPPORTED_FILES = "a URDF, a launch file, YAML of Autoware, of camera_info or of messages, or a bag"
 _POSITION, _QUATERNION, _ANGLES = (
     ("--x", "--y", "--z"),
     ("--qx", "--qy", "--qz", "--qw"),
     ("--roll", "--pitch", "--yaw"),
 )
+_AUTOWARE_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _DOCUMENT_END = re.compile(rb"^---[ \t]*$", re.MULTILINE)
 
@@ -224,8 +225,10 @@ def _read_yaml(content: bytes, path: Path, camera: str | None) -> InUse:
             transforms += _transforms_of_message(document["transforms"], path)
         elif isinstance(document, Mapping) and ("camera_matrix" in document or {"k", "K"} & document.keys()):
             cameras.append(_camera_of_document(document, path, camera))
+        elif isinstance(document, Mapping) and all(map(_is_autoware, document.values())):
+            transforms += _transforms_of_autoware(document, path)
         elif document is not None:
-            raise InputError(f"{path}: found neither 'transforms' nor a camera's matrix, expected {SUPPORTED_FILES}")
+            raise InputError(f"{path}: found no transforms and no camera's matrix, expected {SUPPORTED_FILES}")
     if not transforms and not cameras:
         raise InputError(f"{path}: found nothing, expected {SUPPORTED_FILES}")
     return InUse(str(path), tuple(transforms), tuple(cameras))
@@ -240,6 +243,20 @@ def _transforms_of_message(entries: Any, path: Path) -> Iterator[UsedTransform]:
             yield UsedTransform(_frame(parent), _frame(child), pose_of(_floats(numbers, 7, f"{path}: {child}")))
     except (LookupError, TypeError) as error:
         raise InputError(f"{path}: expected transforms as in messages of /tf_static: {error!r}") from None
+
+
+def _is_autoware(children: object) -> bool:
+    """Return whether a value is what Autoware's files have below a frame: ``{child: {x, y, z, roll, pitch, yaw}}``."""
+    return isinstance(children, Mapping) and all(
+        isinstance(each, Mapping) and {*_AUTOWARE_KEYS} <= each.keys() for each in children.values()
+    )
+
+
+def _transforms_of_autoware(document: Mapping[Any, Any], path: Path) -> Iterator[UsedTransform]:
+    for parent, children in document.items():
+        for child, of in children.items():
+            numbers = _floats([of[key] for key in _AUTOWARE_KEYS], 6, f"{path}: {child}")
+            yield UsedTransform(_frame(str(parent)), _frame(str(child)), pose_of_angles(numbers[:3], numbers[3:]))
 
 
 def _camera_of_document(document: Mapping[Any, Any], path: Path, camera: str | None) -> UsedCamera:

@@ -102,7 +102,9 @@ class Manifest:
     serial: str | None = field("Serial number of the robot.", default=None)
     engine: Name = field("Version of Calibration CI that calibrated.")
     commit: str | None = field("The commit that was tested.", default=None)
-    uncommitted: bool = field("Whether files differed from that commit.", default=False)
+    uncommitted: bool = field(
+        "Whether files differed from that commit, or the accepted calibrations were in none.", default=False
+    )
     configuration: Sha256 = field("SHA-256 of calibration.yml.")
     although: str | None = field("Why it was bundled although systems are marked.", default=None)
     systems: tuple[BundledSystem, ...] = field("The systems.")

@@ -29,7 +29,7 @@ class BundleResults:
         return (
             *(f"{mark}: bundled and marked, verify refuses it" for mark in self.marks),
             *(f"{each.name}: left out: {each.why}" for each in self.left_out),
-            *(["files differ from the commit: commit them, and run again"] if self.uncommitted else []),
+            *(["files differ from the commit that was tested: commit them, and run again"] if self.uncommitted else []),
             *(["it is not signed: there is no key"] if self.attestation is None else []),
         )
 

@@ -58,7 +58,7 @@ class VerifySettings:
     marked: bool = field("Accept a bundle that is marked: red, undecided or not accepted.", default=False)
     systems: tuple[str, ...] = field("Only these systems are compared with what is in use (all).", default=())
     in_use: tuple[str, ...] = field(
-        "What is in use: URDF, launch files, camera_info or messages as YAML, bags; CAMERA=FILE: what a camera loads.",
+        "What is in use: URDF, launch files, YAML of Autoware, camera_info or messages, bags; CAMERA=FILE for its own.",
         default=(),
     )
     tolerance_mm: Annotated[float, between(0, 1000)] = field(

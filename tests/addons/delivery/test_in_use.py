@@ -71,14 +71,14 @@ def test_all_that_is_in_use_is_what_was_verified(tmp_path: Path) -> None:
     assert result == ComparedWithUse(5, (), ())
 
 
-@pytest.mark.parametrize("name", ["ros1", "ros2", "ros2-xml", "tf-static"])
+@pytest.mark.parametrize("name", ["ros1", "ros2", "ros2-xml", "tf-static", "autoware"])
 def test_our_exports_are_read_back(name: str, tmp_path: Path) -> None:
     edges = {(each.parent, each.child): matrix(each) for each in (LEFT, RIGHT)}
     [(file, text)] = FILES[name](Calibrated("r", edges, {}, {}, {}, {})).items()
     (tmp_path / file).write_text(text)
     result = compared(read_in_use(tmp_path / file))
     assert (result.compared, result.differences) == (2, ())
-    (tmp_path / file).write_text(text.replace("0.6", "0.60001", 1))
+    (tmp_path / file).write_text(text.replace("0.3", "0.3001", 1))
     assert len(compared(read_in_use(tmp_path / file)).differences) == 1
 
 
@@ -258,6 +258,7 @@ def _write_transform(bag: BagFile, time: int, each: BundledTransform) -> None:
         ("a.yaml", "camera_matrix: 3"),
         ("a.yaml", "k: [a]"),
         ("a.yaml", "a: 1"),
+        ("a.yaml", "{a: {b: {x: 0, y: 0, z: 0, roll: 0, pitch: 0, yaw: x}}}"),
         ("a.yaml", ""),
         ("a.yaml", "&a [*a]"),
         ("a.bag", ""),
