@@ -1,5 +1,6 @@
 """``verify``: exit codes, folders, options, what it remembers, and what it needs to start."""
 
+import hashlib
 import json
 import shutil
 import subprocess
@@ -11,6 +12,9 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
+from calibration.addons.delivery.fetching import ARTIFACT_TYPE, ATTESTATION_LAYER, BUNDLE_LAYER
+from calibration.base import http
+from tests.ci.registries.server import Reply, Request, serve
 
 from .bundles import (
     DESCRIPTION,
@@ -180,3 +184,34 @@ def test_neither_numpy_nor_a_client_of_networks_is_imported(folder: Path) -> Non
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_bundle_in_a_registry_is_verified(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("DOCKER_CONFIG", str(folder))
+    fetched = signed(packed())
+    blobs = {
+        f"sha256:{hashlib.sha256(each).hexdigest()}": each for each in (fetched.content, fetched.attestation or b"")
+    }
+    layers = [
+        {"mediaType": kind, "digest": name} for kind, name in zip((BUNDLE_LAYER, ATTESTATION_LAYER), blobs, strict=True)
+    ]
+    manifest = json.dumps({"schemaVersion": 2, "artifactType": ARTIFACT_TYPE, "layers": layers}).encode()
+    changed: dict[str, bytes] = {}
+
+    def answer(request: Request) -> Reply:
+        name = request.path.rpartition("/")[2]
+        if "/manifests/" in request.path:
+            kind = {"Content-Type": "application/vnd.oci.image.manifest.v1+json"}
+            return Reply(200, manifest, kind) if name == "v1" else Reply(404)
+        return Reply(200, {**blobs, **changed}[name])
+
+    with serve(answer) as server:
+        assert verify(bundle=f"{server.address}/team/robot:v1") == 0
+        assert verify(bundle=f"{server.address}/team/robot:v2") == 2
+        assert "found no such file, folder or artifact of a registry" in capsys.readouterr().err
+        changed[next(iter(blobs))] = b"other"
+        assert verify(bundle=f"{server.address}/team/robot:v1") == 3
+    monkeypatch.setattr(http, "MAX_ATTEMPTS", 1)
+    assert verify(bundle=f"{server.address}/team/robot:v1") == 3
