@@ -14,6 +14,7 @@ parameters are answered from these, without another pass over the labels.
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -113,17 +114,13 @@ def linear_model(
         if assume == Assumptions()
         else _all_causes(problem, dataset, groups, Assumptions(), free_scale, free_lags)
     )
-    S, P = problem.sizes
+    S, _ = problem.sizes
     if S == 0:
         raise AssertionError("nothing is calibrated")
     ends = np.cumsum([S, *(cause.size for cause in found)]).tolist()
     places = [slice(*ends[i : i + 2]) for i in range(len(found))]
     clusters = _at_most(np.arange(problem.collections) if clusters is None else clusters, MAX_CLUSTERS)
-    sums = ClusterSums.zeros(clusters, ends[-1] + 1, P)
-    table = table_of(problem.blocks, values)
-    for seen in groups:
-        own = _group_columns(problem, seen, found, places, table, values)
-        sums.add(seen, problem.terms(seen.group, values), weighting, own)
+    sums = _sums_over_clusters(problem, values, weighting, groups, found, places, clusters)
     alone = np.einsum("kii->i", sums.G)
     G = sums.eliminated()
     kept = [i for i, at in enumerate(places) if alone[at].any()]
@@ -140,6 +137,44 @@ def linear_model(
         clusters,
         alone[columns],
     )
+
+
+def information_of_each(
+    problem: Problem, values: Values, weighting: Weighting, dataset: Dataset, known: Sequence[Cause]
+) -> Array:
+    """Return the information (N, C, C) of each collection on the shared parameters and some causes, as `LinearModel.G`.
+
+    Args:
+        problem: the problem.
+        values: where it is linearised.
+        weighting: standard deviations of the labels.
+        dataset: the collections, with the transforms of the values.
+        known: the causes, one or more.
+    """
+    groups = seen_groups(dataset, problem.groups, [problem.poses(group, values) for group in problem.groups])
+    ends = np.cumsum([problem.sizes[0], *(cause.size for cause in known)]).tolist()
+    places = [slice(*each) for each in pairwise(ends)]
+    clusters = np.arange(problem.collections)
+    sums = _sums_over_clusters(problem, values, weighting, groups, known, places, clusters)
+    return sums.eliminated()[:, : ends[-1], : ends[-1]]
+
+
+def _sums_over_clusters(
+    problem: Problem,
+    values: Values,
+    weighting: Weighting,
+    groups: Sequence[SeenGroup],
+    found: Sequence[Cause],
+    places: Sequence[slice],
+    clusters: IntArray,
+) -> ClusterSums:
+    """Return the sums of the columns of all views, and of their residuals, which come last."""
+    sums = ClusterSums.zeros(clusters, places[-1].stop + 1, problem.sizes[1])
+    table = table_of(problem.blocks, values)
+    for seen in groups:
+        own = _group_columns(problem, seen, found, places, table, values)
+        sums.add(seen, problem.terms(seen.group, values), weighting, own)
+    return sums
 
 
 def _group_columns(

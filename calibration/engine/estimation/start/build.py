@@ -91,7 +91,7 @@ def build(
     blocks = (*_unknown_blocks(dataset), *intrinsics_blocks(dataset, intrinsics, intrinsics_covariance or {}))
     known = [pattern.name for pattern in dataset.patterns.values() if pattern.known_pose]
     blocks = held_blocks(dataset, blocks, (*hold, *known))
-    groups = tuple(_groups_of_views(dataset, blocks))
+    groups = tuple(groups_of_views(dataset, blocks))
     gauge, blocks = with_gauge_fixed(dataset, groups, blocks)
     problem = Problem(blocks, groups, len(dataset.collections))
     if all(blocks[i].name in dataset.patterns for i in (*problem.shared, *problem.local)):
@@ -127,7 +127,7 @@ def _unknown_blocks(dataset: Dataset) -> list[Block]:
     return [replace(block, edge=edge) for edge, block in blocks.items()]
 
 
-def _groups_of_views(dataset: Dataset, blocks: Sequence[Block]) -> Iterator[ViewGroup]:
+def groups_of_views(dataset: Dataset, blocks: Sequence[Block]) -> Iterator[ViewGroup]:
     """Yield the views of each sensor and pattern."""
     intrinsics = {block.intrinsics.sensor: i for i, block in enumerate(blocks) if block.intrinsics}
     for pattern in dataset.patterns.values():
