@@ -102,23 +102,27 @@ class PoseAdvisor:
             reached = 0 if (now <= wanted).all() else None
             return Advice(self.goals, now, (), reached, now, {} if reached == 0 else self._left(self.knowledge))
         chosen, needed, knowledge = list[AdvisedPose](), 0 if (now <= wanted).all() else None, self.knowledge
-        for number in range(1, MAX_CHOSEN + 1):
+        taken = np.zeros(len(self.candidates), bool)  # the same pose again tells little: it has the same errors
+        for number in range(1, min(MAX_CHOSEN, len(taken)) + 1):
             sizes = self._sizes(knowledge, self.candidates)
-            best = int(self._still_to_go(sizes).argmin())
+            best = int(np.where(taken, np.inf, self._still_to_go(sizes)).argmin())
+            taken[best] = True
             chosen.append(AdvisedPose(best, sizes[best]))
             knowledge = knowledge.with_views(self.candidates[best])
             if needed is None and (sizes[best] <= wanted).all():
                 needed = number
             if needed is not None and number >= count:
                 break
-        again = self.candidates[[each.candidate for each in chosen]].sum(0)
-        many = self.knowledge.with_views(MAX_NEEDED**2 * again)
-        least = np.minimum(now, self._sizes(many)[0])
+        again = self.candidates[taken].sum(0)
         if needed is None:
-            rounds = np.arange(1, MAX_NEEDED // MAX_CHOSEN + 1)
+            rounds = np.arange(2, MAX_NEEDED // len(chosen) + 1)
             reached = (self._sizes(self.knowledge, rounds[:, None, None] * again) <= wanted).all(1)
-            needed = MAX_CHOSEN * int(rounds[reached.argmax()]) if reached.any() else None
-        left = {} if (least <= wanted).all() else self._left(many)
+            needed = len(chosen) * int(rounds[reached.argmax()]) if reached.any() else None
+        ever = MAX_NEEDED**2 * np.stack([again, self.candidates.sum(0)])
+        least = np.minimum(now, self._sizes(self.knowledge, ever).min(0))
+        for each in chosen:
+            least = np.minimum(least, each.sizes)
+        left = {} if (least <= wanted).all() else self._left(self.knowledge.with_views(ever[0]))
         return Advice(self.goals, now, tuple(chosen[:count]), needed, least, left)
 
     def _sizes(self, knowledge: Knowledge, more: Array | None = None) -> Array:

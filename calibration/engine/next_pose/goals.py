@@ -12,6 +12,8 @@ from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.next_pose.knowledge import Knowledge
 from calibration.engine.tasks.task_errors import TaskError
 
+MIN_WANTED = 1e-9
+"""mm, deg: least of what is wanted of an error; a limit may be 0."""
 _UNIT_OF_PARAMETER = (("m", 1e3), ("rad", 180 / np.pi))
 
 
@@ -47,7 +49,7 @@ def goals_of(
             if np.isfinite(most) and len(own) and limits.guard:
                 rows = np.zeros((len(own), len(knowledge.columns)))
                 rows[np.arange(len(own)), own] = scale
-                goals.append(Goal(name, unit, rows, most / limits.guard, most))
+                goals.append(Goal(name, unit, rows, max(most / limits.guard, MIN_WANTED), most))
     for error in tasks:
         if error.task.limit is not None:
             goals.append(_goal_of_task(error, error.task.limit, knowledge))

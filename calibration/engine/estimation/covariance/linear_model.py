@@ -35,11 +35,13 @@ from calibration.engine.estimation.covariance.fixed_inputs import (
     seen_groups,
 )
 from calibration.engine.estimation.covariance.lens_errors import lens_errors
-from calibration.engine.estimation.least_squares.normal_equations import Weighting
+from calibration.engine.estimation.least_squares.normal_equations import Weighting, diagonal_of
 from calibration.engine.estimation.options import Assumptions
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem, batches, table_of
 
+DAMPING_OF_EACH = 1e-10
+"""Relative damping of a collection's own parameters, which its views alone may not determine."""
 MAX_CLUSTERS = 100
 """Limit of the number of clusters; more give no better estimate of the collections' disagreement."""
 
@@ -156,6 +158,7 @@ def information_of_each(
     places = [slice(*each) for each in pairwise(ends)]
     clusters = np.arange(problem.collections)
     sums = _sums_over_clusters(problem, values, weighting, groups, known, places, clusters)
+    diagonal_of(sums.local)[:] *= 1 + DAMPING_OF_EACH
     return sums.eliminated()[:, : ends[-1], : ends[-1]]
 
 
