@@ -235,7 +235,8 @@ def _seen_collections(dataset: Dataset) -> str:
 def _default_limits(calibration: Calibration) -> tuple[Limits, dict[str, str]]:
     """Return the default limits, of the least precise sensor and joint, rounded up, with the reason of each."""
     sensors = [name for name in stated(calibration) if name not in calibration.joints]
-    values, comments = {}, {}
+    values: dict[str, Any] = {}
+    comments: dict[str, str] = {}
     for of, word in ((sensors, ("translation_mm", "rotation_deg")), (calibration.joints, ("joint_mm", "joint_deg"))):
         each = {name: allowed(calibration, Limits(), name) for name in of}
         for i, key in enumerate(word if each else ()):

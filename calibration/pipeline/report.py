@@ -78,6 +78,7 @@ def report(results: PipelineResults, output: Path, title: str) -> Report:
             *map(Text, report_blocks.origin_of_rms(results)),
             report_blocks.truth_table(results),
             report_blocks.precision_table(results),
+            report_blocks.tasks_table(results),
             Lines(tuple(report_blocks.other_methods(results)), only="summary"),
             report_blocks.transforms_table(results),
             report_blocks.cameras_table(results),

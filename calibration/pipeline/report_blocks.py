@@ -132,6 +132,19 @@ def precision_table(results: PipelineResults) -> Table:
     return Table(("How sure", "Standard deviation in all", "By the labels' noise alone"), tuple(rows))
 
 
+def tasks_table(results: PipelineResults) -> Table:
+    """Return a row for each task of each system's best cell: its error at the worst point, and what it comes from."""
+    rows = []
+    for system, cell in _best_cells(results).items():
+        for task in cell.tasks:
+            parts = ", ".join(f"{each.source} {each.sigma:.2g}" for each in task.parts[:CAUSES_SHOWN])
+            limit = "-" if task.limit is None else f"{task.limit:.3g} {task.unit}: {task.state}"
+            error = f"{task.median:.3g}, {task.most:.3g} {task.unit}"
+            rows.append((f"{system}: {task.name}", error, task.worst, parts, limit))
+    header = ("Task", "Error at the worst point: median, 95 %", "Worst point", "What it comes from", "Limit")
+    return Table(header, tuple(rows), TRANSFORMS_SHOWN, brief=True)
+
+
 def _largest_deviations(deviations: Sequence[Deviation]) -> list[str]:
     """Format the largest of each kind: "0.42 mm", "0.028 deg", "joints 0.01 mm, 0.002 deg"; empty if there are none."""
     if not deviations:
@@ -330,9 +343,15 @@ def _in_sigmas(change: BaselineChange) -> str:
 
 def _best_details(results: PipelineResults, converged: bool = True) -> dict[str, Details]:
     """Return the details of each system's best cell, the first with the best verdict, by default of the converged."""
+    best = _best_cells(results, converged)
+    return {system: cell.details for system, cell in best.items() if cell.details}
+
+
+def _best_cells(results: PipelineResults, converged: bool = True) -> dict[str, CellResult]:
+    """Return those cells."""
     cells = [cell for cell in (*results.cells, *results.comparisons) if cell.details and cell.converged >= converged]
     best_first = sorted(cells, key=lambda cell: VERDICTS.index(cell.verdict))
-    best = {cell.system: cell.details for cell in reversed(best_first) if cell.details}
+    best = {cell.system: cell for cell in reversed(best_first)}
     return {system: best[system] for system in results.systems if system in best}
 
 

@@ -1,11 +1,13 @@
 """Systems to calibrate, and their initial guesses: shared by the stages and the configuration."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from calibration.base.errors import InputError
 from calibration.base.records import (
     UNIQUE,
+    ByName,
     Converted,
     Misfit,
     Place,
@@ -23,6 +25,7 @@ from calibration.base.text import did_you_mean
 from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import Options
+from calibration.engine.tasks.robot_task import RobotTask
 from calibration.pipeline.matrix.software import Software, checked_software
 from calibration.robot.exports.formats import FORMATS, URDF
 from calibration.robot.robot_description import XacroInputs
@@ -111,6 +114,12 @@ class System:
     )
     options: Options = field(flat=True, default_factory=Options)
     limits: Limits = field("The largest values that pass, in every cell.", default_factory=Limits, option=False)
+    tasks: Annotated[tuple[RobotTask, ...], ByName()] = field(
+        "What the robot does with its calibration, by name: its error there, and a limit of that. With such limits, "
+        "those of sensors and joints that are not set ask nothing.",
+        default=(),
+        option=False,
+    )
     undecided: Undecided = field(
         "What an undecided verdict counts as: fail (exit code 1), or pass. A limit is undecided where nothing is "
         "wrong, and the error bar with its guard band reaches over it.",
@@ -138,6 +147,11 @@ class System:
     )
     accepted: Accepted | None = None
     """Accepted calibration to compare its cells with, set after reading it."""
+
+    @property
+    def judging_limits(self) -> Limits:
+        """Its limits; by its tasks if one of them has a limit."""
+        return replace(self.limits, by_tasks=any(task.limit is not None for task in self.tasks))
 
     @property
     def collected(self) -> str | None:

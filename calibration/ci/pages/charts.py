@@ -207,6 +207,47 @@ def ellipses(name: str, covariance: Array, limit: float | None) -> Html:
     return drawing(3 * PLANE_SIDE + 2 * PLANE_GAP, PLANE_SIDE + 20, title, join(parts))
 
 
+MAP_WIDTH, MAP_MARGIN, MAP_RADIUS = 420.0, 34.0, 9.0
+MAX_NUMBERED_POINTS = 80
+"""Points of a map up to which each has its value beside it."""
+
+
+def point_map(title: str, points: Array, values: Array, unit: str, axes: tuple[str, str], down: bool = False) -> Html:
+    """Return the figure: points in a plane, the stronger, the larger their values.
+
+    Args:
+        title: title of the figure.
+        points: (n, 2).
+        values: (n,); points with NaN are left empty.
+        unit: unit of the values.
+        axes: names of the two axes, with their unit.
+        down: whether the second one points down, as in an image.
+    """
+    (left, low), (right, high) = points.min(0).tolist(), points.max(0).tolist()
+    room = MAP_WIDTH - 2 * MAP_MARGIN
+    height = min(room, max(60.0, room * (high - low) / ((right - left) or 1.0)))
+    x = Axis(left, right, MAP_MARGIN + 8, MAP_WIDTH - MAP_MARGIN)
+    bottom, top = MAP_MARGIN / 2 + height, MAP_MARGIN / 2
+    y = Axis(low, high, top, bottom) if down else Axis(low, high, bottom, top)
+    most = float(np.nanmax(values)) or 1.0
+    parts = [text(at, bottom + 24, label, class_="small") for at, label in x.marks()]
+    parts += [text(MAP_MARGIN - 8, at + 4, label, "end", "small") for at, label in y.marks()]
+    for (u, v), value in zip(points.tolist(), values.tolist(), strict=True):
+        if math.isfinite(value):
+            name = element("title", f"({u:.4g}, {v:.4g}): {value:.3g} {unit}")
+            strength = 0.08 + 0.92 * value / most
+            dot = {"cx": x(u), "cy": y(v), "r": MAP_RADIUS}
+            parts.append(element("circle", name, **dot, class_="heat", fill_opacity=strength))
+            if len(points) <= MAX_NUMBERED_POINTS:
+                parts.append(text(x(u), y(v) + MAP_RADIUS + 9, f"{value:.2g}", class_="small"))
+        else:
+            parts.append(element("circle", cx=x(u), cy=y(v), r=2, class_="grid"))
+    parts.append(
+        text(MAP_WIDTH / 2, bottom + 38, f"{axes[0]} across, {axes[1]} {'down' if down else 'up'}", class_="small")
+    )
+    return drawing(MAP_WIDTH, bottom + 44, f"{title}: at most {most:.3g} {unit}", *parts)
+
+
 MAX_LABEL_CHARACTERS = 18
 """Maximum number of characters of a label below the chart."""
 TREND_WIDTH, TREND_HEIGHT, TREND_LEFT, TREND_MARGIN = 420.0, 170.0, 44.0, 26.0

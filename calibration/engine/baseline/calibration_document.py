@@ -19,6 +19,7 @@ from calibration.engine.estimation.problem.blocks import CalibratedIntrinsics
 from calibration.engine.estimation.problem.fixing import RIGID_TOLERANCE
 from calibration.engine.geometry.rotations import to_rpy
 from calibration.engine.geometry.transforms import adjoint, from_xyz_rpy, inverse, translation
+from calibration.engine.tasks.robot_task import TaskUnit
 
 Number = Annotated[float, between(-1e9, 1e9)]
 Positive = Annotated[float, between(0, 1e9)]
@@ -166,6 +167,16 @@ class CalibratedParameter:
 
 
 @record
+class TaskDocument:
+    """Error of a task of the robot at its worst point."""
+
+    median: Positive = field("What it does not exceed with a probability of one half, in the task's unit.")
+    most: Positive = field("What it does not exceed in 95 % of cases.")
+    unit: TaskUnit = field("Of these, and of the limit.")
+    limit: Positive | None = field("The largest that passes.", default=None)
+
+
+@record
 class SoftwareStart:
     """Result of a team's software on a system from one initial guess."""
 
@@ -209,6 +220,7 @@ class CalibrationDocument:
     effective_collections: Positive | None = field(
         "Number of independent collections of equal weight with the same information.", default=None
     )
+    tasks: Mapping[str, TaskDocument] = field("Errors of the robot's tasks, by name.", default_factory=dict)
     rejected_labels: Count = field("Labels that do not fit.")
     labels: Count = field("Labels in all: corners, points.")
     iterations: Count = field("Of the solver.")

@@ -59,7 +59,10 @@ class MaxIncrease:
 
     rms: Increase = field("Root mean square of the table (5%).", default=Allowance(5, True))
     noise: Increase = field("Noise of each kind of label (5%).", default=Allowance(5, True))
-    sigma: Increase = field("The largest standard deviation of a translation (25%).", default=Allowance(25, True))
+    sigma: Increase = field(
+        "The largest standard deviation of a translation, and the error of each task (25%).",
+        default=Allowance(25, True),
+    )
     rejected: Increase = field("Share of the labels that do not fit, in percent (1).", default=Allowance(1, False))
 
 
@@ -151,6 +154,11 @@ def _compared_measures(comparison: BaselineComparison, settings: BaselineSetting
     sigma, new_sigma = largest_standard_deviations(before, now)
     fewer = 1.0 if same else _more_by_fewer_collections(before, now)
     measures.append(_Measure("largest standard deviation", sigma * fewer, new_sigma, most.sigma, "mm", True))
+    measures += [
+        _Measure(f"error of task '{name}'", old.most * fewer, new.most, most.sigma, old.unit, True)
+        for name, old in before.tasks.items()
+        if (new := now.tasks.get(name)) is not None and new.unit == old.unit
+    ]
     rejected = [100 * each.rejected_labels / max(1, each.labels) for each in (before, now)]
     worse = same or _score_of_proportions(before, now, most.rejected) > score
     measures.append(_Measure("rejected labels", rejected[0], rejected[1], most.rejected, "%", worse))

@@ -1,6 +1,6 @@
 """Checks of a calibration that need no ground truth, in the order of the report."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from calibration.engine.dataset.model import Dataset
@@ -13,9 +13,11 @@ from calibration.engine.diagnosis.precision import camera_info, precision, too_f
 from calibration.engine.diagnosis.projection import of_cameras_alone, projection
 from calibration.engine.diagnosis.rejected_labels import rejected_labels, wrong_views
 from calibration.engine.diagnosis.residuals import residuals
+from calibration.engine.diagnosis.robot_tasks import undecided_tasks
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
+from calibration.engine.tasks.task_errors import TaskError
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +28,7 @@ class Judged:
     description: Dataset
     options: Options
     limits: Limits
+    tasks: Sequence[TaskError] = ()
     found: tuple[Finding, ...] = ()
 
 
@@ -43,7 +46,12 @@ class Check:
 
 
 def diagnose(
-    calibration: Calibration, description: Dataset, options: Options, limits: Limits, truth_known: bool = False
+    calibration: Calibration,
+    description: Dataset,
+    options: Options,
+    limits: Limits,
+    truth_known: bool = False,
+    tasks: Sequence[TaskError] = (),
 ) -> tuple[Finding, ...]:
     """Run all checks of a calibration and return their findings.
 
@@ -53,8 +61,9 @@ def diagnose(
         options: options of the calibration.
         limits: limits of its errors.
         truth_known: whether it is also compared with ground truth, which measures its error.
+        tasks: errors of the robot's tasks.
     """
-    judged = Judged(calibration, description, options, limits)
+    judged = Judged(calibration, description, options, limits, tasks)
     for check in CHECKS:
         made = (calibration.converged or check.without_result) and (check.with_truth or not truth_known)
         if made and not any(each.kind in check.unless for each in judged.found):
@@ -101,12 +110,13 @@ CHECKS = (
     Check(_not_determined),
     Check(lambda judged: turned_boards(judged.calibration)),
     Check(lambda judged: exchanged_or_scaled(judged.calibration, judged.description, judged.options)),
-    Check(lambda judged: what_does_not_fit(judged.calibration, judged.limits)),
+    Check(lambda judged: what_does_not_fit(judged.calibration, judged.limits, judged.tasks)),
     Check(lambda judged: wrong_views(judged.calibration, judged.limits), without_result=True),
     Check(_residuals_of_robot, unless=("suspect", "contradiction")),
     Check(_residuals_of_cameras_alone),
     Check(lambda judged: too_few(judged.calibration), with_truth=False),
     Check(lambda judged: precision(judged.calibration, judged.limits, judged.found), with_truth=False),
+    Check(lambda judged: undecided_tasks(judged.tasks, judged.found)),
     Check(lambda judged: projection(judged.calibration, judged.limits)),
     Check(
         lambda judged: far_from_description(judged.calibration, judged.description, judged.options),

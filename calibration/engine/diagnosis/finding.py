@@ -38,6 +38,7 @@ FindingKind = Literal[
     "residual-pattern",
     "suspect",
     "table",
+    "task",
     "too-few",
     "turned-board",
     "untested",
@@ -64,6 +65,7 @@ class Finding:
     unit: str | None = field("Unit of value and sigma: m, rad, px, s, or 1 for a ratio.", default=None)
     moves_mm: float | None = field("Largest displacement of a sensor.", default=None, unit="mm")
     moves_deg: float | None = field("Largest rotation of a sensor.", default=None, unit="degrees")
+    tasks: tuple[str, ...] = field("The robot's tasks whose limit is broken by it, or undecided.", default=())
 
 
 def first_names(names: Sequence[str], most: int) -> str:

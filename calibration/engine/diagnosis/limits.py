@@ -49,11 +49,15 @@ class Limits:
     guard_band: Annotated[float, between(0, 10)] | None = field(
         "Guard band of the limits without a truth, in standard deviations (2).", default=None
     )
+    by_tasks: bool = False
+    """Whether tasks of the robot have limits: then those of sensors and joints that are not set ask nothing."""
 
     @property
     def any_set(self) -> bool:
-        """Whether any limit of a sensor or a joint is set: then those that are not ask nothing."""
-        return any(each is not None for each in (self.translation_mm, self.rotation_deg, self.joint_mm, self.joint_deg))
+        """Whether any limit of a sensor, a joint or a task is set: then those that are not ask nothing."""
+        return self.by_tasks or any(
+            each is not None for each in (self.translation_mm, self.rotation_deg, self.joint_mm, self.joint_deg)
+        )
 
     @property
     def sensor(self) -> tuple[float, float]:

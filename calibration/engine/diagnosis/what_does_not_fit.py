@@ -7,10 +7,11 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.text import rounded, with_error_bar
-from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, sizes, stated
 from calibration.engine.diagnosis.precision import MIN_FAILURE_PROBABILITY, false_accept
 from calibration.engine.diagnosis.projection import projection_limit, shifts
+from calibration.engine.diagnosis.robot_tasks import worst_at_tasks
 from calibration.engine.estimation.covariance.fixed_inputs import (
     ECCENTRICITY_KIND,
     LAG_KIND,
@@ -29,11 +30,14 @@ from calibration.engine.estimation.covariance.suspects import (
     MIN_CONTRADICTING_FACTOR,
     Disagreement,
     Suspect,
+    columns_of_cause,
 )
 from calibration.engine.estimation.residuals.statistics import score_of_f, threshold
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 from calibration.engine.geometry.transforms import adjoint
+from calibration.engine.tasks.gaussian_norm import probability_beyond
+from calibration.engine.tasks.task_errors import TaskError
 
 GROSS_DEVIATIONS: Mapping[str, tuple[float, str]] = {
     "focal length": (0.025, "camera"),
@@ -91,12 +95,13 @@ MAX_NAMED_COLLECTIONS = 4
 _UNIT_FOR_USER = {"1": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "px": (1.0, "px")}
 
 
-def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
-    """Report suspects: a failure if one displaces a sensor by more than allowed, else a note.
+def what_does_not_fit(calibration: Calibration, limits: Limits, tasks: Sequence[TaskError] = ()) -> tuple[Finding, ...]:
+    """Report suspects: a failure if one displaces a sensor, or what a task works on, by more than allowed, else a note.
 
     Args:
         calibration: a calibration that has converged.
         limits: allowed errors of the sensors.
+        tasks: errors of the robot's tasks, of which some have limits.
     """
     explanation = calibration.solution.explanation
     if explanation is None:
@@ -104,11 +109,11 @@ def what_does_not_fit(calibration: Calibration, limits: Limits) -> tuple[Finding
         text = f"{count} collections are too few to test fixed parameters (intrinsics, pattern, arm): take 8 or more"
         return (Finding("untested", "note", text),)
     suspects = [_worst_alternative(calibration, limits, suspect) for suspect in explanation.suspects]
-    found = [(_finding_on_suspect(calibration, limits, suspect), suspect) for suspect in suspects]
+    found = [(_finding_on_suspect(calibration, limits, suspect, tasks), suspect) for suspect in suspects]
     found.sort(key=lambda each: _limits_moved(calibration, limits, *each), reverse=True)
     findings = [finding for finding, _ in found]
-    findings = [*_find_failure_together(calibration, limits, suspects, findings), *findings]
-    findings += _find_contradictions(calibration, limits, explanation.disagreement)
+    findings = [*_find_failure_together(calibration, limits, suspects, findings, tasks), *findings]
+    findings += _find_contradictions(calibration, limits, explanation.disagreement, tasks)
     return tuple(findings) or (_note_without_suspects(calibration),)
 
 
@@ -141,7 +146,9 @@ def _worst_alternative(calibration: Calibration, limits: Limits, suspect: Suspec
     return replace(worst, rivals=tuple(each for each in every if each is not worst))
 
 
-def _finding_on_suspect(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
+def _finding_on_suspect(
+    calibration: Calibration, limits: Limits, suspect: Suspect, tasks: Sequence[TaskError]
+) -> Finding:
     if calibration.of_cameras_alone:
         return _finding_on_cameras(calibration, limits, suspect)
     cause = suspect.cause
@@ -178,18 +185,21 @@ def _finding_on_suspect(calibration: Calibration, limits: Limits, suspect: Suspe
         if any(unsure[sensor]):
             harm += f", known to {distance_text(*unsure[sensor])} as few views tell"
     text = f"{names} {verb}{since}{either}: {_describe_size(cause, suspect.value, suspect.sigma)}"
+    at_task = worst_at_tasks(tasks, _changes_by(calibration, [suspect]))
     if over:
         text += f"; {harm} (limit {limit_of[sensor]}): {ADVICE_ON_CAUSE[cause.kind]}"
+    elif at_task.broken:
+        text += f"; {at_task}: {ADVICE_ON_CAUSE[cause.kind]}"
     elif gross:
         text += f", more than any {GROSS_DEVIATIONS[cause.kind][1]} errs: {ADVICE_ON_CAUSE[cause.kind]}"
     elif not sensor or limits.any_set:
-        text += f"; harmless: {harm}"
+        text += f"; harmless: {at_task or harm}"
     else:
         text += f"; {harm} (limit {limit_of[sensor]})"
     one = cause.size == 1
     return Finding(
         "suspect",
-        "red" if is_red or gross else "undecided" if over else "note",
+        "red" if is_red or gross or at_task.broken else "undecided" if over else "note",
         text,
         sensors=tuple(over) if over else tuple(filter(None, [sensor])),
         collections=collections,
@@ -198,6 +208,7 @@ def _finding_on_suspect(calibration: Calibration, limits: Limits, suspect: Suspe
         unit=cause.unit if one else None,
         moves_mm=round(mm, 4),
         moves_deg=round(degrees, 5),
+        tasks=at_task.broken,
     )
 
 
@@ -292,8 +303,22 @@ def _moved_after(calibration: Calibration, suspect: Suspect) -> Array:
     return moved_by
 
 
+def _changes_by(calibration: Calibration, suspects: Sequence[Suspect]) -> list[Array]:
+    """Return the changes (C,) of all columns of the model by suspects together: to before, and to after a move."""
+    model = calibration.solution.model
+    both = np.zeros((2, model.total.shape[0]))
+    for each in suspects:
+        both[:, : model.shared] += each.moves, _moves_after(calibration, each)
+        both[:, columns_of_cause(model, each.cause)] += each.value
+    return list(both)
+
+
 def _find_failure_together(
-    calibration: Calibration, limits: Limits, suspects: Sequence[Suspect], findings: Sequence[Finding]
+    calibration: Calibration,
+    limits: Limits,
+    suspects: Sequence[Suspect],
+    findings: Sequence[Finding],
+    tasks: Sequence[TaskError],
 ) -> list[Finding]:
     """Report a failure if no suspect exceeds the limits by itself, but all of them together do.
 
@@ -301,11 +326,14 @@ def _find_failure_together(
     """
     if len(suspects) < 2 or any(each.severity == "red" for each in findings):
         return []
+    causes = ", ".join(_name_cause(each.cause) for each in suspects)
+    if (at_task := worst_at_tasks(tasks, _changes_by(calibration, suspects)[:1])).broken:
+        text = f"{causes} do not fit: together {at_task}: {ADVICE_ON_CAUSE[suspects[0].cause.kind]}"
+        return [Finding("suspect", "red", text, tasks=at_task.broken)]
     moved = _largest_moves(calibration, np.sum([each.moves for each in suspects], axis=0))
     for name, (mm, degrees) in moved.items():
         limit = allowed(calibration, limits, name)
         if limit.exceeded(mm, degrees):
-            causes = ", ".join(_name_cause(each.cause) for each in suspects)
             text = (
                 f"{causes} do not fit: together they move {name} by {mm:.3g} mm and {degrees:.2g} deg (limit {limit}): "
             )
@@ -366,7 +394,9 @@ def keys_since(calibration: Calibration, since: int) -> tuple[str, ...]:
     )
 
 
-def _find_contradictions(calibration: Calibration, limits: Limits, found: Disagreement) -> list[Finding]:
+def _find_contradictions(
+    calibration: Calibration, limits: Limits, found: Disagreement, tasks: Sequence[TaskError]
+) -> list[Finding]:
     """Report sensors whose views contradict each other by more than noise and all that is assumed explain.
 
     Each is tested by itself, so that good ones do not hide a bad one: red if it is more likely than not off by more
@@ -388,18 +418,27 @@ def _find_contradictions(calibration: Calibration, limits: Limits, found: Disagr
         subject, keys = _worst_subject(calibration, found, (name, *calibration.dataset.patterns))
         mm, degrees = stated(calibration)[name]
         limit = allowed(calibration, limits, name)
-        harmful = (
-            max(false_accept(mm, limit.translation_mm), false_accept(degrees, limit.rotation_deg))
-            > MIN_FAILURE_PROBABILITY
-        )
+        broken = tuple(each.task.name for each in tasks if _probably_breaks(each, at[setup.block(edges[name])]))
+        worst = max(false_accept(mm, limit.translation_mm), false_accept(degrees, limit.rotation_deg))
+        harmful = bool(broken) or worst > MIN_FAILURE_PROBABILITY
         text = (
             f"the views of {name} contradict each other: they scatter {ratio**0.5:.2g} times as far as noise and all "
             f"that is assumed explain, most {subject} in {_list_collections(keys)}, and leave it uncertain by "
             f"{distance_text(mm, degrees)} (limit {limit}); no fixed parameter "
             f"explains it: time stamps, or something that moved or gave way{f': {AT_STANDSTILL}' if harmful else ''}"
         )
-        findings.append(Finding("contradiction", "red" if harmful else "note", text, (name,), keys, value=ratio))
+        severity: Severity = "red" if harmful else "note"
+        findings.append(Finding("contradiction", severity, text, (name,), keys, value=ratio, tasks=broken))
     return findings
+
+
+def _probably_breaks(task: TaskError, own: slice) -> bool:
+    """Whether a task that depends on some parameters is more likely than not beyond its limit at its worst point."""
+    limit, worst = task.task.limit, [task.worst]
+    depends = bool(np.abs(task.jacobian[:, :, own]).any())
+    return (
+        depends and limit is not None and probability_beyond(task.covariance[worst], limit)[0] > MIN_FAILURE_PROBABILITY
+    )
 
 
 def _worst_subject(calibration: Calibration, found: Disagreement, names: Sequence[str]) -> tuple[str, tuple[str, ...]]:

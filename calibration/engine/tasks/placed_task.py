@@ -57,6 +57,8 @@ class PlacedTask:
     """(V, P): whether the sensors see them; the others do not count."""
     pixels: Array | None
     """(P, 2): in the image over which they are spread; None if they are in a space."""
+    spread_over: str = ""
+    """The camera of that image."""
 
     @cached_property
     def at(self) -> tuple[IntArray, IntArray]:
@@ -70,16 +72,28 @@ class PlacedTask:
         return np.asarray(self.points[self.at])
 
 
-def place_task(dataset: Dataset, task: RobotTask, gauge: str | None = None) -> PlacedTask:
-    """Return the points of a task at a calibration.
+@dataclass(frozen=True, eq=False)
+class TaskFrames:
+    """Sensors and frames of a task, of a dataset that has them."""
 
-    Args:
-        dataset: with the transforms and cameras of the calibration.
-        task: the task.
-        gauge: the sensor that was fixed because the data determine only where the others are relative to it.
+    cameras: tuple[Sensor, ...]
+    """That see the points; the one in whose image they are spread, or the error counts, first."""
+    frame: str
+    """F, in which the error counts."""
+    points_in: str
+    """Of the points."""
+    ends: tuple[str, ...]
+    """All frames of which it has to be known where they are in F."""
+    collections: IntArray
+    """(V,): the poses at which the robot is looked at, one if nothing moves between these frames."""
+
+
+def frames_of_task(dataset: Dataset, task: RobotTask) -> TaskFrames:
+    """Return the frames of a task; whether its points are seen depends on the calibration.
 
     Raises:
-        InputError: a sensor, a frame or a collection is unknown, frames are not connected, or no sensor sees a point.
+        InputError: a sensor, a frame or a collection is unknown, frames are not connected, or a camera has no
+            intrinsics.
     """
     sensors = [_known_sensor(dataset, task, "seen-by", name) for name in task.seen_by]
     image = _known_sensor(dataset, task, "in-image-of", task.image) if task.image else None
@@ -96,11 +110,26 @@ def place_task(dataset: Dataset, task: RobotTask, gauge: str | None = None) -> P
         if not cameras:
             raise _fault(task, "distance", "found no camera over whose image the points could be; give points or a box")
         points_in = cameras[0].frame
-    ends = dict.fromkeys((*(each.frame for each in cameras), *(each.frame for each in sensors), points_in))
-    ends |= dict.fromkeys([task.of] if task.of else [])
-    collections = _poses_of_robot(dataset, task, frame, ends)
+    ends = dict.fromkeys((*(each.frame for each in (*cameras, *sensors)), points_in, *([task.of] if task.of else [])))
+    return TaskFrames(tuple(cameras), frame, points_in, tuple(ends), _poses_of_robot(dataset, task, frame, ends))
+
+
+def place_task(dataset: Dataset, task: RobotTask, gauge: str | None = None) -> PlacedTask:
+    """Return the points of a task at a calibration.
+
+    Args:
+        dataset: with the transforms and cameras of the calibration.
+        task: the task.
+        gauge: the sensor that was fixed because the data determine only where the others are relative to it.
+
+    Raises:
+        InputError: as `frames_of_task`; or no sensor sees a point, an arm cannot reach it, or nothing lies between the
+            frames that could err.
+    """
+    found = frames_of_task(dataset, task)
+    cameras, frame, points_in, collections = found.cameras, found.frame, found.points_in, found.collections
     if gauge is not None:
-        _refuse_unknown_place(dataset, task, frame, ends, gauge)
+        _refuse_unknown_place(dataset, task, frame, found.ends, gauge)
     pixels = None
     if task.distance is not None:
         pixels, points = _over_image(cameras[0], task.distance)
@@ -124,7 +153,8 @@ def place_task(dataset: Dataset, task: RobotTask, gauge: str | None = None) -> P
             f"{names} cannot see ({x:.4g}, {y:.4g}, {z:.4g}) m in {cameras[0].frame}: it is {behind}; expected points "
             "that the camera sees, x right, y down, z forward in its own frame",
         )
-    return PlacedTask(task, frame, collections, placed, seen, pixels)
+    spread_over = "" if pixels is None else cameras[0].name
+    return PlacedTask(task, frame, collections, placed, seen, pixels, spread_over)
 
 
 def _fault(task: RobotTask, key: str, text: str) -> InputError:

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.base.arrays import Array
+from calibration.base.errors import InputError
 from calibration.engine.estimation.covariance.error_bars import ErrorSource, SourceKind
 from calibration.engine.estimation.covariance.result import Calibration, Solution
 from calibration.engine.tasks.gaussian_norm import quantile_of_norm
@@ -71,13 +72,9 @@ class TaskError:
             sums[each.kind] = sums.get(each.kind, 0.0) + float(self.variances[each.name][self.worst])
         return {kind: part**0.5 for kind, part in sorted(sums.items(), key=lambda each: -each[1]) if part > 0}
 
-    def change(self, shared: Array, held: Mapping[int, float] | None = None) -> Array:
-        """Return how far changes (S,) of the calibrated parameters, and of columns of held ones, move it: (n,)."""
-        d = np.zeros(self.jacobian.shape[-1])
-        d[: len(shared)] = shared
-        for column, value in (held or {}).items():
-            d[column] += value
-        return np.asarray(np.linalg.norm(self.jacobian @ d, axis=1))
+    def largest_change(self, changes: Array) -> float:
+        """Return how far changes (C,) of all parameters, calibrated and held, move it at the worst point for them."""
+        return float(np.linalg.norm(self.jacobian @ changes, axis=1).max())
 
 
 def task_errors(calibration: Calibration, tasks: Sequence[RobotTask]) -> list[TaskError]:
@@ -97,4 +94,10 @@ def task_error(solution: Solution, task: RobotTask, sources: tuple[ErrorSource, 
         InputError: as `task_errors`.
     """
     placed = place_task(solution.dataset, task, solution.setup.gauge)
-    return TaskError(placed, task_jacobian(solution, placed), sources)
+    found = TaskError(placed, task_jacobian(solution, placed), sources)
+    if not found.jacobian.any():
+        raise InputError(
+            f"tasks.{task.name}: nothing that is calibrated or held lies between the frames, so that its error is 0 "
+            "and a limit says nothing: expected a sensor or a frame that could be elsewhere"
+        )
+    return found

@@ -1,7 +1,7 @@
 """Statistics that a calibration states of itself, for the result of its cell."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,16 +9,21 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.errors import UndeterminedError
+from calibration.engine.baseline.calibration_document import TaskDocument
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.dataset.reading import FILE_NAME
+from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.precision import worst_false_accept
+from calibration.engine.diagnosis.robot_tasks import place_in_words
 from calibration.engine.estimation.covariance.projection import projection_of
 from calibration.engine.estimation.covariance.result import CalibratedJoint, CalibratedLag, Calibration
 from calibration.engine.estimation.problem.blocks import CalibratedIntrinsics
 from calibration.engine.geometry.rotations import rpy_rates, to_quaternion, to_rpy
 from calibration.engine.geometry.transforms import distance
+from calibration.engine.tasks.placed_task import COLUMNS_OVER_IMAGE
+from calibration.engine.tasks.task_errors import TaskError
 from calibration.pipeline.matrix.cell_result import (
     CellResult,
     Details,
@@ -26,6 +31,9 @@ from calibration.pipeline.matrix.cell_result import (
     ParameterResult,
     ProjectionResult,
     RecordingResult,
+    TaskMap,
+    TaskPart,
+    TaskResult,
     TransformResult,
     Worth,
 )
@@ -34,8 +42,14 @@ MAX_CAUSES = 5
 """Limit of the reported contributions to the uncertainty."""
 
 
-def described(result: CellResult, calibration: Calibration, description: Dataset, limits: Limits) -> CellResult:
-    """Return the result with the calibration's own statistics."""
+def described(
+    result: CellResult,
+    calibration: Calibration,
+    description: Dataset,
+    limits: Limits,
+    tasks: Sequence[TaskError] = (),
+) -> CellResult:
+    """Return the result with the calibration's own statistics, and the errors of the robot's tasks."""
     details = Details(
         transforms=tuple(
             _describe_transform(calibration, description, edge)
@@ -58,6 +72,7 @@ def described(result: CellResult, calibration: Calibration, description: Dataset
         dropped_views=calibration.dropped_views,
         effective_collections=round(bars.effective_collections, 2) if (bars := calibration.error_bars) else None,
         hangs_on=_largest_causes(bars.worth) if bars else (),
+        task_maps=tuple(map(_map_of_task, tasks)),
         recording=_describe_recording(description),
     )
     return replace(
@@ -67,8 +82,63 @@ def described(result: CellResult, calibration: Calibration, description: Dataset
         label_sigma=_largest_deviation(calibration, labels_only=True) if calibration.converged else None,
         false_accept=worst_false_accept(calibration, limits) if calibration.converged else None,
         reasons=(calibration.reason,) if calibration.reason else (),
+        tasks=tuple(map(_describe_task, tasks)),
         details=details,
     )
+
+
+def _describe_task(error: TaskError) -> TaskResult:
+    task = error.task
+    return TaskResult(
+        name=task.name,
+        unit=task.unit,
+        limit=task.limit,
+        median=_rounded(error.median[error.worst]),
+        most=_rounded(error.most[error.worst]),
+        typical=_rounded(np.median(error.most)),
+        worst=place_in_words(error),
+        parts=tuple(TaskPart(kind, _rounded(sigma)) for kind, sigma in error.parts().items()),
+        frame=error.placed.frame,
+    )
+
+
+def _map_of_task(error: TaskError) -> TaskMap:
+    """Return a task's error at each of its points: over an image or carried by a frame in the worst pose, else all."""
+    placed = error.placed
+    if placed.pixels is None:
+        points, most = placed.places, error.most
+    else:
+        points, most = placed.pixels, np.full(len(placed.pixels), np.nan)
+        np.fmax.at(most, placed.at[1], error.most)
+    return TaskMap(
+        name=error.task.name,
+        columns=None if placed.pixels is None else COLUMNS_OVER_IMAGE,
+        points=tuple(tuple(round(each, 4) for each in point) for point in points.tolist()),
+        most=tuple(_rounded(each) if math.isfinite(each) else None for each in most.tolist()),
+    )
+
+
+def judged_tasks(tasks: Sequence[TaskResult], findings: Sequence[Finding]) -> tuple[TaskResult, ...]:
+    """Return tasks with the state of their limits, by the findings on them; undecided where nothing else is said."""
+    broken = {name for each in findings if each.severity == "red" for name in each.tasks}
+    return tuple(
+        each
+        if each.limit is None
+        else replace(
+            each, state="broken" if each.name in broken else "undecided" if each.most > each.limit else "holds"
+        )
+        for each in tasks
+    )
+
+
+def documents_of_tasks(tasks: Sequence[TaskResult]) -> dict[str, TaskDocument]:
+    """Return tasks as an accepted calibration keeps them, by name."""
+    return {each.name: TaskDocument(each.median, each.most, each.unit, each.limit) for each in tasks}
+
+
+def _rounded(value: float) -> float:
+    """Round to four digits."""
+    return float(f"{value:.4g}")
 
 
 def _projection_results(calibration: Calibration) -> tuple[ProjectionResult, ...]:

@@ -11,12 +11,16 @@ from calibration.ci.report.junit import ErrorCode
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineChange
 from calibration.engine.diagnosis.finding import Finding, FindingKind
+from calibration.engine.estimation.covariance.error_bars import SourceKind
 from calibration.engine.estimation.covariance.result import DroppedView, RejectedLabel
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.estimation.options import Loss, Start
 from calibration.engine.estimation.start.guesses import StartingNoise
+from calibration.engine.tasks.robot_task import TaskUnit
 from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 
+TaskState = Literal["holds", "broken", "undecided"] | None
+"""Whether the limit of a task holds."""
 REPROJECTION_FILE = "reprojection.csv"
 """Default table, of a system that names none."""
 
@@ -138,6 +142,44 @@ class ProjectionResult:
 
 
 @result
+class TaskPart:
+    """Part of a task's standard deviation at its worst point."""
+
+    source: SourceKind = field("What it comes from.")
+    sigma: float = field("In the task's unit; the squares of all parts add up.")
+
+
+@result(kw_only=True)
+class TaskResult:
+    """Error of a task of the robot."""
+
+    name: str = field("The task.")
+    unit: TaskUnit = field("Of the errors and the limit.")
+    limit: float | None = field("The largest that passes.", default=None)
+    state: TaskState = field(
+        "holds, broken, undecided, by its limit and by what does not fit; null without a limit.", default=None
+    )
+    median: float = field("At the worst point, what the error does not exceed with a probability of one half.")
+    most: float = field("At the worst point, what it does not exceed in 95 % of cases, which is judged.")
+    typical: float = field("The median of that over all points.")
+    worst: str = field("The worst point.")
+    parts: tuple[TaskPart, ...] = field("What it comes from, largest first.")
+    frame: str = field("The frame in which it counts.")
+
+
+@result(kw_only=True)
+class TaskMap:
+    """Error of a task at all of its points."""
+
+    name: str = field("The task.")
+    columns: int | None = field("Points in a row, of those that are spread over an image; null in a space.")
+    points: tuple[tuple[float, ...], ...] = field("Pixels, or m in the frame in which the error counts.")
+    most: tuple[float | None, ...] = field(
+        "What the error does not exceed in 95 % of cases, in the worst pose; null where the sensors do not see it."
+    )
+
+
+@result
 class Worth:
     """Contribution of a fixed parameter's usual uncertainty to the result."""
 
@@ -181,6 +223,7 @@ class Details:
         "Number of independent collections of equal weight with the same information.", default=None
     )
     hangs_on: tuple[Worth, ...] = field("Contributions to the uncertainty of the result, largest first.", default=())
+    task_maps: tuple[TaskMap, ...] = field("In the cell's own results: tasks at all of their points.", default=())
     recording: RecordingResult | None = field("What was calibrated.", default=None)
     snapshot: CalibrationDocument | None = field("The result as `calibration accept` keeps it.", default=None)
     changes: tuple[BaselineChange, ...] = field("Differences from the accepted calibration.", default=())
@@ -225,6 +268,7 @@ class CellResult:
         "those of that name, the warnings among the warnings.",
         default=(),
     )
+    tasks: tuple[TaskResult, ...] = field("Errors of the robot's tasks.", default=())
     details: Details | None = field(flat=True, default=None)
     sigma: Deviation | None = field("Standard deviations that our engine states, in all.", default=None)
     label_sigma: Deviation | None = field("Largest standard deviations by the noise of the labels alone.", default=None)

@@ -22,6 +22,8 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import Options
 from calibration.engine.estimation.prepare import Prepared, prepare
 from calibration.engine.estimation.start.lens_choice import LensChoice
+from calibration.engine.tasks.robot_task import RobotTask
+from calibration.engine.tasks.task_errors import task_errors
 
 if TYPE_CHECKING:
     from calibration.engine.evaluation.specification import Evaluation
@@ -40,6 +42,8 @@ class LoadedSystem:
     """Options of our engine."""
     limits: Limits = dataclass_field(default_factory=Limits)
     """Limits of its result's errors."""
+    tasks: tuple[RobotTask, ...] = ()
+    """What the robot does with its calibration."""
     datasets: "Datasets" = "full"
     """What is written of its cells' calibrated datasets."""
     accepted: Accepted | None = None
@@ -140,4 +144,5 @@ class LoadedSystem:
         return self._diagnose_optimum(self.optimum)
 
     def _diagnose_optimum(self, optimum: OurOptimum) -> tuple[Finding, ...]:
-        return diagnose(optimum.calibration, optimum.given, optimum.options, self.limits, self.truth is not None)
+        tasks = task_errors(optimum.calibration, self.tasks)
+        return diagnose(optimum.calibration, optimum.given, optimum.options, self.limits, self.truth is not None, tasks)

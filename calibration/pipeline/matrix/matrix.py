@@ -24,6 +24,7 @@ from calibration.engine.diagnosis.copies import without_copies
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.estimation.start.lens_choice import with_chosen_lenses
+from calibration.engine.tasks.placed_task import frames_of_task
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, Comparison, noise_folder
 from calibration.pipeline.matrix.cell_verdict import check_rules
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
@@ -211,6 +212,7 @@ def load(system: System) -> LoadedSystem:
                 f"evaluation '{evaluation}': {dataset.path} has no sensor '{sensor}'"
                 f"{did_you_mean(sensor, dataset.sensors)} (sensors: {', '.join(dataset.sensors)})"
             )
+    _check_tasks(system, dataset)
     options = replace(system.options, intrinsics_covariance=system.options.known_intrinsics())
     loaded = LoadedSystem(
         system.name,
@@ -218,7 +220,8 @@ def load(system: System) -> LoadedSystem:
         truth,
         evaluation,
         options,
-        system.limits,
+        system.judging_limits,
+        system.tasks,
         system.datasets,
         system.accepted,
         copies,
@@ -240,6 +243,19 @@ def _evaluation_from(text: str) -> "Evaluation":
     from calibration.engine.evaluation.specification import parse_evaluation  # with the modules of all kinds of tables
 
     return parse_evaluation(text)
+
+
+def _check_tasks(system: System, dataset: Dataset) -> None:
+    """Refuse tasks whose sensors and frames the dataset does not have.
+
+    Raises:
+        InputError: the first one.
+    """
+    for task in system.tasks:
+        try:
+            frames_of_task(dataset, task)
+        except InputError as error:
+            raise InputError(f"systems.{system.name}.{error}") from None
 
 
 def _check_methods(system: System) -> None:

@@ -26,7 +26,8 @@ from calibration.engine.estimation.start.wrong_views import without
 from calibration.engine.evaluation.label_errors import reprojection
 from calibration.engine.evaluation.table import RMS_PIX, Table
 from calibration.engine.evaluation.truth import truth_error
-from calibration.pipeline.matrix.cell_details import described, finite_deviation
+from calibration.engine.tasks.task_errors import task_errors
+from calibration.pipeline.matrix.cell_details import described, documents_of_tasks, finite_deviation, judged_tasks
 from calibration.pipeline.matrix.cell_result import (
     REPROJECTION_FILE,
     Cell,
@@ -115,8 +116,10 @@ def _without_calibration(cell: Cell, system: LoadedSystem, error: CalibrationErr
 
 
 def _diagnose_cell(cell: Cell, system: LoadedSystem, calibration: Calibration) -> CellResult:
-    result = described(nothing_yet(cell), calibration, system.dataset, system.limits)
-    found = diagnose(calibration, system.dataset, system.options, system.limits, system.truth is not None)
+    tasks = task_errors(calibration, system.tasks)
+    result = described(nothing_yet(cell), calibration, system.dataset, system.limits, tasks)
+    found = diagnose(calibration, system.dataset, system.options, system.limits, system.truth is not None, tasks)
+    result = replace(result, tasks=judged_tasks(result.tasks, found))
     result = result.explained(found) if any(each.kind == "convention" for each in found) else result.found(found)
     return result.found((*system.left_out, *system.lens_notes))
 
@@ -140,7 +143,9 @@ def _diagnose_and_evaluate(cell: Cell, system: LoadedSystem, calibration: Calibr
         return Evaluated(result)
     calibration, said = after_move(calibration, result.findings, system.prepared, system.limits)
     if said:
-        described_now = described(nothing_yet(cell), calibration, system.dataset, system.limits)
+        tasks = task_errors(calibration, system.tasks)
+        described_now = described(nothing_yet(cell), calibration, system.dataset, system.limits, tasks)
+        described_now = replace(described_now, tasks=judged_tasks(described_now.tasks, result.findings))
         result = described_now.found((*result.findings, *said))
     made = _evaluate_dataset(result, calibration.dataset, system, calibration)
     return (
@@ -154,7 +159,7 @@ def _compare_with_accepted(result: CellResult, calibration: Calibration, system:
     """Return the result with its snapshot, and the differences from the accepted calibration."""
     if not calibration.converged or result.details is None or any(f.kind == "convention" for f in result.findings):
         return result
-    now = system.snapshots.of(calibration, result.rms_px)
+    now = replace(system.snapshots.of(calibration, result.rms_px), tasks=documents_of_tasks(result.tasks))
     comparison, findings = against_baseline(system.accepted, now) if system.accepted else (None, ())
     changes = comparison.changes if comparison else ()
     return replace(result, details=replace(result.details, snapshot=now, changes=changes)).found(findings)

@@ -19,6 +19,7 @@ from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
 from calibration.pipeline.page.label_residuals import label_residuals, projection_figures
+from calibration.pipeline.page.robot_tasks import task_figures
 from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import System
 
@@ -155,6 +156,7 @@ def _system_section(
 ) -> Html:
     """Return the sections of one system, by one of its cells, below its verdict and reasons."""
     tables = (
+        report_blocks.tasks_table,
         report_blocks.transforms_table,
         report_blocks.cameras_table,
         report_blocks.hangs_on_table,
@@ -187,6 +189,7 @@ def _system_section(
             levels = cell.details.noise_levels if cell.details else None
             given = given or _given_dataset(system)
             content += [in_space(dataset, given), *label_residuals(dataset, levels, given)]
+    content += [*task_figures(cell.tasks, cell.details.task_maps if cell.details else ())]
     content += [*projection_figures(cell.details.projection if cell.details else ())]
     content += [*_error_bars(cell, system.limits if system else None), *_trend_figures(name, accepted)]
     return section(name, *content, anchor=_anchor_of_system(name))

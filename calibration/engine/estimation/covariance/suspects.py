@@ -203,7 +203,7 @@ def explain(model: LinearModel, fewest_moved: int = 1) -> Explanation | None:
                 default=best,
             )
         found.append(best)
-        state = state.with_cause(_columns_of(model, best.cause), best.since)
+        state = state.with_cause(columns_of_cause(model, best.cause), best.since)
     return Explanation(tuple(found), _remaining_disagreement(model, state))
 
 
@@ -216,12 +216,12 @@ def _suspected_lenses(model: LinearModel, state: "_State", limit: float, least: 
         parts = [cause for cause in model.causes if cause.subject == subject and cause.kind in OF_LENS]
         effects = tuple(each for part in parts if not callable(part.effect) for each in part.effect)
         lens = Cause(LENS_KIND, subject, "1", (0.0,) * len(effects), effects, counts=False)
-        columns = _columns_of(model, lens)[None]
+        columns = columns_of_cause(model, lens)[None]
         of = _Candidates([lens], [None], columns, np.ones((1, len(state.G)), bool))
         yield from (each for each in _test_candidates(state, of, limit) if each.gain >= least)
 
 
-def _columns_of(model: LinearModel, cause: Cause) -> IntArray:
+def columns_of_cause(model: LinearModel, cause: Cause) -> IntArray:
     """Return the columns of a cause, or of all that a whole lens consists of."""
     own = [
         np.arange(at.start, at.stop)

@@ -1,0 +1,122 @@
+"""Tasks of the robot against their limits: what a suspect does to them, and how sure they are."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.base.arrays import Array
+from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.precision import ADVICE_TO_ADD, ADVICE_TO_MEND
+from calibration.engine.estimation.covariance.error_bars import SourceKind
+from calibration.engine.tasks.gaussian_norm import quantile_of_norm
+from calibration.engine.tasks.task_errors import MOST, TaskError
+
+IN_WORDS: dict[SourceKind, str] = {
+    "labels": "noise of the labels",
+    "collections": "disagreement of collections",
+    "lens": "lens",
+    "board": "board",
+    "arm": "arm",
+    "ranges": "ranges",
+    "held": "other things that are held",
+}
+MIN_NAMED_PART = 0.3
+"""Part of a task's standard deviation from which on a source of it is named."""
+BY_RECORDING: tuple[SourceKind, ...] = ("labels", "collections")
+"""Sources that more collections would narrow."""
+
+
+@dataclass(frozen=True)
+class AtTask:
+    """What a change of parameters does to the task that it harms most."""
+
+    error: TaskError | None = None
+    size: float = 0.0
+    broken: tuple[str, ...] = ()
+    """All tasks whose limit it exceeds."""
+
+    def __bool__(self) -> bool:
+        return self.error is not None
+
+    def __str__(self) -> str:
+        if self.error is None:
+            return ""
+        task = self.error.task
+        limit = "" if task.limit is None else f" (limit {task.limit:.3g} {task.unit})"
+        return f"it makes {self.size:.3g} {task.unit} at task '{task.name}'{limit}"
+
+
+def worst_at_tasks(tasks: Sequence[TaskError], changes: Sequence[Array]) -> AtTask:
+    """Return what changes (C,) of the parameters, each by itself, do to the task that they harm most."""
+    each = [AtTask(task, max(task.largest_change(change) for change in changes)) for task in tasks]
+    worst = max(each, key=_share_of_limit, default=AtTask())
+    return replace(worst, broken=tuple(one.error.task.name for one in each if one.error and _share_of_limit(one) > 1))
+
+
+def _share_of_limit(found: AtTask) -> float:
+    limit = found.error.task.limit if found.error else None
+    return 0.0 if limit is None else found.size / limit
+
+
+def undecided_tasks(tasks: Sequence[TaskError], found: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Report tasks whose error at the worst point may be beyond their limit; nothing where a failure is reported.
+
+    Args:
+        tasks: errors of the tasks.
+        found: by the checks before.
+    """
+    if any(each.severity == "red" and each.kind in ("suspect", "contradiction") for each in found):
+        return ()
+    return tuple(
+        Finding(
+            "task",
+            "undecided",
+            _describe_undecided(each, limit, found),
+            value=size,
+            unit=each.task.unit,
+            tasks=(each.task.name,),
+        )
+        for each in tasks
+        if (limit := each.task.limit) is not None and (size := float(each.most[each.worst])) > limit
+    )
+
+
+def _describe_undecided(error: TaskError, limit: float, found: Sequence[Finding]) -> str:
+    parts, unit = error.parts(), error.task.unit
+    whole = float(np.sqrt(sum(part**2 for part in parts.values())))
+    named = [f"{IN_WORDS[kind]} {part:.2g} {unit}" for kind, part in parts.items() if part > MIN_NAMED_PART * whole]
+    if any(each.kind == "suspect" for each in found):
+        remedy = ADVICE_TO_MEND
+    elif held_alone(error) > limit:
+        what = next(IN_WORDS[kind] for kind in parts if kind not in BY_RECORDING)
+        remedy = (
+            f"no more collections can make it hold: what is held alone makes {held_alone(error):.2g} {unit}, most of "
+            f"it the {what}: calibrate it, or state under 'assume' how well it is known"
+        )
+    else:
+        remedy = ADVICE_TO_ADD
+    return (
+        f"task '{error.task.name}' is not sure enough: its error stays below {error.most[error.worst]:.2g} {unit} in "
+        f"95 % of cases {place_in_words(error)}, limit {limit:.3g} {unit}; the largest of its standard deviation of "
+        f"{whole:.2g} {unit}: {', '.join(named)}; {remedy}"
+    )
+
+
+def held_alone(error: TaskError) -> float:
+    """Return the 95 % error at the worst point if nothing but what is held erred."""
+    columns = [each.columns for each in error.sources if each.kind not in BY_RECORDING]
+    if not columns:
+        return 0.0
+    moved = error.jacobian[error.worst] @ np.concatenate(columns, 1)
+    return float(quantile_of_norm((moved @ moved.T)[None], MOST)[0])
+
+
+def place_in_words(error: TaskError) -> str:
+    """Return where a task's worst point is: in the image, or in the frame in which it counts."""
+    placed, (_, number) = error.placed, error.placed.at
+    if placed.pixels is not None:
+        u, v = placed.pixels[number[error.worst]].tolist()
+        return f"at pixel ({u:.0f}, {v:.0f}) of {placed.spread_over}"
+    x, y, z = placed.places[error.worst].tolist()
+    return f"at ({x:.3g}, {y:.3g}, {z:.3g}) m in {placed.frame}"
