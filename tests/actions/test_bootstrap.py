@@ -12,10 +12,16 @@ from typing import Any
 
 import pytest
 
+from calibration.base.addons import of_addons
 from tests.docker_engine import wait_until
 from tests.processes import group_runs, runs
 
 from .conftest import PYTHON, Suite
+
+SECTIONS_OF_ADDONS = {
+    *of_addons(lambda addon: addon.sections),
+    *(stage.section for stage in of_addons(lambda addon: addon.stages).values()),
+}
 
 
 def facts(result: subprocess.CompletedProcess[str]) -> dict[str, Any]:
@@ -434,3 +440,21 @@ def test_too_old_a_python_is_told_in_one_line(suite: Suite) -> None:
     result = subprocess.run([PYTHON, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert result.returncode == 3
     assert "Calibration CI needs Python 3.11 or newer" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("config", "only_engine"),
+    [
+        ("systems: {robot: {dataset: data/robot, limits: {rms-px: 1}}}\nbaseline: {required: true}\n", True),
+        ("systems: {robot: {dataset: 'simulation:fresh'}}\n", False),
+        ("systems: {robot: {dataset: data, software: {command: [calibrate]}}}\n", False),
+        ("systems: {robot: {exports: {robot-description: robot.urdf.xacro}}}\n", False),
+        *((f"systems: {{}}\n{section}: {{}}\n", False) for section in sorted(SECTIONS_OF_ADDONS)),
+        ("#" * (1 << 20) + "\n", False),
+    ],
+)
+def test_the_root_action_installs_the_engine_alone_where_that_is_all(
+    bootstrap: ModuleType, tmp_path: Path, config: str, only_engine: bool
+) -> None:
+    (tmp_path / "calibration.yml").write_text(config)
+    assert bootstrap.only_calibrates(tmp_path / "calibration.yml") is only_engine
