@@ -7,6 +7,8 @@ from calibration.base.records import computed, field, result
 CONFIDENCE = 0.95
 MAX_REPETITIONS = 1000
 """Limit of the runs of one piece of work."""
+_SHOWN_AS_ALL = 0.995
+"""Rate from which two digits say 100 %."""
 _BISECTIONS = 60
 """Halvings of [0, 1] until the interval's ends are exact in double precision."""
 
@@ -33,8 +35,8 @@ class FlakeRate:
         return round(low, 6), round(high, 6)
 
     def __str__(self) -> str:
-        low, high = self.interval
-        return f"failed {self.failed} of {self.runs}: between {100 * low:.2g} and {100 * high:.2g} % of runs at 95 %"
+        low, high = (f"{100 * end:.2g}" if end < _SHOWN_AS_ALL else "100" for end in self.interval)
+        return f"failed {self.failed} of {self.runs}: between {low} and {high} % of runs at 95 %"
 
 
 def _rate_where(found: FlakeRate, most: int, probability: float) -> float:

@@ -45,10 +45,11 @@ def report(results: RepeatedResults, runs: Sequence[Repetition], output: Path, t
 
 
 def _sentence(results: RepeatedResults) -> str:
-    passed = sum(run.verdict == "pass" for run in results.runs)
-    what = f"{len(results.spreads)} of {count_of(results.equal + len(results.spreads), 'result')} vary"
-    same = "all outputs are equal to the last bit" if not results.differences else what
-    return f"{passed} of {count_of(results.asked, 'run')} passed, {same}"
+    passed = f"{sum(run.verdict == 'pass' for run in results.runs)} of {count_of(results.asked, 'run')} passed"
+    if sum(run.cut_short is None for run in results.runs) <= 1:
+        return passed
+    vary = f"{len(results.spreads)} of {count_of(results.equal + len(results.spreads), 'result')} vary"
+    return f"{passed}, {vary if results.differences else 'all outputs are equal to the last bit'}"
 
 
 def _blocks(results: RepeatedResults) -> Iterator[Block]:
@@ -75,7 +76,8 @@ def runs_table(results: RepeatedResults) -> Table:
         for number, run in enumerate(results.runs, start=1)
     ]
     rows.append(("mean", *(_seconds(spread.mean) for spread in results.times), ""))
-    rows.append(("standard deviation", *(_seconds(spread.standard_deviation) for spread in results.times), ""))
+    deviations = (spread.standard_deviation if spread.runs > 1 else None for spread in results.times)
+    rows.append(("standard deviation", *map(_seconds, deviations), ""))
     columns = ("run", *(f"{stage} (s)" for stage in (*stages, "whole run")), "verdict")
     return Table(columns, tuple(rows) if results.times else (), title="Runs", brief=True)
 
@@ -92,9 +94,9 @@ def _spread_row(spread: Spread) -> tuple[str, ...]:
 
 def _notes(results: RepeatedResults) -> Iterator[str]:
     complete = sum(run.cut_short is None for run in results.runs)
-    if results.equal:
+    if results.equal and complete > 1:
         yield f"{count_of(results.equal, 'result')} are equal in all runs, to the last bit"
-    if complete:
+    if complete > 1:
         yield runs_show(complete, "cell or dataset", results.max_flake_rate or RARE_FLAKE)
     yield f"Each run has its own report, such as {results.runs[0].folder}/{PAGE_FILE}"
 

@@ -20,6 +20,8 @@ from calibration.pipeline.repetition.comparison import (
 from calibration.pipeline.repetition.repetition import Repetition
 from calibration.pipeline.repetition.settings import Repetitions
 
+THE_RUN = "the run"
+"""Name of an outcome that stands for a run itself."""
 MAX_NAMED_FAILURES = 100
 """Limit of the failures that reasons name."""
 
@@ -53,13 +55,20 @@ class RepeatedResults:
     undecided_passes: bool = field("Whether an undecided spread counts as passed.", default=False)
 
     @property
+    def _was_stopped(self) -> bool:
+        """Whether the last run ended all: it has then not failed by itself."""
+        known = {number for each in self.failures if each.name == THE_RUN for number in each.runs}
+        return self.runs[-1].cut_short is not None and len(self.runs) not in known
+
+    @property
     @computed()
     def reasons(self) -> list[str]:
         """Reasons of a fail verdict, one line each, worst first."""
-        cut = [(n, run) for n, run in enumerate(self.runs, start=1) if run.cut_short is not None]
-        lines = [f"run {number} was cut short: {run.cut_short}" for number, run in cut]
-        if missing := self.asked - len(self.runs):
-            lines.append(f"{missing} of {count_of(self.asked, 'run')} were not made")
+        lines = []
+        if self._was_stopped:
+            missing = self.asked - len(self.runs)
+            lines.append(f"run {len(self.runs)} was cut short: {self.runs[-1].cut_short}")
+            lines += [f"{missing} of {count_of(self.asked, 'run')} were not made"] if missing else []
         failing = [each for each in self.failures if not each.is_within(self.max_flake_rate)]
         lines += [f"{each.name} {each}" for each in failing[:MAX_NAMED_FAILURES]]
         if (more := len(failing) - MAX_NAMED_FAILURES) > 0:

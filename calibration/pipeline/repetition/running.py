@@ -17,7 +17,7 @@ from calibration.ci.report.results_json import BRIEF_FILE
 from calibration.ci.workflow import Runner
 from calibration.pipeline.repetition.repetition import Repetition
 from calibration.pipeline.repetition.report import report
-from calibration.pipeline.repetition.results import RepeatedResults, repeated_results
+from calibration.pipeline.repetition.results import THE_RUN, RepeatedResults, repeated_results
 from calibration.pipeline.repetition.settings import Repetitions
 from calibration.pipeline.results import PAGE_FILE, reason_of_end
 
@@ -68,12 +68,13 @@ def repeated(
             try:
                 run = once(folder)
             except BaseException as error:  # signals too: the runs before are kept
-                runs.append(_cut_short(folder, error))
+                run = _cut_short(folder, error, time.perf_counter() - begin)
                 if not isinstance(error, CalibrationError) or error.exit_code != ExitCode.FAIL:
-                    with suppress(CalibrationError):  # such as that the disk is full, which is the error
-                        written()
+                    if runs:
+                        runs.append(run)
+                        with suppress(CalibrationError):  # such as that the disk is full, which is the error
+                            written()
                     raise
-                run = runs.pop()
             runs.append(_with_verdict(replace(run, whole_seconds=time.perf_counter() - begin)))
             line = f"run {number} of {settings.repeat}: {run.verdict}: {run.sentence} ({runs[-1].whole_seconds:.1f} s)"
             runner.log(one_line(line))
@@ -85,14 +86,14 @@ def run_of_repetition(run: str | None, folder: Path) -> str | None:
     return None if run is None else f"{run}-{folder.name}"
 
 
-def _cut_short(folder: Path, error: BaseException) -> Repetition:
+def _cut_short(folder: Path, error: BaseException, seconds: float) -> Repetition:
     why = reason_of_end(error)
     code = error.exit_code if isinstance(error, CalibrationError) and error.exit_code > ExitCode.FAIL else None
-    return _with_verdict(Repetition(folder=folder, sentence=why, cut_short=why, error=code))
+    return Repetition(folder=folder, sentence=why, whole_seconds=seconds, cut_short=why, error=code)
 
 
 def _with_verdict(run: Repetition) -> Repetition:
     """Return a run with its own failure as an outcome, if none of its outcomes has failed and its verdict is fail."""
     if run.verdict != "fail" or any(each.verdict == "fail" for each in run.outcomes):
         return run
-    return replace(run, outcomes=(*run.outcomes, Outcome(name="the run", reasons=(run.sentence,))))
+    return replace(run, outcomes=(*run.outcomes, Outcome(name=THE_RUN, reasons=(run.sentence,))))

@@ -119,6 +119,13 @@ def test_a_number_of_runs_out_of_bounds_is_bad_input(
     assert not (repository / "output").exists()
 
 
+def test_bad_input_leaves_nothing(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (repository / "calibration.yml").write_text("systems: {arm: {dataset: nowhere}}\n")
+    assert main(["run", "--repeat", "3"]) == 2
+    assert "nowhere" in capsys.readouterr().err
+    assert not (repository / "output").exists()
+
+
 def test_scenarios_and_the_workflow_are_not_repeated(
     repository: Path, small: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
