@@ -35,6 +35,8 @@ class PythonFunction:
     generator: bool
     parameters: tuple[str, ...]
     """Names of the arguments, in the order of the signature."""
+    fields: tuple[str, ...] = ()
+    """Attributes of its first argument that it sets."""
 
 
 def functions_of(path: str, source: bytes) -> list[PythonFunction]:
@@ -64,6 +66,7 @@ def _function_of(node: ast.FunctionDef | ast.AsyncFunctionDef, path: str, names:
         own -= set(range(inner.body[0].lineno, (inner.end_lineno or inner.lineno) + 1))
     arguments = node.args
     ordered = [*arguments.posonlyargs, *arguments.args, arguments.vararg, *arguments.kwonlyargs, arguments.kwarg]
+    parameters = tuple(each.arg for each in ordered if each is not None)
     return PythonFunction(
         path,
         ".".join((*names, node.name)),
@@ -75,7 +78,8 @@ def _function_of(node: ast.FunctionDef | ast.AsyncFunctionDef, path: str, names:
         node.name in UNTESTED_NAMES or bool(set(decorators) & set(WITHOUT_EFFECT)) or _has_nothing_to_test(node.body),
         decorators,
         any(isinstance(each, ast.Yield | ast.YieldFrom) for each in _own_nodes(node)),
-        tuple(each.arg for each in ordered if each is not None),
+        parameters,
+        tuple(dict.fromkeys(_fields_set(node, parameters[0]))) if parameters else (),
     )
 
 
@@ -85,6 +89,14 @@ def _own_nodes(node: ast.AST) -> Iterator[ast.AST]:
         yield child
         if not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda | ast.ClassDef):
             yield from _own_nodes(child)
+
+
+def _fields_set(node: ast.AST, name: str) -> Iterator[str]:
+    """Yield the attributes of a variable that a function sets."""
+    for each in _own_nodes(node):
+        match each:
+            case ast.Attribute(value=ast.Name(id=found), ctx=ast.Store()) if found == name:
+                yield each.attr
 
 
 def _inner_functions(node: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:

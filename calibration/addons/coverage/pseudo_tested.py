@@ -14,7 +14,7 @@ import time
 from collections import defaultdict
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -52,6 +52,8 @@ SECONDS_OF_JOB = 10.0
 """How long a job may take beyond a multiple of what its tests took."""
 MAX_SLOWDOWN = 4.0
 """That multiple."""
+VALUES_OF_FIELDS = ("None", "'calibration'")
+"""What the fields that a body would have set are, where its object has none of this name yet."""
 OVER_BUDGET = "the budget of time was used up"
 
 
@@ -154,7 +156,10 @@ class Recording:
                 found += same or ([] if function.generator else [Replacement()])
         if function.generator and not set(function.decorators) & {"contextmanager", "asynccontextmanager", "fixture"}:
             found.append(Replacement(nothing=True))
-        return found if gave or function.generator else [Replacement()]
+        found = found if gave or function.generator else [Replacement()]
+        if not function.fields:
+            return found
+        return [replace(each, fields=function.fields, field=value) for each in found for value in VALUES_OF_FIELDS]
 
 
 @dataclass
@@ -226,7 +231,7 @@ class Investigation:
         self.judged.append(number)
         if replacements:
             its = sorted(tests & self.recording.entered[number])
-            texts = tuple(_text_of(each, function) for each in replacements)
+            texts = tuple(dict.fromkeys(_text_of(each, function) for each in replacements))
             changed = number in self.changed
             self.found.append(
                 PseudoTestedFunction(function.path, function.line, function.name, changed, texts, tuple(its))

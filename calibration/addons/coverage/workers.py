@@ -49,6 +49,10 @@ class Replacement:
     """Position of the argument that is returned instead."""
     nothing: bool = False
     """Whether a generator yields nothing."""
+    fields: tuple[str, ...] = ()
+    """Attributes of its first argument that get a value where they have none."""
+    field: str = "None"
+    """Python expression of that value."""
 
 
 @dataclass(frozen=True)
