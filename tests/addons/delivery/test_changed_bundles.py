@@ -1,15 +1,18 @@
 """Bundles that were changed are refused, each with its reason; the untouched one is accepted."""
 
+import json
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from calibration.addons.delivery.archive import pack_files, unpack_files
+from calibration.addons.delivery.attestation import signed_envelope, statement_of
 from calibration.addons.delivery.checking import check_bundle
 from calibration.base.errors import InputError
 
-from .bundles import FILES, MANIFEST, OTHER_KEY, SYSTEM, packed, signed
-from .changed import EXPECTED, GOOD, KINDS, changed_bundle, check
+from .bundles import FILES, KEY, MANIFEST, NAME, OTHER_KEY, SYSTEM, packed, signed
+from .changed import EXPECTED, GOOD, HOSTILE_MEMBERS, KINDS, changed_bundle, check, with_member
 
 CASES = 3 * len(KINDS)
 """In every run of the tests; ``python -m tests.addons.delivery.changed`` tries 1000."""
@@ -27,6 +30,62 @@ def test_a_changed_bundle_is_refused_with_its_reason(seed: int) -> None:
     case = changed_bundle(seed)
     reasons = check(case).reasons
     assert any(case.reason in reason for reason in reasons), (case.kind, reasons)
+
+
+@pytest.mark.parametrize(("name", "changes", "reason"), HOSTILE_MEMBERS)
+def test_a_hostile_member_is_refused_though_it_is_signed(name: str, changes: dict[str, Any], reason: str) -> None:
+    [found] = check_bundle(with_member(name, changes), EXPECTED).reasons
+    assert reason in found
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        (b"application/vnd.in-toto+json", b"application/json", "found the payload 'application/json'"),
+        (b'=="}]', b'=="},{}]', "this is no DSSE envelope"),
+        (b'"keyid":"', b'"keyid":"0', "no signature is of a trusted key"),
+        (b'{"payloadType"', b'["payloadType"', "this is no DSSE envelope"),
+    ],
+)
+def test_an_envelope_has_one_form(old: bytes, new: bytes, reason: str) -> None:
+    envelope = GOOD.attestation or b""
+    assert old in envelope
+    [found] = check_bundle(replace(GOOD, attestation=envelope.replace(old, new)), EXPECTED).reasons
+    assert reason in found
+
+
+def test_bits_of_base64_that_do_not_count_are_zero() -> None:
+    envelope = GOOD.attestation or b""
+    place = envelope.index(b'=="}]') - 1  # its last four bits do not count
+    other = bytes([envelope[place] + 1])
+    [found] = check_bundle(
+        replace(GOOD, attestation=envelope[:place] + other + envelope[place + 1 :]), EXPECTED
+    ).reasons
+    assert "bits that do not count" in found
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "reason"),
+    [
+        ("predicateType", "https://slsa.dev/provenance/v1", "found a statement of 'https://slsa.dev"),
+        ("_type", "https://in-toto.io/Statement/v0.1", "found a statement of"),
+        ("subject", [], "it is of another bundle"),
+        ("subject", 3, "this is no statement of in-toto"),
+        ("predicate", {"result": "passed"}, "found the result 'passed'"),
+    ],
+)
+def test_a_signed_statement_of_another_kind_is_refused(key: str, value: object, reason: str) -> None:
+    statement = json.loads(statement_of(GOOD.content, NAME, MANIFEST))
+    payload = json.dumps({**statement, key: value}).encode()
+    fetched = replace(GOOD, attestation=signed_envelope(payload, KEY).encode())
+    [found] = check_bundle(fetched, EXPECTED).reasons
+    assert reason in found
+
+
+def test_a_bundle_of_no_system_is_refused() -> None:
+    manifest = replace(MANIFEST, systems=())
+    reasons = check_bundle(signed(packed(manifest), manifest), EXPECTED).reasons
+    assert "it has no system" in reasons
 
 
 def test_one_of_several_attestations_must_hold() -> None:
