@@ -32,6 +32,8 @@ _HELP_OF_COMMAND = {
     "calibrate-matrix": "Calibrate systems from every noisy start.",
     "accept": "Keep a run's results as the baseline of later ones.",
     "history": "Follow the accepted calibrations through git.",
+    "next-pose": "Say which poses to record next, and when it is enough.",
+    "plan-recording": "Plan the poses of a recording before anything is recorded.",
     "convergence": "Map how large errors of the starting guess may be.",
     "introspect-csv": "Check tables against rules.",
     "collect-data-sim": "Collect a dataset in simulation.",

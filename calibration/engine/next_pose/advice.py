@@ -14,7 +14,7 @@ from calibration.engine.next_pose.knowledge import Knowledge, knowledge_of
 from calibration.engine.tasks.task_errors import TaskError
 
 MAX_CHOSEN = 8
-"""Poses that are chosen one by one; to count more, these are taken again and again."""
+"""Poses that are chosen one by one, by default."""
 MAX_NEEDED = 200
 """Poses above which a limit is out of reach."""
 WORTH_TAKING = 0.05
@@ -90,11 +90,12 @@ class PoseAdvisor:
         more = self.knowledge.with_views(self.knowledge.views(views).sum(0))
         return PoseAdvisor(more, self.goals, self.candidates)
 
-    def advise(self, count: int) -> Advice:
+    def advise(self, count: int, most: int = MAX_CHOSEN) -> Advice:
         """Choose the next poses.
 
         Args:
-            count: how many at most, up to `MAX_CHOSEN`.
+            count: how many at least, up to ``most``.
+            most: how many are chosen one by one until all goals are reached; to count more, they are taken again.
         """
         now = self._sizes(self.knowledge)[0]
         wanted = np.array([goal.wanted for goal in self.goals])
@@ -103,7 +104,7 @@ class PoseAdvisor:
             return Advice(self.goals, now, (), reached, now, {} if reached == 0 else self._left(self.knowledge))
         chosen, needed, knowledge = list[AdvisedPose](), 0 if (now <= wanted).all() else None, self.knowledge
         taken = np.zeros(len(self.candidates), bool)  # the same pose again tells little: it has the same errors
-        for number in range(1, min(MAX_CHOSEN, len(taken)) + 1):
+        for number in range(1, min(most, len(taken)) + 1):
             sizes = self._sizes(knowledge, self.candidates)
             best = int(np.where(taken, np.inf, self._still_to_go(sizes)).argmin())
             taken[best] = True
@@ -116,8 +117,8 @@ class PoseAdvisor:
         again = self.candidates[taken].sum(0)
         if needed is None:
             rounds = np.arange(2, MAX_NEEDED // len(chosen) + 1)
-            reached = (self._sizes(self.knowledge, rounds[:, None, None] * again) <= wanted).all(1)
-            needed = len(chosen) * int(rounds[reached.argmax()]) if reached.any() else None
+            holds = (self._sizes(self.knowledge, rounds[:, None, None] * again) <= wanted).all(1)
+            needed = len(chosen) * int(rounds[holds.argmax()]) if holds.any() else None
         ever = MAX_NEEDED**2 * np.stack([again, self.candidates.sum(0)])
         least = np.minimum(now, self._sizes(self.knowledge, ever).min(0))
         for each in chosen:

@@ -1,12 +1,12 @@
 """Goals of further poses: limits of sensors, joints and tasks, as the standard deviations that decide them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.diagnosis.limits import Limits, allowed, block_of, stated
+from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, block_of, stated
 from calibration.engine.diagnosis.precision import UNIT_NAMES
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.next_pose.knowledge import Knowledge
@@ -37,23 +37,43 @@ def goals_of(
     calibration: Calibration, knowledge: Knowledge, limits: Limits, tasks: Sequence[TaskError] = ()
 ) -> tuple[Goal, ...]:
     """Return the goals of a calibration that has converged: its limits, set or default, and those of its tasks."""
-    goals = []
+    goals: list[Goal] = []
     for name in stated(calibration):
         limit = allowed(calibration, limits, name)
         block, units = block_of(calibration, name)
-        at = calibration.solution.setup.problem.shared_parameters[block]
-        for most, unit, (parameter, scale) in zip(
-            (limit.translation_mm, limit.rotation_deg), UNIT_NAMES, _UNIT_OF_PARAMETER, strict=True
-        ):
-            own = np.arange(at.start, at.stop)[[each == parameter for each in units]]
-            if np.isfinite(most) and len(own) and limits.guard:
-                rows = np.zeros((len(own), len(knowledge.columns)))
-                rows[np.arange(len(own)), own] = scale
-                goals.append(Goal(name, unit, rows, max(most / limits.guard, MIN_WANTED), most))
-    for error in tasks:
-        if error.task.limit is not None:
-            goals.append(_goal_of_task(error, error.task.limit, knowledge))
+        goals += _goals_of_block(
+            name, (limit.translation_mm, limit.rotation_deg), limits.guard, knowledge, block, units
+        )
+    with_limit = ((error, error.task.limit) for error in tasks if error.task.limit is not None)
+    return (*goals, *(_goal_of_task(error, limit, knowledge) for error, limit in with_limit))
+
+
+def goals_before(knowledge: Knowledge, limits: Limits) -> tuple[Goal, ...]:
+    """Return the goals of a calibration that is planned: its limits, or the least default ones if none is set."""
+    setup = knowledge.solution.setup
+    shared, goals = setup.problem.shared_parameters, list[Goal]()
+    given = (limits.translation_mm, limits.rotation_deg, limits.joint_mm, limits.joint_deg)
+    most = [np.inf if each is None else each for each in given] if limits.any_set else [*limits.sensor, *limits.joint]
+    for sensor in setup.dataset.sensors.values():
+        if (block := setup.block(sensor.edge)) in shared:
+            goals += _goals_of_block(sensor.name, most[:2], limits.guard, knowledge, block, TWIST_UNITS)
+    for name, joint in setup.dataset.joints.items():
+        units = [joint.model.unit(parameter) for parameter in joint.parameters]
+        goals += _goals_of_block(name, most[2:], limits.guard, knowledge, setup.block(joint.edge), units)
     return tuple(goals)
+
+
+def _goals_of_block(
+    name: str, most: Sequence[float], guard: float, knowledge: Knowledge, block: int, units: Sequence[str]
+) -> Iterator[Goal]:
+    """Yield the goals of a shared block: its lengths and its angles, as far as they have a limit."""
+    at = knowledge.solution.setup.problem.shared_parameters[block]
+    for limit, unit, (parameter, scale) in zip(most, UNIT_NAMES, _UNIT_OF_PARAMETER, strict=True):
+        own = np.arange(at.start, at.stop)[[each == parameter for each in units]]
+        if np.isfinite(limit) and len(own) and guard:
+            rows = np.zeros((len(own), len(knowledge.columns)))
+            rows[np.arange(len(own)), own] = scale
+            yield Goal(name, unit, rows, max(limit / guard, MIN_WANTED), limit)
 
 
 def _goal_of_task(error: TaskError, limit: float, knowledge: Knowledge) -> Goal:

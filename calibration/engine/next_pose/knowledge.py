@@ -27,6 +27,9 @@ from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.start.build import groups_of_views
 from calibration.engine.geometry.transforms import translation
 
+NEXT_TO_NOTHING = 1e-9
+"""Information before anything is recorded, in that of all views that are looked at."""
+
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
@@ -102,24 +105,41 @@ def knowledge_of(calibration: Calibration) -> Knowledge:
     solution, bars = calibration.solution, calibration.error_bars
     if bars is None:
         raise AssertionError("it has converged")
-    model, shared = solution.model, solution.setup.problem.shared_parameters
+    found = _of_model(solution)
+    disagreement = np.zeros(found.calibrated)
+    for block, at in solution.setup.problem.shared_parameters.items():
+        beyond = np.trace(np.linalg.solve(bars.labels[block], bars.total[block] - bars.expected[block]))
+        disagreement[at] = max(0.0, float(beyond) / len(bars.labels[block]))
+    return replace(found, disagreement=disagreement)
+
+
+def knowledge_before(solution: Solution) -> Knowledge:
+    """Return what is known before anything is recorded: next to nothing.
+
+    Args:
+        solution: any views of the sensors that are planned, at the nominal poses.
+    """
+    found = _of_model(solution)
+    prior = solution.model.prior[found.columns[:, None], found.columns]
+    return replace(found, information=prior + np.diag(NEXT_TO_NOTHING * solution.model.alone[found.columns]))
+
+
+def _of_model(solution: Solution) -> Knowledge:
+    """Return what a solution's views tell; they are taken to agree."""
+    model = solution.model
     placed = model.placed()
     kept = [each for each in placed if each[0].free] + [
         (cause, at) for cause, at in placed if cause.counts and not cause.free and any(cause.assumed)
     ]
     columns = np.concatenate([np.arange(model.shared), *(np.arange(at.start, at.stop) for _, at in kept)])
     calibrated = model.shared + sum(cause.size for cause, _ in kept if cause.free)
-    disagreement = np.zeros(calibrated)
-    for block, at in shared.items():
-        beyond = np.trace(np.linalg.solve(bars.labels[block], bars.total[block] - bars.expected[block]))
-        disagreement[at] = max(0.0, float(beyond) / len(bars.labels[block]))
     return Knowledge(
         solution,
         tuple(cause for cause, _ in kept),
         columns,
         model.total[columns[:, None], columns],
         calibrated,
-        disagreement,
+        np.zeros(calibrated),
     )
 
 

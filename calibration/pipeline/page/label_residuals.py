@@ -57,11 +57,11 @@ def _view_figure(dataset: Dataset, of_camera: Residuals, name: str, i: int, rms:
     in_view = of_camera.collections == i
     seen = of_camera.where[in_view]
     title = f"{name} in collection {key}: RMS {rms:.3g} px"
-    drawn = overlay(title, _view_jpeg(given, name, key), size, seen, seen + of_camera.values[in_view])
+    drawn = overlay(title, view_jpeg(given, name, key), size, seen, seen + of_camera.values[in_view])
     return figure(drawn, f"{title}. Crosses: where corners were seen; circles: where they come out.")
 
 
-def _view_jpeg(given: Dataset | None, name: str, key: str) -> bytes | None:
+def view_jpeg(given: Dataset | None, name: str, key: str) -> bytes | None:
     """Return the image of a view, reduced; None if it is not available, or OpenCV is needed and not installed."""
     if given is None:
         return None

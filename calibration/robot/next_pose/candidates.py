@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.engine.dataset.model import Collection, Dataset, Edge, Labels
+from calibration.engine.dataset.model import Collection, Dataset, Edge, Labels, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.covariance.fixed_inputs import STILL_TOLERANCE, joint_axis
 from calibration.engine.estimation.covariance.result import Calibration
@@ -33,6 +33,8 @@ BEYOND_TURN, BEYOND_SHIFT = np.radians(30), 0.15
 """rad, m: how far beyond where it was a joint or a transform without known limits goes."""
 INSIDE_LIMITS = 0.001
 """rad, m: distance that is kept from a joint's limits."""
+MAX_ROLL_BY_HAND = np.radians(45)
+"""rad: a person holds a board about upright."""
 REACHES_ANY_POSE = 6
 """Joints between a camera and a board with which it is held in any pose before it."""
 MAX_FREE_TURN = np.radians(35)
@@ -60,6 +62,15 @@ class PoseCandidates:
 
     def __len__(self) -> int:
         return len(self.sources)
+
+    def take(self, index: IntArray) -> "PoseCandidates":
+        """Return those of these indices."""
+        return replace(
+            self,
+            dataset=self.dataset.with_collections(index.tolist()),
+            sources=self.sources[index],
+            joints={name: each[index] for name, each in self.joints.items()},
+        )
 
 
 def candidates_of(
@@ -109,7 +120,7 @@ def _by_hand(
         own = np.arange(k * each, (k + 1) * each)
         if sensor.camera is None:
             continue
-        ranges = MotionRanges(distance=distances(dataset, sensor, board), roll=np.pi)
+        ranges = MotionRanges(distance=distances(dataset, sensor, board), roll=MAX_ROLL_BY_HAND)
         T_camera_board = draw_poses(sensor.camera, board, ranges, each, random)
         transforms[board.edge][own] = drawn.transform(board.parent_link, sensor.frame, own) @ T_camera_board
     return drawn.with_transforms(transforms), sources
@@ -236,8 +247,9 @@ def _normal_of_plane(moved: Array) -> Array | None:
 
 
 def _seen(recorded: Dataset, found: PoseCandidates, count: int) -> PoseCandidates:
-    """Return those that sensors see, with the labels that are expected. Cameras are looked at first, which is faster."""
-    poses, cameras, others = found.dataset, [], []
+    """Return those that sensors see, with the labels that are expected. Cameras are looked at first: it is faster."""
+    poses = found.dataset
+    cameras, others = list[Sensor](), list[Sensor]()
     for sensor in poses.sensors.values():
         if any(name == sensor.name for collection in recorded.collections for _, name in collection.labels):
             (cameras if sensor.modality.has_corners else others).append(sensor)
@@ -250,15 +262,9 @@ def _seen(recorded: Dataset, found: PoseCandidates, count: int) -> PoseCandidate
             for sensor in sensors:
                 for k, label in expected_labels(recorded, some, sensor, pattern).items():
                     labels[chosen[k]][pattern.name, sensor.name] = label
-        seen = [k for k, own in labels.items() if len({name for _, name in own}) >= least]
-        labels = {k: labels[k] for k in (seen[: 2 * count] if sensors is cameras else seen[:count])}
+        enough = [k for k, own in labels.items() if len({name for _, name in own}) >= least]
+        labels = {k: labels[k] for k in enough[: 2 * count if sensors is cameras else count]}
     kept = list(labels)
-    dataset = replace(
-        poses.with_collections(kept), collections=tuple(Collection(str(n), labels[k]) for n, k in enumerate(kept))
-    )
-    return replace(
-        found,
-        dataset=dataset,
-        sources=found.sources[kept],
-        joints={name: each[kept] for name, each in found.joints.items()},
-    )
+    seen = found.take(np.array(kept, int))
+    collections = tuple(Collection(str(n), labels[k]) for n, k in enumerate(kept))
+    return replace(seen, dataset=replace(seen.dataset, collections=collections))

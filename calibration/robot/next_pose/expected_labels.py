@@ -16,7 +16,7 @@ from calibration.robot.simulation.sensors.sensor import LEAST_SHARE, meets
 MIN_SPACING_PX = 16.0
 """Distance of neighbouring corners in the image below which they may not be found."""
 NEARER, FARTHER = 0.8, 1.25
-"""Part of the nearest and the farthest distance at which a pattern was seen: farther off, focus and detector may fail."""
+"""Part of the nearest and the farthest distance at which a pattern was seen: beyond, focus and detector may fail."""
 NEIGHBOURS = 1.1
 """Distance of neighbouring corners, in the smallest of the board."""
 MAX_TILT = np.radians(60)
@@ -112,7 +112,7 @@ class RayGrid:
 
 
 def ring_rays(points: Sequence[Array]) -> RayGrid:
-    """Return the rays of a spinning or a 2D LiDAR: its rings and its step, over the directions in which it saw a pattern.
+    """Return the rays of a spinning or a 2D LiDAR, of the rings on which it saw a pattern.
 
     Args:
         points: (N, 3) of each view.

@@ -12,7 +12,7 @@ from calibration.engine.diagnosis.limits import Limits, stated
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.options import ALL_EXACT
+from calibration.engine.estimation.options import ALL_EXACT, Assumptions
 from calibration.engine.next_pose.advice import PoseAdvisor, next_poses, pose_advisor
 from calibration.engine.next_pose.knowledge import knowledge_of
 
@@ -31,7 +31,7 @@ def whole(system: str) -> Calibration:
 def begun(system: str, *, exact: bool = False) -> tuple[Calibration, PoseAdvisor]:
     """A system calibrated by its first collections, and an advisor that has the others to choose from."""
     dataset = whole(system).dataset
-    options = Options(loss="linear", **({"assume": ALL_EXACT} if exact else {}))
+    options = Options(loss="linear", assume=ALL_EXACT if exact else Assumptions())
     few = calibrate(dataset.with_collections(range(FIRST)), options)
     others = dataset.with_collections(range(FIRST, len(dataset.collections)))
     return few, pose_advisor(few, others, Limits(translation_mm=0.5, joint_deg=0.01))

@@ -117,7 +117,7 @@ def information(system: System, placement: Placement) -> Information:
     """
     setup = build(expected_dataset(system, placement))
     poses = np.array([int(key) for key in setup.dataset.keys])
-    each = informations(setup.problem, _true_values(system, setup, placement, poses), expected_noise(system))
+    each = informations(setup.problem, true_values(system, setup, placement, poses), expected_noise(system))
     return Information(setup, poses, each)
 
 
@@ -131,7 +131,7 @@ def expected_noise(system: System) -> Weighting:
     return Weighting(scales, None)
 
 
-def _true_values(system: System, setup: Setup, placement: Placement, poses: IntArray) -> Values:
+def true_values(system: System, setup: Setup, placement: Placement, poses: IntArray) -> Values:
     """Return the true value of every block; patterns at the centre of their corners, as in the engine."""
     joints = {joint.edge: joint.values for joint in setup.dataset.joints.values()}
     patterns = {setup.pattern_edge(name): pattern for name, pattern in setup.dataset.patterns.items()}

@@ -1,0 +1,48 @@
+"""``plan-recording``: the poses to record, before anything is recorded."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from calibration.base.errors import ExitCode, InputError
+from calibration.ci.report import publish
+from calibration.ci.workflow import Runner
+from calibration.commands.parameters import chosen, count, integer, path, record_options, system_folder
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.options import Options
+from calibration.pipeline.next_poses import plan
+from calibration.pipeline.page.pose_figures import next_poses_report
+from calibration.robot.importing.printed_sheet import PAPER_SIZES_MM, board_sheet, pdf, svg
+from calibration.robot.simulation.system import read_system
+
+MAX_POSES = 40
+OF_LIMITS = ("translation-mm", "rotation-deg", "joint-mm", "joint-deg", "guard-band")
+
+
+@click.command("plan-recording")
+@click.option("--system", required=True, help="Folder with robot.urdf, config.yml, simulation.yml; or of datasets/.")
+@record_options(Limits, *OF_LIMITS)
+@click.option("--count", "poses", type=count, help="Poses to plan (as many as the limits take, from 8 to 40).")
+@click.option("--seed", type=integer, default=1, show_default=True, help="Of the poses that are looked at.")
+@click.option("--paper", type=click.Choice(list(PAPER_SIZES_MM)), help="Write the boards too, on this paper.")
+@click.option("--output", type=path, default="output/plan", show_default=True, help="Folder for the plan.")
+def command(system: str, poses: int | None, seed: int, paper: str | None, output: Path, **options: Any) -> ExitCode:
+    """Plan the poses of a recording from a robot's description and its sensors; nominal poses are enough.
+
+    Says how many poses the limits take, and writes them as a motion file, as joint positions and transforms, and as a
+    page with pictures.
+    """
+    runner = Runner.from_environment()
+    if poses is not None and poses > MAX_POSES:
+        raise InputError(f"--count: found {poses}, expected {MAX_POSES} at most")
+    described = read_system(system_folder(system))
+    advised = plan(described, chosen(Limits, options), Options(), poses, seed)
+    report = next_poses_report("plan-recording", {described.name: advised})
+    files: dict[str, str | bytes] = {}
+    for name, pattern in described.configuration.patterns.items() if paper else ():
+        sheet = board_sheet(pattern, paper or "")
+        files |= {f"{name}.svg": svg(sheet), f"{name}.pdf": pdf(sheet)}
+    publish(replace(report, files={**report.files, **files}), runner, output)
+    return ExitCode.PASS
