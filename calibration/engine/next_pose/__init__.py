@@ -3,6 +3,5 @@
 - ``knowledge``: the information that a calibration has on its parameters, what further views add to it, and the
   standard deviations that follow;
 - ``goals``: the limits of sensors, joints and tasks, as standard deviations that decide them;
-- ``advice``: `advice.next_poses`, the best of some candidate poses, how many a limit takes, and what no pose can mend;
-- ``candidates``: poses that can be had, near those of a recording, with the labels that are expected there.
+- ``advice``: `advice.next_poses`, the best of some candidate poses, how many a limit takes, and what no pose can mend.
 """
