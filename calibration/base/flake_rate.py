@@ -3,12 +3,11 @@
 import math
 
 from calibration.base.records import computed, field, result
+from calibration.base.text import rounded
 
 CONFIDENCE = 0.95
 MAX_REPETITIONS = 1000
 """Limit of the runs of one piece of work."""
-_SHOWN_AS_ALL = 0.995
-"""Rate from which two digits say 100 %."""
 _BISECTIONS = 60
 """Halvings of [0, 1] until the interval's ends are exact in double precision."""
 
@@ -35,7 +34,7 @@ class FlakeRate:
         return round(low, 6), round(high, 6)
 
     def __str__(self) -> str:
-        low, high = (f"{100 * end:.2g}" if end < _SHOWN_AS_ALL else "100" for end in self.interval)
+        low, high = (rounded(100 * end, 2) for end in self.interval)
         return f"failed {self.failed} of {self.runs}: between {low} and {high} % of runs at 95 %"
 
 
@@ -74,5 +73,5 @@ def runs_show(runs: int, what: str, rate: float = 0.01) -> str:
         rate: rate of failures for which the number of runs is named, if these are too few.
     """
     needed = runs_to_see(rate)
-    more = f"; {needed} show one of {100 * rate:.2g} %" if needed > runs else ""
-    return f"{runs} runs show a {what} that fails in {100 * rate_seen_by(runs):.2g} % of them, at 95 %{more}"
+    more = f"; {needed} show one of {rounded(100 * rate, 2)} %" if needed > runs else ""
+    return f"{runs} runs show a {what} that fails in {rounded(100 * rate_seen_by(runs), 2)} % of them, at 95 %{more}"

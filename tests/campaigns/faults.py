@@ -31,6 +31,7 @@ DATASET = str(PROJECT / "datasets" / "riwbot")
 _NOISE = ("--translation-noise", "0,0.2,0.5", "--rotation-noise", "0,0.3", "--output", "out")
 COMMANDS: Mapping[str, tuple[str, ...]] = {
     "matrix": ("calibrate-matrix", "--dataset", DATASET, *_NOISE, "--jobs", "2"),
+    "repeated": ("calibrate-matrix", "--dataset", DATASET, *_NOISE, "--jobs", "2", "--repeat", "2"),
     "convergence": ("convergence", "--dataset", DATASET, *_NOISE, "--seeds", "2", "--jobs", "2"),
     "collection": (
         *("collect-data-sim", "--system", str(PROJECT / "datasets" / "t2rgb"), "--motion", "generate:4"),

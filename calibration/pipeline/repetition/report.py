@@ -48,8 +48,9 @@ def _sentence(results: RepeatedResults) -> str:
     passed = f"{sum(run.verdict == 'pass' for run in results.runs)} of {count_of(results.asked, 'run')} passed"
     if sum(run.cut_short is None for run in results.runs) <= 1:
         return passed
-    vary = f"{len(results.spreads)} of {count_of(results.equal + len(results.spreads), 'result')} vary"
-    return f"{passed}, {vary if results.differences else 'all outputs are equal to the last bit'}"
+    if results.spreads:
+        return f"{passed}, {len(results.spreads)} of {results.equal + len(results.spreads)} results vary"
+    return f"{passed}, {'outputs differ' if results.differences else 'all outputs are equal to the last bit'}"
 
 
 def _blocks(results: RepeatedResults) -> Iterator[Block]:

@@ -70,14 +70,14 @@ def repeated(
             except BaseException as error:  # signals too: the runs before are kept
                 run = _cut_short(folder, error, time.perf_counter() - begin)
                 if not isinstance(error, CalibrationError) or error.exit_code != ExitCode.FAIL:
+                    runner.log(one_line(f"run {number} of {settings.repeat} was cut short: {run.sentence}"))
                     if runs:
                         runs.append(run)
                         with suppress(CalibrationError):  # such as that the disk is full, which is the error
                             written()
                     raise
             runs.append(_with_verdict(replace(run, whole_seconds=time.perf_counter() - begin)))
-            line = f"run {number} of {settings.repeat}: {run.verdict}: {run.sentence} ({runs[-1].whole_seconds:.1f} s)"
-            runner.log(one_line(line))
+            runner.log(one_line(f"run {number} of {settings.repeat}: {run.verdict}: {run.sentence}"))
         return written()
 
 
