@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from statistics import fmean, stdev
 
 import numpy as np
@@ -12,7 +12,7 @@ from calibration.base.records import computed, field, result
 from calibration.base.text import count_of, shorten
 from calibration.base.verdict import Check, Verdict, at_most
 from calibration.engine.geometry import rotations
-from calibration.pipeline.repetition.repetition import Repetition
+from calibration.pipeline.repetition.repetition import Outputs, Repetition
 from calibration.pipeline.repetition.settings import MaxSpread
 
 GUARD_BAND = 2.0
@@ -138,26 +138,54 @@ def _spreads_of_poses(name: str, T: Array, limits: MaxSpread) -> Iterator[Spread
 
 
 def first_differences(runs: Sequence[Repetition]) -> tuple[FirstDifference, ...]:
-    """Return from which stage on complete runs differ from most others, those of one kind together."""
-    keys = {number: repr(run.outputs) for number, run in enumerate(runs, start=1) if run.cut_short is None}
-    if not keys:
+    """Return from which stage on complete runs differ from most others, those of one kind together.
+
+    Outputs that no two of several runs have in common, such as files that name their time, are told by themselves: they
+    would hide what else differs.
+    """
+    outputs = {number: run.outputs for number, run in enumerate(runs, start=1) if run.cut_short is None}
+    if len(outputs) < 2:
         return ()
+    unlike = _unlike_in_all(tuple(outputs.values()))
+    found = _grouped_differences({number: _picked(each, unlike) for number, each in outputs.items()})
+    rest = {number: _picked(each, unlike, inside=False) for number, each in outputs.items()}
+    return (*found, *_grouped_differences(rest))
+
+
+def _unlike_in_all(outputs: Sequence[Outputs]) -> frozenset[tuple[str, str]]:
+    """Return stage and name of the outputs that differ between all runs, if these are more than two."""
+    keys = {(stage, name) for each in outputs for stage, names in each.items() for name in names}
+    hashes = {key: {each.get(key[0], {}).get(key[1]) for each in outputs} for key in keys}
+    return frozenset(key for key, found in hashes.items() if len(found) == len(outputs) > 2)
+
+
+def _picked(outputs: Outputs, keys: Collection[tuple[str, str]], *, inside: bool = True) -> Outputs:
+    """Return the outputs of these stages and names, or all others."""
+    return {
+        stage: {name: found for name, found in each.items() if ((stage, name) in keys) == inside}
+        for stage, each in outputs.items()
+    }
+
+
+def _grouped_differences(outputs: Mapping[int, Outputs]) -> Iterator[FirstDifference]:
+    keys = {
+        number: frozenset((stage, name, found) for stage, names in each.items() for name, found in names.items())
+        for number, each in outputs.items()
+    }
     [(most, _)] = Counter(keys.values()).most_common(1)
     reference = next(number for number, key in keys.items() if key == most)
     groups: dict[tuple[str, tuple[str, ...]], list[int]] = defaultdict(list)
     for number, key in keys.items():
         if key != most:
-            groups[_first_difference(runs[number - 1], runs[reference - 1])].append(number)
-    return tuple(
-        FirstDifference(runs=tuple(numbers), reference=reference, stage=stage, outputs=names)
-        for (stage, names), numbers in groups.items()
-    )
+            groups[_first_difference(outputs[number], outputs[reference])].append(number)
+    for (stage, names), numbers in groups.items():
+        yield FirstDifference(runs=tuple(numbers), reference=reference, stage=stage, outputs=names)
 
 
-def _first_difference(run: Repetition, reference: Repetition) -> tuple[str, tuple[str, ...]]:
+def _first_difference(run: Outputs, reference: Outputs) -> tuple[str, tuple[str, ...]]:
     """Return the first stage whose outputs differ, and their names."""
-    for stage in dict.fromkeys((*reference.outputs, *run.outputs)):
-        one, other = run.outputs.get(stage, {}), reference.outputs.get(stage, {})
+    for stage in dict.fromkeys((*reference, *run)):
+        one, other = run.get(stage, {}), reference.get(stage, {})
         if names := tuple(name for name in dict.fromkeys((*other, *one)) if one.get(name) != other.get(name)):
             return stage, names
     raise AssertionError("the runs have the same outputs")
