@@ -8,12 +8,14 @@ import urllib.request
 from collections.abc import Mapping
 from pathlib import Path
 
+import pytest
 import yaml
 
 from tests.docker_engine import Registry
 from tests.examples.ros1.conftest import Collected, collected
 
 from .conftest import PROJECT, Repository, Run, commit
+from .pipeline import Caller
 
 __all__ = ["collected"]
 
@@ -167,6 +169,24 @@ def test_the_root_action_passes_the_example_and_not_what_got_worse(
     stamps = r"/pattern/pose at \d+\.\d{3} s \(\d{10}\.\d{3}\): pose\.position\.x = [\d.]+"
     assert re.search(stamps, counterexample), run.log
     assert any("our engine passes on the same data from the same start" in line for line in run.annotations), run.log
+
+
+@pytest.mark.thorough
+def test_the_reusable_workflow_hands_the_recorded_messages_on(
+    repository: Repository, base_image: str, tmp_path: Path
+) -> None:
+    """One job collects and records, one calibrates, one tests in the image, and one judges the messages."""
+    caller = Caller(repository, tmp_path / "artifacts", {"python": sys.executable})
+    caller.write({"config": "examples/ros1/calibration.yml"}, EXAMPLES)
+    path = repository.folder / "examples" / "ros1" / "calibration.yml"
+    path.write_text(path.read_text().replace("[0, 0.1]", "[0.1]").replace("push: true", "push: false"))
+    commit(repository.folder)
+    run = caller.run("push", "--env", "REGISTRY=127.0.0.1:1")
+    assert run.code == 0, run.log
+    results = json.loads((caller.artifacts / "calibration" / "results.json").read_text())
+    assert (results["tests"]["passed"], results["requirements"]["requirements"]) == (2, 12)
+    recorded = [path.relative_to(caller.artifacts).parts[0] for path in caller.artifacts.rglob("*.bag")]
+    assert recorded == ["calibration~collected-data"]
 
 
 def test_the_root_action_promotes_what_has_passed_alone(

@@ -129,7 +129,7 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
         output: the folder of the results.
         title: of the report and its annotations.
     """
-    report_of_cells = report(gathered.results, output, title)
+    report_of_cells = report(gathered.results, Path(), title)  # files are in the artifacts of the jobs, by their slugs
     others = [f"{job} {result}" for job, result in gathered.jobs.items() if result != JOB_SUCCESS]
     judged = [report_of_cells.sentence] if gathered.results.has_verdict else []
     verdict = gathered.verdict
@@ -143,7 +143,12 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
         results=RunResults(**vars(report_of_cells.results), cost=cost),
         # The cells' own results stay in the artifacts of their jobs.
         files={CELLS_FILE: report_of_cells.files[CELLS_FILE], BADGE: verdict_badge("calibration", verdict)},
-        outputs={**report_of_cells.outputs, "billed-minutes": cost.minutes, "cost": money(cost.amount)},
+        outputs={
+            **report_of_cells.outputs,
+            "output": output,
+            "billed-minutes": cost.minutes,
+            "cost": money(cost.amount),
+        },
     )
 
 

@@ -53,6 +53,7 @@ def test_what_the_tests_found_is_in_the_verdict_of_the_run(tmp_path: Path) -> No
         report = report_of_run(gathered, Cost(()), tmp_path / "output", "gather-results")
         assert (report.exit_code, report.reasons) == (code, found.reasons)
         assert found.sentence in report.sentence
+        assert f"Tests in the image: {JOB}/tests/summary.md" in report.markdown()
         assert gathered.results.of_stages.all == (replace(found, folder=f"{JOB}/tests"),)
 
 
