@@ -23,6 +23,7 @@ MODULES = {
     "growth": "time and memory from 2000 to 20 000 collections",
     "consistency": "errors against their stated covariance",
     "robots": "joints, several patterns and a moving base: truth, error bars, cost, what is refused",
+    "tasks": "the error of a robot where it works: coverage, parts, time, verdicts by it",
     "family": "ATOM's systems and those that ship: truth and error bars of every block",
     "mixtures": "every modality together, with gaps, and cameras that only others link: truth and error bars",
     "intrinsics": "intrinsics beside the poses: truth, error bars, time against mrcal",

@@ -202,7 +202,7 @@ def judged(scene: Scene) -> tuple[CellResult, bool, Calibration | None]:
     """The verdict on one start without noise, whether the rules for the table alone are red, and the calibration."""
     entry = scene.system
     evaluation = parse_evaluation(entry.evaluate) if entry.evaluate else None
-    loaded = LoadedSystem(entry.name, scene.told, None, evaluation, entry.options, entry.limits)
+    loaded = LoadedSystem(entry.name, scene.told, None, evaluation, entry.options, entry.judging_limits, entry.tasks)
     try:
         check_data(scene.told)
     except InputError as error:

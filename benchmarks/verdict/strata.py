@@ -74,7 +74,7 @@ def clean(stratum: Stratum, system: str, seed: int) -> Scene:
     rng = generator(stratum, system, seed)
     scene = _exact(system, seed, rng)
     good = stratum == "good"
-    return _noisy(_imperfect(scene, rng) if good else scene, rng, GOOD_OUTLIERS if good else 0.0)
+    return with_noise(_imperfect(scene, rng) if good else scene, rng, GOOD_OUTLIERS if good else 0.0)
 
 
 @cache
@@ -135,7 +135,7 @@ def recording(
         world = scene.world.with_transforms({edge: retract(scene.world.transforms[edge], twist)})
         scene = scene.seen_as_in(replace(scene, world=world))
     imperfect = _imperfect(scene, rng, generator("held", system, robot))
-    return _noisy(imperfect, rng, conditions.outliers, conditions.noise_px)
+    return with_noise(imperfect, rng, conditions.outliers, conditions.noise_px)
 
 
 def _with_wrong_links(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -233,7 +233,8 @@ def moving_edges(scene: Scene) -> list[tuple[str, str]]:
     return [e for e in dict.fromkeys(found) if not world.moving_transforms]
 
 
-def _noisy(scene: Scene, rng: np.random.Generator, outliers: float, noise_px: float | None = None) -> Scene:
+def with_noise(scene: Scene, rng: np.random.Generator, outliers: float, noise_px: float | None = None) -> Scene:
+    """The scene with noise of its labels: of a good detector, or so many pixels; and a share of outliers."""
     sigma = rng.uniform(*PIXEL_NOISE) if noise_px is None else noise_px
 
     def noisy(_: int, __: str, labels: Labels) -> Labels:

@@ -230,7 +230,7 @@ def point_map(title: str, points: Array, values: Array, unit: str, axes: tuple[s
     bottom, top = MAP_MARGIN / 2 + height, MAP_MARGIN / 2
     y = Axis(low, high, top, bottom) if down else Axis(low, high, bottom, top)
     most = float(np.nanmax(values)) or 1.0
-    parts = [text(at, bottom + 24, label, class_="small") for at, label in x.marks()]
+    parts = [text(at, bottom + 36, label, class_="small") for at, label in x.marks()]
     parts += [text(MAP_MARGIN - 8, at + 4, label, "end", "small") for at, label in y.marks()]
     for (u, v), value in zip(points.tolist(), values.tolist(), strict=True):
         if math.isfinite(value):
@@ -239,13 +239,13 @@ def point_map(title: str, points: Array, values: Array, unit: str, axes: tuple[s
             dot = {"cx": x(u), "cy": y(v), "r": MAP_RADIUS}
             parts.append(element("circle", name, **dot, class_="heat", fill_opacity=strength))
             if len(points) <= MAX_NUMBERED_POINTS:
-                parts.append(text(x(u), y(v) + MAP_RADIUS + 9, f"{value:.2g}", class_="small"))
+                parts.append(text(x(u), y(v) + MAP_RADIUS + 10, f"{value:.2g}", class_="small"))
         else:
             parts.append(element("circle", cx=x(u), cy=y(v), r=2, class_="grid"))
     parts.append(
-        text(MAP_WIDTH / 2, bottom + 38, f"{axes[0]} across, {axes[1]} {'down' if down else 'up'}", class_="small")
+        text(MAP_WIDTH / 2, bottom + 52, f"{axes[0]} across, {axes[1]} {'down' if down else 'up'}", class_="small")
     )
-    return drawing(MAP_WIDTH, bottom + 44, f"{title}: at most {most:.3g} {unit}", *parts)
+    return drawing(MAP_WIDTH, bottom + 58, f"{title}: at most {most:.3g} {unit}", *parts)
 
 
 MAX_LABEL_CHARACTERS = 18

@@ -1,0 +1,311 @@
+"""Errors of robots where they work, against what is stated of them.
+
+A robot has usual errors: what is held is off as is assumed (`Assumptions`: lenses, boards, links of arms, ranges), and
+its labels have noise. It carries out its tasks with its calibration, and is off by as much as that makes: all of it
+without linearisation.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from benchmarks.rows import Bar, Row
+from benchmarks.scenes import rig
+from benchmarks.timing import interleaved
+from benchmarks.verdict.case import BY_NAME, Case, colour_of, judged, with_nothing_set
+from benchmarks.verdict.catalogue import cases
+from benchmarks.verdict.kind import ALL
+from benchmarks.verdict.scene import Scene
+from benchmarks.verdict.strata import clean, generator, moving_edges, with_noise
+from benchmarks.verdict.unforeseen import UNFORESEEN
+from benchmarks.workers import on_all_cores
+from calibration.base.arrays import Array
+from calibration.base.errors import CalibrationError
+from calibration.engine.dataset.model import Dataset, Labels, PointLabels
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.estimation.covariance.error_bars import SourceKind
+from calibration.engine.estimation.covariance.lens_errors import lens_errors
+from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
+from calibration.engine.estimation.options import Assumptions, Options
+from calibration.engine.geometry.transforms import retract
+from calibration.engine.tasks.placed_task import UNIT_PER_SI
+from calibration.engine.tasks.robot_task import Box, RobotTask
+from calibration.engine.tasks.task_errors import TaskError, task_errors
+from tests.engine.tasks.carried_out import errors_of_robot
+
+ROBOTS, ROBOTS_OF_PARTS = 200, 20
+"""Of each system: whose tasks are counted, and that are calibrated again without each cause."""
+WORLDS = 4
+"""Recordings of each system that its robots share but for their errors."""
+NOISE = NoiseLevels(pixel=0.1, range=0.008)
+ASSUMED = replace(Assumptions(), border=0.0)
+"""As is usual; but the border of a board, which these labels have exact."""
+TASKS: Mapping[str, tuple[RobotTask, ...]] = {
+    "t2rgb": (
+        RobotTask("depth", seen_by=("left_camera", "right_camera"), distance=3.0),
+        RobotTask("in the other image", seen_by=("left_camera",), image="right_camera", distance=3.0),
+        RobotTask("near", seen_by=("left_camera", "right_camera"), box=Box((-0.1, -0.1, 0.8), (0.1, 0.1, 1.2))),
+        RobotTask(
+            "direction",
+            seen_by=("left_camera",),
+            frame="camera_right_rgb_optical_frame",
+            points=((0.0, 0.0, 4.0),),
+            limit_deg=1.0,
+        ),
+    ),
+    "rlbot": (
+        RobotTask("far in the image", seen_by=("lidar_right",), image="rgb_left", distance=20.0),
+        RobotTask("near in the image", seen_by=("lidar_right",), image="rgb_left", distance=4.0),
+        RobotTask(
+            "obstacle", seen_by=("lidar_right",), frame="rgb_left_optical_frame", box=Box((-1, -0.5, 4), (1, 0.5, 8))
+        ),
+        RobotTask("camera in the cloud", seen_by=("rgb_left",), frame="lidar_right", distance=5.0),
+    ),
+    "riwbot": (
+        RobotTask("grasp", seen_by=("rgb_world",), frame="base_link", distance=1.2),
+        RobotTask("in the hand", seen_by=("rgb_world",), frame="flange", distance=1.0),
+        RobotTask("on the table", seen_by=("rgb_world",), plane="base_link", points=((0.5, 0.0, 0.0), (0.6, 0.2, 0.0))),
+        RobotTask("tool in the image", of="flange", image="rgb_world", points=((0.0, 0.0, 0.1),)),
+    ),
+    "softbot": (
+        RobotTask("far in the image", seen_by=("lidar3d",), image="front_left_camera", distance=20.0),
+        RobotTask("depth", seen_by=("front_left_camera", "front_right_camera"), distance=3.0),
+        RobotTask("on the ground", seen_by=("front_right_camera",), plane="base_footprint", points=((2.5, 0.0, 0.0),)),
+        RobotTask("heading", seen_by=("lidar3d",), frame="base_footprint", points=((10.0, 0.0, 0.5),), limit_deg=1.0),
+    ),
+    "spjbot": (
+        RobotTask("grasp", seen_by=("rgb_hand",), frame="end_effector_link", distance=0.6),
+        RobotTask("over the base", seen_by=("rgb_hand",), frame="base_link", distance=0.6),
+        RobotTask("tip", of="end_effector_link", frame="base_link", box=Box((-0.05, 0, 0.1), (0.05, 0, 0.2))),
+        RobotTask("on the board", seen_by=("rgb_hand",), plane="pattern_link", points=((0.3, 0.2, 0.0),)),
+    ),
+}
+PARTS: tuple[SourceKind, ...] = ("labels", "lens", "board", "arm", "ranges")
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """A task that a robot has carried out."""
+
+    stated: TaskError
+    errors: Array
+    """(n, m): how far off it was, in the task's unit."""
+
+    @property
+    def by_point(self) -> Array:
+        """(V, P, m): the same by pose and number of the point; NaN where no sensor sees it."""
+        out = np.full((*self.stated.placed.seen.shape, self.errors.shape[-1]), np.nan)
+        out[self.stated.placed.at] = self.errors
+        return out
+
+    @property
+    def sizes(self) -> Array:
+        """(n,)."""
+        return np.asarray(np.linalg.norm(self.errors, axis=1))
+
+
+def measure(quick: bool) -> Iterator[Row]:
+    """Coverage, parts, time, and verdicts with limits on tasks."""
+    yield from _coverage(10 if quick else ROBOTS)
+    yield from _parts(4 if quick else ROBOTS_OF_PARTS)
+    yield from _time(3 if quick else 15)
+    yield from _verdicts(quick)
+
+
+def robot(system: str, number: int, without: SourceKind | None = None) -> dict[str, Carried]:
+    """The tasks of a robot with usual errors, but for those of one kind; the others are the same ones."""
+    scene = clean("exact", system, number % WORLDS)
+    told, world = scene.told, scene.world
+
+    def drawn(kind: SourceKind, *shape: int) -> Array:
+        normal = generator("task", system, number, kind).normal(size=shape)
+        return 0.0 * normal if kind == without else normal
+
+    edges = moving_edges(scene)
+    twists = drawn("arm", len(edges), 6) * ([ASSUMED.arm_translation] * 3 + [ASSUMED.arm_rotation] * 3)
+    moved = {e: retract(world.transforms[e], twist) for e, twist in zip(edges, twists, strict=True)}
+    size, stretch, *bent = drawn("board", 5) * (
+        ASSUMED.pattern_size,
+        ASSUMED.pattern_stretch,
+        *(ASSUMED.flatness,) * 3,
+    )
+    pattern = scene.pattern
+    factors = 1 + size + np.array([stretch / 2, -stretch / 2, 0.0])
+    inside = np.ptp(pattern.corners[:, :2], axis=0) / np.ptp(pattern.outline, axis=0)  # of the board, by its corners
+    along_x, along_y, twist = np.array(bent) * (*(inside**2), inside.prod())
+    printed = replace(pattern, corners=pattern.corners * factors)
+    other = replace(world.with_transforms(moved), patterns={pattern.name: printed})
+    scene = scene.seen_as_in(replace(scene, world=other, shape=(-along_x, -along_y, twist)))
+    lenses = drawn("lens", len(told.sensors), 40)
+    cameras = {}
+    for name, z in zip(told.sensors, lenses, strict=True):
+        if (camera := told.sensors[name].camera) is not None:
+            errors = lens_errors(camera, ASSUMED, None)
+            off = dict(zip(errors.parameters, errors.root @ z[: errors.root.shape[1]], strict=True))
+            cameras[name] = camera.with_intrinsics(
+                camera.intrinsics + np.array([off.get(each, 0.0) for each in camera.parameters])
+            )
+    ranges = drawn("ranges", len(told.sensors), 3) * (ASSUMED.range_bias, ASSUMED.range_scale, ASSUMED.beam_elevation)
+    off_ranges = dict(zip(told.sensors, ranges, strict=True))
+
+    def ranged(_: int, sensor: str, labels: Labels) -> Labels:
+        if isinstance(labels, PointLabels):
+            return replace(labels, points=labels.points + _range_errors(labels.points, off_ranges[sensor]))
+        return labels
+
+    scene = scene.labelled(ranged)
+    if without != "labels":
+        scene = with_noise(scene, generator("task noise", system, number), 0.0, NOISE.pixel)
+    options = Options(assume=ASSUMED, noise_levels=NOISE, loss="linear")
+    found = calibrate(scene.told.with_cameras(cameras), options)
+    carried = {}
+    for error in task_errors(found, TASKS[system]):
+        placed, unit = error.placed, UNIT_PER_SI[error.task.unit]
+        measured = None
+        if error.task.seen_by and not world.sensors[error.task.seen_by[0]].modality.has_corners:
+            sensor = world.sensors[error.task.seen_by[0]]
+            T = other.transform(sensor.frame, placed.frame, placed.collections)[placed.at[0]]
+            points = np.einsum("nij,nj->ni", T[:, :3, :3], placed.places) + T[:, :3, 3]
+            measured = _range_errors(points, off_ranges[sensor.name])
+        with np.errstate(all="ignore"):
+            carried[error.task.name] = Carried(error, unit * errors_of_robot(placed, other, found.dataset, measured))
+    return carried
+
+
+def _range_errors(points: Array, off: Array) -> Array:
+    """By how much (n, 3) a LiDAR measures points (n, 3) elsewhere: ranges too long, beams lower than it believes."""
+    bias, scale, elevation = off
+    far, flat = np.linalg.norm(points, axis=-1, keepdims=True), np.hypot(points[:, 0], points[:, 1])
+    lower = np.stack([points[:, 0] * points[:, 2] / flat, points[:, 1] * points[:, 2] / flat, -flat], -1)
+    return np.asarray(points * (bias / far + scale) + elevation * lower)
+
+
+def _covered(of: tuple[str, int]) -> list[tuple[str, str, float, float]]:
+    """System, task, share of its points within the 95 % and within the median."""
+    found = []
+    for name, each in robot(*of).items():
+        sizes, ok = each.sizes, np.isfinite(each.sizes)
+        shares = [float((sizes <= bound)[ok].mean()) for bound in (each.stated.most, each.stated.median)]
+        found.append((of[0], name, shares[0], shares[1]))
+    return found
+
+
+def _coverage(robots: int) -> Iterator[Row]:
+    rows = [row for each in on_all_cores(_covered, [(s, k) for s in ALL for k in range(robots)]) for row in each]
+    note = f"{len(rows)} tasks of {robots * len(ALL)} robots with usual errors, all points of each"
+    yield Row("tasks/within 95 %", 100 * float(np.mean([row[2] for row in rows])), "%", Bar(93, 97), note)
+    note = "50 % and more: what is held makes collections disagree, and counts by both"
+    yield Row("tasks/within the median", 100 * float(np.mean([row[3] for row in rows])), "%", Bar(45, 65), note)
+    for system in ALL:
+        own = [row for row in rows if row[0] == system]
+        each = {name: [row[2] for row in own if row[1] == name] for name in dict.fromkeys(row[1] for row in own)}
+        said = ", ".join(f"{name} {100 * np.mean(shares):.1f}" for name, shares in each.items())
+        yield Row(f"tasks/within 95 %, {system}", 100 * float(np.mean([row[2] for row in own])), "%", None, said)
+
+
+def _squares_by_part(of: tuple[str, int]) -> list[tuple[SourceKind, float, float, float]]:
+    """By part: its mean square as switched off and as stated, over the whole as stated; the whole's sum."""
+    whole = robot(*of)
+    found: list[tuple[SourceKind, float, float, float]] = []
+    for kind in PARTS:
+        rest = robot(*of, without=kind)
+        for name, each in whole.items():
+            total = float(np.einsum("nii->n", each.stated.covariance).mean())
+            stated = float(sum(each.stated.variances[s.name].mean() for s in each.stated.sources if s.kind == kind))
+            summed = float(sum(each.stated.variances[s.name].mean() for s in each.stated.sources))
+            off = float(np.nanmean(((each.by_point - rest[name].by_point) ** 2).sum(-1)))
+            if stated > 1e-3 * total:
+                found.append((kind, off / total, stated / total, summed / total))
+    return found
+
+
+def _parts(robots: int) -> Iterator[Row]:
+    rows = [r for each in on_all_cores(_squares_by_part, [(s, k) for s in ALL for k in range(robots)]) for r in each]
+    worst = max(abs(row[3] - 1) for row in rows)
+    yield Row("tasks/sum of parts", 100 * worst, "% off", Bar(high=2), f"the worst of {len(rows)}")
+    for kind in PARTS:
+        own = [row for row in rows if row[0] == kind]
+        ratio = float(np.sqrt(np.mean([row[1] / row[2] for row in own])))
+        note = f"of what switching it off changes, {len(own)} tasks in which it is more than a thousandth"
+        yield Row(f"tasks/part of {kind}", ratio, "", Bar(0.9, 1.1), note)
+
+
+def _time(rounds: int) -> Iterator[Row]:
+    for count in (20, 2000):
+        dataset, _ = rig(count, seed=1)
+        names = list(dataset.sensors)[:2]
+        tasks = [
+            RobotTask("depth", seen_by=tuple(names), distance=3.0),
+            RobotTask("image", seen_by=(names[0],), image=names[1], distance=3.0),
+            RobotTask("box", seen_by=tuple(names), box=Box((-0.2, -0.2, 1.5), (0.2, 0.2, 2.5))),
+            RobotTask("mount", seen_by=(names[1],), frame=dataset.sensors[names[0]].frame, distance=3.0),
+        ]
+        found = calibrate(dataset)
+
+        def work() -> None:
+            for each in task_errors(found, tasks):  # noqa: B023
+                each.parts()
+
+        times = interleaved({"tasks": work, "calibrate": lambda: calibrate(dataset)}, rounds)  # noqa: B023
+        took, calibration = (float(np.median(each)) for each in times.values())
+        note = f"four tasks beside a calibration of {1e3 * calibration:.0f} ms"
+        yield Row(f"tasks/time, N={count}", 1e3 * took, "ms", Bar(high=50), note)
+        yield Row(f"tasks/share of a calibration, N={count}", took / calibration, "", Bar(high=0.5), note)
+
+
+@cache
+def limited(system: str, seed: int) -> tuple[RobotTask, ...]:
+    """The tasks of a system, each with a limit that a good robot keeps: one and a half times its 95 %."""
+    scene = with_nothing_set(clean("good", system, seed))
+    found = []
+    for error in task_errors(calibrate(scene.told, scene.system.options), TASKS[system]):
+        limit = 1.5 * float(error.most.max())
+        key = {"mm": "limit_mm", "px": "limit_px", "deg": "limit_deg"}[error.task.unit]
+        found.append(replace(error.task, **{key: limit}))
+    return tuple(found)
+
+
+def _verdict(case: Case) -> tuple[str, bool, bool, bool, bool, str] | None:
+    """Kind, whether it is harmful at a task, must be green, is red, is undecided; None if nothing is compared."""
+    planted = BY_NAME[case.kind]
+    if case.system in planted.memory or planted.spoils or planted.sizes[case.size] in planted.wanted:
+        return None
+    tasks = limited(case.system, case.seed)
+    scene = with_nothing_set(case.scene())
+    with np.errstate(all="ignore"):
+        result, _, found = judged(replace(scene, system=replace(scene.system, tasks=tasks)))
+        if found is None or not found.converged:
+            return case.kind, True, False, colour_of(result) == "red", False, ""
+        try:
+            shares = [_share_of_limit(error, scene, found.dataset) for error in task_errors(found, tasks)]
+        except CalibrationError:
+            return None
+    share = max(shares)
+    displaced = planted.displaces
+    colour = colour_of(result)
+    reason = result.reasons[0] if result.reasons else ""
+    return case.kind, share > 1, share <= 1 and not displaced, colour == "red", colour == "undecided", reason
+
+
+def _share_of_limit(error: TaskError, scene: Scene, used: Dataset) -> float:
+    placed, unit = error.placed, UNIT_PER_SI[error.task.unit]
+    off = unit * np.linalg.norm(errors_of_robot(placed, scene.world, used), axis=1)
+    return float(np.nanmax(off)) / float(error.task.limit or np.inf)
+
+
+def _verdicts(quick: bool) -> Iterator[Row]:
+    names = [kind.name for kind in UNFORESEEN]
+    names += [name for name in BY_NAME if name not in names]
+    some = list(cases(names, ALL, ("good",), range(1 if quick else 3), quick=True))
+    found = [each for each in on_all_cores(_verdict, some) if each]
+    harmless, harmful = [each for each in found if each[2]], [each for each in found if each[1]]
+    red = [each for each in harmless if each[3]]
+    said = "; ".join(f"{each[0]}: {each[5][:80]}" for each in red[:3])
+    note = f"{len(harmless)} cases, {sum(each[4] for each in harmless)} undecided; {said}"
+    yield Row("tasks/harmless, red", 100 * len(red) / max(1, len(harmless)), "%", Bar(high=3), note)
+    seen = [each for each in harmful if each[3]]
+    green = [each[0] for each in harmful if not each[3] and not each[4]]
+    note = f"{len(harmful)} cases, {sum(each[4] for each in harmful)} undecided, green: {', '.join(green[:8])}"
+    yield Row("tasks/harmful, red", 100 * len(seen) / max(1, len(harmful)), "%", Bar(low=99), note)

@@ -1,0 +1,76 @@
+"""Limits of tasks: what does not fit is judged by what it does to them."""
+
+from dataclasses import replace
+
+import pytest
+
+from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.diagnosis.robot_tasks import undecided_tasks
+from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
+from calibration.engine.estimation.calibrate import calibrate
+from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.tasks.robot_task import RobotTask
+from calibration.engine.tasks.task_errors import task_errors
+from tests.engine.estimation import systems
+
+GRASP = RobotTask("grasp", seen_by=("cam",), frame="flange", distance=0.7)
+
+
+@pytest.fixture(scope="module")
+def good() -> Calibration:
+    return calibrate(systems.eye_in_hand(16, pixel_noise=0.1).dataset())
+
+
+@pytest.fixture(scope="module")
+def wrong() -> Calibration:
+    """The camera_info has a focal length that is 1 % too long."""
+    dataset = systems.eye_in_hand(16, pixel_noise=0.1).dataset()
+    camera = dataset.sensors["cam"].camera
+    assert camera
+    return calibrate(dataset.with_cameras({"cam": replace(camera, fx=1.01 * camera.fx, fy=1.01 * camera.fy)}))
+
+
+def found(calibration: Calibration, task: RobotTask, limits: Limits | None = None) -> tuple[Finding, ...]:
+    limits, tasks = limits or Limits(by_tasks=task.limit is not None), task_errors(calibration, [task])
+    suspects = what_does_not_fit(calibration, limits, tasks)
+    return (*suspects, *undecided_tasks(tasks, suspects))
+
+
+def test_a_cause_is_red_by_what_it_does_to_a_task(wrong: Calibration) -> None:
+    """It names the task, the size there and the limit."""
+    [red] = [each for each in found(wrong, replace(GRASP, limit_mm=2.0)) if each.severity == "red"]
+    assert (red.kind, red.tasks) == ("suspect", ("grasp",))
+    assert "task 'grasp' (limit 2 mm)" in red.text
+
+
+def test_the_same_cause_is_harmless_where_the_task_bears_it(wrong: Calibration) -> None:
+    """Though it would be red by the default limits of a mount; and by those that the user has set beside."""
+    loose = replace(GRASP, limit_mm=100.0)
+    assert [each.severity for each in found(wrong, loose) if each.kind == "suspect"] == ["note"]
+    assert [each for each in found(wrong, loose, Limits()) if each.severity == "red"]
+    by_both = found(wrong, loose, Limits(translation_mm=1.0, by_tasks=True))
+    assert [each for each in by_both if each.severity == "red" and not each.tasks]
+
+
+def test_a_limit_that_the_error_bar_reaches_over_is_undecided(good: Calibration) -> None:
+    """With its parts, and whether more collections would help; nothing where it holds."""
+    [error] = task_errors(good, [GRASP])
+    most = float(error.most[error.worst])
+    holds, tight, impossible = (
+        [each for each in found(good, replace(GRASP, limit_mm=share * most)) if each.kind == "task"]
+        for share in (1.01, 0.99, 0.5)
+    )
+    assert holds == []
+    assert [(each.severity, each.tasks, each.unit) for each in tight] == [("undecided", ("grasp",), "mm")]
+    assert tight[0].value == pytest.approx(most)
+    assert "no more collections can make it hold" in impossible[0].text
+
+
+def test_a_task_without_a_limit_asks_nothing(good: Calibration, wrong: Calibration) -> None:
+    """Findings are those without it."""
+    for calibration in (good, wrong):
+        bare = what_does_not_fit(calibration, Limits())
+        assert {(each.kind, each.severity) for each in found(calibration, GRASP)} == {
+            (each.kind, each.severity) for each in bare
+        }
