@@ -39,6 +39,7 @@ MODULES = {
     "labelling": "detectors on real and simulated images and clouds",
     "importing": "imports of bags: images and bytes a second, memory; what init makes of datasets",
     "image_tests": "tests in the image: workspaces of examples/, green and with planted failures",
+    "delivery": "changed bundles that are accepted, and how long a robot takes to verify one",
     "messages": "requirements over messages: a bag of 1 GB, HPL against tables and a naive evaluator",
     "aprilgrid": "aprilgrids in simulated images: near the truth, and no tag for another",
     "motion": "what a generated motion costs, and how well its poses determine a calibration",

@@ -115,6 +115,8 @@ def _verified_statement(line: bytes, digest: str, keys: Mapping[str, "Ed25519Pub
             (str(each["keyid"]), _bytes_of_base64(each["sig"])) for each in envelope["signatures"][:MAX_SIGNATURES]
         ]
         kind = envelope["payloadType"]
+        if len(envelope) > 3 or any(len(each) > 2 for each in envelope["signatures"]):
+            raise ValueError("found more keys than payload, payloadType and signatures with keyid and sig")
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise RefusedBundleError(f"this is no DSSE envelope: {error}") from None
     if kind != PAYLOAD_TYPE:

@@ -16,11 +16,20 @@ LAUNCH_OF_OPTIONS = 'x = [["--x", "1", "--qw", "1", "--frame-id", "base", "--chi
 LAUNCH_XML = '<launch><node exec="static_transform_publisher" args="0 0 0 0 0 0 1 base right"/></launch>'
 
 
+def _is_good_envelope(line: bytes) -> bool:
+    try:
+        return bool(json.loads(line) == json.loads(GOOD.attestation or b""))
+    except ValueError:
+        return False
+
+
 def _check(fetched: FetchedBundle) -> None:
     checked = check_bundle(fetched, EXPECTED)
     if checked.reasons:
         raise InputError(checked.reasons[0])
-    assert (fetched.content, fetched.attestation) == (GOOD.content, GOOD.attestation), "a changed bundle is accepted"
+    assert fetched.content == GOOD.content, "a changed bundle is accepted"
+    lines = (fetched.attestation or b"").splitlines()
+    assert any(map(_is_good_envelope, lines)), "a changed attestation is accepted"  # any of several must hold
 
 
 TARGETS = {

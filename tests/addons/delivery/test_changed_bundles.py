@@ -44,6 +44,8 @@ def test_a_hostile_member_is_refused_though_it_is_signed(name: str, changes: dic
         (b"application/vnd.in-toto+json", b"application/json", "found the payload 'application/json'"),
         (b'=="}]', b'=="},{}]', "this is no DSSE envelope"),
         (b'"keyid":"', b'"keyid":"0', "no signature is of a trusted key"),
+        (b'{"payloadType"', b'{"a":1,"payloadType"', "found more keys"),
+        (b'{"keyid"', b'{"a":1,"keyid"', "found more keys"),
         (b'{"payloadType"', b'["payloadType"', "this is no DSSE envelope"),
     ],
 )
