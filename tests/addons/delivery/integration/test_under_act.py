@@ -1,0 +1,43 @@
+"""A workflow under act: a run, a bundle that a secret signs, and a robot that accepts it."""
+
+import base64
+import re
+from pathlib import Path
+
+import pytest
+
+from calibration.__main__ import main
+from tests.addons.delivery.bundles import KEY, NAME, private_pem, public_pem
+from tests.e2e.conftest import PROJECT, Repository, cache, calibration, repository, suite
+from tests.e2e.steps import Step, outcome, outcomes, workflow
+
+__all__ = ["cache", "repository", "suite"]
+CONFIGURATION = "systems: {robot: {dataset: my robot, truth: none, exports: {formats: [tf-static, camera-info]}}}\n"
+SECRET_OF_WORKFLOW = "${{ secrets.SIGNING }}"  # noqa: S105 (its name)
+
+
+@pytest.mark.thorough
+def test_a_bundle_is_signed_by_a_secret(repository: Repository, tmp_path: Path) -> None:
+    steps = [
+        Step("run", "", {"output": "the results"}),
+        Step("bundle", "bundle", {"output": "the results", "serial": "SN-9", "signing-key": SECRET_OF_WORKFLOW}),
+        Step("unsigned", "bundle", {"output": "the results", "systems": "stranger"}),
+    ]
+    files = {"calibration.yml": CONFIGURATION, "my robot": PROJECT / "datasets" / "t2rgb"}
+    repository.write(workflow(steps), files)
+    calibration(repository.folder, "run", "--output", "accepted")
+    calibration(repository.folder, "accept", "--output", "accepted")
+    printed = 'for file in "the results/bundle/"*; do echo "$(basename "$file") $(base64 -w0 "$file")"; done'
+    run = repository.push(workflow(steps, printed), None, "--secret", f"SIGNING={private_pem()}")
+    assert outcomes(run) == {"run": "success", "bundle": "success", "unsigned": "failure"}, run.log
+    assert outcome(run, steps[2]).code == 2
+    assert not [line for line in private_pem().splitlines()[1:-1] if line in run.log]
+    outputs = outcome(run, steps[1]).outputs
+    assert re.fullmatch("sha256:[0-9a-f]{64}", outputs["digest"])
+    files = dict(re.findall(rf"({re.escape(NAME)}\S*) (\S+)", "\n".join(run.printed)))
+    assert len(files) == 3
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(base64.b64decode(content))
+    bundle = tmp_path / NAME
+    (tmp_path / "team.pub").write_bytes(public_pem(KEY))
+    assert main(["verify", str(bundle), "--key", str(tmp_path / "team.pub"), "--serial", "SN-9"]) == 0
