@@ -14,6 +14,7 @@ from xml.parsers.expat import ExpatError, ParserCreate
 from calibration.addons.delivery.poses import Pose, pose_of, pose_of_angles
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
+from calibration.base.optional import optional
 from calibration.base.text import one_line, shorten
 
 MAX_FILE_BYTES = 16 * 1024**2
@@ -78,7 +79,7 @@ def read_in_use(path: Path, camera: str | None = None) -> InUse:
         InfrastructureError: a bag is given, and the package for bags is not installed.
     """
     if path.is_dir() or path.suffix in BAG_ENDINGS:
-        # Bags need packages that a robot may lack, numpy too.
+        optional("rosbags", "reading bags")  # which a robot may lack, with numpy
         from calibration.addons.delivery.in_use_bag import read_bag
 
         return read_bag(path)
