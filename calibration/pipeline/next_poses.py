@@ -8,18 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base.errors import CalibrationError, InputError
-from calibration.base.records import field, result
+from calibration.base.errors import CalibrationError
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
 from calibration.engine.next_pose.advice import Advice, next_poses
 from calibration.engine.next_pose.goals import Goal
 from calibration.engine.tasks.task_errors import TaskError
-from calibration.pipeline.matrix.matrix import load
-from calibration.pipeline.system import System as Configured
+from calibration.pipeline.matrix.loaded_system import LoadedSystem
+from calibration.pipeline.matrix.next_poses_result import NextGoal, NextPose, NextPoses, NextView
 from calibration.robot.next_pose.candidates import PoseCandidates, candidates_of
 from calibration.robot.next_pose.instructions import instruction, motion_of, patterns_in_view, poses_csv
 from calibration.robot.next_pose.plan import plan_recording
@@ -27,107 +25,11 @@ from calibration.robot.simulation.motion.generation import is_clear
 from calibration.robot.simulation.motion.sequence import motion_document
 from calibration.robot.simulation.placement import place
 from calibration.robot.simulation.system import ROBOT_FILE, SIMULATION_FILE, System, read_system
-from calibration.robot.urdf import Robot, read_robot
+from calibration.robot.urdf import read_robot
 
 MOTION_FILE, POSES_FILE = "next-poses.json", "next-poses.csv"
 COUNT = 3
 """Poses that are advised, by default."""
-
-
-@result
-class NextGoal:
-    """Limit that further poses are to decide."""
-
-    name: str = field("Sensor, joint or task.")
-    unit: str = field("Of its sizes.")
-    limit: float = field("The limit.")
-    wanted: float = field("Standard deviation that decides it; of a task the limit itself.")
-    now: float | None = field(
-        "Standard deviation, in all; of a task the error that 95 % stay below. Null before anything is recorded."
-    )
-    least: float = field("The same with any number of poses.")
-
-
-@result
-class NextView:
-    """Pattern in a camera's view, at a pose."""
-
-    camera: str = field("The camera.")
-    pattern: str = field("The pattern.")
-    outline: tuple[tuple[int, int], ...] = field("Its border in the image.", unit="px")
-
-
-@result
-class NextPose:
-    """Pose to take next, after those before it."""
-
-    text: str = field("What to do.")
-    joints: Mapping[str, float] = field("Positions of the joints, rad or m, where the robot is described.")
-    views: tuple[NextView, ...] = field("What the cameras see there.")
-    sizes: tuple[float, ...] = field("Expected size of each goal's error after it.")
-
-
-@result
-class NextPoses:
-    """Advice on what to record next."""
-
-    goals: tuple[NextGoal, ...] = field("The limits.")
-    poses: tuple[NextPose, ...] = field("The poses, best first.", default=())
-    needed: int | None = field("Poses after which all limits hold; null if no number of them does it.", default=None)
-    beyond_poses: Mapping[str, float] = field("Shares of what poses cannot mend, by cause.", default_factory=dict)
-    remarks: tuple[str, ...] = field("What was not known.", default=())
-
-    @property
-    def open_goals(self) -> tuple[int, ...]:
-        """The limits that are not decided yet."""
-        return tuple(k for k, goal in enumerate(self.goals) if goal.now is None or goal.now > goal.wanted)
-
-    @property
-    def lines(self) -> tuple[str, ...]:
-        """The advice in words: the poses, what they bring, how many it takes, and what no pose can mend."""
-        shown = self.open_goals or tuple(range(len(self.goals)))[:1]
-        poses = [f"{k}. {pose.text}: {self._changes(shown, k)}" for k, pose in enumerate(self.poses, 1)]
-        return (*(poses if self.open_goals else ()), self.sentence, *self.remarks)
-
-    def _changes(self, shown: Sequence[int], number: int) -> str:
-        before = tuple(goal.now for goal in self.goals) if number == 1 else self.poses[number - 2].sizes
-        after = self.poses[number - 1].sizes
-        return ", ".join(
-            f"{self.goals[k].name} {'' if (old := before[k]) is None else f'{old:.3g} -> '}{after[k]:.3g} "
-            f"{self.goals[k].unit}"
-            for k in shown
-        )
-
-    @property
-    def sentence(self) -> str:
-        """How many poses it takes, or that none can do it, or that it is enough."""
-        if not self.open_goals:
-            brings = max((1 - size / goal.now if goal.now else 0.0 for size, goal in self._last), default=0.0)
-            said = f"{len(self.poses)} further poses would bring {max(0.0, brings):.0%}" if self.poses else ""
-            return f"enough: all limits hold{f'; {said}' if said else ''}"
-        worst = max(self.open_goals, key=lambda k: self.goals[k].least / self.goals[k].wanted)
-        goal = self.goals[worst]
-        if not self.poses:
-            return (
-                f"no pose can mend it: nothing moves between sensors and patterns, or no sensor would see it "
-                f"({goal.name} {goal.now or 0:.2g} {goal.unit}, {goal.wanted:.2g} would decide its limit)"
-            )
-        if self.needed is not None:
-            more = self.needed - len(self.poses)
-            also = f"{more} more such and " if more > 0 else ""
-            return f"{also}the limit of {goal.limit:.3g} {goal.unit} holds: {self.needed} poses in all"
-        causes = ", ".join(f"{share:.0%} {name}" for name, share in list(self.beyond_poses.items())[:3])
-        of = f": of that is {causes}" if causes else ""
-        end = "calibrate it, or state under 'assume' how well it is known" if causes else "take poses from nearer"
-        return (
-            f"no number of such poses decides the limit of {goal.limit:.3g} {goal.unit}: {goal.name} stays at "
-            f"{goal.least:.2g}, {goal.wanted:.2g} is needed{of}; {end}"
-        )
-
-    @property
-    def _last(self) -> Sequence[tuple[float, NextGoal]]:
-        """What the last pose brings to each goal."""
-        return list(zip(self.poses[-1].sizes, self.goals, strict=True)) if self.poses else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,34 +55,39 @@ class AdvisedPoses:
 
 
 def advise(
-    calibration: Calibration,
-    limits: Limits,
-    robot: Robot | None = None,
-    system: System | None = None,
-    tasks: Sequence[TaskError] = (),
-    count: int = COUNT,
-    seed: int = 1,
+    calibration: Calibration, loaded: LoadedSystem, tasks: Sequence[TaskError], count: int = COUNT, seed: int = 1
 ) -> AdvisedPoses:
     """Return what to record next for a calibration that has converged.
 
+    An arm moves within the limits of the robot's description, that of the exports or beside the dataset. In a recording
+    that was simulated, no pose collides.
+
     Args:
         calibration: the calibration.
-        limits: those that the user has set; without any, the default ones.
-        robot: the robot's description, for the limits of its joints and where an arm can reach.
-        system: what the recording was simulated with: then no pose collides.
+        loaded: its system, with the limits.
         tasks: errors of the robot's tasks; those with a limit count.
         count: number of poses.
         seed: of the poses that are looked at.
+
+    Raises:
+        InputError: the robot's description is wrong.
     """
-    candidates = candidates_of(calibration, robot or (system.nominal if system else None), seed)
+    folder, exports = loaded.dataset.path.parent, loaded.exports
+    system = _simulated_with(folder)
+    robot = system.nominal if system else None
+    if exports is not None and exports.robot_description is not None:
+        robot = read_robot(exports.robot_description, exports.xacro)
+    elif robot is None and (folder / ROBOT_FILE).is_file():
+        robot = read_robot(folder / ROBOT_FILE)
+    candidates = candidates_of(calibration, robot, seed)
     if system is not None:
         candidates = _without_collisions(candidates, system)
-    advice = next_poses(calibration, candidates.dataset, limits, tasks, count)
+    advice = next_poses(calibration, candidates.dataset, loaded.limits, tasks, count)
     remarks = tuple[str, ...]()
     if candidates.without_limits and len(candidates):
         names = ", ".join("-".join(edge) for edge in candidates.without_limits)
         remarks = (f"no joint limits are known of {names}: the poses are near those of the recording",)
-    return _described(advice, candidates, system, remarks)
+    return replace(_described(advice, candidates, system, remarks), recording=loaded.dataset)
 
 
 def plan(system: System, limits: Limits, options: Options, count: int | None, seed: int) -> AdvisedPoses:
@@ -246,38 +153,9 @@ def _without_collisions(candidates: PoseCandidates, system: System) -> PoseCandi
     return candidates.take(np.flatnonzero(free))
 
 
-def description_beside(dataset: Path) -> tuple[Robot | None, System | None]:
-    """Return the robot's description beside a dataset, and what it was simulated with; None without them.
-
-    Args:
-        dataset: the dataset's file.
-    """
-    folder = dataset.parent
+def _simulated_with(folder: Path) -> System | None:
+    """Return what a dataset in a folder was simulated with; None if it was not, or that is not all there."""
     try:
-        system = read_system(folder) if (folder / SIMULATION_FILE).is_file() else None
-        return (read_robot(folder / ROBOT_FILE) if (folder / ROBOT_FILE).is_file() else None), system
+        return read_system(folder) if (folder / SIMULATION_FILE).is_file() else None
     except CalibrationError:
-        return None, None
-
-
-def advise_system(system: Configured, count: int, seed: int) -> AdvisedPoses:
-    """Calibrate a configured system, and return what to record next for its limits.
-
-    Raises:
-        InputError: its dataset is collected in a run only, or cannot be calibrated.
-    """
-    if system.collected is not None:
-        raise InputError(f"{system.name}: its dataset is collected in each run: give the folder of a recording")
-    loaded = load(system)
-    calibration = loaded.prepared.optimum
-    if not calibration.converged:
-        raise InputError(f"{loaded.dataset.path}: no advice: it does not calibrate: {calibration.reason}")
-    robot, simulated = description_beside(loaded.dataset.path)
-    if system.exports is not None and system.exports.robot_description is not None:
-        robot = read_robot(system.exports.robot_description, system.exports.xacro)
-    advised = advise(calibration, system.limits, robot, simulated, count=count, seed=seed)
-    found = diagnose(calibration, loaded.dataset, loaded.options, loaded.limits, loaded.truth is not None)
-    wrong = tuple(f"mend first: {each.text}" for each in found if each.severity == "red" and each.kind != "precision")
-    return replace(
-        advised, recording=loaded.dataset, found=replace(advised.found, remarks=(*wrong, *advised.found.remarks))
-    )
+        return None

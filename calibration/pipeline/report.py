@@ -88,6 +88,7 @@ def report(results: PipelineResults, output: Path, title: str) -> Report:
             report_blocks.updates_table(results),
             Text(report_blocks.baseline_line(results)),
             report_blocks.collections_table(results),
+            Lines(tuple(report_blocks.what_to_record(results)), title="What to record next"),
             Lines(report_blocks.findings_of(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),
             Lines(report_blocks.findings_of(results, "note"), NOTES_SHOWN, title="Notes"),
             Lines(tuple(report_blocks.export_lines(results, output)), NOTES_SHOWN, title="For the robot"),

@@ -516,6 +516,13 @@ def other_methods(results: PipelineResults) -> list[str]:
     return [f"{', '.join(methods)} on {detail}" for detail, methods in methods_by_detail.items()]
 
 
+def what_to_record(results: PipelineResults) -> Iterator[str]:
+    """Yield the poses to record next of each system with an undecided limit, and what they bring."""
+    for system, details in _best_details(results).items():
+        if details.next_poses is not None:
+            yield from (f"{system}: {line}" for line in details.next_poses.lines)
+
+
 def image_line(image: ImageResult) -> str:
     """Describe the actions on the image."""
     what = f"built in {image.seconds:.0f} s" if image.built else "unchanged, nothing was built"

@@ -6,5 +6,6 @@ It imports `calibration.base`, `calibration.engine` and, for tasks and reports, 
 - ``labelling``: patterns found in images, point clouds and depth images, real or simulated;
 - ``exports``: a calibrated dataset as URDF, launch files, camera parameters;
 - ``simulation``: robots, motions, what sensors would see, and datasets collected from it;
+- ``next_pose``: poses that can be had next, and what to do to take them;
 - ``importing``: recordings of a team (bags, images, poses, intrinsics of other tools) made a dataset.
 """

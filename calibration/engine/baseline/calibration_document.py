@@ -193,6 +193,16 @@ class SoftwareStart:
         return self.translation_noise, self.rotation_noise, self.seed
 
 
+@record
+class PromiseDocument:
+    """What the poses that were advised are expected to bring."""
+
+    poses: Count = field("Number of the poses.")
+    sizes: Mapping[str, Mapping[Literal["mm", "deg", "px"], Positive]] = field(
+        "Standard deviation afterwards by sensor or joint and unit; of a task the error that 95 % stay below."
+    )
+
+
 @record(kw_only=True)
 class CalibrationDocument:
     """A calibration of one system."""
@@ -221,6 +231,7 @@ class CalibrationDocument:
         "Number of independent collections of equal weight with the same information.", default=None
     )
     tasks: Mapping[str, TaskDocument] = field("Errors of the robot's tasks, by name.", default_factory=dict)
+    promise: PromiseDocument | None = field("What further poses were expected to bring.", default=None)
     rejected_labels: Count = field("Labels that do not fit.")
     labels: Count = field("Labels in all: corners, points.")
     iterations: Count = field("Of the solver.")

@@ -9,6 +9,7 @@ from calibration.base.text import rounded
 from calibration.base.verdict import at_most
 from calibration.engine.baseline.calibration_document import CalibrationDocument, SoftwareStart
 from calibration.engine.baseline.comparison import BaselineChange, BaselineComparison, compare
+from calibration.engine.baseline.promise import promise_not_kept
 from calibration.engine.baseline.quality import (
     HOW_TO_ACCEPT,
     BaselineSettings,
@@ -51,6 +52,7 @@ def against_baseline(
     since, settings = accepted.since, accepted.settings
     found = [each for change in comparison.changes if (each := _finding_of_change(change, comparison, settings, since))]
     found += quality(comparison, settings)
+    found += promise_not_kept(accepted.snapshot, now, since)
     if not any(each.kind == "baseline" and each.severity == "red" for each in found) and not comparison.same_data:
         found += _nothing_moved(comparison, since)
     return comparison, tuple(found)

@@ -7,14 +7,15 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, block_of, stated
-from calibration.engine.diagnosis.precision import UNIT_NAMES
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.next_pose.knowledge import Knowledge
+from calibration.engine.tasks.robot_task import TaskUnit
 from calibration.engine.tasks.task_errors import TaskError
 
 MIN_WANTED = 1e-9
 """mm, deg: least of what is wanted of an error; a limit may be 0."""
-_UNIT_OF_PARAMETER = (("m", 1e3), ("rad", 180 / np.pi))
+_UNITS: tuple[tuple[TaskUnit, str, float], ...] = (("mm", "m", 1e3), ("deg", "rad", 180 / np.pi))
+"""Of limits, of the parameters, and their ratio."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,7 @@ class Goal:
 
     name: str
     """Sensor, joint or task."""
-    unit: str
+    unit: TaskUnit
     rows: Array
     """(r, F + H): its derivatives by the parameters of `Knowledge`, in its unit. Its size is the root of the sum of
     their variances: a standard deviation, or of a task the error that 95 % stay below."""
@@ -68,7 +69,7 @@ def _goals_of_block(
 ) -> Iterator[Goal]:
     """Yield the goals of a shared block: its lengths and its angles, as far as they have a limit."""
     at = knowledge.solution.setup.problem.shared_parameters[block]
-    for limit, unit, (parameter, scale) in zip(most, UNIT_NAMES, _UNIT_OF_PARAMETER, strict=True):
+    for limit, (unit, parameter, scale) in zip(most, _UNITS, strict=True):
         own = np.arange(at.start, at.stop)[[each == parameter for each in units]]
         if np.isfinite(limit) and len(own) and guard:
             rows = np.zeros((len(own), len(knowledge.columns)))

@@ -17,6 +17,7 @@ from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.estimation.options import Loss, Start
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.tasks.robot_task import TaskUnit
+from calibration.pipeline.matrix.next_poses_result import NextPoses
 from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 
 TaskState = Literal["holds", "broken", "undecided"] | None
@@ -227,6 +228,7 @@ class Details:
     recording: RecordingResult | None = field("What was calibrated.", default=None)
     snapshot: CalibrationDocument | None = field("The result as `calibration accept` keeps it.", default=None)
     changes: tuple[BaselineChange, ...] = field("Differences from the accepted calibration.", default=())
+    next_poses: NextPoses | None = field("What to record next, where a limit is undecided.", default=None)
 
     @property
     def of_cameras_alone(self) -> bool:

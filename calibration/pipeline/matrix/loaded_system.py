@@ -27,7 +27,7 @@ from calibration.engine.tasks.task_errors import task_errors
 
 if TYPE_CHECKING:
     from calibration.engine.evaluation.specification import Evaluation
-    from calibration.pipeline.system import Datasets
+    from calibration.pipeline.system import Datasets, Exports
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +52,8 @@ class LoadedSystem:
     """Warnings of what the dataset is without."""
     lenses: Mapping[str, LensChoice] = dataclass_field(default_factory=dict)
     """Lens models that were chosen by their fit, by camera."""
+    exports: "Exports | None" = None
+    """With the robot's description, if there is one."""
 
     @property
     def lens_notes(self) -> tuple[Finding, ...]:

@@ -226,6 +226,7 @@ def load(system: System) -> LoadedSystem:
         system.accepted,
         copies,
         lenses.choices,
+        system.exports,
     )
     if system.datasets == "changes":
         refuse_changes(system.dataset, dataset.path)

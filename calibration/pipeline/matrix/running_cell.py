@@ -2,7 +2,8 @@
 
 import math
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -69,6 +70,8 @@ class Evaluated:
     """Name of the table's file, and its text; None if there is no table."""
     dataset: str | None = None
     """Text of the dataset; None if it is not written."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """Texts of further files, by name."""
     complete: bool = False
     """Whether all was evaluated without an error; then the result has a folder of its own files."""
 
@@ -148,18 +151,33 @@ def _diagnose_and_evaluate(cell: Cell, system: LoadedSystem, calibration: Calibr
         described_now = replace(described_now, tasks=judged_tasks(described_now.tasks, result.findings))
         result = described_now.found((*result.findings, *said))
     made = _evaluate_dataset(result, calibration.dataset, system, calibration)
-    return (
-        made
-        if made.result.error is not None
-        else replace(made, result=_compare_with_accepted(made.result, calibration, system))
-    )
+    if made.result.error is not None:
+        return made
+    made = _with_next_poses(made, calibration, system)
+    return replace(made, result=_compare_with_accepted(made.result, calibration, system))
+
+
+def _with_next_poses(made: Evaluated, calibration: Calibration, system: LoadedSystem) -> Evaluated:
+    """Return the result with what to record next, if a limit is undecided and nothing is wrong."""
+    result = made.result
+    if result.details is None or result.verdict != "undecided" or not calibration.converged:
+        return made
+    from calibration.pipeline.next_poses import advise  # with the simulation; most results need none
+
+    advised = advise(calibration, system, task_errors(calibration, system.tasks))
+    details = replace(result.details, next_poses=advised.found)
+    return replace(made, result=replace(result, details=details), files=advised.files)
 
 
 def _compare_with_accepted(result: CellResult, calibration: Calibration, system: LoadedSystem) -> CellResult:
     """Return the result with its snapshot, and the differences from the accepted calibration."""
     if not calibration.converged or result.details is None or any(f.kind == "convention" for f in result.findings):
         return result
-    now = replace(system.snapshots.of(calibration, result.rms_px), tasks=documents_of_tasks(result.tasks))
+    now = replace(
+        system.snapshots.of(calibration, result.rms_px),
+        tasks=documents_of_tasks(result.tasks),
+        promise=result.details.next_poses.promise if result.details.next_poses else None,
+    )
     comparison, findings = against_baseline(system.accepted, now) if system.accepted else (None, ())
     changes = comparison.changes if comparison else ()
     return replace(result, details=replace(result.details, snapshot=now, changes=changes)).found(findings)
@@ -242,6 +260,8 @@ def _write_files(
         if made.dataset is not None:
             system.write_dataset(made.dataset, dataset, output / folder)
             result = replace(result, dataset=f"{folder}/{FILE_NAME}")
+        for name, text in made.files.items():
+            write_atomically(output / folder / name, text)
         if made.complete:
             if calibration is not None and calibration.converged and calibration.intrinsics:
                 sensors = calibration.dataset.sensors

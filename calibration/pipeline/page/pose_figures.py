@@ -1,21 +1,22 @@
 """Figures of the poses to take next: over the cameras' images, and in space."""
 
 from base64 import b64encode
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from calibration.base.records import document_of
 from calibration.ci.pages.charts import drawing, text
-from calibration.ci.pages.html import Html, bullets, element, figure, join, page, section
+from calibration.ci.pages.html import Html, element, figure, join
 from calibration.ci.pages.image_figures import FIGURE_WIDTH
-from calibration.ci.report import Lines, Report, Table, shown
 from calibration.engine.dataset.model import Dataset
-from calibration.pipeline.next_poses import AdvisedPoses, NextPoses
+from calibration.pipeline.matrix.next_poses_result import NextPoses
 from calibration.pipeline.page.in_space import in_space
 from calibration.pipeline.page.label_residuals import view_jpeg
-from calibration.pipeline.results import PAGE_FILE
+
+if TYPE_CHECKING:
+    from calibration.pipeline.next_poses import AdvisedPoses
 
 
-def pose_figures(advised: AdvisedPoses, given: Dataset | None = None) -> Html:
+def pose_figures(advised: "AdvisedPoses", given: Dataset | None = None) -> Html:
     """Return the poses over the image of each camera, and in space.
 
     Args:
@@ -59,47 +60,3 @@ def _numbered(found: NextPoses, camera: str, scale: float) -> Iterator[Html]:
             yield element("path", d=path, class_="scene pattern")
             x, y = (sum(axis) / len(points) for axis in zip(*points, strict=True))
             yield text(x, y, str(number), class_="label")
-
-
-def next_poses_report(title: str, advised: Mapping[str, AdvisedPoses]) -> Report:
-    """Return the report of poses to take next, of some systems.
-
-    Args:
-        title: of the command.
-        advised: the poses, by system.
-    """
-    alone = len(advised) == 1
-    files = {
-        name if alone else f"{system}-{name}": text_
-        for system, each in advised.items()
-        for name, text_ in each.files.items()
-    }
-    sections = [
-        section(system, bullets(each.found.lines), pose_figures(each, each.recording))
-        for system, each in advised.items()
-    ]
-    goals = Table(
-        ("System", "Limit of", "Limit", "Decided at", "Now", "At best"),
-        tuple(
-            (
-                system,
-                goal.name,
-                *(shown(v, ".3g", goal.unit) for v in (goal.limit, goal.wanted, goal.now, goal.least)),
-            )
-            for system, each in advised.items()
-            for goal in each.found.goals
-        ),
-    )
-    lines = tuple(line if alone else f"{name}: {line}" for name, each in advised.items() for line in each.found.lines)
-    return Report(
-        title=title,
-        verdict="pass",
-        sentence="; ".join(
-            each.found.sentence if alone else f"{name}: {each.found.sentence}" for name, each in advised.items()
-        ),
-        results={"systems": {name: document_of(each.found) for name, each in advised.items()}},
-        suites={},
-        outputs={},
-        blocks=(goals, Lines(lines, title="What to record")),
-        files={**files, PAGE_FILE: page(title, [element("h1", title), *sections])},
-    )

@@ -19,6 +19,7 @@ from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
 from calibration.pipeline.page.label_residuals import label_residuals, projection_figures
+from calibration.pipeline.page.pose_figures import poses_in_images
 from calibration.pipeline.page.robot_tasks import task_figures
 from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import System
@@ -188,6 +189,9 @@ def _system_section(
         elif dataset is not None:
             levels = cell.details.noise_levels if cell.details else None
             given = given or _given_dataset(system)
+            if cell.details and (found := cell.details.next_poses) and found.poses:
+                content += [element("h3", "What to record next"), bullets(found.lines)]
+                content.append(poses_in_images(found, dataset, given))
             content += [in_space(dataset, given), *label_residuals(dataset, levels, given)]
     content += [*task_figures(cell.tasks, cell.details.task_maps if cell.details else ())]
     content += [*projection_figures(cell.details.projection if cell.details else ())]
