@@ -349,10 +349,11 @@ def _name_cause(cause: Cause) -> str:
 def _describe_size(cause: Cause, value: Array, sigma: Array) -> str:
     """Describe the deviation of a cause, with its standard deviation, in the user's units."""
     if cause.size == 6:  # a twist: translation and rotation
-        return (
-            f"{with_error_bar(*(1e3 * np.linalg.norm(each[:3]) for each in (value, sigma)))} mm, "
-            f"{with_error_bar(*(np.degrees(np.linalg.norm(each[3:])) for each in (value, sigma)))} deg"
+        mm, deg = (
+            [factor * float(np.linalg.norm(each[part])) for each in (value, sigma)]
+            for factor, part in ((1e3, slice(3)), (float(np.degrees(1)), slice(3, 6)))
         )
+        return f"{with_error_bar(*mm)} mm, {with_error_bar(*deg)} deg"
     if cause.unit == "collections":
         return f"{value[0]:+.3g} ± {rounded(sigma[0], 1)} of the way to the next collection"
     if cause.kind == LENS_KIND:
