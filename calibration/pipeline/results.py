@@ -5,7 +5,6 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 from calibration.base.addons import import_attribute, of_addons
 from calibration.base.errors import CalibrationError, ExitCode, InputError, exit_code_of
@@ -15,6 +14,7 @@ from calibration.ci.report import FILES, RESULTS_FILE, Verdict, read_results_fil
 from calibration.ci.report.badge import BADGE_FILE as BADGE
 from calibration.ci.report.junit import ErrorCode
 from calibration.ci.report.results_json import BRIEF_FILE
+from calibration.ci.report.stage_result import StageResult
 from calibration.engine.baseline.document import BaselineUpdate
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME
@@ -78,25 +78,6 @@ class Exported:
         "Formats that its data cannot have, transforms that moved to another joint.", default=()
     )
     reasons: tuple[str, ...] = field("Reason why it could not be exported.", default=())
-
-
-class StageResult(Protocol):
-    """Result of a stage of an add-on: a record of results, which is part of the verdict."""
-
-    @property
-    def folder(self) -> str:
-        """The folder of its own files, relative to the output folder."""
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Reasons of a fail verdict."""
-
-    @property
-    def sentence(self) -> str:
-        """Return the result in a few words, for the verdict's line."""
-
-    def line(self, output: Path) -> str:
-        """Return its line of the report, such as where its own files are in the output folder."""
 
 
 @result

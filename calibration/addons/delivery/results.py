@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from calibration.addons.delivery.manifest import SystemLeftOut
-from calibration.base.records import computed, field, result
+from calibration.base.records import field, result
 from calibration.base.text import count_of
-from calibration.base.verdict import Verdict, verdict_of
+from calibration.ci.report.stage_result import StageResult
 
 
 @result(kw_only=True)
@@ -42,19 +42,13 @@ class BundleResults:
 
 
 @result(kw_only=True)
-class Delivered:
+class Delivered(StageResult):
     """Bundle for the robot."""
+
+    heading = "Bundle"
 
     bundle: BundleResults | None = field("The bundle; null if no system has passed and is accepted.", default=None)
     why_not: str | None = field("Why there is none.", default=None)
-    folder: str = field("The folder with it, relative to the output folder.")
-    reasons: tuple[str, ...] = field("Reasons of a fail verdict.", default=())
-
-    @property
-    @computed()
-    def verdict(self) -> Verdict:
-        """Fail if there is a reason."""
-        return verdict_of(not self.reasons)
 
     @property
     def sentence(self) -> str:

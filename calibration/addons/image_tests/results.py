@@ -10,6 +10,7 @@ from calibration.base.text import count_of
 from calibration.ci.report import Verdict, verdict_of
 from calibration.ci.report.junit import ErrorCode
 from calibration.ci.report.repeated import RepeatedFailure
+from calibration.ci.report.stage_result import StageResult
 
 MAX_NAMED_TESTS = 20
 """Limit of the tests that reasons and warnings of one entry name."""
@@ -126,25 +127,15 @@ class ImageTestsResults:
 
 
 @result(kw_only=True)
-class Tested:
+class Tested(StageResult):
     """Tests in the image."""
+
+    heading = "Tests in the image"
 
     passed: int = field("Number of tests that passed, of all entries and runs.")
     failed: int = field("Number of tests that failed.")
-    folder: str = field("The folder with their results, relative to the output folder.")
-    reasons: tuple[str, ...] = field("Tests that failed.", default=())
-
-    @property
-    @computed()
-    def verdict(self) -> Verdict:
-        """Fail if there is a reason."""
-        return verdict_of(not self.reasons)
 
     @property
     def sentence(self) -> str:
         """Return the number of tests, for the line of the verdict."""
         return f"{self.failed} of {count_of(self.passed + self.failed, 'test')} in the image failed"
-
-    def line(self, output: Path) -> str:
-        """Return the path of the tests' own summary, for the report."""
-        return f"Tests in the image: {output / self.folder / 'summary.md'}"

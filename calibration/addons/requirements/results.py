@@ -1,10 +1,9 @@
 """Results of ``check-messages`` and of the stage judge, and their documents."""
 
-from pathlib import Path
-
 from calibration.addons.requirements.requirement import Judgement
 from calibration.base.records import computed, field, result
-from calibration.ci.report import Verdict, count_of, verdict_of
+from calibration.ci.report import count_of
+from calibration.ci.report.stage_result import StageResult
 
 
 @result(kw_only=True)
@@ -48,27 +47,17 @@ class MessageResults:
 
 
 @result(kw_only=True)
-class JudgedMessages:
+class JudgedMessages(StageResult):
     """Requirements over messages, in a run."""
+
+    heading = "Requirements over messages"
 
     requirements: int = field("Number of requirements.")
     not_met: int = field("Those that are not met.")
     vacuous: tuple[str, ...] = field("Those to which nothing came, with why.", default=())
-    folder: str = field("The folder with its results, relative to the output folder.")
-    reasons: tuple[str, ...] = field("Requirements that are not met, with their counterexamples.", default=())
-
-    @property
-    @computed()
-    def verdict(self) -> Verdict:
-        """Fail if a requirement is not met."""
-        return verdict_of(not self.reasons)
 
     @property
     def sentence(self) -> str:
         """Return the number of requirements, for the line of the verdict."""
         count = count_of(self.requirements, "requirement")
         return f"{self.not_met} of {count} over messages not met" if self.not_met else f"{count} over messages met"
-
-    def line(self, output: Path) -> str:
-        """Return the path of its own summary, for the report."""
-        return f"Requirements over messages: {output / self.folder / 'summary.md'}"

@@ -18,6 +18,7 @@ from calibration.ci.execution.backends import ExecutionTarget, Sections
 from calibration.ci.execution.job import Container
 from calibration.ci.execution.workspace import locked
 from calibration.ci.report import Report, show
+from calibration.ci.report.stage_result import StageResult
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay
 from calibration.engine.baseline.quality import BaselineSettings
@@ -25,7 +26,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.page.run_page import accepted_history, report_page
 from calibration.pipeline.report import report, write_cells, write_results
-from calibration.pipeline.results import PAGE_FILE, PipelineResults, StageResult, clear_results, reason_of_end
+from calibration.pipeline.results import PAGE_FILE, PipelineResults, clear_results, reason_of_end
 
 if TYPE_CHECKING:
     from calibration.ci.image.specification import ImageSpecification
