@@ -236,7 +236,8 @@ def read_results(folder: Path) -> PipelineResults:
     path = folder / RESULTS_FILE
     results, written = read_results_file(PipelineResults, path, _COMMANDS_TEXT)
     if "cells" not in written:
-        raise InputError(f"{path}: this is not a results file of {_COMMANDS_TEXT}: it has no list of cells")
+        expected = "it has no list of cells (of repeated runs name the folder of one: run-1)"
+        raise InputError(f"{path}: this is not a results file of {_COMMANDS_TEXT}: {expected}")
     for key in ("cells", "comparisons", "collections"):
         for each, entry in zip(getattr(results, key), written.get(key, ()), strict=True):
             if each.verdict != (stored := entry.get("verdict")):

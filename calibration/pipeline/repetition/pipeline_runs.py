@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from calibration.base.addons import import_attribute
+from calibration.base.addons import import_attribute, of_addons
 from calibration.base.errors import ExitCode
 from calibration.ci.report import show
 from calibration.ci.workflow.runner import OutputValue
@@ -18,15 +18,16 @@ from calibration.pipeline.repetition.repetition import (
 from calibration.pipeline.repetition.running import repeated, run_of_repetition
 from calibration.pipeline.repetition.settings import Repetitions
 from calibration.pipeline.results import PipelineResults
-from calibration.pipeline.stages.running import STAGES, PipelineRun, run_stages, stages_reported
+from calibration.pipeline.stages.running import STAGES, PipelineRun, check_stages, run_stages, stages_reported
 
-PROMOTE = "promote"
+AFTER_ALL = ("promote", *(name for name, stage in of_addons(lambda addon: addon.stages).items() if stage.last))
+"""Stages that follow from the verdict: made once, of the last run, after a pass of all."""
 
 
 def repeat_stages(run: PipelineRun, stages: Collection[str], settings: Repetitions) -> tuple[ExitCode, PipelineResults]:
     """Run stages as often as it is asked for, and report; return the exit code, and the results of the last run.
 
-    An image is promoted once, after a pass verdict on all runs.
+    What follows from the verdict (`AFTER_ALL`) is done once.
 
     Raises:
         InputError: an input is wrong, or another run uses the output folder.
@@ -35,9 +36,10 @@ def repeat_stages(run: PipelineRun, stages: Collection[str], settings: Repetitio
     if settings.repeat == 1:
         results = run_stages(run, stages)
         return results.exit_code, results
+    check_stages(stages)
     last: PipelineRun = run
     outputs: Mapping[str, OutputValue | None] = {}
-    tested = [name for name in stages if name != PROMOTE]
+    tested = [name for name in stages if name not in AFTER_ALL]
 
     def once(folder: Path) -> Repetition:
         nonlocal last, outputs
@@ -58,8 +60,9 @@ def repeat_stages(run: PipelineRun, stages: Collection[str], settings: Repetitio
 
     passes = all(system.undecided == "pass" for system in run.matrix.systems)
     whole, found = repeated(settings, run.output, run.runner, run.title, once, passes)
-    if whole.passes and PROMOTE in stages and STAGES[PROMOTE].applies(run):
-        last = import_attribute(STAGES[PROMOTE].target)(last)
+    for name, stage in STAGES.items():
+        if whole.passes and name in AFTER_ALL and name in stages and stage.applies(run):
+            last = import_attribute(stage.target)(last)
     outputs = {**outputs, **found.outputs, "output": run.output}
     show(replace(found, outputs=outputs), run.runner, run.output)
     return whole.exit_code, last.results

@@ -144,7 +144,7 @@ def stages_reported(run: PipelineRun, stages: Collection[str]) -> tuple[Pipeline
         InputError: there is no such stage, an input is wrong, or another run uses the output folder.
         InfrastructureError: a file cannot be written, a process died, an engine or a registry does not answer.
     """
-    _check_stages(stages)
+    check_stages(stages)
     if "calibrate" in stages:
         _check_systems(run)
     with locked(run.output):
@@ -203,7 +203,12 @@ def _places_of_reasons(reasons: Sequence[str], run: PipelineRun) -> dict[str, tu
     return found
 
 
-def _check_stages(stages: Collection[str]) -> None:
+def check_stages(stages: Collection[str]) -> None:
+    """Refuse stages that there are not, and a promotion without a verdict.
+
+    Raises:
+        InputError: names the stage.
+    """
     for stage in stages:
         if stage not in STAGES:
             raise InputError(

@@ -15,12 +15,17 @@ from calibration.base.errors import CalibrationError, ExitCode, InfrastructureEr
 from calibration.ci.report import Outcome
 from calibration.ci.workflow import Runner
 from calibration.pipeline.matrix.cell_verdict import judge_results
+from calibration.pipeline.matrix.matrix import Matrix
+from calibration.pipeline.repetition.pipeline_runs import repeat_stages
 from calibration.pipeline.repetition.repetition import Repetition
 from calibration.pipeline.repetition.running import repeated
 from calibration.pipeline.repetition.settings import MaxSpread, Repetitions
 from calibration.pipeline.results import PipelineResults
+from calibration.pipeline.stages import PipelineRun
+from calibration.pipeline.system import NoiseGrid
 from tests.actions.write_inputs import schema_file
 from tests.pipeline.conftest import RIWBOT
+from tests.pipeline.test_promotion import SPECIFICATION
 
 ARM = f"systems: {{arm: {{dataset: {RIWBOT.dataset.resolve()}}}}}\n"
 
@@ -93,6 +98,23 @@ def test_a_cell_that_always_fails_is_not_flaky(repository: Path, monkeypatch: py
     monkeypatch.setattr("calibration.pipeline.stages.calibrating.judge_results", failing_in(1, 2))
     assert main(["run", "--repeat", "2", "--max-flake-rate", "1"]) == 1
     assert "failed in each of 2 runs: a race" in results_in(repository / "output")["reasons"][0]
+
+
+@pytest.mark.parametrize(("failing", "count"), [((), 1), ((2,), 0)])
+def test_what_follows_from_the_verdict_is_done_once_after_a_pass_of_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: tuple[int, ...], count: int
+) -> None:
+    promoted: list[Path] = []
+
+    def promote(run: PipelineRun) -> PipelineRun:
+        promoted.append(run.output)
+        return run
+
+    monkeypatch.setattr("calibration.pipeline.stages.building.promote_stage", promote)
+    monkeypatch.setattr("calibration.pipeline.stages.calibrating.judge_results", failing_in(*failing))
+    run = PipelineRun(Matrix((RIWBOT,), NoiseGrid()), tmp_path, Runner(), image=SPECIFICATION)
+    code, _ = repeat_stages(run, ("calibrate", "introspect", "promote"), Repetitions(repeat=2))
+    assert (code, promoted) == (0 if count else 1, [tmp_path / "run-2"] * count)
 
 
 def test_a_collection_is_repeated(repository: Path, small: Path) -> None:
