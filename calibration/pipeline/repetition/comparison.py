@@ -91,7 +91,7 @@ def stage_times(runs: Sequence[Repetition]) -> tuple[Spread, ...]:
 
 def spreads_of_results(runs: Sequence[Repetition], limits: MaxSpread | None) -> tuple[Spread, ...]:
     """Return the spread of every number and transform that at least two runs have."""
-    limits = limits or MaxSpread()
+    limit_of_unit = limits.limit_of_unit if limits else {}
     numbers: dict[tuple[str, str], list[float]] = defaultdict(list)
     poses: dict[str, list[Array]] = defaultdict(list)
     for run in runs:
@@ -99,8 +99,10 @@ def spreads_of_results(runs: Sequence[Repetition], limits: MaxSpread | None) -> 
             numbers[key].append(number)
         for name, T in run.poses.items():
             poses[name].append(T)
-    found = [_spread_of(name, unit, each, limits.limit_in(unit)) for (name, unit), each in numbers.items()]
-    found += [spread for name, each in poses.items() for spread in _spreads_of_poses(name, np.stack(each), limits)]
+    found = [_spread_of(name, unit, each, limit_of_unit.get(unit)) for (name, unit), each in numbers.items()]
+    found += [
+        spread for name, each in poses.items() for spread in _spreads_of_poses(name, np.stack(each), limit_of_unit)
+    ]
     return tuple(spread for spread in found if spread.runs > 1)
 
 
@@ -117,7 +119,7 @@ def _spread_of(name: str, unit: str, values: Sequence[float], limit: float | Non
     )
 
 
-def _spreads_of_poses(name: str, T: Array, limits: MaxSpread) -> Iterator[Spread]:
+def _spreads_of_poses(name: str, T: Array, limit_of_unit: Mapping[str, float]) -> Iterator[Spread]:
     """Yield the spreads of transforms (n, 4, 4) in mm and degrees, by their distances from the mean transform."""
     equal = bool((T[0] == T).all())
     R = T[:, :3, :3]
@@ -133,7 +135,7 @@ def _spreads_of_poses(name: str, T: Array, limits: MaxSpread) -> Iterator[Spread
             mean=None,
             standard_deviation=float(np.sqrt((distances**2).sum() / max(len(T) - 1, 1))),
             largest=float(distances.max()),
-            limit=limits.limit_in(unit),
+            limit=limit_of_unit.get(unit),
         )
 
 

@@ -52,6 +52,7 @@ class RepeatedResults:
     failures: tuple[RepeatedFailure, ...] = field("What failed at least once; what always fails first.")
     undecided: tuple[RepeatedFailure, ...] = field("What was undecided, and so did not pass, at least once.")
     max_flake_rate: float | None = field("Largest share of runs in which something flaky may fail.", default=None)
+    unjudged: tuple[str, ...] = field("Units for which a largest spread is set, and no two runs have a result.")
     undecided_passes: bool = field("Whether an undecided spread counts as passed.", default=False)
 
     @property
@@ -81,7 +82,8 @@ class RepeatedResults:
         undecided = [each for each in self.undecided if not each.is_within(self.max_flake_rate)]
         lines = [f"{each.name}, in {each.rate.failed} of {each.rate.runs} runs: {each.message}" for each in undecided]
         reaching = [spread for spread in self.spreads if spread.verdict == "undecided"]
-        return lines + [f"undecided: {each.check} for sure: more runs decide" for each in reaching]
+        lines += [f"undecided: {each.check} for sure: more runs decide" for each in reaching]
+        return lines + [f"undecided: max-spread: no two runs have a result in {unit}" for unit in self.unjudged]
 
     @property
     @computed()
@@ -116,6 +118,7 @@ def repeated_results(
     """
     complete = [run for run in runs if run.cut_short is None]
     spreads = spreads_of_results(complete, settings.max_spread)
+    limited = set(settings.max_spread.limit_of_unit if settings.max_spread else ())
     varying = tuple(spread for spread in spreads if spread.largest > 0)
     return RepeatedResults(
         asked=settings.repeat,
@@ -138,6 +141,7 @@ def repeated_results(
         failures=repeated_failures([_cases(run.outcomes, undecided=False)] for run in runs),
         undecided=repeated_failures([_cases(run.outcomes, undecided=True)] for run in runs),
         max_flake_rate=settings.max_flake_rate,
+        unjudged=tuple(sorted(limited - {spread.unit for spread in spreads})),
         undecided_passes=undecided_passes,
     )
 

@@ -1,5 +1,6 @@
 """How often a run is repeated, and how much its repetitions may differ."""
 
+from collections.abc import Mapping
 from typing import Annotated
 
 from calibration.base.flake_rate import MAX_REPETITIONS
@@ -19,9 +20,11 @@ class MaxSpread:
     )
     rotation_deg: Limit | None = field("Likewise.", default=None, unit="degrees")
 
-    def limit_in(self, unit: str) -> float | None:
-        """Return the limit of results in px, mm or deg; None if there is none."""
-        return {"px": self.rms_px, "mm": self.translation_mm, "deg": self.rotation_deg}.get(unit)
+    @property
+    def limit_of_unit(self) -> Mapping[str, float]:
+        """The limits that are set, by the unit of results: px, mm and deg."""
+        limits = {"px": self.rms_px, "mm": self.translation_mm, "deg": self.rotation_deg}
+        return {unit: limit for unit, limit in limits.items() if limit is not None}
 
 
 @record

@@ -244,6 +244,12 @@ def test_a_spread_has_a_verdict_as_other_limits(tmp_path: Path, limit: float, pa
     assert found.exit_code == (0 if passes else 1)
 
 
+def test_a_spread_of_what_no_run_has_is_undecided(tmp_path: Path) -> None:
+    settings = Repetitions(repeat=2, max_spread=MaxSpread(rms_px=1))
+    found, _ = repeated(settings, tmp_path, Runner(), "title", once())
+    assert (found.verdict, found.exit_code, found.unjudged) == ("undecided", ExitCode.FAIL, ("px",))
+
+
 def test_a_fail_without_a_reason_of_its_own_counts(tmp_path: Path) -> None:
     found, _ = repeated(
         Repetitions(repeat=2),
