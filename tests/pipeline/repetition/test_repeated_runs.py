@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import numpy as np
 import pytest
 
 from calibration.__main__ import main
@@ -15,9 +16,9 @@ from calibration.base.errors import CalibrationError, ExitCode, InfrastructureEr
 from calibration.ci.report import Outcome
 from calibration.ci.workflow import Runner
 from calibration.pipeline.matrix.cell_verdict import judge_results
-from calibration.pipeline.matrix.matrix import Matrix
+from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.repetition.pipeline_runs import repeat_stages
-from calibration.pipeline.repetition.repetition import Repetition
+from calibration.pipeline.repetition.repetition import Repetition, poses_of_run
 from calibration.pipeline.repetition.running import repeated
 from calibration.pipeline.repetition.settings import MaxSpread, Repetitions
 from calibration.pipeline.results import PipelineResults
@@ -115,6 +116,17 @@ def test_what_follows_from_the_verdict_is_done_once_after_a_pass_of_all(
     run = PipelineRun(Matrix((RIWBOT,), NoiseGrid()), tmp_path, Runner(), image=SPECIFICATION)
     code, _ = repeat_stages(run, ("calibrate", "introspect", "promote"), Repetitions(repeat=2))
     assert (code, promoted) == (0 if count else 1, [tmp_path / "run-2"] * count)
+
+
+def test_transforms_of_software_are_those_of_its_dataset(tmp_path: Path) -> None:
+    found = run_matrix(Matrix((RIWBOT,), NoiseGrid()), tmp_path, 1)
+    of_engine = poses_of_run(PipelineResults(found.cells), tmp_path, {})
+    without_details = tuple(replace(cell, details=None) for cell in found.cells)
+    of_software = poses_of_run(PipelineResults(without_details), tmp_path, found.datasets)
+    shared = of_engine.keys() & of_software.keys()
+    assert shared
+    for name in shared:
+        np.testing.assert_allclose(of_engine[name], of_software[name], atol=1e-9)
 
 
 def test_a_collection_is_repeated(repository: Path, small: Path) -> None:
