@@ -42,6 +42,7 @@ PARTS = {
         for key in ("image", "aws-batch", "baseline", "exports", "analysis", "requirements")
     },
     "systems": ("calibration.yml", lambda part: part),
+    "tasks": ("calibration.yml", lambda part: {"systems": {"any": {"dataset": "any", **part}}}),
     "simulation": ("calibration.yml", lambda part: part),
     "patterns": ("import.yml", lambda part: part),
     # config.yml and simulation.yml have no schema; read in tests/actions/test_contract.py and tests/robot/simulation
