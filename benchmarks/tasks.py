@@ -29,7 +29,7 @@ from calibration.engine.estimation.covariance.error_bars import SourceKind
 from calibration.engine.estimation.covariance.lens_errors import lens_errors
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.estimation.options import Assumptions, Options
-from calibration.engine.geometry.transforms import retract
+from calibration.engine.geometry.transforms import apply, inverse, retract, translation
 from calibration.engine.tasks.placed_task import UNIT_PER_SI
 from calibration.engine.tasks.robot_task import Box, RobotTask
 from calibration.engine.tasks.task_errors import TaskError, task_errors
@@ -135,7 +135,7 @@ def robot(system: str, number: int, without: SourceKind | None = None) -> dict[s
     factors = 1 + size + np.array([stretch / 2, -stretch / 2, 0.0])
     inside = np.ptp(pattern.corners[:, :2], axis=0) / np.ptp(pattern.outline, axis=0)  # of the board, by its corners
     along_x, along_y, twist = np.array(bent) * (*(inside**2), inside.prod())
-    printed = replace(pattern, corners=pattern.corners * factors)
+    printed = replace(pattern, corners=pattern.centre + (pattern.corners - pattern.centre) * factors)
     other = replace(world.with_transforms(moved), patterns={pattern.name: printed})
     scene = scene.seen_as_in(replace(scene, world=other, shape=(-along_x, -along_y, twist)))
     lenses = drawn("lens", len(told.sensors), 40)
@@ -150,9 +150,11 @@ def robot(system: str, number: int, without: SourceKind | None = None) -> dict[s
     ranges = drawn("ranges", len(told.sensors), 3) * (ASSUMED.range_bias, ASSUMED.range_scale, ASSUMED.beam_elevation)
     off_ranges = dict(zip(told.sensors, ranges, strict=True))
 
-    def ranged(_: int, sensor: str, labels: Labels) -> Labels:
+    def ranged(i: int, sensor: str, labels: Labels) -> Labels:
         if isinstance(labels, PointLabels):
-            return replace(labels, points=labels.points + _range_errors(labels.points, off_ranges[sensor]))
+            T = scene.pose(sensor)[i] @ translation(pattern.centre)
+            points = apply(T, apply(inverse(T), labels.points) * factors)  # the border is as large as the print
+            return replace(labels, points=points + _range_errors(points, off_ranges[sensor]))
         return labels
 
     scene = scene.labelled(ranged)
@@ -249,8 +251,8 @@ def _time(rounds: int) -> Iterator[Row]:
                 each.parts()
 
         times = interleaved({"tasks": work, "calibrate": lambda: calibrate(dataset)}, rounds)  # noqa: B023
-        took, calibration = (float(np.median(each)) for each in times.values())
-        note = f"four tasks beside a calibration of {1e3 * calibration:.0f} ms"
+        took, calibration = map(min, times.values())
+        note = f"four tasks beside a calibration of {1e3 * calibration:.0f} ms; the fastest of {rounds} rounds"
         yield Row(f"tasks/time, N={count}", 1e3 * took, "ms", Bar(high=50), note)
         yield Row(f"tasks/share of a calibration, N={count}", took / calibration, "", Bar(high=0.5), note)
 

@@ -139,7 +139,7 @@ def place_task(dataset: Dataset, task: RobotTask, gauge: str | None = None) -> P
         dataset.transform(frame, points_in, collections), np.broadcast_to(points, (len(collections), *points.shape))
     )
     seen: BoolArray = np.asarray(np.isfinite(placed).all(-1))
-    for each in cameras:
+    for each in cameras[pixels is not None :]:  # the first one sees what its own pixels are of
         seen = seen & _sees(each, apply(dataset.transform(each.frame, frame, collections), placed))
     _refuse_unreachable(dataset, task, frame, collections, placed)
     if not seen.any() or (task.points is not None and not seen.any(0).all()):
@@ -346,7 +346,9 @@ def _measured_displacement(columns: "TaskColumns", sensors: Sequence[Sensor]) ->
             along = scale * columns.rays(first)[:, None]
             rows.append(along)
             sides.append(along @ columns.displacement(first.frame))
-    return np.asarray(np.linalg.pinv(np.concatenate(rows, 1)) @ np.concatenate(sides, 1))
+    H = np.concatenate(rows, 1)
+    back = np.swapaxes(H, 1, 2)
+    return np.linalg.solve(back @ H, back @ np.concatenate(sides, 1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,7 +69,8 @@ class TaskError:
         """Return by kind of source its standard deviation at the worst point, largest first."""
         sums: dict[SourceKind, float] = {}
         for each in self.sources:
-            sums[each.kind] = sums.get(each.kind, 0.0) + float(self.variances[each.name][self.worst])
+            moved = self.jacobian[self.worst] @ each.columns
+            sums[each.kind] = sums.get(each.kind, 0.0) + float((moved**2).sum())
         return {kind: part**0.5 for kind, part in sorted(sums.items(), key=lambda each: -each[1]) if part > 0}
 
     def largest_change(self, changes: Array) -> float:
