@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from calibration.engine.baseline.calibration_document import CalibrationDocument
+from calibration.engine.baseline.calibration_document import CalibrationDocument, TaskDocument
 from calibration.engine.baseline.quality import BaselineSettings
 from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.tasks.robot_task import TaskUnit
 from tests.engine.baseline.scenes import stereo, taken
 
 
@@ -86,3 +87,18 @@ def test_an_error_bar_is_compared_at_the_same_number_of_collections(before: Cali
     assert findings(replace(accepted, data="e" * 64), wider(2.0, 10.0)) == []
     [found] = findings(replace(accepted, data="e" * 64), wider(2.0, 40.0))
     assert found.severity == "warning"
+
+
+def test_a_task_that_the_robot_does_worse_is_named(before: CalibrationDocument) -> None:
+    """By more than a quarter; of one that is asked in another unit nothing is said."""
+
+    def with_error(most: float, unit: TaskUnit = "mm") -> CalibrationDocument:
+        return replace(before, tasks={"grasp": TaskDocument(most / 2, most, unit)})
+
+    accepted = with_error(1.0)
+    assert not findings(accepted, with_error(1.24))
+    [worse] = findings(accepted, with_error(1.26))
+    assert (worse.kind, worse.value) == ("baseline-quality", 1.26)
+    assert "'grasp'" in worse.text
+    assert not findings(accepted, with_error(9.0, "deg"))
+    assert not findings(before, with_error(9.0))
