@@ -23,7 +23,7 @@ from benchmarks.verdict.unforeseen import UNFORESEEN
 from benchmarks.workers import on_all_cores
 from calibration.base.arrays import Array
 from calibration.base.errors import CalibrationError
-from calibration.engine.dataset.model import Dataset, Labels, PointLabels
+from calibration.engine.dataset.model import Dataset, Edge, Labels, PointLabels
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.error_bars import SourceKind
 from calibration.engine.estimation.covariance.lens_errors import lens_errors
@@ -92,12 +92,19 @@ class Carried:
     stated: TaskError
     errors: Array
     """(n, m): how far off it was, in the task's unit."""
+    drawn: Mapping[str, Array]
+    """By source of error, its draws: what the robot takes for true less what is, in standard deviations."""
 
-    @property
-    def by_point(self) -> Array:
-        """(V, P, m): the same by pose and number of the point; NaN where no sensor sees it."""
-        out = np.full((*self.stated.placed.seen.shape, self.errors.shape[-1]), np.nan)
-        out[self.stated.placed.at] = self.errors
+    def expected(self, kind: SourceKind) -> Array:
+        """(n, m): how far off it would be, to first order, by what was drawn of one kind of source."""
+        moves = [each.columns @ self.drawn[each.name] for each in self.stated.sources if each.name in self.drawn]
+        kinds = [each.kind for each in self.stated.sources if each.name in self.drawn]
+        return np.asarray(self.stated.jacobian @ sum(d for d, of in zip(moves, kinds, strict=True) if of == kind))
+
+    def by_point(self, values: Array) -> Array:
+        """Return values (n, m) by pose and number of the point, (V, P, m); NaN where no sensor sees it."""
+        out = np.full((*self.stated.placed.seen.shape, values.shape[-1]), np.nan)
+        out[self.stated.placed.at] = values
         return out
 
     @property
@@ -162,7 +169,7 @@ def robot(system: str, number: int, without: SourceKind | None = None) -> dict[s
         scene = with_noise(scene, generator("task noise", system, number), 0.0, NOISE.pixel)
     options = Options(assume=ASSUMED, noise_levels=NOISE, loss="linear")
     found = calibrate(scene.told.with_cameras(cameras), options)
-    carried = {}
+    carried, draws = {}, _draws(scene, edges, twists, (size, stretch, *bent), lenses, ranges)
     for error in task_errors(found, TASKS[system]):
         placed, unit = error.placed, UNIT_PER_SI[error.task.unit]
         measured = None
@@ -172,8 +179,33 @@ def robot(system: str, number: int, without: SourceKind | None = None) -> dict[s
             points = np.einsum("nij,nj->ni", T[:, :3, :3], placed.places) + T[:, :3, 3]
             measured = _range_errors(points, off_ranges[sensor.name])
         with np.errstate(all="ignore"):
-            carried[error.task.name] = Carried(error, unit * errors_of_robot(placed, other, found.dataset, measured))
+            carried[error.task.name] = Carried(
+                error, unit * errors_of_robot(placed, other, found.dataset, measured), draws
+            )
     return carried
+
+
+def _draws(
+    scene: Scene, edges: list[Edge], twists: Array, board: tuple[float, ...], lenses: Array, ranges: Array
+) -> dict[str, Array]:
+    """By name of the source of error, what was drawn of it, in standard deviations."""
+    pattern, a = scene.pattern.name, ASSUMED
+    size, stretch, along_x, along_y, twist = board
+    of_link = np.array([a.arm_translation] * 3 + [a.arm_rotation] * 3)
+    drawn = {f"link of {'-'.join(edge)}": -twist / of_link for edge, twist in zip(edges, twists, strict=True)}
+    drawn |= {
+        f"size of {pattern}": np.array([-size / a.pattern_size]),
+        f"stretch of {pattern}": np.array([-stretch / a.pattern_stretch]),
+        f"bow of {pattern}": np.array([-along_x, -along_y]) / a.flatness,
+        f"twist of {pattern}": np.array([-twist / a.flatness]),
+    }
+    for sensor, z, off in zip(scene.told.sensors.values(), lenses, ranges, strict=True):
+        if sensor.camera is not None:
+            drawn[f"camera_info of {sensor.name}"] = z[: lens_errors(sensor.camera, a, None).root.shape[1]]
+        of_ranges = (a.range_bias, a.range_scale, a.beam_elevation)
+        for what, value, sigma in zip(("range bias", "range scale", "beam elevation"), off, of_ranges, strict=True):
+            drawn[f"{what} of {sensor.name}"] = np.array([-value / sigma])
+    return drawn
 
 
 def _range_errors(points: Array, off: Array) -> Array:
@@ -208,7 +240,11 @@ def _coverage(robots: int) -> Iterator[Row]:
 
 
 def _squares_by_part(of: tuple[str, int]) -> list[tuple[SourceKind, float, float, float]]:
-    """By part: its mean square as switched off and as stated, over the whole as stated; the whole's sum."""
+    """By task and kind of source: by how much switching it off changes the error, and how much that should be.
+
+    Both are mean squares, over that of the whole; what should be is what was drawn, to first order, and of the labels
+    what is stated. And how far the sum of all parts is from the whole.
+    """
     whole = robot(*of)
     found: list[tuple[SourceKind, float, float, float]] = []
     for kind in PARTS:
@@ -217,9 +253,14 @@ def _squares_by_part(of: tuple[str, int]) -> list[tuple[SourceKind, float, float
             total = float(np.einsum("nii->n", each.stated.covariance).mean())
             stated = float(sum(each.stated.variances[s.name].mean() for s in each.stated.sources if s.kind == kind))
             summed = float(sum(each.stated.variances[s.name].mean() for s in each.stated.sources))
-            off = float(np.nanmean(((each.by_point - rest[name].by_point) ** 2).sum(-1)))
             if stated > 1e-3 * total:
-                found.append((kind, off / total, stated / total, summed / total))
+                changed = each.by_point(each.errors) - rest[name].by_point(rest[name].errors)
+                both = np.isfinite(changed).all(-1)
+                should = each.by_point(each.expected(kind))[both] if kind != "labels" else None
+                expected = stated if should is None else float((should**2).sum(-1).mean())
+                found.append(
+                    (kind, float((changed[both] ** 2).sum(-1).mean()) / total, expected / total, summed / total)
+                )
     return found
 
 
@@ -229,8 +270,9 @@ def _parts(robots: int) -> Iterator[Row]:
     yield Row("tasks/sum of parts", 100 * worst, "% off", Bar(high=2), f"the worst of {len(rows)}")
     for kind in PARTS:
         own = [row for row in rows if row[0] == kind]
-        ratio = float(np.sqrt(np.mean([row[1] / row[2] for row in own])))
-        note = f"of what switching it off changes, {len(own)} tasks in which it is more than a thousandth"
+        ratio = float(np.sqrt(sum(row[1] for row in own) / sum(row[2] for row in own)))
+        of = "stated" if kind == "labels" else "what was drawn of it, to first order"
+        note = f"what switching it off changes, over {of}: {len(own)} tasks in which it is more than a thousandth"
         yield Row(f"tasks/part of {kind}", ratio, "", Bar(0.9, 1.1), note)
 
 

@@ -150,7 +150,7 @@ def _finding_on_suspect(
     calibration: Calibration, limits: Limits, suspect: Suspect, tasks: Sequence[TaskError]
 ) -> Finding:
     if calibration.of_cameras_alone:
-        return _finding_on_cameras(calibration, limits, suspect)
+        return _finding_on_cameras(calibration, limits, suspect, tasks)
     cause = suspect.cause
     before, after = (
         _largest_moves(calibration, suspect.moves),
@@ -212,20 +212,32 @@ def _finding_on_suspect(
     )
 
 
-def _finding_on_cameras(calibration: Calibration, limits: Limits, suspect: Suspect) -> Finding:
-    """Report what a cause does to the projection of cameras alone."""
+def _finding_on_cameras(
+    calibration: Calibration, limits: Limits, suspect: Suspect, tasks: Sequence[TaskError]
+) -> Finding:
+    """Report what a cause does to the projection of cameras alone, and to tasks."""
     moved = shifts(calibration, suspect.moves)
     camera = max(moved, key=lambda name: moved[name])
     model = calibration.dataset.sensors[camera].camera
     limit = projection_limit(model, limits) if model else 0.0
-    red = moved[camera] > limit
+    at_task = worst_at_tasks(tasks, _changes_by(calibration, [suspect]))
+    red = moved[camera] > limit or bool(at_task.broken)
     names = " or ".join(dict.fromkeys(_name_cause(each.cause) for each in (suspect, *suspect.rivals)))
     text = (
         f"{names} does not fit: {_describe_size(suspect.cause, suspect.value, suspect.sigma)}; it shifts the "
         f"projection of {camera} by {moved[camera]:.2g} px (limit {limit:.3g} px)"
     )
+    text += f"; {at_task}" if at_task.broken else ""
     text += f": {ADVICE_ON_CAUSE.get(suspect.cause.kind, 'look at it')}" if red else ""
-    return Finding("suspect", "red" if red else "note", text, (camera,), value=round(moved[camera], 4), unit="px")
+    return Finding(
+        "suspect",
+        "red" if red else "note",
+        text,
+        (camera,),
+        value=round(moved[camera], 4),
+        unit="px",
+        tasks=at_task.broken,
+    )
 
 
 def distance_text(mm: float, degrees: float) -> str:

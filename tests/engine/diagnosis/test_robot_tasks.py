@@ -10,6 +10,7 @@ from calibration.engine.diagnosis.robot_tasks import undecided_tasks
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
+from calibration.engine.estimation.options import Options
 from calibration.engine.tasks.robot_task import RobotTask
 from calibration.engine.tasks.task_errors import task_errors
 from tests.engine.estimation import systems
@@ -74,3 +75,22 @@ def test_a_task_without_a_limit_asks_nothing(good: Calibration, wrong: Calibrati
         assert {(each.kind, each.severity) for each in found(calibration, GRASP)} == {
             (each.kind, each.severity) for each in bare
         }
+
+
+def test_cameras_alone_are_judged_by_their_tasks_too() -> None:
+    """A board whose squares are half a percent longer one way: its focal lengths are wrong, and so is the aim."""
+    dataset = systems.covering(30, 0, 1, pixel_noise=0.1).dataset(0)
+    [(name, pattern)] = dataset.patterns.items()
+    stretched = replace(pattern, corners=pattern.corners * (1.005, 1.0, 1.0))
+    found_alone = calibrate(replace(dataset, patterns={name: stretched}), Options(intrinsics=("all",)))
+    assert found_alone.of_cameras_alone
+    loose = Limits(projection_px=100.0)
+    colours = {
+        limit: [
+            (each.severity, each.tasks)
+            for each in found(found_alone, RobotTask("aim", seen_by=("c0",), distance=1.0, limit_mm=limit), loose)
+            if each.kind == "suspect"
+        ]
+        for limit in (0.5, 100.0)
+    }
+    assert colours == {0.5: [("red", ("aim",))], 100.0: [("note", ())]}
