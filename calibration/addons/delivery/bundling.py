@@ -32,10 +32,10 @@ from calibration.base.verdict import worst_verdict
 from calibration.ci.git import Repository
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import compare
-from calibration.engine.baseline.document import MAX_BASELINE_BYTES, read_baseline
-from calibration.engine.baseline.quality import BaselineSettings
+from calibration.engine.baseline.document import MAX_BASELINE_BYTES, Baseline, read_baseline
+from calibration.engine.baseline.quality import BaselineSettings, SameData
 from calibration.engine.baseline.verdict import exceeds
-from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.geometry.rotations import to_quaternion
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.cell_verdict import judge_results
@@ -97,17 +97,19 @@ def make_bundle(
     files: dict[str, bytes] = {}
     bundled: list[BundledSystem] = []
     left_out: list[SystemLeftOut] = []
-    whole_run = _reasons_beside_cells(run.results)
+    whole_run, baseline = list(_reasons_beside_cells(run.results)), read_baseline(run.baseline.file)
     for system in chosen_systems(run.systems, settings.systems):
-        marks = [*whole_run, *_marks(system, run)]
-        cell = _cell_to_bundle(system, run.results)
+        calibrated_system = _calibrated_system(system, run, baseline)
+        marks = (*whole_run, *calibrated_system.marks(run.baseline.same_data))
+        cell = calibrated_system.cell_to_bundle
         if cell is None or (marks and although is None):
-            left_out.append(SystemLeftOut(system.name, shorten(marks[0], 300)))
+            why = marks[0] if marks else "it keeps no calibrated dataset (datasets: none)"
+            left_out.append(SystemLeftOut(system.name, shorten(why, 300)))
             continue
         dataset = calibrated_dataset(system, cell, run.output)
         exported, _ = files_for_robot(dataset, system.exports or Exports(), cell, run.output)
         files |= {f"{system.name}/{name}": content for name, content in exported.items()}
-        bundled.append(_bundled_system(system, run, dataset, tuple(marks)))
+        bundled.append(_bundled_system(calibrated_system, dataset, marks))
     if left_out and (settings.systems or not bundled):
         name, why = left_out[0].name, left_out[0].why
         raise InputError(f"{name}: not bundled: {why}; 'calibration bundle --although why' bundles and marks it")
@@ -141,71 +143,60 @@ def _reasons_beside_cells(results: PipelineResults) -> Iterator[str]:
     yield from (f"the run is red: {reason}" for reason in reasons)
 
 
-def _marks(system: System, run: RunToBundle) -> Iterator[str]:
-    """Yield why a system is bundled only if asked for."""
-    cells = [cell for cell in run.results.cells if cell.system == system.name]
-    if not cells:
-        yield f"there is no result of it in {run.output}: calibration run"
-    for cell in cells:
-        if not cell.passes:
-            yield f"{cell.verdict}: {shorten((*cell.all_reasons, 'it has not converged')[0], 300)}"
-            return
-    if cells:
-        yield from _why_not_accepted(system, run)
+@dataclass(frozen=True)
+class _CalibratedSystem:
+    """A system, and what a run and the baseline have of it."""
 
+    system: System
+    cells: tuple[CellResult, ...]
+    now: CalibrationDocument | None
+    """Calibration of our engine on its data, which is what is accepted."""
+    accepted: CalibrationDocument | None
 
-def _why_not_accepted(system: System, run: RunToBundle) -> Iterator[str]:
-    accepted = _accepted(system, run)
-    now = _snapshot(system, run)
-    if accepted is None:
-        yield "it is not accepted: calibration accept"
-    elif now is None:
-        yield "it has no calibration that could be accepted"
-    else:
-        found = compare(accepted, now)
-        changed = [each for each in found.changes if each.kind in ("added", "removed")]
-        changed += [each for each in found.changes if exceeds(each, run.baseline.same_data)]
+    @property
+    def cell_to_bundle(self) -> CellResult | None:
+        """The first cell that passed, else the first that converged; None if none has a calibrated dataset."""
+        cells = [cell for cell in self.cells if cell.converged and cell.dataset]
+        return next((cell for cell in cells if cell.passes), cells[0] if cells else None)
+
+    def marks(self, same_data: SameData) -> tuple[str, ...]:
+        """Return why it is bundled only if asked for: it is red, undecided or not accepted."""
+        if not self.cells:
+            return ("it has no result: calibration run",)
+        failed = next((cell for cell in self.cells if not cell.passes), None)
+        if failed is not None:
+            return (f"{failed.verdict}: {shorten((*failed.all_reasons, 'it has not converged')[0], 300)}",)
+        if self.accepted is None:
+            return ("it is not accepted: calibration accept",)
+        if self.now is None:
+            return ("it has no calibration that could be accepted",)
+        found = compare(self.accepted, self.now)
         if not found.same_data:
-            yield "it is of other data than the accepted calibration: calibration accept"
-        elif changed:
-            yield f"{changed[0].name} differs from the accepted calibration: calibration accept"
+            return ("it is of other data than the accepted calibration: calibration accept",)
+        changed = [each.name for each in found.changes if each.kind in ("added", "removed") or exceeds(each, same_data)]
+        return (f"{changed[0]} differs from the accepted calibration: calibration accept",) if changed else ()
 
 
-def _accepted(system: System, run: RunToBundle) -> CalibrationDocument | None:
-    baseline = read_baseline(run.baseline.file)
-    return baseline.systems.get(system.name) if baseline else None
+def _calibrated_system(system: System, run: RunToBundle, baseline: Baseline | None) -> _CalibratedSystem:
+    cells = tuple(cell for cell in run.results.cells if cell.system == system.name)
+    references = [cell for cell in run.results.comparisons if cell.system == system.name and not cell.by_other_method]
+    details = (cell.details or own_details(cell, run.output) for cell in (*cells, *references) if cell.converged)
+    now = next((each.snapshot for each in details if each is not None and each.snapshot is not None), None)
+    return _CalibratedSystem(system, cells, now, baseline.systems.get(system.name) if baseline else None)
 
 
-def _snapshot(system: System, run: RunToBundle) -> CalibrationDocument | None:
-    """Return the calibration of our engine on a system's data, which is what is accepted."""
-    references = [cell for cell in run.results.comparisons if not cell.by_other_method]
-    for cell in (*run.results.cells, *references):
-        if cell.system == system.name and cell.converged:
-            details = cell.details or own_details(cell, run.output)
-            if details is not None and details.snapshot is not None:
-                return details.snapshot
-    return None
-
-
-def _cell_to_bundle(system: System, results: PipelineResults) -> CellResult | None:
-    """Return the cell whose calibration is bundled: the first that passed, else the first that converged."""
-    cells = [cell for cell in results.cells if cell.system == system.name and cell.converged and cell.dataset]
-    return next((cell for cell in cells if cell.passes), cells[0] if cells else None)
-
-
-def _bundled_system(system: System, run: RunToBundle, dataset: Dataset, marks: tuple[str, ...]) -> BundledSystem:
-    cells = [cell for cell in run.results.cells if cell.system == system.name]
-    snapshot, accepted, of = _snapshot(system, run), _accepted(system, run), calibrated(dataset)
+def _bundled_system(of_run: _CalibratedSystem, dataset: Dataset, marks: tuple[str, ...]) -> BundledSystem:
+    system, now, accepted, of = of_run.system, of_run.now, of_run.accepted, calibrated(dataset)
     description = system.exports.robot_description if system.exports else None
     content = read_bytes(description, MAX_DESCRIPTION_BYTES, "a robot description") if description else None
     return BundledSystem(
         name=system.name,
-        verdict=worst_verdict(cell.verdict for cell in cells),
-        reasons=tuple(dict.fromkeys(reason for cell in cells for reason in cell.all_reasons)),
+        verdict=worst_verdict(cell.verdict for cell in of_run.cells),
+        reasons=tuple(dict.fromkeys(reason for cell in of_run.cells for reason in cell.all_reasons)),
         marks=marks,
-        starts=tuple(JudgedStart(cell.name, cell.verdict) for cell in cells),
-        labels=snapshot.data if snapshot else None,
-        inputs=snapshot.inputs if snapshot else {},
+        starts=tuple(JudgedStart(cell.name, cell.verdict) for cell in of_run.cells),
+        labels=now.data if now else None,
+        inputs=now.inputs if now else {},
         description=None if content is None else _sha256(content),
         accepted_although=accepted.although if accepted else None,
         transforms=(
@@ -219,20 +210,17 @@ def _bundled_system(system: System, run: RunToBundle, dataset: Dataset, marks: t
                 width=camera.width,
                 height=camera.height,
                 distortion_model=camera.distortion.ros_name,
-                K=tuple(float(value) for value in camera.K.ravel()),
-                D=tuple(float(value) for value in camera.distortion.coefficients),
+                K=tuple(camera.K.ravel().tolist()),
+                D=tuple(camera.distortion.coefficients.tolist()),
             )
             for name, camera in of.cameras.items()
         ),
     )
 
 
-def _bundled_transform(edge: Sequence[str], T: Array, *, joint: bool) -> BundledTransform:
-    parent, child = edge
-    quat = tuple(float(value) + 0.0 for value in to_quaternion(T[:3, :3]))
-    return BundledTransform(
-        parent=parent, child=child, trans=tuple(float(v) + 0.0 for v in T[:3, 3]), quat=quat, joint=joint
-    )
+def _bundled_transform(edge: Edge, T: Array, *, joint: bool) -> BundledTransform:
+    trans, quat = (tuple((values + 0.0).tolist()) for values in (T[:3, 3], to_quaternion(T[:3, :3])))  # no -0
+    return BundledTransform(parent=edge[0], child=edge[1], trans=trans, quat=quat, joint=joint)
 
 
 class _Origin(NamedTuple):

@@ -186,7 +186,10 @@ def test_a_run_that_is_red_beside_its_cells_is_not_bundled(team: Path, capsys: p
     results["exports"][0]["reasons"] = ["robot: exports: no frame"]
     path.write_text(json.dumps(results))
     assert main(["bundle"]) == 2
-    assert "the run is red: robot: exports: no frame" in capsys.readouterr().err
+    why = "the run is red: robot: exports: no frame"
+    assert why in capsys.readouterr().err
+    assert main(["bundle", "--although", "a test"]) == 0
+    assert [each["marks"][0] for each in bundled()[0]["systems"]] == [why, why]
 
 
 @pytest.mark.parametrize("text", ["x", "-----BEGIN PRIVATE KEY-----\nAAAA\n-----END PRIVATE KEY-----"])
@@ -206,6 +209,16 @@ def test_a_key_on_the_command_line_is_refused(team: Path, capsys: pytest.Capture
     shown = "".join(capsys.readouterr())
     assert "every process reads it" in shown
     assert private_pem().splitlines()[1] not in shown
+
+
+def test_a_system_without_a_calibrated_dataset_is_left_out(team: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = team / "output/results.json"
+    results = json.loads(path.read_text())
+    for cell in results["cells"]:
+        cell["folder"], cell["dataset"] = str(Path(cell["dataset"]).parent), None
+    path.write_text(json.dumps(results))
+    assert main(["bundle"]) == 2
+    assert "robot: not bundled: it keeps no calibrated dataset" in capsys.readouterr().err
 
 
 def test_a_bundle_of_no_commit_needs_a_time(team: Path, capsys: pytest.CaptureFixture[str]) -> None:
