@@ -1,7 +1,7 @@
 """What is in use compared with a bundle: each transform and each camera of it, in each file that has it."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from calibration.addons.delivery.in_use import InUse, UsedCamera, UsedTransform
@@ -41,6 +41,7 @@ def compare_with_use(
     """
     transforms = [each for system in systems for each in system.transforms]
     cameras = [each for system in systems for each in system.cameras]
+    everywhere = _by_child(each for source in sources for each in source.transforms)
     differences: list[DifferenceInUse] = []
     warnings: list[str] = []
     compared = 0
@@ -48,7 +49,7 @@ def compare_with_use(
         able = [each for each in sources if each.transforms and (each.has_joints or not expected.joint)]
         holding = [each for each in able if any(used.child == expected.child for used in each.transforms)]
         for source in holding:
-            differences += _differences_of_transform(expected, source, transforms, tolerance)
+            differences += _differences_of_transform(expected, source, everywhere, transforms, tolerance)
         compared += bool(holding)
         if not able:
             wanted = "a URDF" if expected.joint else "a URDF, launch file or bag"
@@ -76,14 +77,25 @@ def _missing(sources: Sequence[InUse], of: str, text: str) -> DifferenceInUse:
     return DifferenceInUse(place=", ".join(source.place for source in sources), of=of, text=text)
 
 
+def _by_child(transforms: Iterable[UsedTransform]) -> dict[str, list[UsedTransform]]:
+    """Return transforms by their children, each once."""
+    found: dict[str, list[UsedTransform]] = {}
+    for used in dict.fromkeys(transforms):
+        found.setdefault(used.child, []).append(used)
+    return found
+
+
 def _differences_of_transform(
-    expected: BundledTransform, source: InUse, others: Sequence[BundledTransform], tolerance: Tolerance
+    expected: BundledTransform,
+    source: InUse,
+    everywhere: Mapping[str, Sequence[UsedTransform]],
+    others: Sequence[BundledTransform],
+    tolerance: Tolerance,
 ) -> Iterator[DifferenceInUse]:
-    by_child: dict[str, list[UsedTransform]] = {}
-    for used in dict.fromkeys(source.transforms):
-        by_child.setdefault(used.child, []).append(used)
+    own = _by_child(source.transforms)
+    by_child = {**everywhere, **own}  # a launch file may hang a sensor on a link of the URDF
     wanted = pose_of([*expected.trans, *expected.quat])
-    for used in by_child[expected.child]:
+    for used in own[expected.child]:
         pose, top = _pose_below(expected, used, by_child)
         if pose is None:
             text = f"found it below {top}, expected below {expected.parent}"

@@ -18,7 +18,7 @@ from calibration.addons.delivery.manifest import BundledSystem, Manifest, Versio
 from calibration.addons.delivery.results import VerifyResults
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import read_bytes, write_atomically
-from calibration.base.records import between, excludes, field, one_of, read, record
+from calibration.base.records import Misfit, between, field, read, record
 from calibration.base.text import did_you_mean, one_line
 from calibration.ci.execution.sizes import Seconds
 from calibration.ci.report import FILES, Lines, Outcome, Report, Table, publish, remove_results, verdict_of
@@ -29,13 +29,7 @@ TITLE = "verify"
 MAX_VERSION_BYTES = 100
 
 
-@record(
-    kw_only=True,
-    rules=(
-        one_of("key", "unsigned", why="expected --key, the public key that is trusted (or --unsigned)"),
-        excludes("key", "unsigned"),
-    ),
-)
+@record(kw_only=True)
 class VerifySettings:
     """Inputs of ``verify``."""
 
@@ -69,6 +63,17 @@ class VerifySettings:
     )
     unpack: Path | None = field("Folder to write the files to if the bundle is accepted; it must be new.", default=None)
     output: Path | None = field("Folder for results.json, junit.xml and summary.md.", default=None)
+
+    def __post_init__(self) -> None:
+        """Refuse keys beside ``unsigned``, and neither of them.
+
+        Raises:
+            Misfit: names the option.
+        """
+        if self.key and self.unsigned:
+            raise Misfit("found --key too: with it the signature is checked", "unsigned")
+        if not self.key and not self.unsigned:
+            raise Misfit("expected --key, the public key that is trusted (or --unsigned)")
 
 
 @click.command(TITLE)
@@ -114,12 +119,15 @@ def verify(bundle: str, settings: VerifySettings, runner: Runner) -> ExitCode:
 
 
 def _expectations(settings: VerifySettings) -> Expectations:
-    description = settings.description and read_bytes(settings.description, MAX_FILE_BYTES, "a robot description")
+    description = None
+    if settings.description is not None:
+        content = read_bytes(settings.description, MAX_FILE_BYTES, "a robot description")
+        description = hashlib.sha256(content).hexdigest()
     versions = [each for each in (settings.at_least, _remembered(settings.remember)) if each]
     return Expectations(
         keys=read_public_keys(settings.key),
         serial=settings.serial,
-        description=hashlib.sha256(description).hexdigest() if description else None,
+        description=description,
         max_age=settings.max_age,
         at_least=max(versions, key=version_order, default=None),
         marked=settings.marked,

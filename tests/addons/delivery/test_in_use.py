@@ -73,6 +73,14 @@ def test_all_that_is_in_use_is_what_was_verified(tmp_path: Path) -> None:
     assert result == ComparedWithUse(5, (), ())
 
 
+def test_a_chain_may_go_over_several_files(tmp_path: Path) -> None:
+    sensor = UsedTransform("mount", "right", pose_of([0.0, 0.0, 0.3, *RIGHT.quat]))
+    mount = UsedTransform("base", "mount", pose_of([0.1, -0.2, 0.0, 0.0, 0.0, 0.0, 1.0]))
+    launch = InUse("launch", (sensor,))
+    assert "right" not in found(launch, InUse("urdf", (mount, _used(LEFT))))
+    assert found(launch, InUse("urdf", (_used(LEFT),)))["right"] == "found it below mount, expected below base"
+
+
 @pytest.mark.parametrize("name", ["ros1", "ros2", "ros2-xml", "tf-static", "autoware"])
 def test_our_exports_are_read_back(name: str, tmp_path: Path) -> None:
     edges = {(each.parent, each.child): matrix(each) for each in (LEFT, RIGHT)}

@@ -68,6 +68,7 @@ def test_a_good_bundle_passes_and_says_what_was_not_compared(folder: Path) -> No
     [
         ("--serial", "SN-2"),
         ("--description", "key.pub"),
+        ("--description", "empty.urdf"),
         ("--max-age", "12h"),
         ("--at-least", "1.4.0.1"),
         ("--key", "other.pub"),
@@ -75,6 +76,7 @@ def test_a_good_bundle_passes_and_says_what_was_not_compared(folder: Path) -> No
 )
 def test_a_bundle_that_is_not_as_expected_is_refused(folder: Path, options: tuple[str, ...]) -> None:
     write_bundle_files(folder, signed(packed()))
+    (folder / "empty.urdf").touch()
     (folder / "other.pub").write_bytes(public_pem(OTHER_KEY))
     assert verify(*options, "--output", "output") == 1
     assert len(results()["reasons"]) == 1  # type: ignore[arg-type]
@@ -84,7 +86,8 @@ def test_a_bundle_that_is_not_as_expected_is_refused(folder: Path, options: tupl
     ("arguments", "text"),
     [
         (["verify", NAME], "expected --key"),
-        (["verify", NAME, "--key", "key.pub", "--unsigned"], "key and unsigned exclude each other"),
+        (["verify", NAME, "--unsigned", "false"], "expected --key"),
+        (["verify", NAME, "--key", "key.pub", "--unsigned"], "unsigned: found --key too"),
         (["verify", "nowhere.tar", "--key", "key.pub"], "nowhere.tar: a bundle was expected"),
         (["verify", "ghcr.io/a/b:1", "--key", "key.pub", "--offline"], "--offline allows no registry"),
         (["verify", NAME, "--key", NAME], f"{NAME}: expected an unencrypted public key in PEM"),
