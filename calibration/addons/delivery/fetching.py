@@ -83,14 +83,16 @@ def _from_folder(folder: Path) -> FetchedBundle:
 
 
 def _regular_files(folder: Path) -> Iterator[Path]:
-    for path in sorted(folder.iterdir()):
-        mode = path.lstat().st_mode
-        if stat.S_ISDIR(mode):
-            yield from _regular_files(path)
-        elif stat.S_ISREG(mode):
-            yield path
-        else:
-            raise RefusedBundleError(f"its file '{path.relative_to(folder)}' is a link or no regular file")
+    folders = [folder]
+    while folders:
+        for path in folders.pop().iterdir():
+            mode = path.lstat().st_mode
+            if stat.S_ISDIR(mode):
+                folders.append(path)
+            elif stat.S_ISREG(mode):
+                yield path
+            else:
+                raise RefusedBundleError(f"its file '{path.relative_to(folder)}' is a link or no regular file")
 
 
 def _from_registry(text: str, runner: Runner) -> FetchedBundle:
