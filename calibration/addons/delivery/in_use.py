@@ -171,7 +171,9 @@ def _literal_lists(content: bytes, path: Path) -> Iterator[list[str]]:
                 if all(value is not None for value in values):
                     yield [str(value) for value in values]
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise InputError(f"{path}: this is no launch file in Python: {one_line(str(error))}") from None
+        raise InputError(
+            f"{path}: this is no launch file in Python: {one_line(str(error)) or 'it is too deep'}"
+        ) from None
 
 
 def _literal(node: ast.expr) -> object:
