@@ -117,16 +117,16 @@ def file_not_as_listed(draw: _Draw) -> tuple[FetchedBundle, str]:
     """A bundle that its own team has packed wrong."""
     files, name = unpack_files(GOOD.content), draw.choice(sorted(FILES))
     if draw.random() < 0.5:
-        return _team_signed(_tar({**files, name: _flipped(files[name], draw)})), "has another content than its manifest"
+        return signed(_tar({**files, name: _flipped(files[name], draw)})), "has another content than its manifest"
     if draw.random() < 0.5:
-        return _team_signed(_tar({**files, "stereo/z": b"z"})), "its manifest does not list it"
-    return _team_signed(_tar({each: files[each] for each in files if each != name})), "it is not there"
+        return signed(_tar({**files, "stereo/z": b"z"})), "its manifest does not list it"
+    return signed(_tar({each: files[each] for each in files if each != name})), "it is not there"
 
 
 def broken_manifest(draw: _Draw) -> tuple[FetchedBundle, str]:
     files = unpack_files(GOOD.content)
     text = draw.choice((b"", b"[]", b"{", b'{"bundle": 2}', b"\xff", b"[" * 100_000, files[MANIFEST_FILE][:-9]))
-    return _team_signed(_tar({**files, MANIFEST_FILE: text})), MANIFEST_FILE
+    return signed(_tar({**files, MANIFEST_FILE: text})), MANIFEST_FILE
 
 
 HOSTILE_MEMBERS: tuple[tuple[str, dict[str, Any], str], ...] = (
@@ -165,26 +165,29 @@ def hostile_member(draw: _Draw) -> tuple[FetchedBundle, str]:
 
 def with_member(name: str, changes: dict[str, Any]) -> FetchedBundle:
     """Return a bundle with one member more, signed by a team's own key."""
-    return _team_signed(_tar(unpack_files(GOOD.content), (name, changes)))
+    return signed(_tar(unpack_files(GOOD.content), (name, changes)))
+
+
+PADDED = GOOD.content.rindex(FILES["stereo/tf_static.yaml"]) + 100
+"""Place in the zeros behind the last file."""
+HIDDEN_BYTES = (
+    (GOOD.content + b"\0", "does not end behind its last file"),
+    (GOOD.content + bytes(512), "does not end behind its last file"),
+    (GOOD.content + b"x", "does not end behind its last file"),
+    (GOOD.content[:-1], "does not end behind its last file"),
+    (GOOD.content[:-1024], "it ends too early"),
+    (GOOD.content[:PADDED] + b"x" + GOOD.content[PADDED + 1 :], "there are bytes behind its file"),
+)
+"""Archives with bytes that no file has, or without some, and the reason for which each is refused."""
 
 
 def hidden_bytes(draw: _Draw) -> tuple[FetchedBundle, str]:
-    content = GOOD.content
-    if draw.random() < 0.5:
-        return _team_signed(content + draw.choice((b"\0", bytes(512), b"x"))), "does not end behind its last file"
-    if draw.random() < 0.5:
-        less, reason = draw.choice(((1, "does not end"), (512, "does not end"), (1024, "it ends too early")))
-        return _team_signed(content[:-less]), reason
-    place = content.rindex(FILES["stereo/tf_static.yaml"]) + draw.randrange(20, 490)
-    return _team_signed(content[:place] + b"x" + content[place + 1 :]), "there are bytes behind its file"
+    content, reason = draw.choice(HIDDEN_BYTES)
+    return signed(content), reason
 
 
 def no_archive(draw: _Draw) -> tuple[FetchedBundle, str]:
-    return _team_signed(draw.choice((b"", b"\x1f\x8b" + bytes(600), b"x" * 5000, bytes(2 * 512)))), "it"
-
-
-def _team_signed(content: bytes) -> FetchedBundle:
-    return signed(content)
+    return signed(draw.choice((b"", b"\x1f\x8b" + bytes(600), b"x" * 5000, bytes(2 * 512)))), "it"
 
 
 def _tar(files: dict[str, bytes], member: tuple[str, dict[str, Any]] | None = None) -> bytes:

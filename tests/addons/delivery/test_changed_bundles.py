@@ -12,7 +12,7 @@ from calibration.addons.delivery.checking import check_bundle
 from calibration.base.errors import InputError
 
 from .bundles import FILES, KEY, MANIFEST, NAME, OTHER_KEY, SYSTEM, packed, signed
-from .changed import EXPECTED, GOOD, HOSTILE_MEMBERS, KINDS, changed_bundle, check, with_member
+from .changed import EXPECTED, GOOD, HIDDEN_BYTES, HOSTILE_MEMBERS, KINDS, changed_bundle, check, with_member
 
 CASES = 3 * len(KINDS)
 """In every run of the tests; ``python -m tests.addons.delivery.changed`` tries 1000."""
@@ -35,6 +35,12 @@ def test_a_changed_bundle_is_refused_with_its_reason(seed: int) -> None:
 @pytest.mark.parametrize(("name", "changes", "reason"), HOSTILE_MEMBERS)
 def test_a_hostile_member_is_refused_though_it_is_signed(name: str, changes: dict[str, Any], reason: str) -> None:
     [found] = check_bundle(with_member(name, changes), EXPECTED).reasons
+    assert reason in found
+
+
+@pytest.mark.parametrize(("content", "reason"), HIDDEN_BYTES)
+def test_bytes_beside_the_files_are_refused(content: bytes, reason: str) -> None:
+    [found] = check_bundle(signed(content), EXPECTED).reasons
     assert reason in found
 
 
