@@ -18,7 +18,7 @@ from calibration.addons.delivery.manifest import BundledSystem, Manifest, Versio
 from calibration.addons.delivery.results import VerifyResults
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import read_bytes, write_atomically
-from calibration.base.records import Misfit, between, field, read, record
+from calibration.base.records import Misfit, Place, between, field, read_as, record
 from calibration.base.text import did_you_mean, one_line
 from calibration.ci.execution.sizes import Seconds
 from calibration.ci.report import FILES, Lines, Outcome, Report, Table, publish, remove_results, verdict_of
@@ -135,18 +135,11 @@ def _expectations(settings: VerifySettings) -> Expectations:
     )
 
 
-@record
-class RememberedVersion:
-    """Content of the file that remembers a version."""
-
-    version: Version = field("The largest version that was accepted.")
-
-
 def _remembered(path: Path | None) -> str | None:
     if path is None or not path.exists():
         return None
     text = read_bytes(path, MAX_VERSION_BYTES, "a version").decode("utf-8", "replace").strip()
-    return read(RememberedVersion, {"version": text}, str(path)).version
+    return str(read_as(Version, text, Place(str(path))))
 
 
 def _remember(version: str, path: Path | None) -> None:
