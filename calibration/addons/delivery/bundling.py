@@ -97,6 +97,7 @@ def make_bundle(
     files: dict[str, bytes] = {}
     bundled: list[BundledSystem] = []
     left_out: list[SystemLeftOut] = []
+    refusals: list[str] = []
     whole_run, baseline = list(_reasons_beside_cells(run.results)), read_baseline(run.baseline.file)
     for system in chosen_systems(run.systems, settings.systems):
         calibrated_system = _calibrated_system(system, run, baseline)
@@ -105,14 +106,15 @@ def make_bundle(
         if cell is None or (marks and although is None):
             why = marks[0] if marks else "it keeps no calibrated dataset (datasets: none)"
             left_out.append(SystemLeftOut(system.name, shorten(why, 300)))
+            advice = "; 'calibration bundle --although why' bundles and marks it" if cell else ""
+            refusals.append(f"{system.name}: not bundled: {why}{advice}")
             continue
         dataset = calibrated_dataset(system, cell, run.output)
         exported, _ = files_for_robot(dataset, system.exports or Exports(), cell, run.output)
         files |= {f"{system.name}/{name}": content for name, content in exported.items()}
         bundled.append(_bundled_system(calibrated_system, dataset, marks))
     if left_out and (settings.systems or not bundled):
-        name, why = left_out[0].name, left_out[0].why
-        raise InputError(f"{name}: not bundled: {why}; 'calibration bundle --although why' bundles and marks it")
+        raise InputError(refusals[0])
     if not bundled:
         raise InputError(f"{run.config}: found no system, expected one to bundle")
     origin = _origin(run, environment)
