@@ -42,6 +42,7 @@ MODULES = {
     "delivery": "changed bundles that are accepted, and how long a robot takes to verify one",
     "messages": "requirements over messages: a bag of 1 GB, HPL against tables and a naive evaluator",
     "aprilgrid": "aprilgrids in simulated images: near the truth, and no tag for another",
+    "next_pose": "next poses: what is promised and reached, how many a limit takes, time",
     "motion": "what a generated motion costs, and how well its poses determine a calibration",
     "collection": "whole collections in simulation, and how near the truth they calibrate",
     "scenarios": "many worlds",
