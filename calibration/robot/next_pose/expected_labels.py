@@ -11,7 +11,7 @@ from calibration.engine.dataset.pattern import UNMARKED_KINDS, Pattern
 from calibration.engine.estimation.residuals.ray_residuals import RING_GAP
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
-from calibration.robot.simulation.sensors.sensor import LEAST_SHARE, meets
+from calibration.robot.simulation.sensors.sensor import meets
 
 MIN_SPACING_PX = 16.0
 """Distance of neighbouring corners in the image below which they may not be found."""
@@ -19,6 +19,8 @@ NEARER, FARTHER = 0.8, 1.25
 """Part of the nearest and the farthest distance at which a pattern was seen: beyond, focus and detector may fail."""
 NEIGHBOURS = 1.1
 """Distance of neighbouring corners, in the smallest of the board."""
+MIN_SHARE = 0.7
+"""Share of the corners of a board with markers that are in the image: a hand does not hold it exactly there."""
 MAX_TILT = np.radians(60)
 """Angle between a pattern's normal and the line of sight up to which it is found."""
 MIN_POINTS = 10
@@ -38,19 +40,17 @@ def expected_labels(recorded: Dataset, poses: Dataset, sensor: Sensor, pattern: 
     if not seen:
         return {}
     T = poses.transform(sensor.frame, pattern.link)
+    low, high = distances(recorded, sensor, pattern)
+    far = np.linalg.norm(apply(T, pattern.centre[None])[:, 0], axis=-1)
+    may_be_seen = (far > low) & (far < high) & _facing(T, pattern)
     first = seen[0][1]
     if isinstance(first, PoseLabels):
         return {i: PoseLabels(T[i]) for i in range(len(T))}
     if isinstance(first, CornerLabels):
-        if sensor.camera is None:
-            return {}
-        low, high = distances(recorded, sensor, pattern)
-        far = np.linalg.norm(apply(T, pattern.centre[None])[:, 0], axis=-1)
-        near = (far > low) & (far < high)
-        return {i: label for i, label in _corners(sensor.camera, pattern, T).items() if near[i]}
+        return {} if sensor.camera is None else _corners(sensor.camera, pattern, T, may_be_seen)
     points = [label.points for _, label in seen if isinstance(label, PointLabels)]
     rays = _pixel_rays(sensor.camera, points) if sensor.camera is not None else ring_rays(points)
-    found = ((i, _points(rays, pattern, T[i])) for i in np.flatnonzero(_facing(T, pattern)).tolist())
+    found = ((i, _points(rays, pattern, T[i])) for i in np.flatnonzero(may_be_seen).tolist())
     return {i: label for i, label in found if label is not None}
 
 
@@ -62,13 +62,13 @@ def distances(recorded: Dataset, sensor: Sensor, pattern: Pattern) -> tuple[floa
     return NEARER * float(seen.min()), FARTHER * float(seen.max())
 
 
-def _corners(camera: Camera, pattern: Pattern, T: Array) -> dict[int, Labels]:
+def _corners(camera: Camera, pattern: Pattern, T: Array, may_be_seen: BoolArray) -> dict[int, Labels]:
     pixels, ahead = camera.project_visible(apply(T, pattern.corners))
     spacing = _spacing(pixels, pattern)
     border = spacing[:, None, None]  # the squares around a corner are seen too
     inside = ahead & ((pixels > border) & (pixels < np.array([camera.width, camera.height]) - 1 - border)).all(-1)
-    share = 1.0 if pattern.kind in UNMARKED_KINDS else LEAST_SHARE
-    kept = np.flatnonzero((inside.mean(-1) >= share) & _facing(T, pattern) & (spacing > MIN_SPACING_PX))
+    share = 1.0 if pattern.kind in UNMARKED_KINDS else MIN_SHARE
+    kept = np.flatnonzero((inside.mean(-1) >= share) & may_be_seen & (spacing > MIN_SPACING_PX))
     ids = np.arange(len(pattern.corners))
     return {i: CornerLabels(ids[inside[i]], pixels[i, inside[i]]) for i in kept.tolist()}
 
@@ -96,6 +96,14 @@ class RayGrid:
     """(R, A, 3): unit vectors, row by row."""
     has_border: bool
     """Whether the first and last point of a row tell where the border is: rows are rings, by equal steps in azimuth."""
+
+    def leaves_rings(self, outline: Array) -> bool:
+        """Whether an outline (4, 3) reaches above or below the rings; those of a 2D LiDAR are one."""
+        if not self.has_border or len(self.rays) == 1:
+            return False
+        z = outline[:, 2] / np.linalg.norm(outline, axis=-1)
+        rings = self.rays[:, 0, 2]
+        return bool(z.max() > rings.max() or z.min() < rings.min())
 
     def towards(self, outline: Array) -> Array:
         """Return the rays (R, a, 3) that may meet what is within an outline (4, 3)."""
@@ -146,7 +154,10 @@ def _pixel_rays(camera: Camera, points: Sequence[Array]) -> RayGrid:
 
 def _points(grid: RayGrid, pattern: Pattern, T: Array) -> PointLabels | None:
     """Return the points of a pattern at a pose (4, 4); None if there are too few."""
-    rays = grid.towards(apply(T, np.column_stack([pattern.outline, np.zeros(len(pattern.outline))])))
+    outline = apply(T, np.column_stack([pattern.outline, np.zeros(len(pattern.outline))]))
+    if grid.leaves_rings(outline):
+        return None
+    rays = grid.towards(outline)
     distance, hits = meets(pattern, T, rays)
     if np.count_nonzero(hits) < MIN_POINTS:
         return None
