@@ -348,7 +348,8 @@ def _measured_displacement(columns: "TaskColumns", sensors: Sequence[Sensor]) ->
             sides.append(along @ columns.displacement(first.frame))
     H = np.concatenate(rows, 1)
     back = np.swapaxes(H, 1, 2)
-    return np.linalg.solve(back @ H, back @ np.concatenate(sides, 1))
+    solved: Array = np.linalg.solve(back @ H, back @ np.concatenate(sides, 1))
+    return solved
 
 
 @dataclass(frozen=True, eq=False)
