@@ -348,8 +348,7 @@ def _measured_displacement(columns: "TaskColumns", sensors: Sequence[Sensor]) ->
             sides.append(along @ columns.displacement(first.frame))
     H = np.concatenate(rows, 1)
     back = np.swapaxes(H, 1, 2)
-    solved: Array = np.linalg.solve(back @ H, back @ np.concatenate(sides, 1))
-    return solved
+    return np.asarray(np.linalg.solve(back @ H, back @ np.concatenate(sides, 1)), float)
 
 
 @dataclass(frozen=True, eq=False)
