@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.rows import Bar, Row
 from benchmarks.scenes import rig
 from benchmarks.timing import interleaved
-from benchmarks.verdict.case import BY_NAME, Case, colour_of, judged, with_nothing_set
+from benchmarks.verdict.case import BY_NAME, Case, colour_of, fits_as_well, judged, with_nothing_set
 from benchmarks.verdict.catalogue import cases
 from benchmarks.verdict.kind import ALL, LIDARS
 from benchmarks.verdict.scene import Scene
@@ -323,6 +323,8 @@ def _verdict(case: Case) -> tuple[str, bool, bool, bool, bool, str] | None:
         result, _, found = judged(replace(scene, system=replace(scene.system, tasks=tasks)))
         if found is None or not found.converged:
             return case.kind, True, False, colour_of(result) == "red", False, ""
+        if fits_as_well(case, found.cost):  # no data could tell
+            return None
         try:
             shares = [_share_of_limit(error, scene, found.dataset) for error in task_errors(found, tasks)]
         except np.linalg.LinAlgError:  # it points to where no camera sees anything

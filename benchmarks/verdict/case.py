@@ -175,7 +175,7 @@ def run(case: Case) -> Outcome:
         rms_red=rms_red,
         nees=tuple(_nees(case, scene)) if case.kind == CLEAN.name else (),
         seconds=seconds,
-        invisible=calibration is not None and _fits_as_well(case, calibration.cost),
+        invisible=calibration is not None and fits_as_well(case, calibration.cost),
     )
 
 
@@ -187,7 +187,7 @@ def colour_of(result: CellResult) -> Colour:
     return "undecided" if undecided else "green"
 
 
-def _fits_as_well(case: Case, cost: float) -> bool:
+def fits_as_well(case: Case, cost: float) -> bool:
     """Whether an arm that is not as it is described costs what the described one would, with the same noise."""
     return case.planted.group == "arm" and abs(cost - _clean_cost(case.stratum, case.system, case.seed)) < AS_WELL
 
