@@ -127,6 +127,7 @@ pictures: ## draw the pictures of the README, docs/recording.svg and the maps of
 	$(python) -m benchmarks.report_picture
 	$(python) -m benchmarks.task_picture
 	$(python) -m benchmarks.recording.pictures
+	$(python) -m benchmarks.next_pose_picture
 	$(python) -m calibration convergence --dataset datasets/t2rgb --translation-noise 0:2:9 --rotation-noise 0:3:13 --output build/convergence
 	cp build/convergence/convergence.svg docs/convergence-t2rgb.svg
 

@@ -107,7 +107,7 @@ def begin(name: str, seed: int) -> Begun | None:
         few = calibrate(_recorded(system, first, pixels, seed), _options(seed))
     except CalibrationError:
         return None
-    candidates = candidates_of(few, system.nominal, seed)
+    candidates = candidates_of(few, system.nominal, seed, MAX_TAKEN)
     following = motion_of(candidates, range(len(candidates)), system.T_model_pattern)
     if following is None or not len(candidates):
         return None

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from calibration.base.errors import ExitCode
+from calibration.base.errors import ExitCode, InputError
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import TEXT_LIST, count, integer, path
@@ -12,11 +12,14 @@ from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.pipeline.next_poses import COUNT
 from calibration.pipeline.next_poses_report import advise_system, next_poses_report
 
+MAX_POSES = 40
+"""Limit of the poses that are advised."""
+
 
 @click.command("next-pose")
 @click.option("--config", type=path, default=DEFAULT_FILE, show_default=True, help="The configuration.")
 @click.option("--systems", type=TEXT_LIST, help="Only these systems (all).")
-@click.option("--count", "poses", type=count, default=COUNT, show_default=True, help="Poses to advise, at most 8.")
+@click.option("--count", "poses", type=count, default=COUNT, show_default=True, help="Poses to advise.")
 @click.option("--seed", type=integer, default=1, show_default=True, help="Of the poses that are looked at.")
 @click.option("--output", type=path, default="output/next-pose", show_default=True, help="Folder for the poses.")
 def command(config: Path, systems: tuple[str, ...] | None, poses: int, seed: int, output: Path) -> ExitCode:
@@ -25,6 +28,8 @@ def command(config: Path, systems: tuple[str, ...] | None, poses: int, seed: int
     Writes them as a motion file, as joint positions and transforms, and as a page with pictures.
     """
     runner = Runner.from_environment()
+    if poses > MAX_POSES:
+        raise InputError(f"--count: found {poses}, expected {MAX_POSES} at most")
     advised = {
         system.name: advise_system(system, poses, seed) for system in read_configuration(config).only(systems or ())
     }

@@ -9,7 +9,7 @@ import click
 from calibration.base.errors import ExitCode, InputError
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
-from calibration.commands.parameters import chosen, count, integer, path, record_options, system_folder
+from calibration.commands.parameters import chosen, count, given, integer, path, record_options, system_folder
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import Options
 from calibration.pipeline.next_poses import plan
@@ -38,7 +38,8 @@ def command(system: str, poses: int | None, seed: int, paper: str | None, output
     if poses is not None and poses > MAX_POSES:
         raise InputError(f"--count: found {poses}, expected {MAX_POSES} at most")
     described = read_system(system_folder(system))
-    advised = plan(described, chosen(Limits, options), Options(), poses, seed)
+    limits = chosen(Limits, options) if given(Limits, options, *OF_LIMITS) else Limits()
+    advised = plan(described, limits, Options(), poses, seed)
     report = next_poses_report("plan-recording", {described.name: advised})
     files: dict[str, str | bytes] = {}
     for name, pattern in described.configuration.patterns.items() if paper else ():

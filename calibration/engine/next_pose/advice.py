@@ -168,7 +168,7 @@ def next_poses(
         tasks: errors of the robot's tasks; those with a limit count.
         count: number of poses to choose.
     """
-    return pose_advisor(calibration, candidates, limits, tasks).advise(count)
+    return pose_advisor(calibration, candidates, limits, tasks).advise(count, max(count, MAX_CHOSEN))
 
 
 def pose_advisor(

@@ -88,9 +88,10 @@ class Knowledge:
         F = self.calibrated
         T = self.information[None] if more is None else self.information + more
         own, held = rows[:, :F], rows[:, F:]
-        sides = np.concatenate([own, own * np.sqrt(self.disagreement)]).T
+        weights = np.stack([np.ones(F), np.sqrt(self.disagreement)])[: 1 + bool(self.disagreement.any())]
+        sides = (weights[:, None] * own).reshape(-1, F).T
         solved = np.linalg.solve(T[:, :F, :F], np.broadcast_to(sides, (len(T), *sides.shape)))
-        by_labels = (solved * sides).sum(1).reshape(len(T), 2, len(rows)).sum(1)
+        by_labels = (solved * sides).sum(1).reshape(len(T), -1, len(rows)).sum(1)
         moved = held - np.swapaxes(solved[:, :, : len(rows)], 1, 2) @ T[:, :F, F:]
         squares = (moved * self.held_sigmas) ** 2
         return by_labels + squares.sum(-1), squares

@@ -85,7 +85,11 @@ class NextPoses:
     @property
     def sentence(self) -> str:
         """How many poses it takes, or that none can do it, or that it is enough."""
+        if not self.goals:
+            return "no limit asks for anything that poses could decide"
         if not self.open_goals:
+            if not self.poses:
+                return "enough: all limits hold"
             brings = max((1 - size / goal.now if goal.now else 0.0 for size, goal in self._last), default=0.0)
             size = "less than 5 %" if brings < WORTH_TAKING else f"{brings:.0%}"
             return f"enough: all limits hold; {len(self.poses)} further poses would bring {size}"

@@ -33,7 +33,7 @@ def poses_in_images(found: NextPoses, dataset: Dataset, given: Dataset | None) -
     """Return a figure for each camera: the outlines of the boards at the poses, with their numbers."""
     figures = [
         figure(
-            _outlines(found, name, (sensor.camera.width, sensor.camera.height), given),
+            poses_in_image(found, name, (sensor.camera.width, sensor.camera.height), given),
             f"Where the board goes in the image of {name}, pose by pose.",
         )
         for name, sensor in dataset.sensors.items()
@@ -42,7 +42,8 @@ def poses_in_images(found: NextPoses, dataset: Dataset, given: Dataset | None) -
     return element("div", *figures, class_="figures") if figures else Html("")
 
 
-def _outlines(found: NextPoses, camera: str, size: tuple[int, int], given: Dataset | None) -> Html:
+def poses_in_image(found: NextPoses, camera: str, size: tuple[int, int], given: Dataset | None) -> Html:
+    """Return the outlines of the boards at the poses, with their numbers, over an image of a camera if there is one."""
     scale = FIGURE_WIDTH / size[0]
     height = size[1] * scale
     jpeg = next((image for key in given.keys if (image := view_jpeg(given, camera, key))), None) if given else None

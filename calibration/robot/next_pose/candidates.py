@@ -25,9 +25,9 @@ from calibration.robot.simulation.motion.generation import draw_poses
 from calibration.robot.simulation.system import MotionRanges
 from calibration.robot.urdf import Robot
 
-CANDIDATES = 60
+CANDIDATES = 48
 """Poses that are looked at, if so many can be had."""
-DRAWN = 8
+DRAWN = 10
 """Poses that are drawn for each of them."""
 BEYOND_TURN, BEYOND_SHIFT = np.radians(30), 0.15
 """rad, m: how far beyond where it was a joint or a transform without known limits goes."""
