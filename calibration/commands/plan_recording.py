@@ -9,9 +9,18 @@ import click
 from calibration.base.errors import ExitCode, InputError
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
-from calibration.commands.parameters import chosen, count, given, integer, path, record_options, system_folder
+from calibration.commands.parameters import (
+    boolean_option,
+    chosen,
+    count,
+    given,
+    integer,
+    path,
+    record_options,
+    system_folder,
+)
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.options import ALL_EXACT, Assumptions, Options
 from calibration.pipeline.next_poses import plan
 from calibration.pipeline.next_poses_report import next_poses_report
 from calibration.robot.importing.printed_sheet import PAPER_SIZES_MM, board_sheet, pdf, svg
@@ -24,11 +33,14 @@ OF_LIMITS = ("translation-mm", "rotation-deg", "joint-mm", "joint-deg", "guard-b
 @click.command("plan-recording")
 @click.option("--system", required=True, help="Folder with robot.urdf, config.yml, simulation.yml; or of datasets/.")
 @record_options(Limits, *OF_LIMITS)
+@boolean_option("--exact", help="Take what is held as exactly known: camera_info, the board, the arm's links.")
 @click.option("--count", "poses", type=count, help="Poses to plan (as many as the limits take, from 8 to 40).")
 @click.option("--seed", type=integer, default=1, show_default=True, help="Of the poses that are looked at.")
 @click.option("--paper", type=click.Choice(list(PAPER_SIZES_MM)), help="Write the boards too, on this paper.")
 @click.option("--output", type=path, default="output/plan", show_default=True, help="Folder for the plan.")
-def command(system: str, poses: int | None, seed: int, paper: str | None, output: Path, **options: Any) -> ExitCode:
+def command(
+    system: str, exact: bool, poses: int | None, seed: int, paper: str | None, output: Path, **options: Any
+) -> ExitCode:
     """Plan the poses of a recording from a robot's description and its sensors; nominal poses are enough.
 
     Says how many poses the limits take, and writes them as a motion file, as joint positions and transforms, and as a
@@ -39,7 +51,7 @@ def command(system: str, poses: int | None, seed: int, paper: str | None, output
         raise InputError(f"--count: found {poses}, expected {MAX_POSES} at most")
     described = read_system(system_folder(system))
     limits = chosen(Limits, options) if given(Limits, options, *OF_LIMITS) else Limits()
-    advised = plan(described, limits, Options(), poses, seed)
+    advised = plan(described, limits, Options(assume=ALL_EXACT if exact else Assumptions()), poses, seed)
     report = next_poses_report("plan-recording", {described.name: advised})
     files: dict[str, str | bytes] = {}
     for name, pattern in described.configuration.patterns.items() if paper else ():

@@ -102,8 +102,10 @@ class NextPoses:
             )
         if self.needed is not None:
             more = self.needed - len(self.poses)
-            also = f"{more} more such and " if more > 0 else ""
-            return f"{also}the limit of {goal.limit:.3g} {goal.unit} holds: {self.needed} poses in all"
+            holds = f"the limit of {goal.limit:.3g} {goal.unit} holds"
+            if more > 0:
+                return f"{more} more such, {self.needed} poses in all, and {holds}"
+            return f"after {self.needed} of these poses {holds}"
         causes = ", ".join(f"{share:.0%} {name}" for name, share in list(self.beyond_poses.items())[:3])
         of = f": of that is {causes}" if causes else ""
         end = "calibrate it, or state under 'assume' how well it is known" if causes else "take poses from nearer"

@@ -109,10 +109,14 @@ def _copies(dataset: Dataset, sources: IntArray) -> Dataset:
 def _by_hand(
     dataset: Dataset, boards: Sequence[Pattern], count: int, random: np.random.Generator
 ) -> tuple[Dataset, IntArray]:
-    """Draw poses of boards in front of the cameras."""
+    """Draw poses of boards in front of the cameras; where none sees them, near where they were."""
     cameras = [sensor for sensor in dataset.sensors.values() if sensor.camera is not None]
     views = [(board, sensor) for board in boards for sensor in cameras if dataset.detections(board.name, sensor.name)]
-    each = -(-count // max(1, len(views)))
+    if not views:
+        sources = random.integers(len(dataset.collections), size=count)
+        near = {board.edge: _near(dataset.transforms[board.edge], sources, random) for board in boards}
+        return _copies(dataset, sources).with_transforms(near), sources
+    each = -(-count // len(views))
     sources = random.integers(len(dataset.collections), size=each * len(views))
     drawn = _copies(dataset, sources)
     transforms = {board.edge: np.tile(np.eye(4), (len(sources), 1, 1)) for board in boards}
@@ -162,7 +166,7 @@ def _by_robot(dataset: Dataset, robot: Robot | None, count: int, random: np.rand
             free.append(edge)
         else:
             free.append(edge)
-            transforms[edge] = retract(T[sources], _free_twists(T, count, random))
+            transforms[edge] = _near(T, sources, random)
             continue
         transforms[edge] = retract(T[sources], change[:, None] * twist)
         if edge in of_joint:
@@ -220,6 +224,13 @@ def _drawn_between(own: Array, low: float, high: float, random: np.random.Genera
     anywhere = random.uniform(low, high, len(own))
     near = np.clip(own + random.normal(0, 0.15 * (high - low), len(own)), low, high)
     return np.where(random.random(len(own)) < 0.3, anywhere, near)
+
+
+def _near(T: Array, sources: IntArray, random: np.random.Generator) -> Array:
+    """Return transforms (M, 4, 4) near those of some collections; where one is not known, near the first that is."""
+    known = np.isfinite(T[:, 0, 0])
+    at = np.where(known[sources], sources, int(known.argmax()))
+    return retract(T[at], _free_twists(T, len(sources), random))
 
 
 def _free_twists(T: Array, count: int, random: np.random.Generator) -> Array:
