@@ -5,8 +5,9 @@ https://docs.github.com/en/rest
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -24,22 +25,36 @@ class MissingError(Exception):
     """The requested object does not exist, or the token has no access to it."""
 
 
+class RefusedRequestError(InfrastructureError):
+    """GitHub does not accept the content of a request, such as the name of something that is there already."""
+
+
 @dataclass(frozen=True)
 class GitHubApi:
     """Session with the API, authenticated by a token."""
 
     token: str = field(repr=False)
     url: str = API_URL
+    permission: str = "pull-requests: write"
+    """What a job's token needs, for messages."""
     http: Http = field(repr=False, compare=False, kw_only=True)
 
     @classmethod
-    def open(cls, token: str, url: str = API_URL, pause: Callable[[float], None] = time.sleep) -> "GitHubApi":
+    def open(
+        cls,
+        token: str,
+        url: str = API_URL,
+        pause: Callable[[float], None] = time.sleep,
+        *,
+        permission: str = "pull-requests: write",
+    ) -> "GitHubApi":
         """Open a session.
 
         Args:
             token: token of a workflow job, a user or an app.
             url: base URL of the API.
             pause: sleeps for a number of seconds before a request is repeated.
+            permission: what the token of a job needs, for messages.
 
         Raises:
             InputError: the URL is invalid, or not encrypted.
@@ -48,7 +63,7 @@ class GitHubApi:
         if not parts.netloc or parts.scheme not in ("https", "http" if is_loopback(parts.netloc) else "https"):
             raise InputError(f"GITHUB_API_URL: found {url!r:.80}, expected an address such as {API_URL}")
         http = Http([token], address="GITHUB_API_URL", explain=_error_message, most_bytes=MAX_ANSWER_BYTES, pause=pause)
-        return cls(token, url.rstrip("/"), http=http)
+        return cls(token, url.rstrip("/"), permission, http=http)
 
     def request(self, method: str, path: str, body: object = None) -> Any:
         """Send a request and return the JSON answer; None if the answer is empty.
@@ -61,17 +76,36 @@ class GitHubApi:
         Raises:
             MissingError: status 404 or 410.
             InputError: the token is refused, or lacks a permission.
+            RefusedRequestError: status 422.
             InfrastructureError: GitHub is unreachable, limits the rate, or gives an unexpected answer.
         """
+        content = None if body is None else json.dumps(body).encode()
+        return self._parse_answer(self._send(method, self.url + path, content))
+
+    def upload(self, url: str, content: bytes) -> None:
+        """Send a file to an address that an answer has named; raises as `request`."""
+        parts = urlsplit(url)
+        if parts.scheme != "https" and not (parts.scheme == "http" and is_loopback(parts.netloc)):
+            raise InfrastructureError(f"{urlsplit(self.url).netloc}: names {url!r:.80} for a file, expected https")
+        self._send("POST", url, content, {"Content-Type": "application/octet-stream"})
+
+    def download(self, path: str) -> bytes:
+        """Return a file; raises as `request`."""
+        return self._send("GET", self.url + path, None, {"Accept": "application/octet-stream"}).body
+
+    def _send(
+        self, method: str, url: str, content: bytes | None, more: Mapping[str, str] = MappingProxyType({})
+    ) -> Answer:
+        """Send a request, and return its answer of success; raises as `request`."""
         headers = {
             "Accept": "application/vnd.github+json",
             "Authorization": f"Bearer {self.token}",
             "X-GitHub-Api-Version": "2022-11-28",
+            **more,
         }
-        content = None if body is None else json.dumps(body).encode()
-        answer = self.http.send(method, self.url + path, headers, content)
+        answer = self.http.send(method, url, headers, content)
         if 200 <= answer.status < 300:
-            return self._parse_answer(answer)
+            return answer
         fault = f"{urlsplit(self.url).netloc}: answered {answer.status}{self.http.quote(answer.body)}"
         if answer.status in (404, 410):
             raise MissingError(fault)
@@ -80,8 +114,9 @@ class GitHubApi:
         if answer.status == 403 and _is_rate_limit(answer):
             raise InfrastructureError(f"{fault}: the rate limit of this token is exceeded: run it again later")
         if answer.status == 403:
-            raise InputError(f"{fault}: the token lacks a permission: the job needs permissions: pull-requests: write")
-        raise InfrastructureError(f"{fault}: unexpected answer to {method} {path}")
+            raise InputError(f"{fault}: the token lacks a permission: the job needs permissions: {self.permission}")
+        unexpected = f"{fault}: unexpected answer to {method} {urlsplit(url).path}"
+        raise RefusedRequestError(unexpected) if answer.status == 422 else InfrastructureError(unexpected)
 
     def pages(self, path: str) -> Iterator[dict[str, Any]]:
         """Yield the entries of a paginated list, whose path ends in its query (``?...&``) or in ``?``.

@@ -32,6 +32,8 @@ class GitHubEvent:
     body: Mapping[str, Any] = field(default_factory=dict)
     repository: str | None = None
     """GITHUB_REPOSITORY, OWNER/NAME."""
+    ref: str = ""
+    """GITHUB_REF."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> Self:
@@ -52,6 +54,7 @@ class GitHubEvent:
             environment.get("GITHUB_ACTOR", ""),
             body if isinstance(body, dict) else {},
             environment.get("GITHUB_REPOSITORY") or None,
+            environment.get("GITHUB_REF", ""),
         )
 
     @property
@@ -60,6 +63,7 @@ class GitHubEvent:
         return Event(
             name=self.name,
             commit=self.sha,
+            branch=self.pushed_branch,
             pull_request_commit=self._hash_at("pull_request", "head", "sha"),
             followed_commit=self._hash_at("workflow_run", "head_sha"),
             checks_out_base=self.name == "pull_request_target",
@@ -68,6 +72,12 @@ class GitHubEvent:
             without_comment=None if self.name == "workflow_run" else self.by_stranger,  # a workflow_run has a token
             bases=tuple(self.bases),
         )
+
+    @property
+    def pushed_branch(self) -> str | None:
+        """The branch that was pushed; None for other events, for tags, and for deleted branches."""
+        branch = self.ref.removeprefix("refs/heads/")
+        return branch if self.name == "push" and branch not in ("", self.ref) and not self.at("deleted") else None
 
     def _hash_at(self, *keys: str) -> str | None:
         found = self.at(*keys)

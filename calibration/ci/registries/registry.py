@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
-from urllib.parse import urlencode, urlsplit
+from urllib.parse import urlencode, urljoin, urlsplit
 
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.http import MAX_BYTES, Answer, Http, Timeouts, is_loopback
@@ -223,28 +223,58 @@ class RegistryClient:
         """
         reference = _as_reference(reference)
         headers = {"Content-Type": manifest.media_type}
-        answer = self._request_with_login(
-            "PUT", reference, f"manifests/{_tag_or_digest(reference)}", headers, manifest.content
-        )
-        if answer.status in _DENIED_STATUSES:
-            raise self._denied_error(answer, reference)
-        if answer.status not in (200, 201):
-            message = f"{reference}: the registry refuses it: {answer.status}{self._http.quote(answer.body)}"
-            raise InputError(message) if 400 <= answer.status < 500 else InfrastructureError(message)
+        answer = self._write("PUT", reference, f"manifests/{_tag_or_digest(reference)}", headers, manifest.content)
         kept = answer.headers.get("Docker-Content-Digest", manifest.digest).strip()
         if kept != manifest.digest:
             raise InfrastructureError(f"{reference}: the registry keeps {one_line(kept)}, not {manifest.digest}")
 
+    def put_blob(self, reference: Reference | str, content: bytes) -> str:
+        """Upload a layer to the repository of a reference unless it is there, and return its digest.
+
+        Raises:
+            InputError: access is denied, or the registry refuses it.
+            InfrastructureError: the registry cannot be reached, or gives an invalid answer.
+        """
+        reference = _as_reference(reference)
+        digest = f"sha256:{hashlib.sha256(content).hexdigest()}"
+        if self._request_with_login("HEAD", reference, f"blobs/{digest}", {}).status == 200:
+            return digest
+        location = self._write("POST", reference, "blobs/uploads/", {}).headers.get("Location", "")
+        if not location:
+            raise InfrastructureError(f"{reference}: the registry does not say where it takes a layer")
+        place = f"{location}{'&' if '?' in location else '?'}{urlencode({'digest': digest})}"
+        self._write("PUT", reference, place, {"Content-Type": "application/octet-stream"}, content)
+        return digest
+
+    def _write(
+        self, method: str, reference: Reference, path: str, headers: dict[str, str], body: bytes | None = None
+    ) -> Answer:
+        """Send a request that changes something, and return its answer of success."""
+        answer = self._request_with_login(method, reference, path, headers, body)
+        if answer.status in _DENIED_STATUSES:
+            raise self._denied_error(answer, reference)
+        if answer.status not in (200, 201, 202):
+            message = f"{reference}: the registry refuses it: {answer.status}{self._http.quote(answer.body)}"
+            raise InputError(message) if 400 <= answer.status < 500 else InfrastructureError(message)
+        return answer
+
     def _request_with_login(
         self, method: str, reference: Reference, path: str, headers: dict[str, str], body: bytes | None = None
     ) -> Answer:
-        """Send a request, and repeat it with credentials if the registry asks for them."""
+        """Send a request, and repeat it with credentials if the registry asks for them.
+
+        The path is relative to the repository, or an address on the same server.
+        """
         host = "registry-1.docker.io" if reference.registry == DOCKER_HUB else reference.registry
         own = self._credentials if self._credentials and self._credentials.registry == reference.registry else None
         insecure = is_loopback(host) or (own is not None and own.insecure)
-        url = f"{'http' if insecure else 'https'}://{host}/v2/{reference.repository}/{path}"
+        base = f"{'http' if insecure else 'https'}://{host}/v2/{reference.repository}/"
+        url = urljoin(base, path)
+        if urlsplit(url)[:2] != urlsplit(base)[:2]:
+            raise InfrastructureError(f"{reference}: the registry names {_without_query(url)} for a layer, not itself")
         credentials = None if own is None or own.anonymous else own
-        key = (reference.registry, reference.repository, method == "PUT")
+        writes = method in ("PUT", "POST")
+        key = (reference.registry, reference.repository, writes)
         known = self._authorizations.get(key)
         answer = self._http.send(method, url, headers | ({"Authorization": known} if known else {}), body)
         if answer.status != 401:
@@ -255,7 +285,7 @@ class RegistryClient:
         if not challenge.bearer:
             authorization = None if credentials is None else basic(credentials)
         else:
-            scope = f"repository:{reference.repository}:pull{',push' if method == 'PUT' else ''}"
+            scope = f"repository:{reference.repository}:pull{',push' if writes else ''}"
             token = fetch_token(self._http, challenge, credentials, scope, reference.registry)
             authorization = None if token is None else f"Bearer {token}"
         if authorization is None:
@@ -303,6 +333,10 @@ def _error_messages(body: bytes) -> str:
         return "; ".join(f"{error['code']}: {error.get('message') or ''}" for error in json.loads(body)["errors"][:3])
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return ""
+
+
+def _without_query(url: str) -> str:
+    return shorten(one_line(url.partition("?")[0]), 200)
 
 
 def _as_reference(reference: Reference | str) -> Reference:

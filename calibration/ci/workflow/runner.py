@@ -114,6 +114,8 @@ class Event:
     """The service's own name: push, pull_request; empty on a terminal."""
     commit: str = ""
     """Hash of the commit that the service runs on; of a pull request it may be a merge made for testing."""
+    branch: str | None = None
+    """The branch that was pushed; None if something else started the run."""
     pull_request_commit: str | None = None
     """Hash of the last commit of the pull request's branch."""
     followed_commit: str | None = None
