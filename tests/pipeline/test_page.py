@@ -17,7 +17,7 @@ from tests.chromium import CHROMIUM
 pytest.importorskip("playwright")
 pytest.importorskip("axe_playwright_python")
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, Page, sync_playwright
 
 ROOT = Path(__file__).parents[2]
 CONFIGURATION = {
@@ -27,6 +27,8 @@ CONFIGURATION = {
         "red": {"dataset": "riwbot", "limits": {"translation-mm": 0.0001}},
     }
 }
+SLOW_GRAPHICS = "GPU stall due to ReadPixels"
+"""What a browser without a graphics processor says about every 3D view."""
 RULES = ("wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice")
 
 
@@ -53,6 +55,13 @@ def chromium() -> Iterator[Browser]:
         browser.close()
 
 
+def _open_scenes(page: Page, count: int) -> None:
+    """Bring scenes into view, as three.js is unpacked for the first that a reader sees."""
+    for number in range(count):
+        page.locator(".turning").nth(number).scroll_into_view_if_needed()
+        page.locator(".turning.opened").nth(number).wait_for()
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_opens_offline_without_an_error_and_axe_finds_nothing(report: Path, chromium: Browser, scheme: Any) -> None:
     context = chromium.new_context(color_scheme=scheme, offline=True)
@@ -61,7 +70,8 @@ def test_it_opens_offline_without_an_error_and_axe_finds_nothing(report: Path, c
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
     page.goto(report.as_uri())
-    assert said == []
+    _open_scenes(page, 3)
+    assert [each for each in said if SLOW_GRAPHICS not in each] == []
     assert page.locator("h1").inner_text() == "Calibration"
     assert page.locator("h2").all_inner_texts() == list(CONFIGURATION["systems"])
     assert page.locator("canvas").count() == 3
@@ -83,12 +93,21 @@ def test_tables_are_sorted_and_the_scene_is_turned_by_keys(report: Path, chromiu
     header.get_by_role("button").focus()
     page.keyboard.press("Enter")
     assert header.get_attribute("aria-sort") == "ascending"
+    _open_scenes(page, 1)
     canvas = page.locator("canvas").first
     before = canvas.evaluate("c => c.toDataURL()")
     canvas.focus()
     page.keyboard.press("ArrowRight")
     page.keyboard.press("+")
-    assert canvas.evaluate("c => c.toDataURL()") != before
+    turned = canvas.evaluate("c => c.toDataURL()")
+    assert turned != before
+    page.get_by_role("slider").first.press("ArrowRight")
+    assert page.get_by_role("status").first.inner_text() == "collection 000"
+    scrubbed = canvas.evaluate("c => c.toDataURL()")
+    assert scrubbed != turned
+    page.get_by_label("cameras", exact=True).first.uncheck()
+    assert canvas.evaluate("c => c.toDataURL()") != scrubbed
+    page.get_by_role("button", name="Top").first.click()
     page.close()
 
 

@@ -3,8 +3,11 @@
 Strings are escaped unless they are markup.
 """
 
+import gzip
 import re
+from base64 import b64encode
 from collections.abc import Sequence
+from functools import cache
 from html import escape
 from pathlib import Path
 
@@ -92,7 +95,7 @@ _SECURITY_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'u
 
 def page(title: str, sections: list[Html]) -> str:
     """Return a self-contained page: the same bytes for the same sections."""
-    style, script = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    style, script = (_file_of_page(name) for name in ("page.css", "page.js"))
     head = join(
         [
             element("meta", charset="utf-8"),
@@ -102,8 +105,28 @@ def page(title: str, sections: list[Html]) -> str:
             Html(f"<style>\n{style}</style>"),
         ]
     )
-    body = join([element("main", *sections), Html(f"<script>\n{script}</script>")])
+    main = element("main", *sections)
+    body = join([main, Html(f"<script>\n{script}</script>"), *(_scripts_of_scenes() if _SCENE in main else ())])
     return f'<!doctype html>\n<html lang="en">\n<head>{head}</head>\n<body>{body}</body>\n</html>\n'
+
+
+_SCENE = 'class="turning"'
+"""What the scripts of scenes look for; texts have no quotes, as they are escaped."""
+
+
+def _file_of_page(name: str) -> str:
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")
+
+
+@cache
+def _scripts_of_scenes() -> tuple[Html, ...]:
+    """Return three.js, packed, as a third is enough for it, and the script that unpacks and uses it."""
+    packed = b64encode(gzip.compress(_file_of_page("three/three.min.js").encode(), mtime=0)).decode("ascii")
+    return (
+        Html(f"<!-- three.js: {_file_of_page('three/LICENSE')}-->"),
+        element("script", packed, type="application/gzip", id_="three"),
+        Html(f"<script>\n{_file_of_page('scene.js')}</script>"),
+    )
 
 
 def section(title: str, *content: str, level: int = 2, anchor: str | None = None) -> Html:

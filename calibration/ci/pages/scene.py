@@ -1,9 +1,9 @@
-"""3D scene of lines: drawn from one side as SVG, and rotatable where scripts run."""
+"""3D scene of lines and points: drawn from one side as SVG, and one that is turned where scripts run (three.js)."""
 
 import itertools
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,18 @@ INITIAL_TURN, INITIAL_TILT = math.radians(-35), math.radians(28)
 """Initial direction of view."""
 
 
+@dataclass(frozen=True)
+class Kind:
+    """Kind of lines or points, which readers hide and show together."""
+
+    colour: str
+    """Variable of the style sheet, without its hyphens."""
+    legend: str
+    dashed: bool = False
+    filled: bool = False
+    """Whether its lines are outlines of faces of four corners."""
+
+
 @dataclass(frozen=True, eq=False)
 class Line:
     """A polyline with a style."""
@@ -26,9 +38,25 @@ class Line:
     points: Array
     """(N, 3), m."""
     class_: str
-    """CSS class, which sets its colour."""
+    """Name of its kind, and CSS class, which sets its colour."""
     label: str = ""
     """Text beside it."""
+    collection: int | None = None
+    """Number of the only collection in which it is there; None for all."""
+    in_all: bool = True
+    """Whether it is drawn too where all collections are drawn together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points with values, of one collection."""
+
+    points: Array
+    """(N, 3), m."""
+    values: Array
+    """(N,): from 0, the colour of what fits, to 1, that of what does not."""
+    class_: str
+    collection: int
 
 
 LABEL_SIDES = tuple((x, y) for x, y in itertools.product((1, 0, -1), (0, -1, 1)) if (x, y) != (0, 0))
@@ -41,14 +69,24 @@ SAMPLE_DISTANCE = 6.0
 """px: distance of the points of the drawing that a label avoids."""
 
 
-def scene(lines: Sequence[Line], title: str) -> Html:
-    """Return the figure; the script of the page makes it rotatable.
+def scene(
+    lines: Sequence[Line],
+    title: str,
+    kinds: Mapping[str, Kind],
+    clouds: Sequence[Cloud] = (),
+    collections: Sequence[str] = (),
+) -> Html:
+    """Return the figure with its legend; the script of the page makes it one that is turned.
 
     Args:
         lines: lines in the world frame, z up.
         title: title of the figure.
+        kinds: all kinds of lines and clouds.
+        clouds: points, drawn where scripts run only.
+        collections: names of the collections, which readers choose from.
     """
-    everything = np.concatenate([line.points for line in lines]) if lines else np.zeros((1, 3))
+    seen = [line for line in lines if line.in_all]
+    everything = np.concatenate([line.points for line in seen]) if seen else np.zeros((1, 3))
     low, high = everything.min(axis=0), everything.max(axis=0)
     centre = (low + high) / 2
     wide, tall = (
@@ -56,26 +94,46 @@ def scene(lines: Sequence[Line], title: str) -> Html:
     )
     radius = max(tall, wide * FIGURE_HEIGHT / FIGURE_WIDTH, 1e-3)
     scale = FILLED_FRACTION * FIGURE_HEIGHT / 2 / radius
-    drawn = [_project_points((line.points - centre) * scale) for line in lines]
-    places = _place_labels(lines, drawn)
-    pairs = zip(lines, drawn, strict=True)
-    parts = [element("path", d=path(flat), class_=f"scene {line.class_}") for line, flat in pairs]
-    for number, place in places.items():
+    drawn = [_project_points((line.points - centre) * scale) for line in seen]
+    parts = [
+        element("path", d=path(flat), class_=f"scene {line.class_}") for line, flat in zip(seen, drawn, strict=True)
+    ]
+    for number, place in _place_labels(seen, drawn).items():
         x, y = place.corner(drawn[number])
-        parts.append(element("text", lines[number].label, x=x, y=y + LETTER_HEIGHT - 3, class_="small label"))
+        parts.append(element("text", seen[number].label, x=x, y=y + LETTER_HEIGHT - 3, class_="small label"))
+    used = {line.class_ for line in lines} | {cloud.class_ for cloud in clouds}
     data = {
-        "centre": _round_values(centre),
-        "scale": round(scale, 4),
         "lines": [
             {"p": _round_values(line.points.ravel()), "c": line.class_}
-            | ({"t": line.label, "s": places[i].side, "g": places[i].gap} if i in places else {})
-            for i, line in enumerate(lines)
+            | ({"t": line.label} if line.label else {})
+            | ({} if line.collection is None else {"k": line.collection, "a": line.in_all})
+            for line in lines
         ],
+        "clouds": [
+            {
+                "p": _round_values(cloud.points.ravel(), 3),
+                "v": _round_values(cloud.values, 2),
+                "c": cloud.class_,
+                "k": cloud.collection,
+                "a": True,
+            }
+            for cloud in clouds
+        ],
+        "kinds": {name: {"colour": k.colour, "dashed": k.dashed, "filled": k.filled} for name, k in kinds.items()},
+        "collections": list(collections),
     }
     still = drawing(FIGURE_WIDTH, FIGURE_HEIGHT, title, join(parts))
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+    script = element("script", Html(text), type="application/json")
+    legend = [
+        element("span", element("i", style=f"border-color: var(--{kind.colour})"), kind.legend, data_kind=name)
+        for name, kind in kinds.items()
+        if name in used and kind.legend
+    ]
     return element(
-        "div", still, element("script", Html(text), type="application/json"), class_="turning", data_title=title
+        "figure",
+        element("div", still, script, class_="turning", data_title=title),
+        element("figcaption", *legend, class_="legend"),
     )
 
 
@@ -139,5 +197,5 @@ def _project_points(points: Array) -> Array:
     return np.stack([FIGURE_WIDTH / 2 + x, FIGURE_HEIGHT / 2 - up], axis=-1)
 
 
-def _round_values(values: Array) -> list[float]:
-    return [round(v, 4) + 0.0 for v in values.tolist()]
+def _round_values(values: Array, digits: int = 4) -> list[float]:
+    return [round(v, digits) + 0.0 for v in values.tolist()]

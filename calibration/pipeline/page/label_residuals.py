@@ -90,16 +90,23 @@ _PLANE_CAPTION = (
 )
 
 
-def label_residuals(dataset: Dataset, levels: NoiseLevels | None, given: Dataset | None = None) -> Iterator[Html]:
+def residuals_by_sensor(dataset: Dataset) -> dict[str, Residuals]:
+    """Return the residuals of each sensor that has labels."""
+    found = {name: residuals(dataset, sensor) for name, sensor in dataset.sensors.items()}
+    return {name: of_sensor for name, of_sensor in found.items() if len(of_sensor.collections)}
+
+
+def label_residuals(
+    dataset: Dataset, by_sensor: Mapping[str, Residuals], levels: NoiseLevels | None, given: Dataset | None = None
+) -> Iterator[Html]:
     """Yield the figures of each sensor that has labels, then the views' RMS.
 
     Args:
         dataset: calibrated.
+        by_sensor: its residuals, by sensor.
         levels: the calibration's estimate of the labels' standard deviations.
         given: the given dataset, with its images, if available.
     """
-    by_sensor = {name: residuals(dataset, sensor) for name, sensor in dataset.sensors.items()}
-    by_sensor = {name: of_sensor for name, of_sensor in by_sensor.items() if len(of_sensor.collections)}
     if by_sensor:
         yield element("h3", "Residuals")
     for name, of_sensor in by_sensor.items():

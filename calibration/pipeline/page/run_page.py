@@ -11,14 +11,17 @@ from calibration.base.errors import CalibrationError
 from calibration.ci.pages.charts import ellipses, heat_map, trend
 from calibration.ci.pages.html import Html, bullets, element, figure, folded, join, page, section, table, verdict_line
 from calibration.ci.report import VERDICTS, Report, Verdict
+from calibration.engine.baseline.quality import SameData
+from calibration.engine.baseline.verdict import exceeds
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.geometry.transforms import inverse, retract
 from calibration.pipeline import report_blocks
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
-from calibration.pipeline.page.label_residuals import label_residuals, projection_figures
+from calibration.pipeline.page.label_residuals import label_residuals, projection_figures, residuals_by_sensor
 from calibration.pipeline.page.pose_figures import poses_in_images
 from calibration.pipeline.page.robot_tasks import task_figures
 from calibration.pipeline.results import PipelineResults
@@ -192,7 +195,9 @@ def _system_section(
             if cell.details and (found := cell.details.next_poses) and found.poses:
                 content += [element("h3", "What to record next"), bullets(found.lines)]
                 content.append(poses_in_images(found, dataset, given))
-            content += [in_space(dataset, given), *label_residuals(dataset, levels, given)]
+            by_sensor = residuals_by_sensor(dataset)
+            content.append(in_space(dataset, given, _as_accepted(dataset, cell), by_sensor))
+            content += label_residuals(dataset, by_sensor, levels, given)
     content += [*task_figures(cell.tasks, cell.details.task_maps if cell.details else ())]
     content += [*projection_figures(cell.details.projection if cell.details else ())]
     content += [*_error_bars(cell, system.limits if system else None), *_trend_figures(name, accepted)]
@@ -205,6 +210,20 @@ def _given_dataset(system: System | None) -> Dataset | None:
         return read_dataset(system.dataset) if system else None
     except CalibrationError:
         return None
+
+
+def _as_accepted(dataset: Dataset, cell: CellResult) -> Dataset | None:
+    """Return the dataset with the accepted transforms; None if none of them differs."""
+    details = cell.details
+    edges = {pose.name: pose.edge for pose in details.snapshot.poses} if details and details.snapshot else {}
+    accepted = {}
+    for change in details.changes if details else ():
+        edge = edges.get(change.name)
+        if change.kind == "pose" and edge is not None and edge in dataset.transforms and exceeds(change, SameData()):
+            twist = np.concatenate([1e-3 * np.array(change.translation_mm), np.radians(change.rotation_deg)])
+            move = retract(np.eye(4), twist)
+            accepted[edge] = dataset.transforms[edge] @ inverse(move)
+    return dataset.with_transforms(accepted) if accepted else None
 
 
 def _trend_figures(system: str, found: "History | None") -> Iterator[Html]:

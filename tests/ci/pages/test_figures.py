@@ -8,7 +8,7 @@ import pytest
 
 from calibration.ci.pages.charts import ellipses, trend
 from calibration.ci.pages.html import table
-from calibration.ci.pages.scene import LETTER_HEIGHT, LETTER_WIDTH, Line, scene
+from calibration.ci.pages.scene import LETTER_HEIGHT, LETTER_WIDTH, Kind, Line, scene
 
 TEXT = re.compile(r'<text x="([-\d.]+)" y="([-\d.]+)" class="small label">(\w+)</text>')
 PATH = re.compile(r'<path d="M([^"]*)"')
@@ -28,7 +28,7 @@ def test_labels_of_a_scene_lie_neither_over_the_drawing_nor_over_each_other() ->
     names = ("front_left_camera", "front_right_camera", "lidar")
     lines = [Line(square + np.array((0.15 * i, 0, 0.05 * i)), "camera", name) for i, name in enumerate(names)]
     lines.append(Line(np.array([(0, 0, 0), (0.05, 0, -0.4), (0.6, 0.5, -0.4)]), "robot"))
-    drawing = scene(lines, "a robot")
+    drawing = scene(lines, "a robot", {"camera": Kind("blue", "cameras"), "robot": Kind("green", "links")})
     points = lines_of(drawing)
     boxes = []
     for x, y, name in TEXT.findall(drawing):

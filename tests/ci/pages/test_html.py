@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from calibration.ci.pages.charts import Axis, ellipses, heat_map, histogram, ticks, trend
 from calibration.ci.pages.html import Html, element, figure, page, section, table
 from calibration.ci.pages.image_figures import overlay, residual_plane
-from calibration.ci.pages.scene import Line, scene
+from calibration.ci.pages.scene import Cloud, Kind, Line, scene
 
 HOSTILE = st.one_of(
     st.text(),
@@ -49,7 +49,13 @@ def whole(name: str) -> str:
         ellipses(name, np.eye(3), 1.0),
         overlay(name, b"a picture", (640, 480), some[:, :2], some[:, :2]),
         trend(name, [name, name], [0.0, 1.0], [0.1, 0.1], "mm"),
-        scene([Line(some, "camera", name)], name),
+        scene(
+            [Line(some, "camera", name)],
+            name,
+            {"camera": Kind("blue", name)},
+            [Cloud(some, some[:, 0], name, 0)],
+            [name],
+        ),
     ]
     return page(name, [section(name, *parts, anchor=name)])
 
