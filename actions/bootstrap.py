@@ -123,7 +123,13 @@ def on_github() -> bool:
 
 if sys.version_info < (3, 11):  # noqa: UP036  (said here, before what only a newer Python understands)
     found = "{}.{}".format(*sys.version_info[:2])
-    sys.exit(report(f"Calibration CI needs Python 3.11 or newer; {sys.executable} is {found}", WORLD))
+    sys.exit(
+        report(
+            f"Calibration CI needs Python 3.11 or newer; {sys.executable} is {found}. To have one beside it: "
+            "python3 -m pip install uv && uv venv --python 3.11 .venv",
+            WORLD,
+        )
+    )
 
 
 class BootstrapError(Exception):

@@ -352,14 +352,18 @@ def test_a_machine_without_python_is_told_in_one_line(suite: Suite, tools: Path)
     assert result.returncode == 3
     [line] = result.stdout.splitlines()
     assert line.startswith("::error::no Python >= 3.11 on this machine")
+    assert "uv python install 3.11" in line
 
 
-@pytest.mark.parametrize("place", ["tools/python3.12", "cache/Python/3.12.7/x64/bin/python3"])
+@pytest.mark.parametrize("place", ["tools/python3.12", "cache/Python/3.12.7/x64/bin/python3", "brought/by-uv"])
 def test_a_newer_python_is_found(suite: Suite, tools: Path, tmp_path: Path, place: str) -> None:
+    if place == "brought/by-uv":
+        (tools / "uv").write_text(f"#!{tools}/bash\n[[ $1 == python ]] && echo '{tmp_path / place}'\n")
+        (tools / "uv").chmod(0o755)
     (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / place).write_text(f"#!{tools}/bash\nexec '{PYTHON}' \"$@\"\n")
     (tmp_path / place).chmod(0o755)
-    path = f"{suite.uv}{os.pathsep}{tools}"
+    path = f"{tools}{os.pathsep}{suite.uv}"
     result = suite.run("introspect-csv", PATH=path, RUNNER_TOOL_CACHE=str(tmp_path / "cache"))
     assert result.returncode == 0, result.stdout
 
@@ -440,6 +444,7 @@ def test_too_old_a_python_is_told_in_one_line(suite: Suite) -> None:
     result = subprocess.run([PYTHON, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert result.returncode == 3
     assert "Calibration CI needs Python 3.11 or newer" in result.stdout
+    assert "uv venv --python 3.11" in result.stdout
 
 
 @pytest.mark.parametrize(

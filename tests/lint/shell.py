@@ -9,7 +9,8 @@ from pathlib import Path
 
 from .yaml_lines import ACTIONS, PROJECT, WORKFLOWS, entries
 
-SHELLCHECK = Path(sys.executable).with_name("shellcheck")
+_BESIDE_PYTHON = Path(sys.executable).with_name("shellcheck")
+SHELLCHECK = _BESIDE_PYTHON if _BESIDE_PYTHON.exists() else Path("shellcheck")  # of apt, on arm64
 
 
 def findings() -> Iterator[str]:
