@@ -47,7 +47,7 @@ class Advice:
     """(g,): size of each goal's error with any number of the candidates' poses."""
     beyond_poses: Mapping[str, float]
     """Of the goal that poses can mend least, the share of each cause in the variance that they leave, largest first;
-    empty where all goals can be reached."""
+    empty where all goals are reached."""
 
     @property
     def open_goals(self) -> list[int]:
@@ -123,7 +123,7 @@ class PoseAdvisor:
         least = np.minimum(now, self._sizes(self.knowledge, ever).min(0))
         for each in chosen:
             least = np.minimum(least, each.sizes)
-        left = {} if (least <= wanted).all() else self._left(self.knowledge.with_views(ever[0]))
+        left = {} if (now <= wanted).all() else self._left(self.knowledge.with_views(ever[0]))
         return Advice(self.goals, now, tuple(chosen[:count]), needed, least, left)
 
     def _sizes(self, knowledge: Knowledge, more: Array | None = None) -> Array:

@@ -7,6 +7,9 @@ from calibration.engine.baseline.calibration_document import PromiseDocument
 from calibration.engine.next_pose.advice import WORTH_TAKING
 from calibration.engine.tasks.robot_task import TaskUnit
 
+MANY_POSES = 20
+"""Poses above which it is said what else would make a limit hold."""
+
 
 @result
 class NextGoal:
@@ -100,13 +103,14 @@ class NextPoses:
                 f"no pose can mend it: nothing moves between sensors and patterns, or no sensor would see it "
                 f"({goal.name} {goal.now or 0:.2g} {goal.unit}, {goal.wanted:.2g} would decide its limit)"
             )
+        causes = ", ".join(f"{share:.0%} {name}" for name, share in list(self.beyond_poses.items())[:3])
         if self.needed is not None:
             more = self.needed - len(self.poses)
             holds = f"the limit of {goal.limit:.3g} {goal.unit} holds"
-            if more > 0:
-                return f"{more} more such, {self.needed} poses in all, and {holds}"
-            return f"after {self.needed} of these poses {holds}"
-        causes = ", ".join(f"{share:.0%} {name}" for name, share in list(self.beyond_poses.items())[:3])
+            if more <= 0:
+                return f"after {self.needed} of these poses {holds}"
+            sooner = f"; sooner if what is held is better known: {causes}" if more > MANY_POSES and causes else ""
+            return f"{more} more such, {self.needed} poses in all, and {holds}{sooner}"
         of = f": of that is {causes}" if causes else ""
         end = "calibrate it, or state under 'assume' how well it is known" if causes else "take poses from nearer"
         return (
