@@ -52,13 +52,14 @@ def report(results: PipelineResults, output: Path, title: str) -> Report:
     Args:
         results: the results.
         output: the folder of the results.
-        title: of the report and its annotations.
+        title: of the annotations.
     """
     left_out = tuple(report_blocks.without_result(results))
     numbers = results.summary.all
     main = report_blocks.grid(results)
     return Report(
         title=title,
+        heading="Calibration",
         verdict=results.verdict,
         error=results.exit_code,
         sentence=report_blocks.verdict_sentence(results),
@@ -72,6 +73,7 @@ def report(results: PipelineResults, output: Path, title: str) -> Report:
         about=f"Commit {results.commit}" if results.commit else "",
         warnings=(*report_blocks.findings_of(results, "warning"), *left_out),
         blocks=(
+            report_blocks.overview_table(results),
             report_blocks.recordings_table(results),
             main,
             Text(_UNDER_GRID if main.rows else "", only="summary"),
@@ -87,6 +89,7 @@ def report(results: PipelineResults, output: Path, title: str) -> Report:
             report_blocks.changes_table(results),
             report_blocks.updates_table(results),
             Text(report_blocks.baseline_line(results)),
+            Lines(tuple(report_blocks.lines_of_comment(results)), only="comment", brief=True),
             report_blocks.collections_table(results),
             Lines(tuple(report_blocks.what_to_record(results)), title="What to record next"),
             Lines(report_blocks.findings_of(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from calibration.base.verdict import worst_verdict
 from calibration.ci.report import VERDICTS, Table, count_of, shown
 from calibration.engine.baseline.comparison import BaselineChange
 from calibration.engine.baseline.quality import SameData
@@ -52,6 +53,46 @@ def cells_table(results: PipelineResults) -> Table:
     return Table((*header, "RMS (pix)", "Trans error (mm)", "Rot error (deg)"), rows)
 
 
+def overview_table(results: PipelineResults) -> Table:
+    """Return a row for each system: verdict, worst error bar, errors of its cells, its tasks, and what has changed."""
+    rows = []
+    for system in results.systems:
+        cells = [cell for cell in results.cells if cell.system == system]
+        verdict = worst_verdict(cell.verdict for cell in cells)
+        sigmas = _largest_deviations([cell.sigma for cell in cells if cell.sigma])
+        rms = [cell.rms_px for cell in cells if cell.rms_px is not None]
+        row = (
+            verdict if verdict == "pass" else verdict.upper(),
+            f"± {', '.join(sigmas)}" if sigmas else "",
+            ", ".join(_largest_deviations([cell.truth for cell in cells if cell.truth])),
+            f"{max(rms):.3g} px" if rms else "",
+            _tasks_in_brief(results, system),
+            _changes_in_brief(results, system),
+        )
+        rows.append((system, *row))
+    header = ("Robot", "Verdict", "Error bar", "Against the truth", "RMS", "Tasks", "Since accepted")
+    filled = [n for n, column in enumerate(zip(*rows, strict=True)) if any(column)]
+    shown_rows = tuple(tuple(row[n] or "-" for n in filled) for row in rows)
+    return Table(tuple(header[n] for n in filled), shown_rows, TRANSFORMS_SHOWN, brief=True, only="summary")
+
+
+def _tasks_in_brief(results: PipelineResults, system: str) -> str:
+    cell = _best_cells(results).get(system)
+    states = Counter(task.state or "without a limit" for task in cell.tasks) if cell else Counter[str]()
+    broken = states.pop("broken", 0)
+    parts = [f"FAIL: {broken} broken"] if broken else []
+    return ", ".join((*parts, *(f"{number} {state}" for state, number in states.items())))
+
+
+def _changes_in_brief(results: PipelineResults, system: str) -> str:
+    """Describe what has changed since the accepted calibration; empty if there is none."""
+    details = _best_details(results).get(system)
+    if details is None or not details.changes:
+        return ""
+    changed = [each for each in details.changes if exceeds(each, SameData())]
+    return count_of(len(changed), "change") if changed else "unchanged"
+
+
 def grid(results: PipelineResults) -> Table:
     """Return RMS and truth error, for each noise pair and each other method (rows) and system (columns).
 
@@ -77,7 +118,6 @@ def grid(results: PipelineResults) -> Table:
             for row, cells_of_row in rows.items()
         ),
         most_columns=MAX_COLUMNS_IN_LOG,
-        brief=True,
     )
 
 
@@ -494,6 +534,19 @@ def _equals_accepted(cell: CellResult) -> bool:
     differs = any(each.kind in ("added", "removed") or exceeds(each, SameData()) for each in changes)
     named = any(each.kind in ("baseline", "baseline-quality") for each in cell.findings)
     return bool(changes) and not differs and not named
+
+
+def lines_of_comment(results: PipelineResults) -> Iterator[str]:
+    """Yield what a comment says beside its tables: the accepted calibration, findings, time."""
+    if line := baseline_line(results):
+        yield line
+    warnings, notes = (findings_of(results, severity) for severity in ("warning", "note"))
+    if warnings or notes:
+        counted = f"Findings: {len(warnings)} to look at, {count_of(len(notes), 'note')}"
+        yield f"{counted}: {warnings[0]}" if warnings else counted
+    if results.cells:
+        seconds = sum(cell.seconds for cell in results.cells)
+        yield f"Time: {seconds:.1f} s of calibration in {count_of(len(results.cells), 'cell')}"
 
 
 def without_result(results: PipelineResults) -> list[str]:

@@ -72,7 +72,7 @@ def test_it_opens_offline_without_an_error_and_axe_finds_nothing(report: Path, c
     page.goto(report.as_uri())
     _open_scenes(page, 3)
     assert [each for each in said if SLOW_GRAPHICS not in each] == []
-    assert page.locator("h1").inner_text() == "Calibration"
+    assert page.locator("h1").inner_text() == "Calibration of 3 robots"
     assert page.locator("h2").all_inner_texts() == list(CONFIGURATION["systems"])
     assert page.locator("canvas").count() == 3
     assert page.locator("image").count() == MAX_VIEWS  # of the system whose images are there
@@ -141,6 +141,28 @@ def test_a_page_has_every_table_and_each_reason_once_whatever_its_colour(report:
         assert sections[name].count(reason) == text.count(reason) > 0
     collections = json.loads((ROOT / "datasets" / "riwbot" / "dataset.json").read_text())["collections"]
     assert re.search(rf"<td>charuco[^<]*</td><td>{len(collections)}</td><td>rgb_world</td>", text)
+
+
+def test_its_head_says_what_passes_how_sure_it_is_and_what_changed(report: Path, chromium: Browser) -> None:
+    page = chromium.new_page()
+    page.goto(report.as_uri())
+    assert "red fails; lidar is undecided." in page.locator(".banner.fail").inner_text()
+    rows = [row.split("\t") for row in page.locator("table").first.inner_text().splitlines()]
+    assert rows[0][:3] == ["Robot", "Verdict", "Error bar"]
+    assert [row[:2] for row in rows[1:]] == [["cameras", "pass"], ["lidar", "UNDECIDED"], ["red", "FAIL"]]
+    assert all(re.match(r"±\s[\d.]+\smm, [\d.]+\sdeg", row[2]) for row in rows[1:])
+    colours = [
+        page.locator(f"table td.{verdict}").first.evaluate("cell => getComputedStyle(cell).color")
+        for verdict in ("undecided", "fail")
+    ]
+    assert colours == ["rgb(154, 103, 0)", "rgb(207, 34, 46)"]
+    page.get_by_role("link", name="lidar").click()
+    assert page.url.endswith("#system-lidar")
+    page.get_by_text("The matrix: 1 start").click()
+    cell = page.locator("details[open] td span").first
+    assert cell.inner_text().count("px") == 1
+    assert "mm" in str(cell.get_attribute("title"))
+    page.close()
 
 
 def test_it_is_small(report: Path) -> None:

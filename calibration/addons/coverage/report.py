@@ -1,7 +1,7 @@
 """Report of ``coverage-upload``: log, summary, annotations and JUnit cases."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from calibration.addons.coverage.reading import Found
 from calibration.addons.coverage.results import CoverageResults
 from calibration.base.errors import ExitCode
 from calibration.base.text import one_line, shorten
-from calibration.ci.report import Lines, Outcome, Report, Table, outcome_of_check, verdict_of
+from calibration.ci.report import Lines, Outcome, Report, Table, count_of, outcome_of_check, verdict_of
 from calibration.ci.report.badge import BAD, FAIR, GOOD, NONE, drawn_badge
 from calibration.ci.workflow.runner import Annotation, Level
 
@@ -53,6 +53,7 @@ def report(results: CoverageResults, directory: Path = Path(), badge: Path | Non
             Table(_HEADER_OF_FILES, (*total, *_rows_of_files(results, _by_rate(results))), MAX_ROWS, only="log"),
             Table(("", "run", "of"), tuple(_summary_rows(results)), only="summary"),
             Lines(tuple(remarks(results))),
+            Lines(tuple(_lines_of_comment(results)), only="comment", brief=True),
             *_pseudo_tested_table(results.pseudo_tested),
             Table(_HEADER_OF_FILES, _rows_of_files(results, below), MAX_ROWS, title=not_passed, only="summary"),
             Table(_HEADER_OF_FILES, (*total, *rows), title=f"All {len(rows)} files", only="summary", folded=True),
@@ -87,6 +88,13 @@ def _verdict_sentence(results: CoverageResults) -> str:
         "none": "",
     }[results.upload.state]
     return one_line(f"{'; '.join(parts)}{'; ' if state else ''}{state}")
+
+
+def _lines_of_comment(results: CoverageResults) -> Iterator[str]:
+    if results.tests is not None and results.tests.tally is not None:
+        yield f"{count_of(results.tests.tally.passed, 'test')} passed, {results.tests.tally.failed} failed"
+    if results.change is not None:
+        yield f"{results.change.rate} of the lines of the change are run"
 
 
 def remarks(results: CoverageResults) -> list[str]:

@@ -264,7 +264,7 @@ _ACTIVE_POSITION = re.compile(r"(?<=@)|(?<=\\#)|(?<=:)(?=//)|(?<=[wW]{3})(?=\.)|
 
 
 def comment_text(brief: Brief, name: str, links: Mapping[str, str], commit: str | None = None) -> str:
-    """Return the Markdown of a comment: verdict, reasons, tables, links.
+    """Return the Markdown of a comment: verdict, reasons, tables, lines, links.
 
     Args:
         brief: results of the run, which may contain untrusted text.
@@ -284,6 +284,8 @@ def comment_text(brief: Brief, name: str, links: Mapping[str, str], commit: str 
         if (more := len(table.rows) - MAX_ROWS_OF_TABLE) > 0:
             text += f"\nand {more} more\n"
         parts.append(text)
+    if brief.lines:
+        parts.append("".join(f"- {_literal_text(line)}\n" for line in brief.lines))
     ends = [f"[{name}]({quote(address, safe=_SAFE_IN_ADDRESS)})" for name, address in links.items()]
     end = " · ".join([*ends, _literal_text(commit[:7])] if commit else ends)
     text = "\n".join(parts)

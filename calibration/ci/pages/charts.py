@@ -67,6 +67,33 @@ def path(points: Sequence[Sequence[float]] | Array, closed: bool = False) -> str
     return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in np.asarray(points).tolist()) + ("Z" if closed else "")
 
 
+SCALE_STEPS, SCALE_STEP_WIDTH, SCALE_HEIGHT = 6, 26.0, 38.0
+
+
+def _opacity(fraction: float) -> float:
+    """Return the opacity of a value that is a fraction of the largest."""
+    return 0.08 + 0.92 * fraction
+
+
+def colour_scale(left: float, top: float, most: float, unit: str) -> Html:
+    """Return the scale of the colours from 0 to the largest value."""
+    steps = [
+        element(
+            "rect",
+            x=left + step * SCALE_STEP_WIDTH,
+            y=top + 4,
+            width=SCALE_STEP_WIDTH,
+            height=12,
+            class_="heat",
+            fill_opacity=_opacity(step / (SCALE_STEPS - 1)),
+        )
+        for step in range(SCALE_STEPS)
+    ]
+    right = left + SCALE_STEPS * SCALE_STEP_WIDTH
+    ends = [text(left, top + 30, "0", "start", "small"), text(right, top + 30, f"{most:.3g} {unit}", "end", "small")]
+    return join([*steps, *ends])
+
+
 HEAT_LEFT, HEAT_TOP, HEAT_CELL, HEAT_CELL_HEIGHT = 150.0, 8.0, 22.0, 24.0
 MAX_COLUMNS = 120
 """Maximum number of columns; above it, neighbours are merged into one that shows their maximum."""
@@ -99,7 +126,7 @@ def heat_map(title: str, rows: Sequence[str], columns: Sequence[str], values: Ar
             where = columns[group[0]] if len(group) == 1 else f"{columns[group[0]]} to {columns[group[-1]]}"
             cell = element("title", f"{name}, collection {where}: {value:.3g} {unit}")
             box = {"x": HEAT_LEFT + c * HEAT_CELL, "y": y, "width": HEAT_CELL - 1.5, "height": HEAT_CELL_HEIGHT - 1.5}
-            parts.append(element("rect", cell, **box, class_="heat", fill_opacity=0.08 + 0.92 * (value / most)))
+            parts.append(element("rect", cell, **box, class_="heat", fill_opacity=_opacity(value / most)))
     below = HEAT_TOP + len(rows) * HEAT_CELL_HEIGHT
     every = max(1, math.ceil(len(groups) * 30 / max(HEAT_CELL * len(groups), 1)))
     labels = [
@@ -107,7 +134,8 @@ def heat_map(title: str, rows: Sequence[str], columns: Sequence[str], values: Ar
         for c, group in enumerate(groups)
         if c % every == 0
     ]
-    return drawing(width, below + 20, f"{title}: at most {most:.3g} {unit}", *parts, *labels)
+    scale = colour_scale(HEAT_LEFT, below + 20, most, unit)
+    return drawing(width, below + 20 + SCALE_HEIGHT, f"{title}: at most {most:.3g} {unit}", *parts, *labels, scale)
 
 
 def _short_name(name: str) -> str:
@@ -235,7 +263,7 @@ def point_map(title: str, points: Array, values: Array, unit: str, axes: tuple[s
     for (u, v), value in zip(points.tolist(), values.tolist(), strict=True):
         if math.isfinite(value):
             name = element("title", f"({u:.4g}, {v:.4g}): {value:.3g} {unit}")
-            strength = 0.08 + 0.92 * value / most
+            strength = _opacity(value / most)
             dot = {"cx": x(u), "cy": y(v), "r": MAP_RADIUS}
             parts.append(element("circle", name, **dot, class_="heat", fill_opacity=strength))
             if len(points) <= MAX_NUMBERED_POINTS:
@@ -245,7 +273,8 @@ def point_map(title: str, points: Array, values: Array, unit: str, axes: tuple[s
     parts.append(
         text(MAP_WIDTH / 2, bottom + 52, f"{axes[0]} across, {axes[1]} {'down' if down else 'up'}", class_="small")
     )
-    return drawing(MAP_WIDTH, bottom + 58, f"{title}: at most {most:.3g} {unit}", *parts)
+    parts.append(colour_scale(MAP_MARGIN, bottom + 56, most, unit))
+    return drawing(MAP_WIDTH, bottom + 56 + SCALE_HEIGHT, f"{title}: at most {most:.3g} {unit}", *parts)
 
 
 MAX_LABEL_CHARACTERS = 18

@@ -59,7 +59,10 @@ LONGEST_VALUE = 40
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
-    """Return a table whose first column names the rows; empty if there are no rows."""
+    """Return a table whose first column names the rows; empty if there are no rows.
+
+    Texts are escaped, markup is kept.
+    """
     if not rows:
         return Html("")
     head = element("tr", *(element("th", name, scope="col") for name in columns))
@@ -84,6 +87,8 @@ def _class_of_verdict(text: str) -> str | None:
 
 def _keep_values_unbroken(text: str) -> str:
     """Return a cell's text with no-break spaces inside its values, so that none is broken after its sign ±."""
+    if isinstance(text, Html):
+        return text
     parts = BETWEEN_VALUES.split(text)
     whole = (len(part) <= LONGEST_VALUE and any(map(str.isdigit, part)) for part in parts)
     return ", ".join(part.replace(" ", NO_BREAK) if keep else part for part, keep in zip(parts, whole, strict=True))
@@ -146,7 +151,7 @@ def folded(title: str, *content: str, opened: bool = False) -> Html:
 
 def verdict_line(verdict: str, sentence: str) -> Html:
     """Return a paragraph with the highlighted verdict and its numbers."""
-    return element("p", element("span", verdict, class_=f"verdict {verdict}"), f" {sentence}")
+    return element("p", element("span", verdict, class_=f"verdict {verdict}"), " ", sentence)
 
 
 def bullets(lines: Sequence[str]) -> Html:

@@ -26,10 +26,10 @@ class Block(ABC):
     title: str = ""
     folded: bool = False
     """Whether the summary shows only the title until a reader opens it."""
-    only: Literal["log", "summary"] | None = None
-    """The only place that shows it; None for both."""
+    only: Literal["log", "summary", "comment"] | None = None
+    """The only place that shows it; None for log and summary."""
     brief: bool = False
-    """Whether a comment on a pull request shows it too; tables only."""
+    """Whether a comment on a pull request shows it too: a table, or lines."""
 
     @abstractmethod
     def plain(self) -> str:

@@ -36,8 +36,8 @@ from calibration.ci.workflow.runner import (
 SUMMARY_FILE, JUNIT_FILE = "summary.md", "junit.xml"
 FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)
 """Files of every report."""
-ROWS_IN_BRIEF = 50
-"""Limit of the rows of a table in the brief report."""
+ROWS_IN_BRIEF, LINES_IN_BRIEF = 50, 10
+"""Limits of the rows of a table, and of the lines of a block, in the brief report."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,9 @@ class Report:
     """Results of a command, complete and independent of where they are written."""
 
     title: str
-    """Heading: ``introspect-csv``."""
+    """Title of annotations, and heading of the summary: ``introspect-csv``."""
+    heading: str = ""
+    """Heading of the summary, if another."""
     verdict: Verdict
     sentence: str
     """Text after the verdict in the last line: ``2 violations in 4 checks of 1 table``."""
@@ -95,16 +97,18 @@ class Report:
 
     @property
     def brief(self) -> Brief | None:
-        """Content of a comment on a pull request; None if the report has no tables for comments."""
-        tables = [block for block in self.blocks if isinstance(block, Table) and block.brief]
-        if not tables:
+        """Content of a comment on a pull request; None if the report has nothing for comments."""
+        brief = [block for block in self.blocks if block.brief]
+        if not brief:
             return None
+        tables = [block for block in brief if isinstance(block, Table)]
         return Brief(
             verdict=self.verdict,
             sentence=self.sentence,
             about=self.about,
             reasons=cut(self.all_reasons, MOST_LINES, RESULTS_FILE),
             tables=tuple(BriefTable(table.columns, table.rows[:ROWS_IN_BRIEF]) for table in tables if table.rows),
+            lines=tuple(line for block in brief if isinstance(block, Lines) for line in block.lines[:LINES_IN_BRIEF]),
         )
 
     @property
@@ -117,18 +121,18 @@ class Report:
         return "\n\n".join(
             f"{one_line(block.title)}\n{text}" if block.title else text
             for block in self.blocks
-            if block.only != "summary" and (text := block.plain())
+            if block.only in (None, "log") and (text := block.plain())
         )
 
     def markdown(self) -> str:
         """Return the summary: the verdict, its reasons, then the blocks."""
-        parts = [f"## {escape_markdown(self.title)}: {escape_markdown(self.line)}\n"]
+        parts = [f"## {escape_markdown(self.heading or self.title)}: {escape_markdown(self.line)}\n"]
         if self.about:
             parts.append(f"{escape_markdown(self.about)}\n")
         if self.all_reasons:
             parts.append(Lines(self.all_reasons).markdown())
         for block in self.blocks:
-            if block.only == "log" or not (text := block.markdown()):
+            if block.only in ("log", "comment") or not (text := block.markdown()):
                 continue
             title = escape_markdown(block.title)
             if block.folded:

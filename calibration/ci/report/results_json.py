@@ -93,6 +93,7 @@ class Brief:
     about: str = field("What the results are of: the commit and its date.", default="")
     reasons: tuple[str, ...] = field("Why the verdict is not pass, worst first.", default=())
     tables: tuple[BriefTable, ...] = field("Tables of the comment.", default=())
+    lines: tuple[str, ...] = field("What else counts, one line each: findings, tests, time.", default=())
 
     @property
     def text(self) -> str:

@@ -1,17 +1,19 @@
 """Collection of the results of a workflow's jobs, as one set with one verdict."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from calibration.base import records
-from calibration.base.errors import ExitCode, InputError, brief
+from calibration.base.errors import CalibrationError, ExitCode, InputError, brief
 from calibration.base.records import result
 from calibration.base.text import one_line
-from calibration.ci.report import RESULTS_FILE, Report, Text, Verdict, reasons_in, verdict_of
+from calibration.ci.report import RESULTS_FILE, Lines, Report, Text, Verdict, reasons_in, verdict_of
 from calibration.ci.report.badge import BADGE_FILE as BADGE
 from calibration.ci.report.badge import verdict_badge
+from calibration.ci.report.results_json import BRIEF_FILE, Brief, read_brief
 from calibration.ci.report.stage_result import StageResult
 from calibration.pipeline.distribution.jobs import JOB_SUCCESS, Cost, Needs, jobs_table, money
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, STAGE_OF_JOB, JobCell, WorkflowPlan
@@ -51,6 +53,8 @@ class Gathered:
     """Jobs that did not succeed, without results that give the reason."""
     plan: WorkflowPlan = field(default_factory=WorkflowPlan)
     """Empty if planning failed."""
+    lines_of_jobs: tuple[str, ...] = ()
+    """What jobs beside the calibration say in brief: tests, coverage of the change."""
 
     @property
     def verdict(self) -> Verdict:
@@ -105,7 +109,17 @@ def gather(needs: Needs, plan: WorkflowPlan | None, folder: Path) -> Gathered:
     lost = [job for job, result in jobs.items() if result != JOB_SUCCESS and job not in failed]
     lost += [job for job in plan.stages if jobs[job] == JOB_SUCCESS and job not in of_stages]
     needs = replace(needs, results={**needs.results, **jobs})
-    return Gathered(results, jobs, tuple(each for job in lost for each in _reasons_of_job(job, needs, folder)), plan)
+    problems = tuple(each for job in lost for each in _reasons_of_job(job, needs, folder))
+    others = [job for job in jobs if job not in (*STAGE_OF_JOB, COLLECTED_DATA)]
+    return Gathered(results, jobs, problems, plan, tuple(line for job in others for line in _lines_of_job(job, folder)))
+
+
+def _lines_of_job(job: str, folder: Path) -> Iterator[str]:
+    """Yield what a job says in brief; nothing if it has left nothing that can be read."""
+    file = folder / job / BRIEF_FILE
+    with suppress(CalibrationError):
+        found = read_brief(file) if file.exists() else Brief(verdict="pass", sentence="")
+        yield from (f"{job}: {line}" for line in (found.sentence, *found.lines) if line)
 
 
 def _reasons_of_job(job: str, needs: Needs, folder: Path) -> tuple[str, ...]:
@@ -139,7 +153,13 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> R
         error=gathered.exit_code,
         sentence="; ".join((*judged, *([", ".join(others)] if others else []))) or "all jobs succeeded",
         reasons=(*gathered.problems, *report_of_cells.reasons),
-        blocks=(*report_of_cells.blocks, jobs_table(gathered.jobs, cost), Text(cost.sentence)),
+        blocks=(
+            *report_of_cells.blocks,
+            Lines(gathered.lines_of_jobs, title="Other jobs", only="summary", brief=True),
+            jobs_table(gathered.jobs, cost),
+            Text(cost.sentence),
+            Lines((f"Cost: {cost.sentence}",), only="comment", brief=True),
+        ),
         results=RunResults(**vars(report_of_cells.results), cost=cost),
         # The cells' own results stay in the artifacts of their jobs.
         files={CELLS_FILE: report_of_cells.files[CELLS_FILE], BADGE: verdict_badge("calibration", verdict)},

@@ -10,7 +10,7 @@ import numpy as np
 from calibration.base.errors import CalibrationError
 from calibration.ci.pages.charts import ellipses, heat_map, trend
 from calibration.ci.pages.html import Html, bullets, element, figure, folded, join, page, section, table, verdict_line
-from calibration.ci.report import VERDICTS, Report, Verdict
+from calibration.ci.report import VERDICTS, Report, Table, Verdict, count_of
 from calibration.engine.baseline.quality import SameData
 from calibration.engine.baseline.verdict import exceeds
 from calibration.engine.dataset.model import Dataset
@@ -22,6 +22,7 @@ from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
 from calibration.pipeline.page.label_residuals import label_residuals, projection_figures, residuals_by_sensor
+from calibration.pipeline.page.overview import banner, engine_of, overview_table, sensors_table, starts_table
 from calibration.pipeline.page.pose_figures import poses_in_images
 from calibration.pipeline.page.robot_tasks import task_figures
 from calibration.pipeline.results import PipelineResults
@@ -65,9 +66,7 @@ def report_page(
         own_head = _verdict_of_system(own) if several else Html("")
         if len(own.cells) > 1:
             own_head = join([own_head, element("p", f"Shown: {shown[name].name}", class_="soft")])
-        return _system_section(
-            name, shown[name], own_head, output, systems.get(name), accepted, (given or {}).get(name)
-        )
+        return _system_section(own, shown[name], own_head, output, systems.get(name), accepted, (given or {}).get(name))
 
     sections = _sections_within_limit(verdicts, section_of)
     in_sections = (
@@ -75,30 +74,31 @@ def report_page(
         if several
         else set()
     )
-    links = [
-        element("li", element("a", name, href=f"#{_anchor_of_system(name)}"), *_unless_passed(verdicts[name]))
-        for name in sections
-    ]
     left_out = len(shown) - len(sections)
+    robots = count_of(len(shown), "robot") if several else "".join(shown)
+    title = f"Calibration of {robots}" if shown else "Calibration"
     tables = (
-        report_blocks.recordings_table,
-        report_blocks.grid,
-        report_blocks.truth_table,
-        report_blocks.precision_table,
-        report_blocks.updates_table,
-        report_blocks.collections_table,
+        overview_table(results, {name: _anchor_of_system(name) for name in sections}),
+        *_tables_of(results, report_blocks.updates_table, report_blocks.recordings_table),
+        *_tables_of(results, report_blocks.collections_table),
+        starts_table(results) if several else Html(""),
     )
-    title = "Calibration" if several or not shown else f"Calibration of {next(iter(shown))}"
     head = [
-        element("h1", title),
-        verdict_line(report.verdict, report.sentence),
-        element("p", report.about, class_="soft") if report.about else Html(""),
+        element("h1", title, id_="top"),
+        banner(report, verdicts),
+        element("p", " · ".join(filter(None, (report.about, engine_of(results)))), class_="soft"),
         bullets(tuple(reason for reason in report.all_reasons if reason not in in_sections)),
-        element("nav", element("ul", *links), aria_label="Systems") if several else Html(""),
         element("p", _reason_of_left_out(left_out, len(shown)), class_="soft") if left_out else Html(""),
-        *(table(each.columns, each.rows) for each in (make(results) for make in tables)),
+        *tables,
     ]
     return page(f"{title}: {report.verdict}", [join(head), *sections.values()])
+
+
+def _tables_of(results: PipelineResults, *makers: Callable[[PipelineResults], Table], own: str = "") -> Iterator[Html]:
+    """Yield tables, without the beginning of their rows that the section's title says."""
+    for make in makers:
+        made = make(results)
+        yield table(made.columns, [(row[0].removeprefix(own), *row[1:]) for row in made.rows])
 
 
 def _sections_within_limit(verdicts: Mapping[str, Verdict], section_of: Callable[[str], Html]) -> dict[str, Html]:
@@ -127,11 +127,6 @@ def _verdict_of_system(results: PipelineResults) -> Html:
     return join([verdict_line(results.verdict, report_blocks.verdict_sentence(results)), bullets(reasons)])
 
 
-def _unless_passed(verdict: Verdict) -> tuple[str, ...]:
-    """Return a mark of a verdict that is not pass."""
-    return () if verdict == "pass" else (" ", element("strong", verdict, class_=verdict))
-
-
 def _reason_of_left_out(left_out: int, systems: int) -> str:
     return (
         f"{left_out} of {systems} systems are in the tables only, as the page would be too large for a browser; "
@@ -150,7 +145,7 @@ def _anchor_of_system(system: str) -> str:
 
 
 def _system_section(
-    name: str,
+    own: PipelineResults,
     cell: CellResult,
     head: Html,
     output: Path,
@@ -159,28 +154,18 @@ def _system_section(
     given: Dataset | None,
 ) -> Html:
     """Return the sections of one system, by one of its cells, below its verdict and reasons."""
-    tables = (
-        report_blocks.tasks_table,
-        report_blocks.transforms_table,
-        report_blocks.cameras_table,
-        report_blocks.hangs_on_table,
-        report_blocks.parameters_table,
-        report_blocks.changes_table,
-    )
+    name = cell.system
     of_cell = PipelineResults((cell,))
     notes = tuple(each.text for each in cell.uncontradicted_findings if each.severity in ("warning", "note"))
-    content = [
-        head,
-        *(table(each.columns, each.rows) for each in (make(of_cell) for make in tables)),
-        join(
-            [
-                element("h3", "To look at" if cell.verdict == "fail" else "What speaks for it, and what to look at"),
-                bullets(notes),
-            ]
-        )
-        if notes
-        else Html(""),
-    ]
+    numbers = (report_blocks.transforms_table, report_blocks.tasks_table, report_blocks.changes_table)
+    others = (report_blocks.cameras_table, report_blocks.parameters_table, report_blocks.hangs_on_table)
+    content = [head, *_tables_of(of_cell, *numbers, *others, own=f"{name}: ")]
+    if notes:
+        title = "To look at" if cell.verdict == "fail" else "What speaks for it, and what to look at"
+        content += [element("h3", title), bullets(notes)]
+    starts = report_blocks.grid(own)
+    if len(starts.rows) > 1:
+        content.append(folded("Each start, and other methods", table(starts.columns, starts.rows)))
     try:
         calibrated_from = system.dataset if system else None
         dataset = read_dataset(output / cell.dataset, given=calibrated_from) if cell.dataset else None
@@ -196,11 +181,13 @@ def _system_section(
                 content += [element("h3", "What to record next"), bullets(found.lines)]
                 content.append(poses_in_images(found, dataset, given))
             by_sensor = residuals_by_sensor(dataset)
+            content.append(sensors_table(dataset, by_sensor))
             content.append(in_space(dataset, given, _as_accepted(dataset, cell), by_sensor))
             content += label_residuals(dataset, by_sensor, levels, given)
     content += [*task_figures(cell.tasks, cell.details.task_maps if cell.details else ())]
     content += [*projection_figures(cell.details.projection if cell.details else ())]
     content += [*_error_bars(cell, system.limits if system else None), *_trend_figures(name, accepted)]
+    content.append(element("p", element("a", "To the top", href="#top")))
     return section(name, *content, anchor=_anchor_of_system(name))
 
 

@@ -159,7 +159,7 @@ def test_one_table_and_one_verdict(
 ) -> None:
     assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
     summary = Path("summary.md").read_text()
-    assert summary.startswith("## gather-results: pass: 2 cells calibrated\n")
+    assert summary.startswith("## Calibration: pass: 2 cells calibrated\n")
     assert "| calibrate | success | 2 | 122 | 4 | 0.024 |" in summary
     assert summary.count("| Start | robot |") == 1
     assert outputs(Path("gathered"))["verdict"] == "pass"
@@ -179,7 +179,7 @@ def test_a_failed_job_beside_good_cells(
     out, summary = capsys.readouterr().out, Path("summary.md").read_text()
     assert "::error title=gather-results::the job unit-tests failed: see its log" in out
     assert "| unit-tests | failure |" in summary
-    assert summary.startswith("## gather-results: fail: 2 cells calibrated; ")  # the verdict is that of everything
+    assert summary.startswith("## Calibration: fail: 2 cells calibrated; ")  # the verdict is that of everything
     assert out.splitlines()[-1].startswith("fail: ")
     found = json.loads(Path("of all/results.json").read_text())
     assert (found["verdict"], found["reasons"]) == ("fail", ["the job unit-tests failed: see its log"])
