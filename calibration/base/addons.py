@@ -86,6 +86,9 @@ class Addon:
     registry_logins: Mapping[str, str] = field(default_factory=dict)
     """``module:function`` that gets the credentials of a kind of registry (``registry: {kind: ...}``)."""
     schemas: Mapping[str, SchemaFile] = field(default_factory=dict)
+    watches: Mapping[str, str] = field(default_factory=dict)
+    """``module:function`` that returns the watch of a collection's containers (`calibration.ci.execution.supervision`),
+    by the section of calibration.yml that it is given, with the name of the collection and the port of rosbridge."""
 
 
 @cache

@@ -17,6 +17,7 @@ PACKAGE_OF_MODULE = {
     "hpl": ("hpl-specs", "'calibration-ci[requirements]'"),
     "yaml": ("PyYAML", "pyyaml"),
     "rosbags": ("rosbags", "'calibration-ci[bags]'"),
+    "websockets": ("websockets", "'calibration-ci[requirements]'"),
 }
 """Name of a package, and what pip installs, where they differ from its module."""
 

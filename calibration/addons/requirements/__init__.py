@@ -5,6 +5,7 @@
 - ``requirement``: the state machine that every requirement is; ``topics``, ``frames``, ``presence``: the short ones;
 - ``hpl``, ``predicates``, ``patterns``: properties in HPL;
 - ``judging``: a bag is read once, and each requirement fed with the messages of its topics;
+- ``live``: a watch by rosbridge while the containers run, which only ends early what has failed already;
 - ``results``, ``report``: the output; ``check_messages``: the command; ``stage``: the stage judge of a pipeline.
 """
 
@@ -33,5 +34,6 @@ ADDON = Addon(
             job="check-messages",
         )
     },
+    watches={"requirements": f"{__name__}.live:live_watch"},
     schemas={"messages": SchemaFile(__name__, "results.schema.json", "results:MessageResults", "check-messages")},
 )

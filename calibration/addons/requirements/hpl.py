@@ -141,6 +141,12 @@ class Property:
     terminator: Event | None
 
     @property
+    def is_of_one_message(self) -> bool:
+        """Whether one message alone can contradict it, and its order and time do not matter: ``globally: no /b``."""
+        is_everywhere = self.activator is None and self.terminator is None and self.within is None
+        return self.pattern == "ABSENCE" and is_everywhere
+
+    @property
     def events(self) -> tuple[Event, ...]:
         """All its events."""
         return tuple(each for each in (self.activator, self.trigger, self.behaviour, self.terminator) if each)

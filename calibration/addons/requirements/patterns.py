@@ -259,6 +259,11 @@ class HplRequirement(Requirement):
         self.was_open = False
         self.known: dict[str, Any] = {}
 
+    @property
+    def is_refuted(self) -> bool:
+        """Whether a message came that must never come."""
+        return self.property.is_of_one_message and self.pattern.violation is not None
+
     def start(self, begin: int) -> None:
         """Begin; without an activator the scope is open from here."""
         super().start(begin)

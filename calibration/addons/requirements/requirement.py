@@ -86,6 +86,11 @@ class Requirement(ABC):
         """Begin, before the first message."""
         self.begin = begin
 
+    @property
+    def is_refuted(self) -> bool:
+        """Whether one message alone contradicts it, whatever came before or comes later, or was missed, and when."""
+        return False
+
     @abstractmethod
     def feed(self, message: Message) -> None:
         """Take the next message of one of its topics."""

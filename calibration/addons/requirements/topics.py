@@ -153,6 +153,11 @@ class FieldValue(_OfTopic):
         self.count = 0
         self.wrong: tuple[str, Message] | None = None
 
+    @property
+    def is_refuted(self) -> bool:
+        """Whether a value is outside."""
+        return self.wrong is not None
+
     def feed(self, message: Message) -> None:
         """Take the next message."""
         self.count += 1

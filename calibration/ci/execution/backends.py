@@ -18,6 +18,7 @@ from calibration.base.records import field, flat_fields, read, record, with_fiel
 from calibration.base.text import did_you_mean
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.supervision import BeginWatch
 from calibration.ci.workflow.streams import LogDisplay
 
 if TYPE_CHECKING:
@@ -150,6 +151,8 @@ class ExecutionTarget:
     """Whether results of an earlier run of this name are reused, and only missing jobs run."""
     show: LogDisplay | None = None
     """Display for the logs of the containers; None to show none."""
+    watch: BeginWatch | None = None
+    """Watch of each job, by backends that reach the containers; None for none."""
 
     @property
     def settings(self) -> Any:

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Annotated
 
 from calibration.base.errors import InputError
-from calibration.base.records import field, matching, record
+from calibration.base.records import between, field, matching, record
 from calibration.ci.execution.job import Artifact, Container, Job, Readiness
 from calibration.ci.execution.outcome import End, JobOutcome
 from calibration.ci.execution.ros import RosVersion
@@ -54,6 +54,11 @@ class Recording:
     )
     size: Bytes = field("The largest bag: a larger one makes the collection fail (1g).", default=DEFAULT_BAG_BYTES)
     image: str = field("Image with rosbag, or ros2 bag (that of the first container).", default="")
+    rosbridge: Annotated[int, between(1, 65535)] | None = field(
+        "Port of a rosbridge server in one of the containers: a message that alone contradicts a requirement over this "
+        "bag ends them early (Docker only).",
+        default=None,
+    )
 
 
 def with_recorder(job: Job, recording: Recording | None, version: RosVersion) -> Job:

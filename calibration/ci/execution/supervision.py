@@ -5,7 +5,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeAlias, TypeVar
 
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.artifacts import ArtifactCopier, Opener, complete_or_not_at_all
@@ -251,8 +251,22 @@ def _quote_last_line(supervised: Supervised) -> str:
     return f": {supervised.last_line}" if supervised.last_line else ""
 
 
+class JobWatch(Protocol):
+    """Follows what the containers of a job say while they run, in a thread of its own."""
+
+    @property
+    def reason(self) -> str:
+        """Why the job has failed, and is to be ended; empty as long as nothing is known."""
+
+    def close(self) -> None:
+        """End the watch: the containers are about to be stopped."""
+
+
+BeginWatch: TypeAlias = Callable[[Callable[[], Sequence[str]], Callable[[str], None]], JobWatch]
+"""Begins the watch of a job. Its arguments return the addresses of the running containers, and write a line to the
+watch's log."""
 _POLL_SECONDS = 0.2
-"""Interval of readiness polls, seconds."""
+"""Interval of polls of the readiness and the watch, seconds."""
 
 
 C = TypeVar("C", bound=Supervised)
@@ -272,6 +286,7 @@ class Supervisor(ABC, Generic[C]):
         self.containers: list[C] = []
         """Containers of the job, in the order of their start."""
         self.judge = Judge(job, clean)
+        self.watch: JobWatch | None = None
         self.artifacts: list[ArtifactFile] = []
         self.left_out: list[str] = []
 
@@ -287,6 +302,8 @@ class Supervisor(ABC, Generic[C]):
         try:
             self._until_over()
         finally:
+            if self.watch is not None:
+                self.watch.close()
             running = [c for c in self.containers if is_running(c)]
             self.judge.stop(running)
             self._stop(running)
@@ -328,9 +345,12 @@ class Supervisor(ABC, Generic[C]):
             has_news = self._poll()
             if self.judge.is_over(self.containers, waiting):
                 return
+            if self.watch is not None and self.watch.reason:
+                self.judge.fail(self.watch.reason, ExitCode.FAIL)
+                return
             if not has_news:
                 limits = self.judge.seconds_left(self.containers)
-                if any(is_running(c) and not c.ready for c in self.containers):
+                if self.watch is not None or any(is_running(c) and not c.ready for c in self.containers):
                     limits.append(_POLL_SECONDS)
                 self._wait(max(0.0, min(limits)) if limits else None)
 

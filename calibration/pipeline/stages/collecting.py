@@ -3,8 +3,10 @@
 import time
 from dataclasses import replace
 
+from calibration.base.addons import import_attribute, of_addons
 from calibration.base.errors import CalibrationError
 from calibration.ci.execution.backends import EMBEDDED
+from calibration.ci.execution.supervision import BeginWatch
 from calibration.ci.workflow.progress import progress
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import pose_line
@@ -25,8 +27,9 @@ def collect_stage(run: PipelineRun) -> PipelineRun:
 
 def _collect_one(request: CollectionRequest, run: PipelineRun) -> Collected:
     name, folder, begin = request.name, f"{COLLECTED_FOLDER}/{request.name}", time.perf_counter()
-    request = replace(request, target=replace(run.target, backend=request.backend or EMBEDDED))
     try:
+        target = replace(run.target, backend=request.backend or EMBEDDED, watch=_watch_of(request, run))
+        request = replace(request, target=target)
         with progress(run.runner, f"collect {name}", bar=request.backend == EMBEDDED) as advance:
 
             def done(count: int, total: int, record: Record) -> None:
@@ -49,3 +52,21 @@ def _collect_one(request: CollectionRequest, run: PipelineRun) -> Collected:
         error=found.error,
         seconds=round(time.perf_counter() - begin, 4),
     )
+
+
+def _watch_of(request: CollectionRequest, run: PipelineRun) -> BeginWatch | None:
+    """Return the watch of an add-on that follows what the containers say by rosbridge; None for none.
+
+    Raises:
+        CalibrationError: what it is to look for cannot be parsed, or a library is not installed.
+    """
+    recording = request.applications.record
+    if recording is None or recording.rosbridge is None:
+        return None
+    for section, target in of_addons(lambda addon: addon.watches).items():
+        settings = run.sections.of(section)
+        watch: BeginWatch | None = settings and import_attribute(target)(settings, request.name, recording.rosbridge)
+        if watch is not None:
+            return watch
+    run.runner.log(f"{request.name}: record.rosbridge: no section judges what this entry records: nothing is watched")
+    return None

@@ -110,3 +110,26 @@ def test_an_artifact_that_is_not_there_fails_the_job_unless_there_is_a_better_re
         play.supervise(tmp_path / str(code))
         [found] = play.judge.reasons
         assert reason in found
+
+
+class Watched:
+    """A watch that knows a reason from the start."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason, self.is_closed = reason, False
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+@pytest.mark.parametrize("reason", ["", "too fast"])
+def test_a_watch_ends_the_job_with_its_reason_and_is_closed_before_the_rest_is_stopped(
+    tmp_path: Path, reason: str
+) -> None:
+    play = Play(Job("job", (container("robot"),)), robot={"ends_at": 3})
+    play.watch = watch = Watched(reason)
+    play.supervise(tmp_path / "artifacts")
+    assert play.told == ["start robot", *(["stop robot"] if reason else [])]
+    assert (play.judge.reasons, play.judge.exit_code) == (([reason], ExitCode.FAIL) if reason else ([], ExitCode.PASS))
+    assert watch.is_closed
+    assert (tmp_path / "artifacts").is_dir()

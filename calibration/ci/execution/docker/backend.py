@@ -24,6 +24,7 @@ from calibration.ci.execution.docker.networks import Networks
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.job_check import check_jobs
 from calibration.ci.execution.outcome import JobOutcome
+from calibration.ci.execution.supervision import BeginWatch
 from calibration.ci.workflow.streams import LogDisplay
 
 
@@ -126,12 +127,13 @@ class DockerBackend:
     interrupted at any time.
     """
 
-    def __init__(self, run: str | None = None, show: LogDisplay | None = None) -> None:
+    def __init__(self, run: str | None = None, show: LogDisplay | None = None, watch: BeginWatch | None = None) -> None:
         """Choose an engine, without a request.
 
         Args:
             run: name of the run, used in labels of everything that is started; None for a new one.
             show: display for the containers' logs.
+            watch: watch of each job.
 
         Raises:
             InputError: the name is invalid in names of containers.
@@ -140,6 +142,7 @@ class DockerBackend:
         if not _RUN_NAME.fullmatch(self.run_name):
             raise InputError(f"run '{self.run_name}': expected letters, digits, _ . and -, at most 61")
         self._show = show
+        self._watch = watch
         self._labels = {RUN_LABEL: self.run_name, **Owner.this_process().labels}
         self._networks = Networks(self.run_name, self._labels)
         self._threads: list[threading.Thread] = []
@@ -214,6 +217,7 @@ class DockerBackend:
             networks=self._networks,
             alone=len(jobs) == 1,
             show=self._show,
+            watch=self._watch,
         )
         return self._yield_outcomes(run, jobs, folder, workers)
 
@@ -338,7 +342,7 @@ def open_docker(target: ExecutionTarget) -> DockerBackend:
     Raises:
         InputError: the name of the run is invalid in names of containers.
     """
-    return DockerBackend(target.run, target.show)
+    return DockerBackend(target.run, target.show, target.watch)
 
 
 def _run_admitted_jobs(

@@ -67,7 +67,7 @@ class Probe:
 
     def _port_answers(self) -> bool:
         port = self._readiness.port or 0
-        address = "127.0.0.1" if self._host_network else self._container_address()
+        address = "127.0.0.1" if self._host_network else address_of(self._api, self._container)
         if self._by_address and address:
             try:
                 with socket.create_connection((address, port), _CONNECT_SECONDS):
@@ -77,10 +77,6 @@ class Probe:
             except OSError:
                 self._by_address = False  # unreachable from here
         return port in self._listening_ports()
-
-    def _container_address(self) -> str:
-        networks = self._api.inspect_container(self._container)["NetworkSettings"]["Networks"] or {}
-        return next((str(found["IPAddress"]) for found in networks.values() if found.get("IPAddress")), "")
 
     def _listening_ports(self) -> set[int]:
         command = ["cat", "/proc/net/tcp", "/proc/net/tcp6"]
@@ -103,6 +99,16 @@ class Probe:
             return False
         self._command = None
         return bool(state["ExitCode"] == 0)
+
+
+def address_of(api: APIClient, container: str) -> str:
+    """Return the address of a container by its id; empty if it has none of its own.
+
+    Raises:
+        docker.errors.APIError: the engine refuses the request.
+    """
+    networks = api.inspect_container(container)["NetworkSettings"]["Networks"] or {}
+    return next((str(found["IPAddress"]) for found in networks.values() if found.get("IPAddress")), "")
 
 
 DEFAULT_BRIDGE = "bridge"

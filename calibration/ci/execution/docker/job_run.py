@@ -13,7 +13,13 @@ from calibration.base.redaction import redact
 from calibration.base.text import one_line
 from calibration.ci.docker_engine import Engine, EngineLostError, engine_errors
 from calibration.ci.execution.artifacts import Opener
-from calibration.ci.execution.docker.container_run import DEFAULT_BRIDGE, STOP_SECONDS, ContainerRun, container_settings
+from calibration.ci.execution.docker.container_run import (
+    DEFAULT_BRIDGE,
+    STOP_SECONDS,
+    ContainerRun,
+    address_of,
+    container_settings,
+)
 from calibration.ci.execution.docker.copying import copy_in, open_output, opener_of
 from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL, new_run
 from calibration.ci.execution.docker.leftovers import Leftover, remove
@@ -30,9 +36,11 @@ from calibration.ci.execution.outcome import (
     make_job_folder,
     write_manifest,
 )
-from calibration.ci.execution.supervision import Supervisor
+from calibration.ci.execution.supervision import BeginWatch, Supervisor, is_running
 from calibration.ci.workflow.streams import LogDisplay
 
+WATCH_LOG_NAME = "live_watch"
+"""Name of the watch's log among those of the containers; no application has one with an underscore."""
 _SECONDS_TO_STOP = STOP_SECONDS + 15
 """Seconds for a stopped container to end."""
 
@@ -54,6 +62,7 @@ class Run:
     alone: bool
     """Whether the run has a single job."""
     show: LogDisplay | None = None
+    watch: BeginWatch | None = None
     stopping: threading.Event = field(default_factory=threading.Event)
 
 
@@ -115,17 +124,22 @@ class JobRun(Supervisor[ContainerRun]):
     def _open_logs(self, logs: ExitStack) -> None:
         """Open the logs, in the order in which the containers start."""
         for container in start_order(self.job):
-            show = None
-            if self._run.show is not None:
-                title = f"{self.job.name}/{container.name}"
-                stream = self._run.show.open(title, live=container.essential)
-                logs.callback(stream.close)
-                show = stream.line
             pattern = container.readiness.log if container.readiness else None
-            path = self._folder / LOGS_FOLDER / f"{container.name}.log"
-            log = logs.enter_context(LogFile(path, self._secrets, show, pattern))
+            log = self._open_log(logs, container.name, container.essential, pattern)
             image = self._run.images[container.image]
             self.containers.append(ContainerRun(container, self._run.engine, image, log))
+
+        if self._run.watch is not None:
+            self._watch_log = self._open_log(logs, WATCH_LOG_NAME, True)
+
+    def _open_log(self, logs: ExitStack, name: str, live: bool, pattern: str | None = None) -> LogFile:
+        show = None
+        if self._run.show is not None:
+            stream = self._run.show.open(f"{self.job.name}/{name}", live=live)
+            logs.callback(stream.close)
+            show = stream.line
+        path = self._folder / LOGS_FOLDER / f"{name}.log"
+        return logs.enter_context(LogFile(path, self._secrets, show, pattern))
 
     def _to_its_end(self) -> None:
         self._go_on()
@@ -133,6 +147,10 @@ class JobRun(Supervisor[ContainerRun]):
             self._volume = f"calibration-{self._run.name}-{new_run()}"
             self._api.create_volume(self._volume, labels=self._labels_of_job())
         self._network = self._choose_network()
+        if self._run.watch is not None:
+            self.watch = self._run.watch(
+                self._addresses, lambda line: self._watch_log.feed(f"{one_line(line)}\n".encode())
+            )
         self.supervise(self._folder / ARTIFACTS_FOLDER)
 
     def _choose_network(self) -> Network | None:
@@ -223,6 +241,20 @@ class JobRun(Supervisor[ContainerRun]):
 
     def _redact_reason(self, reason: str) -> str:
         return one_line(redact(reason, self._secrets))
+
+    def _addresses(self) -> list[str]:
+        """Return the addresses of the running containers; called in the watch's thread, so with its own client."""
+        if self.job.network == "host":
+            return ["127.0.0.1"]
+        client = self._run.engine.client()
+        try:
+            with engine_errors():
+                found = [address_of(client.api, c.id) for c in self.containers if is_running(c)]
+        except CalibrationError:
+            return []  # one has just ended, or the engine is lost, which the job's thread reports
+        finally:
+            client.close()
+        return list(filter(None, found))
 
     def _labels_of_job(self) -> dict[str, str]:
         return {**self._run.labels, JOB_LABEL: self.job.name}
