@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from calibration.base.errors import InputError
-from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.model import ROUGH_KEY, Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import DEFAULT_LIMIT_SIGMAS, MIN_DEFAULT_LIMIT, Limits, allowed, stated
 from calibration.engine.diagnosis.projection import projection_limit
@@ -27,7 +27,6 @@ from calibration.pipeline.matrix.cell_result import Cell, CellResult
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.system import System
-from calibration.robot.importing.document import ROUGH_KEY
 
 MIN_SHARED_COLLECTIONS = 3
 """Minimum of collections in which two sensors see a pattern, for a table of both."""

@@ -16,11 +16,10 @@ from calibration.ci.report.junit import ErrorCode
 from calibration.ci.report.results_json import BRIEF_FILE
 from calibration.ci.report.stage_result import StageResult
 from calibration.engine.baseline.document import BaselineUpdate
-from calibration.engine.dataset.model import Dataset
+from calibration.engine.dataset.model import ROUGH_KEY, Dataset
 from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.estimation.problem.intrinsics import FILE_NAME as INTRINSICS
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult, Details
-from calibration.robot.importing.document import ROUGH_KEY
 
 SCHEMA_FILE = Path(__file__).with_name("results.schema.json")
 CELLS_FILE = "cells.csv"

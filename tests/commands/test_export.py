@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from calibration.__main__ import main
+from calibration.engine.dataset.model import ROUGH_KEY
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.geometry.transforms import retract
-from calibration.robot.importing.document import ROUGH_KEY
 from tests.displaced import displace
 from tests.pipeline.conftest import DATASETS
 

@@ -25,6 +25,8 @@ ESTIMATED_KEY = "estimated_intrinsics"
 """Key of ``_metadata``: the cameras whose intrinsics are an initial guess from the corners."""
 CHOSEN_MODELS = "chosen_lens_models"
 """Key of ``_metadata``: those of them whose lens model was chosen, and is that of the guess."""
+ROUGH_KEY = "rough_transforms"
+"""Key of ``_metadata``: whether the calibrated transforms in the dataset are only an initial guess."""
 Edge = tuple[str, str]
 """(parent, child); in a file it is the key ``parent-child``."""
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from calibration.base.addons import of_addons
 from calibration.base.arrays import Array
@@ -19,10 +19,12 @@ from calibration.ci.report.results_json import BRIEF_FILE
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.geometry.transforms import from_quaternion
-from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.matrix.cell_result import CellResult, Details
 from calibration.pipeline.results import PAGE_FILE, Collected, PipelineResults
 from calibration.robot.simulation.collection.proof import Proof
+
+if TYPE_CHECKING:  # needs OpenCV, which a run that collects nothing does without
+    from calibration.pipeline.collection.results import CollectionResults
 
 Outputs: TypeAlias = Mapping[str, Mapping[str, str]]
 """Hashes of what each stage has left, by stage, in their order, and name."""
@@ -84,7 +86,7 @@ def numbers_of_run(results: PipelineResults) -> dict[tuple[str, str], float]:
     return {key: value for key, value in found.items() if value is not None}
 
 
-def repetition_of_collection(results: CollectionResults, report: Report, folder: Path, seconds: float) -> Repetition:
+def repetition_of_collection(results: "CollectionResults", report: Report, folder: Path, seconds: float) -> Repetition:
     """Return the run of a collection alone.
 
     Args:

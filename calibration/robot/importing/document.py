@@ -13,7 +13,7 @@ from calibration.engine.dataset.edges import pose_document, transform_documents
 from calibration.engine.dataset.frames import VELOCITIES_KEY, velocity_documents
 from calibration.engine.dataset.lens_uncertainty import UNCERTAINTY_KEY, LensUncertainty, uncertainty_document
 from calibration.engine.dataset.modalities import MODALITIES
-from calibration.engine.dataset.model import CHOSEN_MODELS, ESTIMATED_KEY, Edge
+from calibration.engine.dataset.model import CHOSEN_MODELS, ESTIMATED_KEY, ROUGH_KEY, Edge
 from calibration.engine.dataset.pattern import pattern_document
 from calibration.engine.dataset.sensors import camera_document
 from calibration.engine.geometry.cameras import Camera
@@ -23,8 +23,6 @@ from calibration.robot.importing.patterns.image_views import FoundCorners, Label
 from calibration.robot.labelling.points import PatternPoints
 from calibration.robot.simulation.sensors.sensor import range_label_document
 
-ROUGH_KEY = "rough_transforms"
-"""Key of ``_metadata``: whether the calibrated transforms in the dataset are only an initial guess."""
 RECORDING_USER = "calibration-ci"
 
 

@@ -55,7 +55,7 @@ def program(name: str) -> str:
     beside = Path(sys.executable).with_name(name)
     found = str(beside) if os.access(beside, os.X_OK) else shutil.which(name)
     if found is None:
-        raise InfrastructureError(f"{name} is not installed: calibration-ci[analysis] of pip has it, or apt-get")
+        raise InfrastructureError(f"{name} is not installed: pip install 'calibration-ci[analysis]', or by apt")
     return found
 
 
