@@ -115,14 +115,12 @@ class PoseAdvisor:
             if needed is not None and number >= count:
                 break
         again = self.candidates[taken].sum(0)
-        if needed is None:
+        ever = MAX_NEEDED**2 * np.stack([again, self.candidates.sum(0)])
+        least = np.min([now, *self._sizes(self.knowledge, ever), *(each.sizes for each in chosen)], axis=0)
+        if needed is None and (least <= wanted).all():
             rounds = np.arange(2, MAX_NEEDED // len(chosen) + 1)
             holds = (self._sizes(self.knowledge, rounds[:, None, None] * again) <= wanted).all(1)
             needed = len(chosen) * int(rounds[holds.argmax()]) if holds.any() else None
-        ever = MAX_NEEDED**2 * np.stack([again, self.candidates.sum(0)])
-        least = np.minimum(now, self._sizes(self.knowledge, ever).min(0))
-        for each in chosen:
-            least = np.minimum(least, each.sizes)
         left = {} if (now <= wanted).all() else self._left(self.knowledge.with_views(ever[0]))
         return Advice(self.goals, now, tuple(chosen[:count]), needed, least, left)
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from calibration.base.records import field, result
 from calibration.engine.baseline.calibration_document import PromiseDocument
-from calibration.engine.next_pose.advice import WORTH_TAKING
+from calibration.engine.next_pose.advice import MAX_NEEDED, WORTH_TAKING
 from calibration.engine.tasks.robot_task import TaskUnit
 
 MANY_POSES = 20
@@ -111,6 +111,9 @@ class NextPoses:
                 return f"after {self.needed} of these poses {holds}"
             sooner = f"; sooner if what is held is better known: {causes}" if more > MANY_POSES and causes else ""
             return f"{more} more such, {self.needed} poses in all, and {holds}{sooner}"
+        if goal.least <= goal.wanted:
+            sooner = f"; better know what is held: {causes}" if causes else ""
+            return f"more than {MAX_NEEDED} such poses decide the limit of {goal.limit:.3g} {goal.unit}{sooner}"
         of = f": of that is {causes}" if causes else ""
         end = "calibrate it, or state under 'assume' how well it is known" if causes else "take poses from nearer"
         return (
