@@ -294,6 +294,7 @@ def test_a_scenario_whose_process_dies_leaves_no_temporary_folder(
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_many_scenarios_and_one_of_them_again(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scenarios = tmp_path / "scenarios.yml"
     scenarios.write_text("assembly: {translation_mm: {normal: [0, 3]}}\nmotion: {poses: 3}\n")

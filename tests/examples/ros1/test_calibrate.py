@@ -81,6 +81,7 @@ def test_it_finds_the_truth_from_every_noisy_start(
     np.testing.assert_allclose(np.array(averages[1:], float), values.mean(0), atol=6e-5)
 
 
+@pytest.mark.thorough
 def test_the_noise_depends_on_the_seed_alone(
     collected: Collected, calibrated_from: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -94,6 +95,7 @@ def test_the_noise_depends_on_the_seed_alone(
     assert a["collections"]["000"]["transforms"][left] != c["collections"]["000"]["transforms"][left]
 
 
+@pytest.mark.thorough
 def test_broken_software_fails_the_rule_and_is_far_from_the_truth(
     collected: Collected, calibrated_from: dict[str, Path], tmp_path: Path
 ) -> None:

@@ -89,6 +89,7 @@ class Test(unittest.TestCase):
     assert found.files["robot/naming.py"].branch_rate == Rate(2, 2)
 
 
+@pytest.mark.thorough
 def test_several_workers_of_pytest(run: Run, root: Path) -> None:
     commit(root, {"tests/test_split.py": "from robot.naming import split\ndef test_split(): assert split('a_b')\n"})
     tests, _, found = run("pytest -q -n 2 -p no:cacheprovider", OURS)
