@@ -50,6 +50,7 @@ ACTIONS = {
     "check-messages": ("check-messages/main.py", "run.txt"),
     "test-image": ("test-image/main.py", "calibrate.txt"),
     "bundle": ("bundle/main.py", "run.txt"),
+    "deliver": ("deliver/main.py", "run.txt"),
     "run": ("run.py", "run.txt"),  # the root action.yml; no folder, because a folder here is a sub-action
 }
 # Likewise for the steps of the reusable workflow that are no actions.

@@ -16,6 +16,7 @@ from benchmarks.shared_data import ROOT
 INPUTS = {
     "build-image": {"INPUT_SPEC": "nowhere.yml"},
     "bundle": {"INPUT_CONFIG": "nowhere.yml"},
+    "deliver": {"INPUT_CONFIG": "nowhere.yml", "INPUT_FOLDER": "nowhere"},
     "calibrate-matrix": {"INPUT_DATASET": "nowhere"},
     "check-messages": {"INPUT_CONFIG": "nowhere.yml"},
     "test-image": {"INPUT_IMAGE": "nowhere"},

@@ -5,6 +5,9 @@
 - ``attestation``: an in-toto statement in a DSSE envelope, signed by a team's key;
 - ``bundling``: a bundle of the results of a run; ``writing``: its files;
 - ``bundle``, ``stage``: the command and the stage;
+- ``changes``: what differs between two bundles, and the version that follows; ``destinations``, ``artifact``,
+  ``release``: a folder, a registry, GitHub's releases; ``delivering``: delivery to them; ``deliver``: the command;
+- ``fleet``: the command that compares the robots of a fleet;
 - ``fetching``: a bundle read from a file, a folder or a registry;
 - ``checking``: whether a bundle is accepted on this robot;
 - ``poses``, ``in_use``, ``in_use_bag``: transforms and cameras that are in use; ``comparing``: with those of a bundle;
@@ -16,6 +19,10 @@ from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyComm
 ADDON = Addon(
     commands={
         "bundle": LazyCommand(f"{__name__}.bundle:command", "Pack accepted calibrations for the robot, and sign them."),
+        "deliver": LazyCommand(
+            f"{__name__}.deliver:command", "Bundle and deliver: to a registry, a release, a folder."
+        ),
+        "fleet": LazyCommand(f"{__name__}.fleet:command", "Compare the accepted calibrations of a fleet's robots."),
         "verify": LazyCommand(f"{__name__}.verify:command", "Check on the robot what was bundled, and what is in use."),
     },
     sections={

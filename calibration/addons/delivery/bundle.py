@@ -39,14 +39,18 @@ class BundleSettings:
     )
 
 
-@click.command(TITLE)
-@record_options(BundleSettings)
-@record_options(DeliverySettings)
-@click.option(
+signing_key_option = click.option(
     "--signing-key",
     envvar=KEY_VARIABLE,
     help=f"The private key itself, in PEM; on a command line by the variable {KEY_VARIABLE} instead.",
 )
+"""Option for the private key, to be passed to `masked_signing_key`."""
+
+
+@click.command(TITLE)
+@record_options(BundleSettings)
+@record_options(DeliverySettings)
+@signing_key_option
 @click.pass_context
 def command(context: click.Context, /, signing_key: str | None, **options: Any) -> ExitCode:
     """Pack what systems that passed and are accepted leave for their robot: the same input, the same digest.
@@ -55,17 +59,11 @@ def command(context: click.Context, /, signing_key: str | None, **options: Any) 
     and marks it.
     """
     runner = Runner.from_environment()
-    if signing_key and signing_key.strip():
-        add_mask(runner, signing_key)
-        if context.get_parameter_source("signing_key") is click.core.ParameterSource.COMMANDLINE:
-            raise InputError(
-                "signing-key: found on the command line, where every process reads it: "
-                f"put it into the environment variable {KEY_VARIABLE}, or use signing-key-file"
-            )
+    key = masked_signing_key(context, signing_key, runner)
     settings = chosen(BundleSettings, options)
     if settings.although is not None and not settings.although.strip():
         raise InputError("--although: found nothing, expected the reason")
-    found = bundle_results(settings, given(DeliverySettings, options), signing_key or "")
+    found = bundle_results(settings, given(DeliverySettings, options), key)
     _show(found, settings.output, runner)
     return ExitCode.PASS
 
@@ -82,21 +80,42 @@ def bundle_results(settings: BundleSettings, document: dict[str, Any], signing_k
         InputError: an input is wrong, or no system can be bundled.
         InfrastructureError: a file cannot be written.
     """
-    configuration = read_configuration(settings.config)
-    section = configuration.sections.of("delivery") or DeliverySettings()
-    delivery = changed(section, document, "options")
     with locked(settings.output):  # no run may write the results meanwhile
-        run = RunToBundle(
-            read_results(settings.output),
-            with_collected(configuration.systems, settings.output / COLLECTED_FOLDER),
-            settings.output,
-            settings.config,
-            configuration.baseline,
-        )
+        run, delivery = run_to_bundle(settings.config, settings.output, document)
         bundle = make_bundle(run, delivery, settings.although)
         environment = {**os.environ, KEY_VARIABLE: signing_key}
         written = write_bundle(bundle, settings.output / BUNDLE_FOLDER, delivery.signing_key_file, environment)
     return written.results(settings.output)
+
+
+def run_to_bundle(config: Path, output: Path, document: dict[str, Any]) -> tuple[RunToBundle, DeliverySettings]:
+    """Read the results of a run, and the section ``delivery``, over which keys of a document take precedence.
+
+    Raises:
+        InputError: an input is wrong.
+    """
+    configuration = read_configuration(config)
+    section = configuration.sections.of("delivery") or DeliverySettings()
+    systems = with_collected(configuration.systems, output / COLLECTED_FOLDER)
+    run = RunToBundle(read_results(output), systems, output, config, configuration.baseline)
+    return run, changed(section, document, "options")
+
+
+def masked_signing_key(context: click.Context, signing_key: str | None, runner: Runner) -> str:
+    """Mask the private key that an option or its variable has, and return it; empty for none.
+
+    Raises:
+        InputError: it is on the command line.
+    """
+    if not signing_key or not signing_key.strip():
+        return ""
+    add_mask(runner, signing_key)
+    if context.get_parameter_source("signing_key") is click.core.ParameterSource.COMMANDLINE:
+        raise InputError(
+            "signing-key: found on the command line, where every process reads it: "
+            f"put it into the environment variable {KEY_VARIABLE}, or use signing-key-file"
+        )
+    return signing_key
 
 
 def _show(found: BundleResults, output: Path, runner: Runner) -> None:

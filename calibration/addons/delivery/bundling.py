@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from calibration import __version__
-from calibration.addons.delivery.archive import pack_files
+from calibration.addons.delivery.archive import pack_files, unpack_files
 from calibration.addons.delivery.manifest import (
     MANIFEST_FILE,
     MANIFEST_VERSION,
@@ -59,6 +59,12 @@ class Bundle:
     def file_name(self) -> str:
         """Name of its file."""
         return f"{self.manifest.name}.calibration.tar"
+
+    def with_version(self, version: str) -> "Bundle":
+        """Return the bundle with another version."""
+        manifest = replace(self.manifest, version=version)
+        files = {**unpack_files(self.content), MANIFEST_FILE: manifest.text.encode()}
+        return Bundle(manifest, pack_files(files))
 
     @cached_property
     def digest(self) -> str:

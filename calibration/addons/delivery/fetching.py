@@ -6,6 +6,7 @@ import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calibration.addons.delivery.archive import MAX_BUNDLE_BYTES, MAX_FILES, RefusedBundleError, pack_files
 from calibration.addons.delivery.attestation import ATTESTATION_ENDING, MAX_ATTESTATION_BYTES
@@ -13,6 +14,10 @@ from calibration.addons.delivery.manifest import MANIFEST_FILE
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 from calibration.ci.workflow import Runner
+
+if TYPE_CHECKING:
+    from calibration.ci.registries.reference import Reference
+    from calibration.ci.registries.registry import RegistryClient
 
 BUNDLE_ENDING = ".calibration.tar"
 ATTESTATION_IN_FOLDER = f"attestation{ATTESTATION_ENDING}"
@@ -101,16 +106,28 @@ def _from_registry(text: str, runner: Runner) -> FetchedBundle:
     from calibration.ci.registries.reference import parse_reference
     from calibration.ci.registries.registry import RegistryClient
 
-    reference = parse_reference(text)
     with RegistryClient(registry_login(None, text, runner), most_bytes=MAX_BUNDLE_BYTES) as client:
-        manifest = client.read_manifest(reference)
-        if manifest is None:
-            raise InputError(f"{text}: found no such file, folder or artifact of a registry, expected a bundle")
-        layers = _layers_by_type(manifest.content, text)
-        content = client.read_blob(reference, layers[BUNDLE_LAYER])
-        attested = layers.get(ATTESTATION_LAYER)
-        attestation = None if attested is None else client.read_blob(reference, attested)
-    return FetchedBundle(text, content, attestation)
+        found = read_artifact(client, parse_reference(text))
+    if found is None:
+        raise InputError(f"{text}: found no such file, folder or artifact of a registry, expected a bundle")
+    return found
+
+
+def read_artifact(client: "RegistryClient", reference: "Reference") -> FetchedBundle | None:
+    """Read a bundle from a registry; None if there is nothing of this name.
+
+    Raises:
+        InputError: it is something else, or access is denied.
+        InfrastructureError: the registry does not answer.
+    """
+    manifest = client.read_manifest(reference)
+    if manifest is None:
+        return None
+    layers = _layers_by_type(manifest.content, str(reference))
+    content = client.read_blob(reference, layers[BUNDLE_LAYER])
+    attested = layers.get(ATTESTATION_LAYER)
+    attestation = None if attested is None else client.read_blob(reference, attested)
+    return FetchedBundle(str(reference), content, attestation)
 
 
 def _layers_by_type(content: bytes, text: str) -> dict[str, str]:

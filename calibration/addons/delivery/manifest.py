@@ -1,5 +1,6 @@
 """``manifest.json`` of a bundle: what it holds, of which robot, made from what, and how it was judged."""
 
+import re
 from collections.abc import Mapping
 from itertools import dropwhile
 from typing import Annotated, Literal
@@ -13,7 +14,13 @@ MANIFEST_FILE = "manifest.json"
 MANIFEST_VERSION: Literal[1] = 1
 Sha256 = Annotated[str, matching("[0-9a-f]{64}", "64 hexadecimal digits")]
 Name = Annotated[str, length(1, 500)]
-Version = Annotated[str, matching(r"[0-9]{1,18}(\.[0-9]{1,18}){0,3}", "one to four numbers such as 1.4.2")]
+VERSION_PATTERN = r"[0-9]{1,18}(\.[0-9]{1,18}){0,3}"
+Version = Annotated[str, matching(VERSION_PATTERN, "one to four numbers such as 1.4.2")]
+
+
+def is_version(text: str) -> bool:
+    """Return whether a text is a version of a bundle."""
+    return re.fullmatch(VERSION_PATTERN, text, re.ASCII) is not None
 
 
 def version_order(version: str) -> tuple[int, ...]:

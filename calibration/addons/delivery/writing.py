@@ -5,6 +5,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calibration.addons.delivery.attestation import (
     ATTESTATION_ENDING,
@@ -19,6 +20,9 @@ from calibration.addons.delivery.results import BundleResults
 from calibration.addons.delivery.settings import KEY_VARIABLE
 from calibration.base.files import read_bytes, write_atomically
 from calibration.ci.report import remove_results
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 PREDICATE_ENDING = ".predicate.json"
 """After the name of a bundle: its test results, for a tool that makes and signs the statement itself."""
@@ -51,6 +55,15 @@ class WrittenBundle:
         )
 
 
+def read_signing_key(key_file: Path | None, environment: Mapping[str, str]) -> "Ed25519PrivateKey | None":
+    """Return the private key of a file, or else of `KEY_VARIABLE`; None without one; raises as `write_bundle`."""
+    text, where = environment.get(KEY_VARIABLE, ""), KEY_VARIABLE
+    if key_file is not None:
+        where = str(key_file)
+        text = read_bytes(key_file, MAX_KEY_BYTES, "a private key").decode("utf-8", "replace")
+    return parse_signing_key(text, where) if text.strip() or key_file is not None else None
+
+
 def write_bundle(
     bundle: Bundle, folder: Path, key_file: Path | None, environment: Mapping[str, str] = os.environ
 ) -> WrittenBundle:
@@ -66,11 +79,7 @@ def write_bundle(
         InputError: the key is none.
         InfrastructureError: a file cannot be written, or cryptography is not installed.
     """
-    text, where = environment.get(KEY_VARIABLE, ""), KEY_VARIABLE
-    if key_file is not None:
-        where = str(key_file)
-        text = read_bytes(key_file, MAX_KEY_BYTES, "a private key").decode("utf-8", "replace")
-    key = parse_signing_key(text, where) if text.strip() or key_file is not None else None
+    key = read_signing_key(key_file, environment)
     path = folder / bundle.file_name
     attestation, predicate = (path.with_name(path.name + each) for each in (ATTESTATION_ENDING, PREDICATE_ENDING))
     remove_results(folder, [each.name for each in (path, attestation, predicate)])

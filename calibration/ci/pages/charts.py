@@ -99,7 +99,9 @@ MAX_COLUMNS = 120
 """Maximum number of columns; above it, neighbours are merged into one that shows their maximum."""
 
 
-def heat_map(title: str, rows: Sequence[str], columns: Sequence[str], values: Array, unit: str) -> Html:
+def heat_map(
+    title: str, rows: Sequence[str], columns: Sequence[str], values: Array, unit: str, column: str = "collection"
+) -> Html:
     """Return the figure.
 
     Args:
@@ -108,6 +110,7 @@ def heat_map(title: str, rows: Sequence[str], columns: Sequence[str], values: Ar
         columns: names, C of them.
         values: (R, C); NaN for missing values.
         unit: unit of the values.
+        column: what a column is, in the singular.
     """
     step = math.ceil(len(columns) / MAX_COLUMNS)
     groups = [list(range(i, min(i + step, len(columns)))) for i in range(0, len(columns), step)]
@@ -124,7 +127,7 @@ def heat_map(title: str, rows: Sequence[str], columns: Sequence[str], values: Ar
                 continue
             value = max(found)
             where = columns[group[0]] if len(group) == 1 else f"{columns[group[0]]} to {columns[group[-1]]}"
-            cell = element("title", f"{name}, collection {where}: {value:.3g} {unit}")
+            cell = element("title", f"{name}, {column} {where}: {value:.3g} {unit}")
             box = {"x": HEAT_LEFT + c * HEAT_CELL, "y": y, "width": HEAT_CELL - 1.5, "height": HEAT_CELL_HEIGHT - 1.5}
             parts.append(element("rect", cell, **box, class_="heat", fill_opacity=_opacity(value / most)))
     below = HEAT_TOP + len(rows) * HEAT_CELL_HEIGHT

@@ -1,4 +1,4 @@
-"""A workflow under act: a run, a bundle that a secret signs, and a robot that accepts it."""
+"""Workflows under act: a run, a bundle that a secret signs, deliveries of it, and a robot that accepts it."""
 
 import base64
 import re
@@ -8,7 +8,9 @@ import pytest
 
 from calibration.__main__ import main
 from tests.addons.delivery.bundles import KEY, NAME, private_pem, public_pem
-from tests.e2e.conftest import PROJECT, Repository, cache, calibration, repository, suite
+from tests.addons.delivery.services import IMAGE, services
+from tests.displaced import displace
+from tests.e2e.conftest import PROJECT, Repository, cache, calibration, commit, repository, suite
 from tests.e2e.steps import Step, outcome, outcomes, workflow
 
 __all__ = ["cache", "repository", "suite"]
@@ -41,3 +43,35 @@ def test_a_bundle_is_signed_by_a_secret(repository: Repository, tmp_path: Path) 
     bundle = tmp_path / NAME
     (tmp_path / "team.pub").write_bytes(public_pem(KEY))
     assert main(["verify", str(bundle), "--key", str(tmp_path / "team.pub"), "--serial", "SN-9"]) == 0
+
+
+@pytest.mark.thorough
+def test_a_sensor_that_moved_is_a_minor_version(repository: Repository, tmp_path: Path) -> None:
+    folder = repository.folder
+    with services() as there:
+        there.repository = f"me/{folder.name.replace(' ', '-')}"
+        registry = f"{there.server.address}/{IMAGE}"
+        places = {"release": "true", "registry": registry, "api-url": f"http://{there.server.address}", "token": "t"}
+        steps = [Step("run", ""), Step("deliver", "deliver", {**places, "signing-key": SECRET_OF_WORKFLOW})]
+        signed = ("--secret", f"SIGNING={private_pem()}")
+        repository.write(
+            workflow(steps), {"calibration.yml": CONFIGURATION, "my robot": PROJECT / "datasets" / "t2rgb"}
+        )
+        (folder / "my robot" / "ground_truth.json").unlink()
+        for expected in ("1.0.0", "1.1.0"):
+            calibration(folder, "run", "--output", str(tmp_path / expected), codes=(0, 1))
+            calibration(folder, "accept", "--output", str(tmp_path / expected))
+            commit(folder)
+            run = repository.act("push", *signed)
+            assert outcomes(run) == {"run": "success", "deliver": "success"}, run.log
+            assert outcome(run, steps[1]).outputs["version"] == expected
+            displace(folder / "my robot", "right_camera", (0.003, 0.0, 0.0, 0.0, 0.0, 0.0))
+        assert there.shown == (["1.0.0", "1.1.0", "latest"], ["robot-1.0.0", "robot-1.1.0"])
+        assert re.search(r"right\\_camera \| (2\.[7-9]|3\.[0-3])\d* ± \S+ mm", there.changelog("robot-1.1.0"))
+        (tmp_path / "team.pub").write_bytes(public_pem(KEY))
+        arguments = ["verify", registry, "--key", str(tmp_path / "team.pub"), "--unpack", str(tmp_path / "unpacked")]
+        assert main(arguments) == 0
+        used = tmp_path / "unpacked/robot/tf_static.yaml"
+        assert main(["verify", registry, "--unsigned", "--in-use", str(used)]) == 0
+        used.write_text(re.sub(r"(x: -?\d\.\d\d)\d", r"\g<1>7", used.read_text(), count=1))
+        assert main(["verify", registry, "--unsigned", "--in-use", str(used)]) == 1
