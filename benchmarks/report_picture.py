@@ -1,9 +1,10 @@
-"""Draws docs/report.png, the part of a robot on the page that `make run` writes (`make pictures`); needs Chromium."""
+"""Draws docs/report*.png, parts of the page that `make run` writes (`make pictures`); needs Chromium."""
 
 import shutil
 import sys
 import tempfile
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 from playwright.sync_api import sync_playwright
 
@@ -11,14 +12,30 @@ from benchmarks.run_picture import run
 from calibration.pipeline.results import PAGE_FILE
 
 ROOT = Path(__file__).resolve().parents[1]
-PICTURE = ROOT / "docs" / "report.png"
-PART = "#system-softbot"
-WIDTH, HEIGHT = 1100, 1682
-"""Width and height of the picture, px: it shows the page from the robot's heading to its first residuals."""
+
+
+class Picture(NamedTuple):
+    """Picture of a part of the page."""
+
+    name: str
+    part: str
+    """What it begins with."""
+    width: int
+    """px."""
+    height: int
+    """px."""
+    scheme: Literal["light", "dark"] = "light"
+
+
+PICTURES = (
+    Picture("report-top.png", "#top", 1100, 700),
+    Picture("report.png", "#system-softbot", 1100, 1900),  # to the first residuals
+    Picture("report-phone.png", "#system-rlbot .turning", 390, 844, "dark"),
+)
 
 
 def main() -> None:
-    """Run the pipeline of calibration.yml, and take a picture of its page.
+    """Run the pipeline of calibration.yml, and take the pictures of its page.
 
     Raises:
         SystemExit: there is no Chromium.
@@ -29,10 +46,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         run(Path(folder))
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-        page.goto((Path(folder) / "output" / PAGE_FILE).as_uri())
-        page.locator(PART).evaluate("part => part.scrollIntoView()")
-        page.screenshot(path=PICTURE)
+        for name, part, width, height, scheme in PICTURES:
+            page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
+            page.goto((Path(folder) / "output" / PAGE_FILE).as_uri())
+            page.locator(part).evaluate("part => part.scrollIntoView()")
+            if part != PICTURES[0].part:
+                page.locator(".turning.opened canvas").first.wait_for()
+            page.screenshot(path=ROOT / "docs" / name)
         browser.close()
 
 

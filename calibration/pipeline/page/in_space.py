@@ -34,7 +34,7 @@ KINDS = {
     "robot": Kind("green", "the robot's links"),
     "before": Kind("soft", "before the calibration", dashed=True),
     "accepted": Kind("amber", "as accepted", dashed=True),
-    "cloud": Kind("violet", "its points: blue fit, red are 3 times the RMS off it"),
+    "cloud": Kind("violet", "points on it: blue ones fit, red ones are off by 3 times the RMS"),
     "x": Kind("red", ""),
     "y": Kind("green", ""),
     "z": Kind("blue", ""),

@@ -49,6 +49,12 @@ def test_nothing_that_a_stranger_wrote_is_active(sentence: str, reason: str, cel
     assert html.count("<tr>") == 3
 
 
+def test_lines_follow_the_tables_as_text() -> None:
+    brief = Brief(verdict="pass", sentence="", lines=("Findings: 0", "unit-tests: @team <b>312</b> tests passed"))
+    items = re.findall(r"<li>(.*?)</li>", rendered(comment_text(brief, "", LINKS)))
+    assert items == ["Findings: 0", "unit-tests: @\u200bteam &lt;b&gt;312&lt;/b&gt; tests passed"]
+
+
 def test_a_comment_has_verdict_reasons_tables_and_links() -> None:
     table = BriefTable(("Start", "robot"), (("0 m, 0 rad", "0.2 px"),))
     brief = Brief(verdict="fail", sentence="1 of 1 cell failed", reasons=("robot: too far",), tables=(table,))

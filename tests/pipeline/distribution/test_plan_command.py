@@ -8,6 +8,7 @@ import jsonschema
 import pytest
 
 from calibration.__main__ import main, run_action
+from calibration.ci.report.results_json import Brief, read_brief
 from calibration.pipeline.report import write_results
 from calibration.pipeline.results import SCHEMA_FILE, PipelineResults
 from tests.pipeline.distribution.test_gathering import ONE, TWO, result
@@ -168,6 +169,21 @@ def test_one_table_and_one_verdict(
     assert {path.name for path in Path("of all").iterdir()} == files
     assert "calibration: pass" in Path("of all/badge.svg").read_text()
     assert capsys.readouterr().out.splitlines()[-1] == ("pass: 2 cells calibrated (of all/results.json)")
+
+
+def test_what_other_jobs_say_in_brief_is_in_the_comment(
+    planned: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = Path("left", "calibration~unit-tests")
+    folder.mkdir(parents=True)
+    brief = Brief(verdict="pass", sentence="90 % of the lines are run", lines=("12 tests passed, 0 failed",))
+    (folder / "comment.json").write_text(brief.text)
+    assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
+    lines = read_brief(Path("of all/comment.json")).lines
+    assert {"unit-tests: 90 % of the lines are run", "unit-tests: 12 tests passed, 0 failed"} <= set(lines)
+    assert any("billed minutes" in line for line in lines)
+    Path("left", "unit-tests", "comment.json").write_text("{")
+    assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "success"}, planned) == 0
 
 
 def test_a_failed_job_beside_good_cells(
